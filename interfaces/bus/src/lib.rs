@@ -1,0 +1,1 @@
+//! The only code that opens iceoryx2: names, limits, ports, wait loop.

@@ -1,0 +1,1 @@
+//! The only writer of durable state: checksummed records, atomic replacement.

@@ -1,0 +1,26 @@
+use crate::message::message;
+
+message! {
+    /// What happened to the stream of scans as a whole.
+    #[derive(Eq)]
+    pub struct Control = "flockslam/control/v1" {
+        /// A [`ControlKind`] as number.
+        pub kind: u32,
+        /// Cold start that it belongs to.
+        pub epoch: u32,
+        /// `StreamEnd`: number of scans published in the epoch.
+        pub value: u64,
+    }
+}
+
+/// Kinds of [`Control`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum ControlKind {
+    /// The source has ended; `value` scans were published.
+    StreamEnd = 1,
+    /// sync-manager has stored its final layout and map.
+    Finished = 2,
+    /// A restarted reader asks the mapper for all live tiles.
+    TilesWanted = 3,
+}

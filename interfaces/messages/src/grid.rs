@@ -1,0 +1,56 @@
+use crate::message::message;
+use crate::{ScanId, Times};
+use flockslam_evidence::{Tile, TileKey};
+use flockslam_geometry::Pose;
+
+message! {
+    /// One changed tile of the active grid. It becomes valid with the commit of its generation.
+    pub struct TileMessage = "flockslam/tile/v1" {
+        /// Which tile, in the odom lattice.
+        pub key: TileKey,
+        /// Generation of the grid that it belongs to.
+        pub generation: u64,
+        /// Side of a cell, metres.
+        pub cell_size_m: f64,
+        /// 1 when the tile left the active grid: readers forget it.
+        pub retired: u32,
+        /// Reserved, zero.
+        pub reserved: u32,
+        /// Evidence and score.
+        pub tile: Tile,
+    }
+}
+
+message! {
+    /// Makes all tiles up to a generation valid: readers switch at this and at nothing else.
+    pub struct Commit = "flockslam/commit/v1" {
+        /// The scan that was inserted last.
+        pub id: ScanId,
+        /// Its times, as in the scan.
+        pub times: Times,
+        /// The generation that is now valid.
+        pub generation: u64,
+        /// Tiles published for this generation.
+        pub tiles: u32,
+        /// Submap that the next inserted scan enters.
+        pub active_submap: u32,
+    }
+}
+
+message! {
+    /// A submap was closed and stored; its file lies in the store of the set.
+    pub struct SubmapClosed = "flockslam/submap-closed/v1" {
+        /// First scan in it.
+        pub first: ScanId,
+        /// Last scan in it.
+        pub last: ScanId,
+        /// `odom_from_base` of the first scan: the submap's reference pose.
+        pub odom_from_submap: Pose,
+        /// CRC of the stored content.
+        pub checksum: u64,
+        /// Its number within the epoch, from 0.
+        pub number: u32,
+        /// Scans inserted.
+        pub insertions: u32,
+    }
+}

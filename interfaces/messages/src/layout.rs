@@ -1,0 +1,19 @@
+use crate::message::message;
+use flockslam_geometry::Pose;
+
+message! {
+    /// What sync-manager concluded after a closed submap. A slice of [`flockslam_geometry::Pose`]-sized corrections is
+    /// not needed by the front end; the full layout lies in the store.
+    pub struct LayoutHeader = "flockslam/layout/v1" {
+        /// The new correction of the front end.
+        pub map_from_odom: Pose,
+        /// Cold start that it belongs to.
+        pub epoch: u32,
+        /// Submap after whose closing it was computed: finished up to and including this one.
+        pub submap: u32,
+        /// Counts the layouts of this epoch from 1.
+        pub revision: u32,
+        /// Loop closures in force.
+        pub closures: u32,
+    }
+}

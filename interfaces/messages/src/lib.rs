@@ -1,0 +1,26 @@
+//! Every payload that crosses a process or robot boundary, with its layout and version.
+//!
+//! A message is plain data: `#[repr(C)]`, no padding, no pointers, readable in place from shared memory. Its version
+//! is part of its type name and its layout is hashed, so two builds that disagree refuse each other.
+
+mod control;
+mod grid;
+mod identity;
+mod layout;
+mod marks;
+mod message;
+mod pose;
+mod progress;
+mod scan;
+mod verdict;
+
+pub use control::{Control, ControlKind};
+pub use grid::{Commit, SubmapClosed, TileMessage};
+pub use identity::{ScanId, Times};
+pub use layout::LayoutHeader;
+pub use marks::{ClearedCell, MarksHeader};
+pub use message::{Layout, Message};
+pub use pose::{PoseEstimate, PoseFlags, Quality};
+pub use progress::{Progress, Stage};
+pub use scan::{LARGE_SCAN_BEAMS, ScanBuffer, ScanHeader, ScanProblem, ScanSections, ScanView};
+pub use verdict::{DropReason, Verdict};

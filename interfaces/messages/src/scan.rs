@@ -1,0 +1,237 @@
+use crate::message::message;
+use crate::{ScanId, Times};
+use flockslam_geometry::Pose;
+
+/// Scans with more beams than this travel on a service of their own, so that ordinary sets stay small.
+pub const LARGE_SCAN_BEAMS: usize = 64 * 1024;
+
+message! {
+    /// What a scan says about itself. The numbers of its beams follow as a slice of `f32`, see [`ScanView`].
+    pub struct ScanHeader = "flockslam/scan/v1" {
+        /// The scan's name.
+        pub id: ScanId,
+        /// When it was taken: the stamp belongs to its first beam.
+        pub times: Times,
+        /// `base_link_from_laser`: where the lidar is mounted.
+        pub base_from_laser: Pose,
+        /// `odom_from_base` of the wheels at the stamp (raw dead reckoning); only when `has_odometry` is 1.
+        pub odometry: Pose,
+        /// Direction of beam 0 in the laser frame, radians; unless the scan has explicit angles.
+        pub angle_min_rad: f64,
+        /// Step between neighbouring beams, radians (negative: clockwise); unless explicit.
+        pub angle_increment_rad: f64,
+        /// Ranges below are not valid, metres.
+        pub range_min_m: f32,
+        /// Ranges above are not valid, metres.
+        pub range_max_m: f32,
+        /// Seconds between neighbouring beams; 0 when all were taken at once. Unless explicit.
+        pub time_increment_s: f32,
+        /// 1 when `odometry` is set.
+        pub has_odometry: u32,
+        /// Number of beams.
+        pub beam_count: u32,
+        /// Which sections follow the ranges: bits of [`ScanSections`].
+        pub sections: u32,
+        /// 1 when the source asks that the scan be given a predicted pose only.
+        pub withheld: u32,
+        /// Reserved, zero.
+        pub reserved: u32,
+    }
+}
+
+/// Optional sections of a scan's numbers, in this order behind the ranges, each `beam_count` long.
+pub struct ScanSections;
+
+impl ScanSections {
+    /// Explicit direction of each beam, radians in the laser frame.
+    pub const ANGLES: u32 = 1;
+    /// Strength of each return, as the sensor gives it.
+    pub const INTENSITIES: u32 = 2;
+    /// Seconds from the stamp to each beam.
+    pub const TIMES: u32 = 4;
+    /// All known bits.
+    pub const ALL: u32 = 7;
+}
+
+/// Why a scan's header and numbers do not fit together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ScanProblem {
+    /// The slice has another length than the header says.
+    #[error("a scan of {expected} numbers came with {found}")]
+    WrongLength {
+        /// Numbers that the header asks for.
+        expected: usize,
+        /// Numbers that came.
+        found: usize,
+    },
+    /// The header names sections that this build does not know.
+    #[error("a scan has unknown sections {0:#x}")]
+    UnknownSections(u32),
+    /// A pose, angle or limit in the header is not a number.
+    #[error("a scan's header has a value that is not a finite number")]
+    NotFinite,
+}
+
+/// A scan read in place: the header and its numbers, wherever they lie.
+#[derive(Clone, Copy, Debug)]
+pub struct ScanView<'a> {
+    header: &'a ScanHeader,
+    numbers: &'a [f32],
+}
+
+impl<'a> ScanView<'a> {
+    /// Joins a header and its numbers: ranges, then the sections named in the header.
+    ///
+    /// # Errors
+    /// When the two do not fit together, or the header's poses and angles are not finite.
+    pub fn new(header: &'a ScanHeader, numbers: &'a [f32]) -> Result<Self, ScanProblem> {
+        if header.sections & !ScanSections::ALL != 0 {
+            return Err(ScanProblem::UnknownSections(header.sections));
+        }
+        let expected = header.beam_count as usize * (1 + header.sections.count_ones() as usize);
+        if numbers.len() != expected {
+            return Err(ScanProblem::WrongLength { expected, found: numbers.len() });
+        }
+        let finite = header.base_from_laser.is_finite()
+            && header.odometry.is_finite()
+            && header.angle_min_rad.is_finite()
+            && header.angle_increment_rad.is_finite()
+            && header.time_increment_s.is_finite();
+        if finite { Ok(Self { header, numbers }) } else { Err(ScanProblem::NotFinite) }
+    }
+
+    /// The header.
+    pub fn header(&self) -> &'a ScanHeader {
+        self.header
+    }
+
+    /// All numbers, ranges first.
+    pub fn numbers(&self) -> &'a [f32] {
+        self.numbers
+    }
+
+    /// Number of beams.
+    pub fn len(&self) -> usize {
+        self.header.beam_count as usize
+    }
+
+    /// Whether the scan has no beams.
+    pub fn is_empty(&self) -> bool {
+        self.header.beam_count == 0
+    }
+
+    /// Ranges, metres, as the sensor gave them (REP-117: -Inf too close, +Inf no return, NaN bad).
+    pub fn ranges(&self) -> &'a [f32] {
+        &self.numbers[..self.len()]
+    }
+
+    /// Strengths of the returns, when the sensor gives them.
+    pub fn intensities(&self) -> Option<&'a [f32]> {
+        self.section(ScanSections::INTENSITIES)
+    }
+
+    /// Direction of beam `i` in the laser frame, radians.
+    pub fn angle_rad(&self, i: usize) -> f64 {
+        match self.section(ScanSections::ANGLES) {
+            Some(angles) => f64::from(angles[i]),
+            None => self.header.angle_min_rad + i as f64 * self.header.angle_increment_rad,
+        }
+    }
+
+    /// Seconds from the stamp to beam `i`.
+    pub fn time_s(&self, i: usize) -> f64 {
+        match self.section(ScanSections::TIMES) {
+            Some(times) => f64::from(times[i]),
+            None => i as f64 * f64::from(self.header.time_increment_s),
+        }
+    }
+
+    /// The range of beam `i` when it is a real return: finite and within the sensor's limits.
+    pub fn valid_range_m(&self, i: usize) -> Option<f64> {
+        let range = self.numbers[i];
+        // Written this way round, so that NaN fails.
+        (self.header.range_min_m <= range && range <= self.header.range_max_m).then_some(f64::from(range))
+    }
+
+    /// Raw dead reckoning at the stamp, when the robot has it.
+    pub fn odometry(&self) -> Option<Pose> {
+        (self.header.has_odometry == 1).then_some(self.header.odometry)
+    }
+
+    fn section(&self, bit: u32) -> Option<&'a [f32]> {
+        if self.header.sections & bit == 0 {
+            return None;
+        }
+        let before = 1 + (self.header.sections & (bit - 1)).count_ones() as usize;
+        Some(&self.numbers[before * self.len()..(before + 1) * self.len()])
+    }
+}
+
+/// A scan that owns its numbers: what sources produce and tests hold.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ScanBuffer {
+    /// The header.
+    pub header: ScanHeader,
+    /// Ranges, then the sections named in the header.
+    pub numbers: Vec<f32>,
+}
+
+impl ScanBuffer {
+    /// A scan of these ranges (metres) at even angles; everything else zero, limits 0 … ∞.
+    pub fn from_ranges(ranges: &[f32], angle_min_rad: f64, angle_increment_rad: f64) -> Self {
+        let header = ScanHeader {
+            angle_min_rad,
+            angle_increment_rad,
+            range_max_m: f32::MAX,
+            beam_count: u32::try_from(ranges.len()).expect("a scan has at most 2^32 beams"),
+            ..ScanHeader::default()
+        };
+        Self { header, numbers: ranges.to_vec() }
+    }
+
+    /// A view on it.
+    ///
+    /// # Errors
+    /// As [`ScanView::new`].
+    pub fn view(&self) -> Result<ScanView<'_>, ScanProblem> {
+        ScanView::new(&self.header, &self.numbers)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sections_lie_behind_the_ranges_in_bit_order() {
+        let mut scan = ScanBuffer::from_ranges(&[1.0, 2.0], -1.0, 0.5);
+        assert_eq!(scan.view().unwrap().angle_rad(1), -0.5);
+        scan.header.sections = ScanSections::ANGLES | ScanSections::TIMES;
+        assert_eq!(scan.view().unwrap_err(), ScanProblem::WrongLength { expected: 6, found: 2 });
+        scan.numbers.extend([0.25, 0.75, 0.0, 0.125]);
+        let view = scan.view().unwrap();
+        assert_eq!((view.angle_rad(1), view.time_s(1), view.intensities()), (0.75, 0.125, None));
+        scan.header.sections = ScanSections::ANGLES | ScanSections::INTENSITIES;
+        assert_eq!(scan.view().unwrap().intensities(), Some(&[0.0, 0.125][..]));
+        scan.header.sections = 8;
+        assert_eq!(scan.view().unwrap_err(), ScanProblem::UnknownSections(8));
+    }
+
+    #[test]
+    fn only_finite_ranges_within_the_limits_are_valid() {
+        let mut scan = ScanBuffer::from_ranges(&[0.05, 1.0, 81.0, f32::NAN, f32::INFINITY, f32::NEG_INFINITY], 0.0, 0.1);
+        (scan.header.range_min_m, scan.header.range_max_m) = (0.1, 80.0);
+        let view = scan.view().unwrap();
+        let valid: Vec<_> = (0..view.len()).map(|i| view.valid_range_m(i)).collect();
+        assert_eq!(valid, [None, Some(1.0), None, None, None, None]);
+    }
+
+    #[test]
+    fn any_number_of_beams() {
+        for beams in [0usize, 1, 180, 65_536, 10_000_000] {
+            let scan = ScanBuffer::from_ranges(&vec![1.0; beams], 0.0, 1e-6);
+            let view = scan.view().unwrap();
+            assert_eq!((view.len(), view.ranges().len(), view.is_empty()), (beams, beams, beams == 0));
+        }
+    }
+}

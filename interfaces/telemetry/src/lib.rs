@@ -1,0 +1,1 @@
+//! Tracing set-up, metric names, the metrics endpoint, heartbeats.

@@ -1,0 +1,1 @@
+//! Process sets: command line, supervisor, evaluation.

@@ -1,0 +1,2 @@
+//! The `flockslam` executable.
+fn main() {}

@@ -1,0 +1,1 @@
+//! A scan, its pose and the grid become clearances of stale cells.

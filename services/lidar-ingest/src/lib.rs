@@ -1,0 +1,1 @@
+//! A sensor, a log or a simulated world becomes scans.

@@ -1,0 +1,1 @@
+//! A scan and its pose become evidence, tiles and submaps.

@@ -1,0 +1,1 @@
+//! Fitting clouds of points to submaps: branch and bound, point-to-line refinement.

@@ -1,0 +1,1 @@
+//! A scan and a grid become a pose.

@@ -1,0 +1,1 @@
+//! Submaps become constraints, one consistent layout and a fused map.
