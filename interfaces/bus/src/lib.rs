@@ -1,1 +1,26 @@
-//! The only code that opens iceoryx2: names, limits, ports, wait loop.
+//! The only code that opens iceoryx2: topics with their limits, ports, bells to wait on, and what a set of processes
+//! leaves in shared memory. An in-memory twin carries the same messages between threads of one process.
+//!
+//! A process set has one [`Bus::host`]: the supervisor, which creates and holds every service, since a kill during the
+//! creation of a service can wedge its name for good. Stages [`Bus::join`] and only open.
+
+mod bell;
+mod bus;
+mod error;
+mod memory;
+mod port;
+mod runtime;
+mod scan_port;
+mod shared;
+mod tile_port;
+mod topic;
+mod wire;
+
+pub use bell::{BellRinger, Listener};
+pub use bus::{Bus, SUPERVISOR_BELL};
+pub use error::BusError;
+pub use port::{Publisher, Sample, SlicePublisher, SliceSample, SliceSubscriber, Subscriber};
+pub use runtime::{RuntimeDir, RuntimeError};
+pub use scan_port::{ScanPublisher, ScanSample, ScanSubscriber};
+pub use tile_port::TileHandle;
+pub use topic::{Capacity, LargeScanHeader, Limits, SliceTopic, Topic};

@@ -1,0 +1,51 @@
+/// What can go wrong on the bus. Every variant names the topic or place and the reason.
+#[derive(Debug, thiserror::Error)]
+pub enum BusError {
+    /// The set's shared memory could not be prepared.
+    #[error("cannot prepare shared memory in {place}: {reason}")]
+    Setup {
+        /// Directory or object.
+        place: String,
+        /// What the system said.
+        reason: String,
+    },
+    /// A topic could not be created or opened.
+    #[error("cannot open topic {topic}: {reason}")]
+    Open {
+        /// Name of the topic.
+        topic: String,
+        /// What iceoryx2 said.
+        reason: String,
+    },
+    /// The process that created the topic was built with another layout of its message.
+    #[error(
+        "topic {topic} was created by another build of flockslam (message {message}, layout {layout:016x} here): \
+         stop the set and start all of its processes from one executable"
+    )]
+    Disagree {
+        /// Name of the topic.
+        topic: String,
+        /// Type name and version in this build.
+        message: &'static str,
+        /// Layout fingerprint in this build.
+        layout: u64,
+    },
+    /// A message could not be sent or received.
+    #[error("topic {topic}: {reason}")]
+    Transfer {
+        /// Name of the topic.
+        topic: &'static str,
+        /// What iceoryx2 said.
+        reason: String,
+    },
+}
+
+impl BusError {
+    pub(crate) fn transfer(topic: &'static str, reason: impl std::fmt::Debug) -> Self {
+        Self::Transfer { topic, reason: format!("{reason:?}") }
+    }
+
+    pub(crate) fn open(topic: &str, reason: impl std::fmt::Debug) -> Self {
+        Self::Open { topic: topic.to_owned(), reason: format!("{reason:?}") }
+    }
+}

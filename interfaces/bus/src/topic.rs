@@ -1,0 +1,168 @@
+use flockslam_messages::{
+    ClearedCell, Commit, Control, Layout, LayoutHeader, MarksHeader, Message, PoseEstimate, Progress, ScanHeader,
+    SubmapClosed, TileMessage, Verdict,
+};
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
+
+/// The sizes of a set, fixed when it is started: limits of a service are frozen by who creates it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Capacity {
+    /// Scans that may be on their way at once: the credit of exact replay and the queue length of every reader.
+    pub window: usize,
+    /// Greatest number of replicas of a stage (one more is reserved for a successor of a dying one).
+    pub replicas: usize,
+    /// Greatest number of live tiles of the active grid.
+    pub live_tiles: usize,
+}
+
+impl Default for Capacity {
+    fn default() -> Self {
+        Self { window: 64, replicas: 2, live_tiles: 4096 }
+    }
+}
+
+/// Limits of one topic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Publishers at once.
+    pub publishers: usize,
+    /// Subscribers at once.
+    pub subscribers: usize,
+    /// Messages that wait for a reader before the oldest is replaced.
+    pub buffer: usize,
+    /// Messages that a reader may hold.
+    pub borrowed: usize,
+    /// Messages that a publisher keeps memory for; everything a reader could hold when `None`.
+    pub preallocated: Option<usize>,
+}
+
+/// Processes that may read a topic: the stages with their replicas, the supervisor, viewers, recorders.
+const READERS: usize = 20;
+
+impl Limits {
+    fn small(capacity: &Capacity) -> Self {
+        Self {
+            publishers: capacity.replicas + 1,
+            subscribers: READERS,
+            buffer: 2 * capacity.window,
+            borrowed: 4,
+            preallocated: None,
+        }
+    }
+}
+
+/// A message with a topic of its own.
+pub trait Topic: Message + core::fmt::Debug {
+    /// Name on the bus.
+    const NAME: &'static str;
+
+    /// Its limits in a set of this capacity.
+    fn limits(capacity: &Capacity) -> Limits {
+        Limits::small(capacity)
+    }
+}
+
+/// A header with a slice of elements behind it.
+pub trait SliceTopic: Message + core::fmt::Debug {
+    /// What the slice consists of.
+    type Element: Message + core::fmt::Debug;
+    /// Name on the bus.
+    const NAME: &'static str;
+    /// Elements for which memory is laid out at first; longer slices make it grow.
+    const FIRST_LENGTH: usize;
+
+    /// Its limits in a set of this capacity.
+    fn limits(capacity: &Capacity) -> Limits;
+}
+
+impl Topic for Verdict {
+    const NAME: &'static str = "verdict";
+}
+impl Topic for PoseEstimate {
+    const NAME: &'static str = "pose";
+}
+impl Topic for Commit {
+    const NAME: &'static str = "commit";
+}
+impl Topic for SubmapClosed {
+    const NAME: &'static str = "submap-closed";
+}
+impl Topic for LayoutHeader {
+    const NAME: &'static str = "layout";
+}
+impl Topic for Control {
+    const NAME: &'static str = "control";
+
+    fn limits(capacity: &Capacity) -> Limits {
+        // Every stage speaks on it.
+        Limits { publishers: 6 * (capacity.replicas + 1) + 2, ..Limits::small(capacity) }
+    }
+}
+impl Topic for Progress {
+    const NAME: &'static str = "progress";
+
+    fn limits(capacity: &Capacity) -> Limits {
+        Limits { publishers: 5 * (capacity.replicas + 1), ..Limits::small(capacity) }
+    }
+}
+impl Topic for TileMessage {
+    const NAME: &'static str = "tile";
+
+    fn limits(capacity: &Capacity) -> Limits {
+        let buffer = 1024;
+        Limits {
+            buffer,
+            borrowed: capacity.live_tiles + buffer,
+            // Readers hold the newest sample of each tile, so memory for all live ones and two rounds of changes is enough.
+            preallocated: Some(capacity.live_tiles + 2 * buffer),
+            ..Limits::small(capacity)
+        }
+    }
+}
+
+impl SliceTopic for ScanHeader {
+    type Element = f32;
+    const NAME: &'static str = "scan";
+    const FIRST_LENGTH: usize = 1024;
+
+    fn limits(capacity: &Capacity) -> Limits {
+        Limits {
+            buffer: capacity.window,
+            borrowed: capacity.window + 2,
+            // All readers together hold the same window of scans.
+            preallocated: Some(4 * capacity.window),
+            ..Limits::small(capacity)
+        }
+    }
+}
+
+impl SliceTopic for MarksHeader {
+    type Element = ClearedCell;
+    const NAME: &'static str = "marks";
+    const FIRST_LENGTH: usize = 256;
+
+    fn limits(capacity: &Capacity) -> Limits {
+        Limits { preallocated: Some(4 * capacity.window), ..Limits::small(capacity) }
+    }
+}
+
+/// The header of a scan with more than `LARGE_SCAN_BEAMS` beams: the same fields on a topic with a small buffer.
+#[repr(transparent)]
+#[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+pub struct LargeScanHeader(pub ScanHeader);
+
+impl Layout for LargeScanHeader {
+    const HASH: u64 = ScanHeader::HASH;
+}
+impl Message for LargeScanHeader {
+    const TYPE_NAME: &'static str = "flockslam/large-scan/v1";
+}
+impl SliceTopic for LargeScanHeader {
+    type Element = f32;
+    const NAME: &'static str = "large-scan";
+    const FIRST_LENGTH: usize = 1;
+
+    fn limits(capacity: &Capacity) -> Limits {
+        Limits { buffer: 2, borrowed: 3, preallocated: Some(8), ..Limits::small(capacity) }
+    }
+}
