@@ -7,6 +7,9 @@ use iceoryx2::port::{publisher, subscriber, update_connections::UpdateConnection
 use std::ops::Deref;
 use std::sync::Arc;
 
+type SharedSlicePublisher<H> = publisher::Publisher<Service, [Wire<<H as SliceTopic>::Element>], Wire<H>>;
+type SharedSliceSubscriber<H> = subscriber::Subscriber<Service, [Wire<<H as SliceTopic>::Element>], Wire<H>>;
+
 /// Sends messages of one topic.
 pub struct Publisher<T: Topic>(pub(crate) PublisherKind<T>);
 
@@ -107,7 +110,7 @@ impl<T: Topic> Deref for Sample<T> {
 pub struct SlicePublisher<H: SliceTopic>(pub(crate) SlicePublisherKind<H>);
 
 pub(crate) enum SlicePublisherKind<H: SliceTopic> {
-    Shared(Box<publisher::Publisher<Service, [Wire<H::Element>], Wire<H>>>),
+    Shared(Box<SharedSlicePublisher<H>>),
     Memory(MemoryTopic<(H, Vec<H::Element>)>),
 }
 
@@ -153,7 +156,7 @@ impl<H: SliceTopic> SlicePublisher<H> {
 pub struct SliceSubscriber<H: SliceTopic>(pub(crate) SliceSubscriberKind<H>);
 
 pub(crate) enum SliceSubscriberKind<H: SliceTopic> {
-    Shared(Box<subscriber::Subscriber<Service, [Wire<H::Element>], Wire<H>>>),
+    Shared(Box<SharedSliceSubscriber<H>>),
     Memory(Receiver<Arc<(H, Vec<H::Element>)>>),
 }
 

@@ -6,16 +6,67 @@ pub const TILE_SIDE: usize = 64;
 /// Cells in a tile.
 pub const TILE_CELLS: usize = TILE_SIDE * TILE_SIDE;
 
+const SIDE_SHIFT: u32 = TILE_SIDE.trailing_zeros();
+const SIDE_MASK: i32 = TILE_SIDE as i32 - 1;
+
 /// Which tile of the plane: cell (i, j) lies in tile (i div 64, j div 64), with floor division.
 #[repr(C)]
 #[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, FromBytes, IntoBytes, Immutable, KnownLayout,
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    FromBytes,
+    IntoBytes,
+    Immutable,
+    KnownLayout,
 )]
 pub struct TileKey {
     /// Column of tiles.
     pub x: i32,
     /// Row of tiles.
     pub y: i32,
+}
+
+/// Index of a cell in an unbounded lattice: cell (i, j) covers `[i·s, (i+1)·s) × [j·s, (j+1)·s)` metres.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct CellIndex {
+    /// Column of cells.
+    pub x: i32,
+    /// Row of cells.
+    pub y: i32,
+}
+
+impl CellIndex {
+    /// The cell (x, y).
+    pub const fn new(x: i32, y: i32) -> Self {
+        Self { x, y }
+    }
+
+    /// The tile it lies in.
+    #[inline]
+    pub const fn tile(self) -> TileKey {
+        TileKey { x: self.x >> SIDE_SHIFT, y: self.y >> SIDE_SHIFT }
+    }
+
+    /// Its place in that tile, `0 .. TILE_CELLS`.
+    #[inline]
+    pub const fn offset(self) -> usize {
+        (((self.y & SIDE_MASK) << SIDE_SHIFT) | (self.x & SIDE_MASK)) as usize
+    }
+}
+
+impl TileKey {
+    /// The cell at `offset` (`0 .. TILE_CELLS`) of this tile. Columns beyond the range of `i32` wrap.
+    pub const fn cell(self, offset: usize) -> CellIndex {
+        let (column, row) = (offset as i32 & SIDE_MASK, offset as i32 >> SIDE_SHIFT);
+        CellIndex { x: self.x.wrapping_shl(SIDE_SHIFT) | column, y: self.y.wrapping_shl(SIDE_SHIFT) | row }
+    }
 }
 
 /// 64 × 64 cells, row by row (index = y·64 + x), with the smooth score that matchers read beside the evidence.
@@ -30,4 +81,75 @@ pub struct Tile {
     pub score_half: [u16; TILE_CELLS / 4],
     /// Greatest score of each 2 × 2 block of `score_half` (16 × 16, row by row).
     pub score_quarter: [u16; TILE_CELLS / 16],
+}
+
+impl Tile {
+    /// A tile without evidence whose scores are all `unknown_score`.
+    pub fn unknown(unknown_score: u16) -> Box<Tile> {
+        Box::new(Tile {
+            cells: [PackedCell::UNKNOWN; TILE_CELLS],
+            score: [unknown_score; TILE_CELLS],
+            score_half: [unknown_score; TILE_CELLS / 4],
+            score_quarter: [unknown_score; TILE_CELLS / 16],
+        })
+    }
+
+    /// Sets the score of the cell at `offset` and what follows from it in the coarser levels.
+    #[inline]
+    pub fn set_score(&mut self, offset: usize, score: u16) {
+        if self.score[offset] == score {
+            return;
+        }
+        self.score[offset] = score;
+        let (x, y) = (offset & (TILE_SIDE - 1), offset >> SIDE_SHIFT);
+        let half = (y / 2) * (TILE_SIDE / 2) + x / 2;
+        let pooled = greatest_of_block(&self.score, TILE_SIDE, x / 2, y / 2);
+        if self.score_half[half] == pooled {
+            return;
+        }
+        self.score_half[half] = pooled;
+        let quarter = (y / 4) * (TILE_SIDE / 4) + x / 4;
+        self.score_quarter[quarter] = greatest_of_block(&self.score_half, TILE_SIDE / 2, x / 4, y / 4);
+    }
+}
+
+/// Greatest of the 2 × 2 block (x, y) of a square of `side` numbers.
+fn greatest_of_block(scores: &[u16], side: usize, x: usize, y: usize) -> u16 {
+    let first = 2 * y * side + 2 * x;
+    scores[first].max(scores[first + 1]).max(scores[first + side]).max(scores[first + side + 1])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn cells_and_tiles_are_two_names_for_the_same_place(x in any::<i32>(), y in any::<i32>()) {
+            let cell = CellIndex::new(x, y);
+            prop_assert_eq!(cell.tile().cell(cell.offset()), cell);
+            prop_assert_eq!(cell.tile().x, x.div_euclid(TILE_SIDE as i32));
+        }
+
+        #[test]
+        fn coarser_levels_hold_the_greatest_score(
+            edits in proptest::collection::vec((0..TILE_CELLS, any::<u16>()), 1..200)
+        ) {
+            let mut tile = Tile::unknown(0);
+            for (offset, score) in edits {
+                tile.set_score(offset, score);
+            }
+            for y in 0..TILE_SIDE {
+                for x in 0..TILE_SIDE {
+                    prop_assert!(tile.score_half[(y / 2) * 32 + x / 2] >= tile.score[y * 64 + x]);
+                }
+            }
+            for quarter in 0..TILE_CELLS / 16 {
+                let (x, y) = (quarter % 16, quarter / 16);
+                let best = (0..16).map(|i| tile.score[(4 * y + i / 4) * 64 + 4 * x + i % 4]).max().unwrap();
+                prop_assert_eq!(tile.score_quarter[quarter], best);
+            }
+        }
+    }
 }

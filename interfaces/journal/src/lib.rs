@@ -1,1 +1,16 @@
-//! The only writer of durable state: checksummed records, atomic replacement.
+//! The only writer of durable state: whole files that are replaced atomically, and journals of checksummed records.
+//!
+//! A process may be killed at any instant and a disk may lose power: what is read back afterwards is the old or the
+//! new file, and all records of a journal up to the last whole one.
+
+mod error;
+mod format;
+mod reader;
+mod replace;
+mod writer;
+
+pub use error::JournalError;
+pub use format::{PARTS_MAX, RECORD_BYTES_MAX, VERSION};
+pub use reader::{Ending, Record, RecordReader};
+pub use replace::{Durability, remove_leftovers, replace_file};
+pub use writer::RecordWriter;

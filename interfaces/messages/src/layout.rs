@@ -2,8 +2,8 @@ use crate::message::message;
 use flockslam_geometry::Pose;
 
 message! {
-    /// What sync-manager concluded after a closed submap. A slice of [`flockslam_geometry::Pose`]-sized corrections is
-    /// not needed by the front end; the full layout lies in the store.
+    /// What sync-manager concluded after a closed submap, as far as the front end needs it; the whole layout lies in
+    /// the store.
     pub struct LayoutHeader = "flockslam/layout/v1" {
         /// The new correction of the front end.
         pub map_from_odom: Pose,

@@ -1,1 +1,12 @@
-//! Scans become verdicts: keep or drop.
+//! Scans become verdicts: a scan that correlates strongly with each of the last kept ones brings nothing new and is
+//! dropped before anything costly touches it (An. Filatov, LETI 2021, chapter 4).
+
+mod correlation;
+mod corridor;
+mod description;
+mod filter;
+pub mod process;
+mod settings;
+
+pub use filter::CorrelationFilter;
+pub use settings::{Mode, Settings};

@@ -1,1 +1,16 @@
-//! A scan, its pose and the grid become clearances of stale cells.
+//! A scan, its pose and the grid become clearances of stale cells: what is marked as occupied although beams from
+//! several places pass through it far beyond is gone (after P. Trubin et al., Omsk 2020, with margins in place of
+//! segments).
+
+mod cells;
+mod cleaner;
+mod moving;
+pub mod process;
+#[cfg(test)]
+mod scenarios;
+mod settings;
+mod sight;
+mod votes;
+
+pub use cleaner::{DynamicCleaner, Marks};
+pub use settings::Settings;

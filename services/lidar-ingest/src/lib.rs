@@ -1,1 +1,14 @@
 //! A sensor, a log or a simulated world becomes scans.
+//!
+//! Everything here is a function of its inputs: bytes of a log or a seed go in, scans come out. Opening files, pacing
+//! and publishing belong to the process around it.
+
+pub mod carmen;
+pub mod experiment;
+pub mod process;
+mod random;
+mod settings;
+pub mod simulation;
+pub mod stamp;
+
+pub use settings::Settings;

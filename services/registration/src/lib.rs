@@ -1,3 +1,14 @@
 //! Strategies that fit a scan to a map, shared by scan-matcher (grids) and sync-manager (clouds of points).
 
 pub mod cloud;
+mod correlative;
+mod field;
+mod gauss_newton;
+#[cfg(test)]
+mod room;
+mod sampling;
+
+pub use correlative::{CorrelativeSearch, Window};
+pub use field::{GridField, Sample, ScoreField, ScoreRead, bilinear, nearest};
+pub use gauss_newton::{Fit, GaussNewton};
+pub use sampling::{HillClimbing, MonteCarlo, beam_weight};

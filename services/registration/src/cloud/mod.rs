@@ -1,1 +1,19 @@
-//! Fitting clouds of points to submaps: branch and bound, point-to-line refinement.
+//! Fitting clouds of points to submaps: branch and bound over a score field, then point-to-line refinement
+//! against the moments of the submap's points.
+//!
+//! Everything here gives the same bits on every machine: sums are kept in integers, transcendental functions
+//! come from crate `libm`, and nothing depends on the order of a hash table.
+
+mod align;
+mod field;
+mod moments;
+mod placement;
+mod point;
+mod search;
+
+pub use align::{AlignSettings, Aligner, Alignment};
+pub use field::PooledField;
+pub use moments::{Line, MomentGrid};
+pub use placement::Placement;
+pub use point::PackedPoint;
+pub use search::{Found, Searcher, Window};

@@ -1,0 +1,235 @@
+use crate::{CellIndex, PackedCell, Tile, TileDirectory, TileKey, TooFar};
+use flockslam_geometry::Point;
+use std::ops::Deref;
+
+/// Resolution of the score pyramid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Level {
+    /// One score a cell.
+    Full = 0,
+    /// One score for 2 × 2 cells.
+    Half = 1,
+    /// One score for 4 × 4 cells.
+    Quarter = 2,
+}
+
+/// A grid of evidence as its readers hold it: the newest version of each tile, wherever it lies.
+///
+/// `H` gives access to a tile in place: a shared-memory sample between processes, `Box` or `Arc` in one process.
+#[derive(Clone, Debug)]
+pub struct TileGrid<H> {
+    cell_size_m: f64,
+    tiles: TileDirectory<H>,
+}
+
+impl<H: Deref<Target = Tile>> TileGrid<H> {
+    /// An empty grid with cells of this side.
+    ///
+    /// # Panics
+    /// When the side is not a positive number.
+    pub fn new(cell_size_m: f64) -> Self {
+        assert!(cell_size_m.is_finite() && cell_size_m > 0.0, "cells of {cell_size_m} m");
+        Self { cell_size_m, tiles: TileDirectory::default() }
+    }
+
+    /// Side of a cell, metres.
+    #[inline]
+    pub fn cell_size_m(&self) -> f64 {
+        self.cell_size_m
+    }
+
+    /// Holds this version of a tile from now on and gives back the one before.
+    ///
+    /// # Errors
+    /// When the tile is absurdly far from the others.
+    pub fn set(&mut self, key: TileKey, tile: H) -> Result<Option<H>, TooFar> {
+        self.tiles.set(key, tile)
+    }
+
+    /// Forgets a tile.
+    pub fn remove(&mut self, key: TileKey) -> Option<H> {
+        self.tiles.remove(key)
+    }
+
+    /// A tile, if the grid has it.
+    #[inline]
+    pub fn tile(&self, key: TileKey) -> Option<&Tile> {
+        self.tiles.get(key).map(|tile| &**tile)
+    }
+
+    /// Number of tiles held.
+    pub fn len(&self) -> usize {
+        self.tiles.len()
+    }
+
+    /// Whether no tile is held.
+    pub fn is_empty(&self) -> bool {
+        self.tiles.is_empty()
+    }
+
+    /// All tiles held, row by row.
+    pub fn tiles(&self) -> impl Iterator<Item = (TileKey, &Tile)> {
+        self.tiles.iter().map(|(key, tile)| (key, &**tile))
+    }
+
+    /// The cell that contains a point of the grid's frame.
+    #[inline]
+    pub fn cell_at(&self, point: Point) -> CellIndex {
+        CellIndex::new(floor(point.x_m / self.cell_size_m), floor(point.y_m / self.cell_size_m))
+    }
+
+    /// Centre of a cell in the grid's frame.
+    #[inline]
+    pub fn center(&self, cell: CellIndex) -> Point {
+        Point::new((f64::from(cell.x) + 0.5) * self.cell_size_m, (f64::from(cell.y) + 0.5) * self.cell_size_m)
+    }
+
+    /// Evidence of a cell; unknown where the grid has no tile.
+    #[inline]
+    pub fn cell(&self, cell: CellIndex) -> PackedCell {
+        self.tile(cell.tile()).map_or(PackedCell::UNKNOWN, |tile| tile.cells[cell.offset()])
+    }
+
+    /// Matching score of a cell (0 … 65535 for 0 … 1) of a level, where `cell` counts cells of that level;
+    /// 0 where the grid has no tile.
+    #[inline]
+    pub fn score(&self, level: Level, cell: CellIndex) -> u16 {
+        self.scores(level, 0).cell(cell)
+    }
+
+    /// Fast repeated reads of one level; `outside` is the score where the grid has no tile.
+    pub fn scores(&self, level: Level, outside: u16) -> ScoreReader<'_, H> {
+        ScoreReader { grid: self, level, outside, key: TileKey { x: i32::MAX, y: i32::MAX }, scores: None }
+    }
+}
+
+/// Reads scores of one level; it remembers the last tile, since neighbouring beams end in the same one.
+#[derive(Debug)]
+pub struct ScoreReader<'a, H> {
+    grid: &'a TileGrid<H>,
+    level: Level,
+    outside: u16,
+    key: TileKey,
+    scores: Option<&'a [u16]>,
+}
+
+impl<'a, H: Deref<Target = Tile>> ScoreReader<'a, H> {
+    /// Side of a cell of this level, metres.
+    pub fn cell_size_m(&self) -> f64 {
+        self.grid.cell_size_m * f64::from(1u8 << self.level as u32)
+    }
+
+    /// Score of a cell of this level.
+    #[inline]
+    pub fn cell(&mut self, cell: CellIndex) -> u16 {
+        let shift = self.shift();
+        match self.tile(TileKey { x: cell.x >> shift, y: cell.y >> shift }) {
+            Some(scores) => scores[place(cell, shift)],
+            None => self.outside,
+        }
+    }
+
+    /// Scores of the block whose lower left cell is given: (0, 0), (1, 0), (0, 1), (1, 1).
+    #[inline]
+    pub fn block(&mut self, cell: CellIndex) -> [u16; 4] {
+        let shift = self.shift();
+        let last = (1 << shift) - 1;
+        if cell.x & last != last && cell.y & last != last {
+            let first = place(cell, shift);
+            return match self.tile(TileKey { x: cell.x >> shift, y: cell.y >> shift }) {
+                Some(scores) => {
+                    let rows = &scores[first..first + last as usize + 3];
+                    [rows[0], rows[1], rows[last as usize + 1], rows[last as usize + 2]]
+                }
+                None => [self.outside; 4],
+            };
+        }
+        let (right, up) = (cell.x.wrapping_add(1), cell.y.wrapping_add(1));
+        [
+            self.cell(cell),
+            self.cell(CellIndex::new(right, cell.y)),
+            self.cell(CellIndex::new(cell.x, up)),
+            self.cell(CellIndex::new(right, up)),
+        ]
+    }
+
+    #[inline]
+    fn shift(&self) -> u32 {
+        crate::TILE_SIDE.trailing_zeros() - self.level as u32
+    }
+
+    #[inline]
+    fn tile(&mut self, key: TileKey) -> Option<&'a [u16]> {
+        if key != self.key {
+            self.key = key;
+            self.scores = self.grid.tile(key).map(|tile| match self.level {
+                Level::Full => &tile.score[..],
+                Level::Half => &tile.score_half[..],
+                Level::Quarter => &tile.score_quarter[..],
+            });
+        }
+        self.scores
+    }
+}
+
+#[inline]
+fn place(cell: CellIndex, shift: u32) -> usize {
+    let last = (1 << shift) - 1;
+    (((cell.y & last) << shift) | (cell.x & last)) as usize
+}
+
+/// Greatest whole number not above `value`, saturating. (The target's baseline has no instruction for it, so the
+/// library's `floor` would be a call.)
+#[inline]
+pub fn floor(value: f64) -> i32 {
+    let truncated = value as i32;
+    truncated.saturating_sub(i32::from(value < f64::from(truncated)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn grid() -> TileGrid<Box<Tile>> {
+        let mut grid = TileGrid::new(0.05);
+        for (x, y) in [(0, 0), (-1, 0), (0, -1)] {
+            let mut tile = Tile::unknown(0);
+            for offset in 0..crate::TILE_CELLS {
+                tile.set_score(
+                    offset,
+                    (offset as u16).wrapping_mul(40_503) ^ (x as u16).wrapping_mul(257) ^ y as u16,
+                );
+            }
+            grid.set(TileKey { x, y }, tile).unwrap();
+        }
+        grid
+    }
+
+    proptest! {
+        #[test]
+        fn blocks_and_single_cells_agree_across_tiles(x in -70i32..70, y in -70i32..70, level in 0usize..3) {
+            let (grid, level) = (grid(), [Level::Full, Level::Half, Level::Quarter][level]);
+            let block = grid.scores(level, 7).block(CellIndex::new(x, y));
+            for (i, score) in block.into_iter().enumerate() {
+                let cell = CellIndex::new(x + (i % 2) as i32, y + (i / 2) as i32);
+                prop_assert_eq!(score, grid.scores(level, 7).cell(cell));
+            }
+        }
+
+        #[test]
+        fn floor_is_floor(value in -1e9..1e9f64) {
+            prop_assert_eq!(f64::from(floor(value)), value.floor());
+        }
+    }
+
+    #[test]
+    fn a_point_lies_in_the_cell_whose_center_is_near() {
+        let grid = grid();
+        let cell = grid.cell_at(Point::new(-0.01, 0.26));
+        assert_eq!(cell, CellIndex::new(-1, 5));
+        assert!(grid.center(cell).distance_m(Point::new(-0.025, 0.275)) < 1e-12);
+        assert_eq!(grid.score(Level::Full, CellIndex::new(1000, 0)), 0);
+        assert!(grid.cell(CellIndex::new(1000, 0)).is_unknown());
+    }
+}

@@ -1,0 +1,141 @@
+use std::fs::{File, OpenOptions};
+use std::io;
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+
+/// A heartbeat is written at most this often.
+const PERIOD_NS: u64 = 100_000_000;
+/// Pid, time, count, and a check word that tells a torn or foreign file.
+const BYTES: usize = 32;
+const CHECK: u64 = u64::from_le_bytes(*b"flkbeat1");
+
+/// A sign of life.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Beat {
+    /// Process that gave it.
+    pub pid: u32,
+    /// CLOCK_MONOTONIC when it was given, nanoseconds.
+    pub monotonic_ns: u64,
+    /// Scans handled by the process until then.
+    pub handled: u64,
+}
+
+/// Why a heartbeat could not be opened, written or read.
+#[derive(Debug, thiserror::Error)]
+#[error("heartbeat {}: {source}", path.display())]
+pub struct HeartbeatError {
+    path: PathBuf,
+    source: io::Error,
+}
+
+/// The stage's side of a heartbeat: a small file on tmpfs that a supervisor reads. It survives the death of the stage.
+#[derive(Debug)]
+pub struct Heartbeat {
+    file: File,
+    path: PathBuf,
+    last_ns: Option<u64>,
+}
+
+impl Heartbeat {
+    /// Opens or makes the file.
+    ///
+    /// # Errors
+    /// When that is not possible.
+    pub fn open(path: &Path) -> Result<Self, HeartbeatError> {
+        let file = OpenOptions::new()
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(path)
+            .map_err(|source| HeartbeatError { path: path.to_owned(), source })?;
+        Ok(Self { file, path: path.to_owned(), last_ns: None })
+    }
+
+    /// Gives a sign of life at CLOCK_MONOTONIC `now_ns`; cheap, since only one in 100 ms is written.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn beat(&mut self, now_ns: u64, handled: u64) -> Result<(), HeartbeatError> {
+        if self.last_ns.is_some_and(|last| now_ns.saturating_sub(last) < PERIOD_NS) {
+            return Ok(());
+        }
+        self.last_ns = Some(now_ns);
+        let beat = Beat { pid: std::process::id(), monotonic_ns: now_ns, handled };
+        self.file
+            .write_all_at(&encode(beat), 0)
+            .map_err(|source| HeartbeatError { path: self.path.clone(), source })
+    }
+}
+
+/// The last sign of life in the file; `None` when there is none yet.
+///
+/// # Errors
+/// When the file is there but cannot be read.
+pub fn read_heartbeat(path: &Path) -> Result<Option<Beat>, HeartbeatError> {
+    // A reader may meet a writer half way; a second look settles it.
+    for _ in 0..3 {
+        let mut bytes = [0; BYTES];
+        match File::open(path).and_then(|file| file.read_exact_at(&mut bytes, 0)) {
+            Ok(()) => match decode(&bytes) {
+                Some(beat) => return Ok(Some(beat)),
+                None => continue,
+            },
+            Err(e) if matches!(e.kind(), io::ErrorKind::NotFound | io::ErrorKind::UnexpectedEof) => break,
+            Err(source) => return Err(HeartbeatError { path: path.to_owned(), source }),
+        }
+    }
+    Ok(None)
+}
+
+fn encode(beat: Beat) -> [u8; BYTES] {
+    let words = [u64::from(beat.pid), beat.monotonic_ns, beat.handled];
+    let check = words.iter().fold(CHECK, |check, word| check.rotate_left(7) ^ word);
+    let mut bytes = [0; BYTES];
+    for (to, word) in bytes.chunks_exact_mut(8).zip(words.into_iter().chain([check])) {
+        to.copy_from_slice(&word.to_le_bytes());
+    }
+    bytes
+}
+
+fn decode(bytes: &[u8; BYTES]) -> Option<Beat> {
+    let word = |i: usize| u64::from_le_bytes(bytes[8 * i..8 * i + 8].try_into().expect("eight bytes"));
+    let beat = Beat { pid: u32::try_from(word(0)).ok()?, monotonic_ns: word(1), handled: word(2) };
+    (encode(beat) == *bytes).then_some(beat)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn beats_are_written_at_most_every_100_ms_and_read_back() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("mapper.beat");
+        assert_eq!(read_heartbeat(&path).unwrap(), None);
+        let mut heart = Heartbeat::open(&path).unwrap();
+        assert_eq!(read_heartbeat(&path).unwrap(), None);
+        let pid = std::process::id();
+        for (now_ns, handled, read_ns, read_handled) in [
+            (5, 1, 5, 1),
+            (99_999_999, 2, 5, 1),
+            (100_000_005, 3, 100_000_005, 3),
+            (100_000_006, 4, 100_000_005, 3),
+        ] {
+            heart.beat(now_ns, handled).unwrap();
+            let expected = Beat { pid, monotonic_ns: read_ns, handled: read_handled };
+            assert_eq!(read_heartbeat(&path).unwrap(), Some(expected));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_damaged_beat_is_no_beat(pid: u32, monotonic_ns: u64, handled: u64, bit in 0..8 * BYTES) {
+            let beat = Beat { pid, monotonic_ns, handled };
+            let mut bytes = encode(beat);
+            prop_assert_eq!(decode(&bytes), Some(beat));
+            bytes[bit / 8] ^= 1 << (bit % 8);
+            prop_assert_eq!(decode(&bytes), None);
+        }
+    }
+}

@@ -1,0 +1,51 @@
+//! What the command line can do, one file a command.
+
+pub mod config;
+pub mod demo;
+pub mod evaluate;
+pub mod map;
+mod progress_bar;
+mod run;
+pub mod stage;
+
+use crate::configuration::ConfigurationError;
+use crate::supervisor::SetError;
+
+/// Why a command failed.
+#[derive(Debug, thiserror::Error)]
+pub enum CommandError {
+    /// Something that was given is not usable: exit code 2.
+    #[error("{0}")]
+    User(String),
+    /// Something failed while it worked: exit code 1.
+    #[error("{0}")]
+    Failed(String),
+}
+
+impl CommandError {
+    /// An error in what the user gave.
+    pub fn user(reason: impl std::fmt::Display) -> Self {
+        Self::User(reason.to_string())
+    }
+
+    /// An error on the way.
+    pub fn failed(reason: impl std::fmt::Display) -> Self {
+        Self::Failed(reason.to_string())
+    }
+}
+
+impl From<ConfigurationError> for CommandError {
+    fn from(error: ConfigurationError) -> Self {
+        Self::user(error)
+    }
+}
+
+impl From<SetError> for CommandError {
+    fn from(error: SetError) -> Self {
+        match error {
+            SetError::Source(reason) => Self::User(reason),
+            SetError::Runtime(error) => Self::user(error),
+            other => Self::failed(other),
+        }
+    }
+}

@@ -1,0 +1,28 @@
+//! `flockslam map`: a lidar log becomes a map.
+
+use super::CommandError;
+use super::run::{Run, print_summary, run as run_set};
+use crate::cli::MapArgs;
+use flockslam_lidar_ingest::process::{Source, count_scans};
+
+/// Runs the command.
+///
+/// # Errors
+/// When the log, the configuration or the directory is not usable, or the set fails.
+pub fn run(args: &MapArgs) -> Result<(), CommandError> {
+    let (source, scans) = match (&args.log, &args.source) {
+        (Some(log), _) => {
+            let absolute = std::path::absolute(log).map_err(|e| CommandError::user(format!("{}: {e}", log.display())))?;
+            let scans = count_scans(log).map_err(CommandError::user)?;
+            (Source::Log(absolute), Some(scans))
+        }
+        (None, Some(dash)) if dash.as_os_str() == "-" => (Source::Pipe, None),
+        (None, other) => {
+            let given = other.as_deref().unwrap_or(std::path::Path::new("")).display().to_string();
+            return Err(CommandError::user(format!("--source {given}: the one source known is '-', the standard input")));
+        }
+    };
+    let outcome = run_set(&args.run, Run { source, world: None, scans })?;
+    print_summary(&args.run.out, &outcome.report);
+    Ok(())
+}

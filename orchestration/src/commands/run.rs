@@ -1,0 +1,290 @@
+//! One run of a process set, from its start to its outputs.
+
+use super::CommandError;
+use super::progress_bar::RunProgress;
+use crate::cli::RunArgs;
+use crate::configuration::Configuration;
+use crate::outputs::{
+    CellState, LatencyMicroseconds, LoopClosures, OccupancyImage, PictureTracks, Report, StageReport,
+    TrajectoryPoint, write_map, write_picture, write_report, write_trajectory,
+};
+use crate::supervisor::{ProcessSet, SetEvent, SetFile};
+use flockslam_lidar_ingest::process::Source;
+use flockslam_messages::Stage;
+use flockslam_stage::results::{self, StampedPose, StoredMap, Summary};
+use flockslam_stage::{Mode, metrics_socket, read_reports};
+use flockslam_telemetry::{LatencyHistogram, MetricsEndpoint, merge_expositions, scrape};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+/// What is to be run.
+pub struct Run {
+    /// Where scans come from.
+    pub source: Source,
+    /// A map to simulate in.
+    pub world: Option<PathBuf>,
+    /// Scans in the source, when that is known.
+    pub scans: Option<u64>,
+}
+
+/// What a run gave.
+pub struct Outcome {
+    /// The report, as written.
+    pub report: Report,
+    /// The final trajectory.
+    pub last: Vec<TrajectoryPoint>,
+    /// The trajectory as it was published at the time.
+    pub online: Vec<TrajectoryPoint>,
+    /// The exact trajectory, when the source knows it.
+    pub truth: Option<Vec<StampedPose>>,
+}
+
+/// Runs a process set over a source and writes all outputs.
+///
+/// # Errors
+/// When the source, the configuration or the output directory is not usable, or the set fails. Outputs of an earlier run are
+/// then left as they were.
+pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
+    flockslam_telemetry::init_tracing("supervisor");
+    let given = &args.configuration;
+    let configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
+    prepare_directory(&args.out)?;
+    let mode = if args.rate.is_some() || args.live { Mode::Live } else { Mode::Exact };
+    let interrupts = count_interrupts()?;
+    let name = args.robot.clone().unwrap_or_else(|| format!("run-{}", std::process::id()));
+    let started = Instant::now();
+    let file = SetFile {
+        version: crate::VERSION.to_owned(),
+        options: configuration.stage_options(mode),
+        source: run.source.clone(),
+        rate: args.rate,
+        world: run.world,
+        configuration: configuration.clone(),
+    };
+    let mut set = ProcessSet::start(&name, file)?;
+    let _metrics = args.metrics_port.map(|port| serve_metrics(&set, port)).transpose()?;
+    watch(&mut set, run.scans, &interrupts)?;
+    let shared_memory_bytes = set.runtime().occupied_bytes();
+    set.stop();
+    let finished = Finished { set: &set, started, shared_memory_bytes, source: describe(&run.source), configuration };
+    write_outputs(&args.out, &finished)
+}
+
+fn watch(set: &mut ProcessSet, scans: Option<u64>, interrupts: &AtomicUsize) -> Result<(), CommandError> {
+    let progress = RunProgress::new(scans);
+    let mut ending = false;
+    loop {
+        match set.watch(Duration::from_millis(20)) {
+            Ok(SetEvent::Finished) => break,
+            Ok(SetEvent::Progress(done)) => progress.at(done),
+            Ok(SetEvent::Quiet) => {}
+            Err(error) => {
+                progress.finish();
+                return Err(error.into());
+            }
+        }
+        match interrupts.load(Ordering::Relaxed) {
+            0 => {}
+            // The first asks for what there is so far, the second for nothing.
+            1 if !ending => {
+                ending = true;
+                set.end_stream();
+            }
+            1 => {}
+            _ => {
+                progress.finish();
+                return Err(CommandError::failed("interrupted"));
+            }
+        }
+    }
+    progress.finish();
+    Ok(())
+}
+
+fn count_interrupts() -> Result<Arc<AtomicUsize>, CommandError> {
+    let count = Arc::new(AtomicUsize::new(0));
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        let counter = Arc::clone(&count);
+        let action = move || {
+            counter.fetch_add(1, Ordering::Relaxed);
+        };
+        // SAFETY: adding to an atomic is all that the handler does.
+        unsafe { signal_hook::low_level::register(signal, action) }.map_err(CommandError::failed)?;
+    }
+    Ok(count)
+}
+
+/// Makes the directory, and finds out now, not after the run, whether it can be written.
+fn prepare_directory(directory: &Path) -> Result<(), CommandError> {
+    let wrong = |error: std::io::Error| CommandError::user(format!("{}: {error}", directory.display()));
+    std::fs::create_dir_all(directory).map_err(wrong)?;
+    let probe = directory.join(format!(".flockslam-{}", std::process::id()));
+    std::fs::write(&probe, b"").map_err(wrong)?;
+    std::fs::remove_file(&probe).map_err(wrong)
+}
+
+/// Gathers the metrics of all stages on one port.
+fn serve_metrics(set: &ProcessSet, port: u16) -> Result<MetricsEndpoint, CommandError> {
+    let status = set.runtime().status();
+    MetricsEndpoint::on_loopback(port, move || {
+        let sockets = Stage::ALL.map(|stage| metrics_socket(&status, &format!("{}-0", stage.name())));
+        let pages: Vec<_> = sockets.iter().filter_map(|s| scrape(s, Duration::from_millis(200)).ok()).collect();
+        merge_expositions(pages.iter().map(String::as_str))
+    })
+    .map_err(CommandError::user)
+}
+
+fn describe(source: &Source) -> String {
+    match source {
+        Source::Log(path) => path.display().to_string(),
+        Source::Pipe => "standard input".to_owned(),
+        Source::Simulation => "simulated building".to_owned(),
+    }
+}
+
+struct Finished<'a> {
+    set: &'a ProcessSet,
+    started: Instant,
+    shared_memory_bytes: u64,
+    source: String,
+    configuration: Configuration,
+}
+
+fn write_outputs(out: &Path, run: &Finished<'_>) -> Result<Outcome, CommandError> {
+    let directory = run.set.runtime().results();
+    let read = |name| results::read_trajectory(&directory, name).map_err(CommandError::failed);
+    let last = points(&read(results::FINAL_TRAJECTORY)?);
+    let online = points(&read(results::ONLINE_TRAJECTORY)?);
+    let summary = results::read_summary(&directory).map_err(CommandError::failed)?;
+    let stored = results::read_map(&directory).map_err(CommandError::failed)?;
+    let map = occupancy(&stored);
+    let write = || {
+        write_trajectory(&out.join("trajectory.tum"), &last)?;
+        write_trajectory(&out.join("trajectory_online.tum"), &online)?;
+        write_map(out, &map)?;
+        write_picture(&out.join("map.png"), &map, PictureTracks { main: &last, other: &[] })
+    };
+    write().map_err(CommandError::failed)?;
+    let report = report(run, &summary, &map, &last, map_hash(&stored))?;
+    write_report(&out.join("report.json"), &report).map_err(CommandError::failed)?;
+    let truth = results::read_trajectory(&directory, results::TRUE_TRAJECTORY).ok();
+    Ok(Outcome { report, last, online, truth })
+}
+
+/// A stored trajectory as the outputs take it.
+pub fn points(rows: &[StampedPose]) -> Vec<TrajectoryPoint> {
+    rows.iter().map(|row| TrajectoryPoint { stamp_ns: row.stamp_ns, map_from_base: row.pose }).collect()
+}
+
+/// The map as navigation reads it: thresholds as in nav2, on p/(p+q).
+fn occupancy(map: &StoredMap) -> OccupancyImage {
+    let state = |cell: &flockslam_evidence::Cell| match cell.masses().occupancy() {
+        Some(occupancy) if occupancy > 0.65 => CellState::Occupied,
+        Some(occupancy) if occupancy < 0.25 => CellState::Free,
+        _ => CellState::Unknown,
+    };
+    let cells = map.cells.iter().map(state).collect();
+    OccupancyImage::new(map.width, map.height, map.cell_size_m, map.origin, cells)
+}
+
+/// Names the fused map: blake3 over its place, its size and every cell.
+fn map_hash(map: &StoredMap) -> String {
+    let mut hasher = blake3::Hasher::new();
+    for number in [map.width as u64, map.height as u64] {
+        hasher.update(&number.to_le_bytes());
+    }
+    for number in [map.cell_size_m, map.origin.x_m, map.origin.y_m] {
+        hasher.update(&number.to_bits().to_le_bytes());
+    }
+    for cell in &map.cells {
+        hasher.update(&cell.occupied.to_le_bytes());
+        hasher.update(&cell.free.to_le_bytes());
+    }
+    hasher.finalize().to_hex().to_string()
+}
+
+fn report(
+    run: &Finished<'_>,
+    summary: &Summary,
+    map: &OccupancyImage,
+    trajectory: &[TrajectoryPoint],
+    map_hash: String,
+) -> Result<Report, CommandError> {
+    let status = run.set.runtime().status();
+    let ingest = read_reports(&status, Stage::LidarIngest.name());
+    let rejected = ingest.iter().flat_map(|report| &report.counters);
+    let rejected = rejected.filter_map(|(name, n)| Some((name.strip_prefix("rejected/")?.to_owned(), *n)));
+    let mut scan_to_pose = LatencyHistogram::default();
+    read_reports(&status, Stage::ScanMatcher.name()).iter().for_each(|r| scan_to_pose.merge(r.since_capture()));
+    let wall_s = run.started.elapsed().as_secs_f64();
+    let length = |pair: &[TrajectoryPoint]| pair[0].map_from_base.distance_m(pair[1].map_from_base);
+    Ok(Report {
+        version: crate::VERSION.to_owned(),
+        source: run.source.clone(),
+        configuration: serde_json::to_value(&run.configuration).map_err(CommandError::failed)?,
+        scans: summary.scans,
+        kept: summary.matched,
+        dropped: summary.dropped.clone(),
+        rejected: rejected.collect(),
+        wall_s,
+        scans_per_s: summary.scans as f64 / wall_s,
+        scan_to_pose_us: microseconds(&scan_to_pose),
+        stages: run.set.stages().map(|(stage, pids, restarts)| stage_report(&status, stage, pids, restarts)).collect(),
+        shared_memory_bytes: run.shared_memory_bytes,
+        map_hash,
+        submaps: summary.submaps,
+        loop_closures: LoopClosures {
+            tried: summary.closures_tried,
+            accepted: summary.closures_accepted,
+            revoked: summary.closures_revoked,
+        },
+        map_area_m2: map.known_area_m2(),
+        trajectory_length_m: trajectory.windows(2).map(length).sum(),
+    })
+}
+
+fn stage_report(status: &Path, stage: Stage, pids: &[u32], restarts: u64) -> (String, StageReport) {
+    let reports = read_reports(status, stage.name());
+    let mut latency = LatencyHistogram::default();
+    reports.iter().for_each(|report| latency.merge(report.latency()));
+    let report = StageReport {
+        pids: pids.to_vec(),
+        restarts,
+        cpu_s: reports.iter().map(|report| report.cpu_s).sum(),
+        peak_rss_bytes: reports.iter().map(|report| report.peak_rss_bytes).max().unwrap_or(0),
+        latency_us: microseconds(&latency),
+    };
+    (stage.name().to_owned(), report)
+}
+
+fn microseconds(histogram: &LatencyHistogram) -> LatencyMicroseconds {
+    let us = |ns: u64| ns as f64 * 1e-3;
+    LatencyMicroseconds {
+        p50: us(histogram.quantile_ns(0.5)),
+        p99: us(histogram.quantile_ns(0.99)),
+        max: us(histogram.max_ns()),
+    }
+}
+
+/// Prints what a run gave, for people.
+pub fn print_summary(out: &Path, report: &Report) {
+    let dropped: u64 = report.dropped.values().sum();
+    let share = 100.0 * dropped as f64 / report.scans.max(1) as f64;
+    println!("{} scans in {:.1} s ({:.0} scans/s), {share:.0} % dropped by the filter", report.scans, report.wall_s, report.scans_per_s);
+    println!(
+        "{:.0} m driven, {:.0} m² mapped, {} submaps, {} loop closures in force",
+        report.trajectory_length_m,
+        report.map_area_m2,
+        report.submaps,
+        report.loop_closures.accepted - report.loop_closures.revoked.min(report.loop_closures.accepted)
+    );
+    let rejected: BTreeMap<_, _> = report.rejected.iter().filter(|(_, count)| **count > 0).collect();
+    if !rejected.is_empty() {
+        println!("bad lines skipped: {rejected:?}");
+    }
+    println!("map {}", report.map_hash);
+    println!("wrote trajectory.tum, trajectory_online.tum, map.pgm, map.yaml, map.png, report.json to {}", out.display());
+}

@@ -1,0 +1,37 @@
+//! `flockslam stage`: one stage as a process of its own.
+
+use crate::cli::StageArgs;
+use crate::supervisor::{EXIT_BAD_SOURCE, error_file, run_stage};
+use flockslam_bus::RuntimeDir;
+use flockslam_stage::StageError;
+use rustix::process::{Signal, getppid, set_parent_process_death_signal};
+use std::process::ExitCode;
+
+/// Runs the stage. It dies with its supervisor, whatever kills that.
+pub fn run(args: &StageArgs) -> ExitCode {
+    flockslam_telemetry::init_tracing(args.stage.name());
+    let _ = set_parent_process_death_signal(Some(Signal::KILL));
+    // The parent may have died before that took effect.
+    let orphan = args.parent.is_some_and(|parent| {
+        getppid().is_none_or(|present| u32::try_from(present.as_raw_nonzero().get()) != Ok(parent))
+    });
+    if orphan {
+        return ExitCode::FAILURE;
+    }
+    match run_stage(args.stage, args.replica, &args.set_dir) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            tell(args, &error);
+            ExitCode::from(if matches!(error, StageError::Source(_)) { EXIT_BAD_SOURCE as u8 } else { 1 })
+        }
+    }
+}
+
+/// Leaves the reason where the supervisor finds it: one place to speak to the user is enough.
+fn tell(args: &StageArgs, error: &StageError) {
+    let told = RuntimeDir::open(&args.set_dir)
+        .is_ok_and(|runtime| std::fs::write(error_file(&runtime, args.stage), error.to_string()).is_ok());
+    if !told {
+        tracing::error!(%error, "cannot go on");
+    }
+}

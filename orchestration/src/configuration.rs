@@ -1,0 +1,235 @@
+//! The configuration of a process set: defaults, then a profile, then a TOML file, then single keys.
+
+mod hint;
+
+use flockslam_stage::{Mode, StageOptions};
+use hint::with_hint;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use toml::{Table, Value};
+
+/// Everything that can be set. Each section belongs to the stage of its name.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Configuration {
+    /// Sizes of the process set.
+    pub set: SetSettings,
+    /// Reading a source, and experiments on it.
+    pub lidar_ingest: flockslam_lidar_ingest::Settings,
+    /// The simulated building.
+    pub simulation: flockslam_lidar_ingest::simulation::Settings,
+    /// Which scans are processed.
+    pub correlation_filter: flockslam_correlation_filter::Settings,
+    /// How a scan is fitted to the grid.
+    pub scan_matcher: flockslam_scan_matcher::Settings,
+    /// How evidence is gathered.
+    pub mapper: flockslam_mapper::Settings,
+    /// How stale cells are found.
+    pub dynamic_cleaner: flockslam_dynamic_cleaner::Settings,
+    /// How loops are closed.
+    pub sync_manager: flockslam_sync_manager::Settings,
+}
+
+/// Sizes of the process set, fixed when it starts.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SetSettings {
+    /// Scans that may be on their way at once.
+    pub window: usize,
+    /// Greatest number of live tiles (3.2 × 3.2 m each with cells of 5 cm).
+    pub live_tiles: usize,
+}
+
+impl Default for SetSettings {
+    fn default() -> Self {
+        Self { window: 64, live_tiles: 4096 }
+    }
+}
+
+/// A set of values under one name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Profile {
+    /// What measures best.
+    Default,
+    /// The program vinySLAM: 0.1 m cells, its masses and blur, hill climbing, every scan inserted, no filter, no closures.
+    Vinyslam,
+}
+
+/// Why a configuration is refused: one line with place and reason.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigurationError {
+    /// The file cannot be read.
+    #[error("{path}: {source}")]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The file is not TOML, or has a key or value that is not known.
+    #[error("{path}:{line}: {reason}")]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// The line, from 1.
+        line: usize,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A single key is not known, or its value does not fit.
+    #[error("--set {assignment}: {reason}")]
+    Assignment {
+        /// As it was given.
+        assignment: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A value is known but makes no sense.
+    #[error("{key}: {reason}")]
+    Value {
+        /// The key.
+        key: &'static str,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+impl Configuration {
+    /// The configuration of a profile.
+    pub fn of_profile(profile: Profile) -> Self {
+        let mut configuration = Self::default();
+        if profile == Profile::Vinyslam {
+            configuration.scan_matcher = flockslam_scan_matcher::Settings::vinyslam();
+            configuration.mapper = flockslam_mapper::Settings::vinyslam();
+            configuration.correlation_filter.mode = flockslam_correlation_filter::Mode::Off;
+            configuration.dynamic_cleaner.enabled = false;
+            configuration.sync_manager.enabled = false;
+        }
+        configuration
+    }
+
+    /// Puts together a profile, a file and single keys (`section.key=value`).
+    ///
+    /// # Errors
+    /// When the file cannot be read, or a key or value is not known: with place, reason and a hint.
+    pub fn load(profile: Profile, file: Option<&Path>, assignments: &[String]) -> Result<Self, ConfigurationError> {
+        let mut table = Table::try_from(Self::of_profile(profile)).expect("a configuration can be written as TOML");
+        if let Some(path) = file {
+            merge(&mut table, read_file(path)?);
+        }
+        for assignment in assignments {
+            let wrong = |reason: String| ConfigurationError::Assignment { assignment: assignment.clone(), reason };
+            merge(&mut table, parse_assignment(assignment).map_err(wrong)?);
+            let known: Result<Self, _> = table.clone().try_into();
+            known.map_err(|error| wrong(with_hint(error.message())))?;
+        }
+        let configuration: Self = table.try_into().expect("every part was checked");
+        configuration.check()?;
+        Ok(configuration)
+    }
+
+    /// What the stages need to know of it to start.
+    pub fn stage_options(&self, mode: Mode) -> StageOptions {
+        StageOptions { mode, window: self.set.window, replicas: 2, live_tiles: self.set.live_tiles }
+    }
+
+    fn check(&self) -> Result<(), ConfigurationError> {
+        let positive = |key, value: f64| {
+            let reason = || ConfigurationError::Value { key, reason: format!("{value} is not a size") };
+            if value.is_finite() && value > 0.0 { Ok(()) } else { Err(reason()) }
+        };
+        positive("mapper.cell_size_m", self.mapper.cell_size_m)?;
+        positive("set.window", self.set.window as f64)?;
+        positive("set.live_tiles", self.set.live_tiles as f64)?;
+        positive("simulation.duration_s", self.simulation.duration_s)?;
+        positive("simulation.scan_rate_hz", self.simulation.scan_rate_hz)?;
+        positive("simulation.speed_m_s", self.simulation.speed_m_s)?;
+        positive("simulation.turn_rad_s", self.simulation.turn_rad_s)?;
+        positive("simulation.field_of_view_deg", self.simulation.field_of_view_deg)?;
+        positive("simulation.beams", f64::from(self.simulation.beams))
+    }
+}
+
+fn read_file(path: &Path) -> Result<Table, ConfigurationError> {
+    let unreadable = |source| ConfigurationError::Unreadable { path: path.to_owned(), source };
+    let text = std::fs::read_to_string(path).map_err(unreadable)?;
+    let wrong = |error: toml::de::Error| {
+        let before = &text[..error.span().map_or(0, |span| span.start).min(text.len())];
+        let line = before.matches('\n').count() + 1;
+        ConfigurationError::File { path: path.to_owned(), line, reason: with_hint(error.message()) }
+    };
+    toml::from_str::<Configuration>(&text).map_err(wrong)?;
+    toml::from_str(&text).map_err(wrong)
+}
+
+fn parse_assignment(assignment: &str) -> Result<Table, String> {
+    let (key, text) = assignment.split_once('=').ok_or("write it as section.key=value")?;
+    let mut parts: Vec<&str> = key.trim().split('.').collect();
+    let last = parts.pop().filter(|part| !part.is_empty()).ok_or("write it as section.key=value")?;
+    // What is no TOML value is a word: mode=off.
+    let parsed = toml::from_str::<Table>(&format!("value = {text}")).ok().and_then(|mut table| table.remove("value"));
+    let mut table = Table::from_iter([(last.to_owned(), parsed.unwrap_or_else(|| Value::String(text.trim().to_owned())))]);
+    for part in parts.into_iter().rev() {
+        table = Table::from_iter([(part.to_owned(), Value::Table(table))]);
+    }
+    Ok(table)
+}
+
+fn merge(onto: &mut Table, from: Table) {
+    for (key, value) in from {
+        match (onto.get_mut(&key), value) {
+            (Some(Value::Table(below)), Value::Table(table)) => merge(below, table),
+            // A whole number is good where a number is asked for.
+            (Some(old @ Value::Float(_)), Value::Integer(whole)) => *old = Value::Float(whole as f64),
+            (_, value) => drop(onto.insert(key, value)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn set(assignment: &str) -> Result<Configuration, ConfigurationError> {
+        Configuration::load(Profile::Default, None, &[assignment.to_owned()])
+    }
+
+    #[test]
+    fn any_key_can_be_set_and_words_need_no_quotes() {
+        let off = set("correlation_filter.mode=off").unwrap().correlation_filter.mode;
+        assert_eq!(off, flockslam_correlation_filter::Mode::Off);
+        assert_eq!(set("mapper.cell_size_m=1").unwrap().mapper.cell_size_m, 1.0);
+        assert_eq!(set("lidar_ingest.start_pose=[1, 2.5, 0]").unwrap().lidar_ingest.start_pose, Some([1.0, 2.5, 0.0]));
+    }
+
+    #[test]
+    fn unknown_keys_and_bad_values_are_refused_with_a_hint() {
+        let message = set("mapper.cel_size_m=0.1").unwrap_err().to_string();
+        assert!(message.contains("cel_size_m") && message.contains("did you mean `cell_size_m`?"), "{message}");
+        assert!(set("maper.cell_size_m=0.1").unwrap_err().to_string().contains("did you mean `mapper`?"));
+        assert!(set("mapper").is_err() && set("mapper.cell_size_m=wide").is_err() && set("=3").is_err());
+        assert!(set("mapper.cell_size_m=0").unwrap_err().to_string().contains("not a size"));
+    }
+
+    #[test]
+    fn a_file_is_refused_with_its_line() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("robot.toml");
+        std::fs::write(&path, "[mapper]\ncell_size_m = 0.1\n\n[scan_matcher]\nstrategie = \"ndt\"\n").unwrap();
+        let message = Configuration::load(Profile::Default, Some(&path), &[]).unwrap_err().to_string();
+        assert!(message.contains("robot.toml:5: ") && message.contains("did you mean `strategy`?"), "{message}");
+        std::fs::write(&path, "[mapper]\ncell_size_m = 0.1\n").unwrap();
+        let loaded = Configuration::load(Profile::Default, Some(&path), &["mapper.cell_size_m=0.2".to_owned()]).unwrap();
+        assert_eq!(loaded.mapper.cell_size_m, 0.2);
+        assert!(Configuration::load(Profile::Default, Some(Path::new("/no/such/file")), &[]).is_err());
+    }
+
+    #[test]
+    fn a_configuration_survives_being_written_down() {
+        for profile in [Profile::Default, Profile::Vinyslam] {
+            let configuration = Configuration::of_profile(profile);
+            let json = serde_json::to_string(&configuration).unwrap();
+            assert_eq!(serde_json::from_str::<Configuration>(&json).unwrap(), configuration);
+        }
+    }
+}

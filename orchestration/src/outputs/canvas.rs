@@ -1,0 +1,132 @@
+use super::glyphs::{HEIGHT, glyph, text_width};
+use image::{Rgb, RgbImage};
+
+/// A colour, red, green and blue.
+pub(super) type Colour = [u8; 3];
+
+/// A picture with smooth lines and shapes; coordinates in pixels, y down, pixel (0, 0) covers 0 … 1.
+pub(super) struct Canvas {
+    pub image: RgbImage,
+}
+
+/// A position on the canvas.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Spot {
+    pub x: f64,
+    pub y: f64,
+}
+
+impl Canvas {
+    pub fn new(width: u32, height: u32, background: Colour) -> Self {
+        Self { image: RgbImage::from_pixel(width, height, Rgb(background)) }
+    }
+
+    /// A line with round ends, `width` pixels wide, smoothed at its edge.
+    pub fn line(&mut self, from: Spot, to: Spot, width: f64, colour: Colour) {
+        let half = 0.5 * width;
+        self.shape(from, to, half, colour, |at| distance_to_segment(at, from, to) - half);
+    }
+
+    /// A filled circle.
+    pub fn disc(&mut self, centre: Spot, radius: f64, colour: Colour) {
+        self.shape(centre, centre, radius, colour, |at| (at.x - centre.x).hypot(at.y - centre.y) - radius);
+    }
+
+    /// A filled square that stands on its corner; `radius` from its centre to a corner.
+    pub fn diamond(&mut self, centre: Spot, radius: f64, colour: Colour) {
+        self.shape(centre, centre, radius, colour, |at| {
+            ((at.x - centre.x).abs() + (at.y - centre.y).abs() - radius) * std::f64::consts::FRAC_1_SQRT_2
+        });
+    }
+
+    /// A filled rectangle with sharp edges on whole pixels.
+    pub fn rectangle(&mut self, x: i64, y: i64, width: i64, height: i64, colour: Colour) {
+        for row in y..y + height {
+            for column in x..x + width {
+                self.blend(column, row, colour, 1.0);
+            }
+        }
+    }
+
+    /// Text of digits and units with its upper left corner at (x, y); a dot is `size` pixels. Gives its width.
+    pub fn text(&mut self, x: i64, y: i64, size: i64, text: &str, colour: Colour) -> i64 {
+        let mut left = x;
+        for rows in text.chars().map(glyph) {
+            for (row, dots) in (0..).zip(rows) {
+                for (column, _) in (0..).zip(dots.bytes()).filter(|(_, dot)| *dot == b'#') {
+                    self.rectangle(left + column * size, y + row * size, size, size, colour);
+                }
+            }
+            left += (rows[0].len() as i64 + 1) * size;
+        }
+        text_width(text) as i64 * size
+    }
+
+    /// Height of a text, pixels.
+    pub fn text_height(size: i64) -> i64 {
+        HEIGHT as i64 * size
+    }
+
+    /// Blends every pixel by how far `outside` (signed distance to the shape's edge, pixels) leaves it inside, within
+    /// the box around two spots widened by `reach`.
+    fn shape(&mut self, a: Spot, b: Spot, reach: f64, colour: Colour, outside: impl Fn(Spot) -> f64) {
+        let limits = |p: f64, q: f64, size: u32| {
+            let first = (p.min(q) - reach - 1.0).floor().clamp(0.0, f64::from(size)) as i64;
+            let last = (p.max(q) + reach + 1.0).ceil().clamp(0.0, f64::from(size)) as i64;
+            first..last
+        };
+        for y in limits(a.y, b.y, self.image.height()) {
+            for x in limits(a.x, b.x, self.image.width()) {
+                let centre = Spot { x: x as f64 + 0.5, y: y as f64 + 0.5 };
+                self.blend(x, y, colour, (0.5 - outside(centre)).clamp(0.0, 1.0));
+            }
+        }
+    }
+
+    fn blend(&mut self, x: i64, y: i64, colour: Colour, share: f64) {
+        let (Ok(x), Ok(y)) = (u32::try_from(x), u32::try_from(y)) else { return };
+        if let Some(Rgb(pixel)) = self.image.get_pixel_mut_checked(x, y) {
+            *pixel = mix(*pixel, colour, share);
+        }
+    }
+}
+
+/// The colour a share `t` (0 … 1) of the way from `a` to `b`.
+pub(super) fn mix(a: Colour, b: Colour, t: f64) -> Colour {
+    let channel = |i: usize| (f64::from(a[i]) + t * (f64::from(b[i]) - f64::from(a[i]))).round() as u8;
+    [channel(0), channel(1), channel(2)]
+}
+
+fn distance_to_segment(at: Spot, from: Spot, to: Spot) -> f64 {
+    let (dx, dy) = (to.x - from.x, to.y - from.y);
+    let squared = dx * dx + dy * dy;
+    let along = if squared > 0.0 { ((at.x - from.x) * dx + (at.y - from.y) * dy) / squared } else { 0.0 };
+    let along = along.clamp(0.0, 1.0);
+    (at.x - from.x - along * dx).hypot(at.y - from.y - along * dy)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_covers_its_middle_and_is_clipped_at_the_border() {
+        let mut canvas = Canvas::new(20, 10, [255; 3]);
+        canvas.line(Spot { x: -50.0, y: 5.0 }, Spot { x: 50.0, y: 5.0 }, 3.0, [0; 3]);
+        for x in 0..20 {
+            assert_eq!(canvas.image.get_pixel(x, 4).0, [0; 3]);
+            assert_eq!(canvas.image.get_pixel(x, 0).0, [255; 3]);
+        }
+        let edge = canvas.image.get_pixel(10, 3).0[0];
+        assert!((100..=155).contains(&edge), "{edge}");
+    }
+
+    #[test]
+    fn shapes_far_outside_are_harmless() {
+        let mut canvas = Canvas::new(4, 4, [9; 3]);
+        canvas.disc(Spot { x: 1e9, y: -1e9 }, 5.0, [0; 3]);
+        canvas.diamond(Spot { x: f64::NAN, y: 0.0 }, 5.0, [0; 3]);
+        canvas.text(-30, 2, 2, "12.5 m", [0; 3]);
+        assert_eq!((canvas.image.get_pixel(0, 0).0, canvas.image.get_pixel(3, 0).0), ([9; 3], [9; 3]));
+    }
+}

@@ -1,0 +1,37 @@
+//! What a run leaves in its directory: trajectories, map, picture, report. Each is rendered to bytes by a pure
+//! function and put in place atomically, so nothing half-written ever looks whole.
+
+mod canvas;
+mod glyphs;
+mod map_files;
+mod occupancy;
+mod picture;
+mod report;
+mod trajectory;
+
+pub use map_files::{render_pgm, render_yaml, write_map};
+pub use occupancy::{CellState, OccupancyImage};
+pub use picture::{PictureTracks, render_picture, write_picture};
+pub use report::{LatencyMicroseconds, LoopClosures, Report, StageReport, write_report};
+pub use trajectory::{TrajectoryPoint, render_trajectory, write_trajectory};
+
+use flockslam_journal::{Durability, JournalError, replace_file};
+use std::path::Path;
+
+/// Why an output could not be written.
+#[derive(Debug, thiserror::Error)]
+pub enum OutputError {
+    /// The disk refused.
+    #[error(transparent)]
+    Write(#[from] JournalError),
+    /// The picture could not be encoded.
+    #[error("cannot encode the picture of the map: {0}")]
+    Picture(#[from] image::ImageError),
+    /// The report could not be encoded.
+    #[error("cannot encode the report: {0}")]
+    Report(#[from] serde_json::Error),
+}
+
+fn put(path: &Path, bytes: &[u8]) -> Result<(), OutputError> {
+    Ok(replace_file(path, bytes, Durability::Process)?)
+}

@@ -1,0 +1,125 @@
+use super::{OutputError, put};
+use flockslam_telemetry::LatencyQuantiles;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// `report.json`: what a run read, did and cost.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// Version of the program.
+    pub version: String,
+    /// Where the scans came from: the log's path, `-` or `demo`.
+    pub source: String,
+    /// The whole configuration that was in force.
+    pub configuration: serde_json::Value,
+    /// Scans that the source gave, each of which has a line in both trajectories.
+    pub scans: u64,
+    /// Scans that were matched.
+    pub kept: u64,
+    /// Scans that got a predicted pose only: reason → count.
+    pub dropped: BTreeMap<String, u64>,
+    /// Lines or scans of the source that could not be used: reason → count.
+    pub rejected: BTreeMap<String, u64>,
+    /// Wall-clock time of the run, seconds.
+    pub wall_s: f64,
+    /// `scans / wall_s`.
+    pub scans_per_s: f64,
+    /// From the capture of a scan to its published pose.
+    pub scan_to_pose_us: LatencyMicroseconds,
+    /// Each stage by name.
+    pub stages: BTreeMap<String, StageReport>,
+    /// Shared memory of the process set at its largest, bytes.
+    pub shared_memory_bytes: u64,
+    /// Hash of the fused map, hexadecimal: equal for equal maps.
+    pub map_hash: String,
+    /// Submaps that were closed.
+    pub submaps: u64,
+    /// Loop closures.
+    pub loop_closures: LoopClosures,
+    /// Area that is known to be free or occupied, m².
+    pub map_area_m2: f64,
+    /// Length of the final trajectory, metres.
+    pub trajectory_length_m: f64,
+}
+
+/// A stage's share of a run.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StageReport {
+    /// Every process that was this stage, in the order of their starts.
+    pub pids: Vec<u32>,
+    /// Restarts after a death or a hang.
+    pub restarts: u64,
+    /// Processor time of all of them, user and system, seconds.
+    pub cpu_s: f64,
+    /// Largest resident memory of one of them, bytes.
+    pub peak_rss_bytes: u64,
+    /// Time in the stage's logic per scan.
+    pub latency_us: LatencyMicroseconds,
+}
+
+/// A distribution of durations, microseconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LatencyMicroseconds {
+    /// Median.
+    pub p50: f64,
+    /// 99 of 100 are at most this.
+    pub p99: f64,
+    /// The longest.
+    pub max: f64,
+}
+
+/// What became of the loop closures.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LoopClosures {
+    /// Matches of a scan against a submap that were tried.
+    pub tried: u64,
+    /// Matches that became a constraint.
+    pub accepted: u64,
+    /// Constraints that the layout switched off again.
+    pub revoked: u64,
+}
+
+impl From<LatencyQuantiles> for LatencyMicroseconds {
+    fn from(of: LatencyQuantiles) -> Self {
+        let us = |ns: u64| ns as f64 * 1e-3;
+        Self { p50: us(of.p50_ns), p99: us(of.p99_ns), max: us(of.max_ns) }
+    }
+}
+
+/// Writes the report to `path` as indented JSON.
+///
+/// # Errors
+/// When the disk refuses.
+pub fn write_report(path: &Path, report: &Report) -> Result<(), OutputError> {
+    let mut text = serde_json::to_string_pretty(report)?;
+    text.push('\n');
+    put(path, text.as_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_report_is_read_back_as_it_was_written() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("report.json");
+        let quantiles = LatencyQuantiles { count: 2, p50_ns: 1500, p99_ns: 2000, max_ns: 2500 };
+        let stage =
+            StageReport { pids: vec![1, 2], restarts: 1, latency_us: quantiles.into(), ..Default::default() };
+        let report = Report {
+            version: "0.1.0".to_owned(),
+            configuration: serde_json::json!({"matcher": {"levels": 3}}),
+            dropped: BTreeMap::from([("correlated".to_owned(), 4)]),
+            stages: BTreeMap::from([("mapper".to_owned(), stage)]),
+            ..Report::default()
+        };
+        write_report(&path, &report).unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert_eq!(serde_json::from_str::<Report>(&text).unwrap(), report);
+        let value: serde_json::Value = serde_json::from_str(&text).unwrap();
+        assert_eq!(value["stages"]["mapper"]["latency_us"]["p50"], 1.5);
+        assert_eq!(value["dropped"]["correlated"], 4);
+    }
+}

@@ -1,0 +1,44 @@
+use super::SetFile;
+use flockslam_bus::RuntimeDir;
+use flockslam_lidar_ingest::process::Task;
+use flockslam_messages::Stage;
+use flockslam_stage::{StageContext, StageError, StopFlag};
+use std::path::Path;
+
+/// Runs one stage of the set in `set_dir` in this process, until SIGTERM.
+///
+/// # Errors
+/// What the stage could not go on from.
+pub fn run_stage(stage: Stage, replica: u32, set_dir: &Path) -> Result<(), StageError> {
+    let stop = StopFlag::on_signals()?;
+    let runtime = RuntimeDir::open(set_dir)?;
+    let set = SetFile::read(&runtime.configuration())?;
+    let mut context = StageContext::join(stage, replica, &runtime, &set.options, stop)?;
+    run_in(&mut context, set)
+}
+
+/// Runs a stage on a context that is already there.
+///
+/// # Errors
+/// As [`run_stage`].
+pub fn run_in(context: &mut StageContext, set: SetFile) -> Result<(), StageError> {
+    let SetFile { source, rate, world, configuration, .. } = set;
+    let cell_size_m = configuration.mapper.cell_size_m;
+    match context.stage {
+        Stage::LidarIngest => {
+            let (settings, simulation) = (configuration.lidar_ingest, configuration.simulation);
+            flockslam_lidar_ingest::process::run_stage(context, Task { source, rate, settings, simulation, world })
+        }
+        Stage::CorrelationFilter => {
+            flockslam_correlation_filter::process::run_stage(context, configuration.correlation_filter)
+        }
+        Stage::ScanMatcher => {
+            flockslam_scan_matcher::process::run_stage(context, configuration.scan_matcher, cell_size_m)
+        }
+        Stage::Mapper => flockslam_mapper::process::run_stage(context, configuration.mapper),
+        Stage::DynamicCleaner => {
+            flockslam_dynamic_cleaner::process::run_stage(context, configuration.dynamic_cleaner, cell_size_m)
+        }
+        Stage::SyncManager => flockslam_sync_manager::process::run_stage(context, configuration.sync_manager),
+    }
+}

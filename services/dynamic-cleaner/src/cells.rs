@@ -1,0 +1,94 @@
+use flockslam_evidence::{CellIndex, TILE_SIDE, Tile, TileGrid, TileKey};
+use flockslam_geometry::Point;
+use std::ops::Deref;
+
+/// A cell is taken for occupied when its score is above the middle: with both read-outs of the mapper the evidence for
+/// "occupied" then outweighs that for "free".
+const OCCUPIED_SCORE: u16 = u16::MAX / 2;
+/// Cells along a side of the blocks whose greatest score a tile holds.
+const BLOCK: usize = 4;
+const BLOCKS: usize = TILE_SIDE / BLOCK;
+
+/// Calls `visit` for each occupied cell with its centre within `radius_m` of a point, in a fixed order.
+pub(crate) fn for_each_occupied<H: Deref<Target = Tile>>(
+    grid: &TileGrid<H>,
+    around: Point,
+    radius_m: f64,
+    mut visit: impl FnMut(CellIndex, Point),
+) {
+    let corner = |sign: f64| {
+        grid.cell_at(Point::new(around.x_m + sign * radius_m, around.y_m + sign * radius_m)).tile()
+    };
+    let (first, last) = (corner(-1.0), corner(1.0));
+    for y in first.y..=last.y {
+        for x in first.x..=last.x {
+            let key = TileKey { x, y };
+            if let Some(tile) = grid.tile(key) {
+                visit_tile(grid, key, tile, |cell, center| {
+                    if center.distance_m(around) <= radius_m {
+                        visit(cell, center);
+                    }
+                });
+            }
+        }
+    }
+}
+
+fn visit_tile<H: Deref<Target = Tile>>(
+    grid: &TileGrid<H>,
+    key: TileKey,
+    tile: &Tile,
+    mut visit: impl FnMut(CellIndex, Point),
+) {
+    for (block, _) in tile.score_quarter.iter().enumerate().filter(|(_, score)| **score > OCCUPIED_SCORE) {
+        let first = (block / BLOCKS) * BLOCK * TILE_SIDE + (block % BLOCKS) * BLOCK;
+        for row in 0..BLOCK {
+            for offset in first + row * TILE_SIDE..first + row * TILE_SIDE + BLOCK {
+                if tile.score[offset] > OCCUPIED_SCORE {
+                    let cell = key.cell(offset);
+                    visit(cell, grid.center(cell));
+                }
+            }
+        }
+    }
+}
+
+/// Whether a cell or one of its eight neighbours is occupied.
+pub(crate) fn occupied_around<H: Deref<Target = Tile>>(grid: &TileGrid<H>, cell: CellIndex) -> bool {
+    let occupied = |cell: CellIndex| {
+        grid.tile(cell.tile()).is_some_and(|tile| tile.score[cell.offset()] > OCCUPIED_SCORE)
+    };
+    (-1..=1).any(|dy: i32| {
+        (-1..=1).any(|dx: i32| occupied(CellIndex::new(cell.x.saturating_add(dx), cell.y.saturating_add(dy))))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::collections::{BTreeMap, BTreeSet};
+
+    proptest! {
+        #[test]
+        fn exactly_the_occupied_cells_in_reach_are_visited(
+            places in prop::collection::btree_set((-150_i32..150, -150_i32..150), 0..60),
+            x in -3.0..3.0_f64, y in -3.0..3.0_f64, radius in 0.1..6.0_f64,
+        ) {
+            let mut tiles: BTreeMap<TileKey, Box<Tile>> = BTreeMap::new();
+            for (x, y) in &places {
+                let cell = CellIndex::new(*x, *y);
+                tiles.entry(cell.tile()).or_insert_with(|| Tile::unknown(0)).set_score(cell.offset(), 60_000);
+            }
+            let mut grid = TileGrid::new(0.05);
+            for (key, tile) in tiles {
+                grid.set(key, tile).unwrap();
+            }
+            let around = Point::new(x, y);
+            let mut found = BTreeSet::new();
+            for_each_occupied(&grid, around, radius, |cell, _| assert!(found.insert((cell.x, cell.y))));
+            let near = |(x, y): &(i32, i32)| grid.center(CellIndex::new(*x, *y)).distance_m(around) <= radius;
+            prop_assert_eq!(found, places.into_iter().filter(near).collect::<BTreeSet<_>>());
+        }
+    }
+}

@@ -1,0 +1,45 @@
+use serde::{Deserialize, Serialize};
+
+/// What the cleaner can be told.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// False: nothing is ever cleared.
+    pub enabled: bool,
+    /// Only cells within this distance of the lidar are judged, metres: points thin out with range.
+    pub radius_m: f64,
+    /// So many scans from different places must have looked through a cell before it is cleared.
+    pub votes: u8,
+    /// Two votes count as different when the lidar has moved this far between them, metres …
+    pub vote_distance_m: f64,
+    /// … or turned this far, radians.
+    pub vote_turn_rad: f64,
+    /// A beam looks through a cell when it ends this far behind it, metres …
+    pub margin_m: f64,
+    /// … plus this share of the cell's distance; three standard deviations of the pose are added.
+    pub margin_share: f64,
+    /// All beams that pass within this distance beside a cell must look through as well, metres.
+    pub lateral_margin_m: f64,
+    /// A scan that looks through more than this share of the cells that it can judge votes for nothing: then the pose
+    /// or the grid is wrong, not the world.
+    pub contradiction_max: f64,
+    /// Cells cleared by one scan at most; the rest follow with the next ones.
+    pub cleared_max: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            radius_m: 12.0,
+            votes: 3,
+            vote_distance_m: 0.15,
+            vote_turn_rad: 0.3,
+            margin_m: 0.15,
+            margin_share: 0.015,
+            lateral_margin_m: 0.1,
+            contradiction_max: 0.2,
+            cleared_max: 4096,
+        }
+    }
+}

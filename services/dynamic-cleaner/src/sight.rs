@@ -1,0 +1,188 @@
+use flockslam_messages::ScanView;
+use std::f64::consts::TAU;
+
+/// Sectors of the full circle, 0.35° each.
+pub(crate) const SECTORS: usize = 1024;
+/// A beam speaks for directions up to this far from it, radians, when its neighbours are farther away.
+const HALF_FOOTPRINT_MAX_RAD: f64 = 0.035;
+/// No beam in a sector.
+const NONE: f32 = f32::NAN;
+
+/// How far a scan sees in every direction, looked up in constant time for any order of beams.
+///
+/// Each beam covers the directions up to half way to its neighbours. Where beams overlap the nearest counts; a beam
+/// without return, and a direction without beam, sees nothing (range 0).
+#[derive(Clone, Debug)]
+pub(crate) struct Sight {
+    range_m: Box<[f32; SECTORS]>,
+    /// Direction of a beam in the sector, radians from the sector's lower edge; NaN when there is none.
+    beam_rad: Box<[f32; SECTORS]>,
+    /// Mean angle between neighbouring beams, radians.
+    spacing_rad: f64,
+}
+
+/// Directions from `low` to `high`, in sectors; they may go round the circle.
+#[derive(Clone, Copy, Debug)]
+struct Span {
+    low: i64,
+    high: i64,
+}
+
+impl Sight {
+    pub fn new() -> Self {
+        Self { range_m: Box::new([0.0; SECTORS]), beam_rad: Box::new([NONE; SECTORS]), spacing_rad: 0.0 }
+    }
+
+    /// Takes in a scan; directions are angles in the laser frame.
+    pub fn look(&mut self, scan: ScanView<'_>) {
+        self.range_m.fill(f32::INFINITY);
+        self.beam_rad.fill(NONE);
+        let (count, mut footprints) = (scan.len(), 0.0);
+        for beam in 0..count {
+            let angle = scan.angle_rad(beam);
+            let half = half_footprint(scan, beam, angle);
+            footprints += 2.0 * half;
+            let range_m = scan.valid_range_m(beam).unwrap_or(0.0) as f32;
+            for sector in span(angle - half, angle + half).sectors() {
+                self.range_m[sector] = self.range_m[sector].min(range_m);
+            }
+            let place = sectors_of(angle);
+            self.beam_rad[wrap(place.floor() as i64)] =
+                ((place - place.floor()) * TAU / SECTORS as f64) as f32;
+        }
+        self.range_m.iter_mut().filter(|range| range.is_infinite()).for_each(|range| *range = 0.0);
+        self.spacing_rad = footprints / count.max(1) as f64;
+    }
+
+    /// Mean angle between neighbouring beams, radians.
+    pub fn spacing_rad(&self) -> f64 {
+        self.spacing_rad
+    }
+
+    /// The range in a direction, metres; 0 where the scan sees nothing.
+    pub fn range_m(&self, angle_rad: f64) -> f64 {
+        f64::from(self.range_m[wrap(sectors_of(angle_rad).floor() as i64)])
+    }
+
+    /// The shortest range within `half_rad` of a direction, metres; 0 where the scan sees nothing.
+    pub fn nearest_m(&self, angle_rad: f64, half_rad: f64) -> f64 {
+        let nearest = span(angle_rad - half_rad, angle_rad + half_rad)
+            .sectors()
+            .fold(f32::INFINITY, |nearest, sector| nearest.min(self.range_m[sector]));
+        f64::from(nearest)
+    }
+
+    /// Whether a beam within `half_rad` of a direction ends between two ranges, metres.
+    pub fn ends_between(&self, angle_rad: f64, half_rad: f64, from_m: f64, to_m: f64) -> bool {
+        span(angle_rad - half_rad, angle_rad + half_rad)
+            .sectors()
+            .any(|sector| (from_m..=to_m).contains(&f64::from(self.range_m[sector])))
+    }
+
+    /// Whether a beam goes within `half_rad` of a direction.
+    pub fn beam_goes(&self, angle_rad: f64, half_rad: f64) -> bool {
+        let place = sectors_of(angle_rad);
+        let to_rad = TAU / SECTORS as f64;
+        let directions = span(angle_rad - half_rad, angle_rad + half_rad);
+        (directions.low..=directions.high).any(|sector| {
+            let beam_rad = (sector as f64 - place) * to_rad + f64::from(self.beam_rad[wrap(sector)]);
+            beam_rad.abs() <= half_rad
+        })
+    }
+}
+
+impl Span {
+    fn sectors(self) -> impl Iterator<Item = usize> {
+        (self.low..=self.high).map(wrap)
+    }
+}
+
+/// At most one turn, whatever the angles.
+fn span(low_rad: f64, high_rad: f64) -> Span {
+    let low = sectors_of(low_rad).floor() as i64;
+    let high = sectors_of(high_rad).floor() as i64;
+    Span { low, high: high.clamp(low, low.saturating_add(SECTORS as i64 - 1)) }
+}
+
+fn sectors_of(angle_rad: f64) -> f64 {
+    angle_rad * (SECTORS as f64 / TAU)
+}
+
+fn wrap(sector: i64) -> usize {
+    (sector & (SECTORS as i64 - 1)) as usize
+}
+
+/// Half the angle to the nearer neighbour in the order of the beams.
+fn half_footprint(scan: ScanView<'_>, beam: usize, angle_rad: f64) -> f64 {
+    let step = |other: usize| (scan.angle_rad(other) - angle_rad).abs();
+    let before = beam.checked_sub(1).map_or(f64::INFINITY, step);
+    let after = if beam + 1 < scan.len() { step(beam + 1) } else { f64::INFINITY };
+    (0.5 * before.min(after)).min(HALF_FOOTPRINT_MAX_RAD)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockslam_messages::{ScanBuffer, ScanSections};
+    use proptest::prelude::*;
+
+    const DEGREE: f64 = TAU / 360.0;
+
+    fn sight(ranges: &[f32], angle_min_rad: f64, step_rad: f64) -> Sight {
+        let mut sight = Sight::new();
+        sight.look(ScanBuffer::from_ranges(ranges, angle_min_rad, step_rad).view().unwrap());
+        sight
+    }
+
+    #[test]
+    fn every_direction_between_beams_is_covered_by_the_nearest_of_them() {
+        let mut ranges = vec![5.0; 181];
+        ranges[90] = 2.0;
+        ranges[120] = f32::INFINITY;
+        let sight = sight(&ranges, -90.0 * DEGREE, DEGREE);
+        assert!((sight.spacing_rad() - DEGREE).abs() < 1e-3);
+        assert_eq!(sight.nearest_m(0.0, 0.2 * DEGREE), 2.0);
+        assert_eq!(sight.nearest_m(10.3 * DEGREE, 2.0 * DEGREE), 5.0);
+        assert_eq!(sight.nearest_m(30.0 * DEGREE, 0.1 * DEGREE), 0.0);
+        assert_eq!(sight.nearest_m(180.0 * DEGREE, 0.1 * DEGREE), 0.0);
+        assert!(
+            sight.ends_between(0.0, 0.1 * DEGREE, 1.9, 2.1)
+                && !sight.ends_between(0.0, 0.1 * DEGREE, 2.1, 4.0)
+        );
+        assert_eq!((sight.range_m(0.0), sight.range_m(20.5 * DEGREE), sight.range_m(3.0)), (2.0, 5.0, 0.0));
+    }
+
+    #[test]
+    fn beams_are_found_across_the_seam_of_the_circle() {
+        let sight = sight(&[3.0; 360], 0.5 * DEGREE, DEGREE);
+        assert!(sight.beam_goes(-0.5 * DEGREE, 0.1 * DEGREE));
+        assert!(sight.beam_goes(359.5 * DEGREE, 0.1 * DEGREE));
+        assert!(!sight.beam_goes(0.0, 0.1 * DEGREE));
+        assert_eq!(sight.nearest_m(7.0, 1.0), 3.0);
+    }
+
+    #[test]
+    fn explicit_angles_in_any_order_give_the_same_sight() {
+        let degrees = |list: &[f64]| {
+            let mut scan = ScanBuffer::from_ranges(&[], 0.0, 0.0);
+            scan.header.beam_count = list.len() as u32;
+            scan.header.sections = ScanSections::ANGLES;
+            scan.numbers = list.iter().map(|d| *d as f32 * 0.1 + 1.0).collect();
+            scan.numbers.extend(list.iter().map(|d| (*d * DEGREE) as f32));
+            let mut sight = Sight::new();
+            sight.look(scan.view().unwrap());
+            sight.range_m
+        };
+        assert_eq!(degrees(&[0.0, 1.0, 2.0, 3.0]), degrees(&[3.0, 2.0, 1.0, 0.0]));
+    }
+
+    proptest! {
+        #[test]
+        fn any_scan_is_survived(ranges in prop::collection::vec(any::<f32>(), 0..40), first in -1e6..1e6_f64, step in -10.0..10.0_f64) {
+            let sight = sight(&ranges, first, step);
+            prop_assert!(sight.nearest_m(first, 100.0) >= 0.0);
+            prop_assert!(sight.beam_goes(first, 1e-3) || ranges.len() != 1);
+            prop_assert!(sight.range_m(first) >= sight.nearest_m(first, 0.1));
+        }
+    }
+}

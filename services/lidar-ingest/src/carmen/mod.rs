@@ -1,0 +1,16 @@
+//! CARMEN text logs: one message a line, separated by blanks.
+//!
+//! FLASER and ROBOTLASER1 lines become scans; ODOM, PARAM and comments are known and need nothing, since each scan line
+//! carries the robot's and the laser's pose itself. The order of the lines is the order of the scans, whatever the stamps
+//! say.
+
+mod line;
+mod reader;
+mod rejection;
+mod tally;
+mod write;
+
+pub use reader::{CarmenReader, ReadError};
+pub use rejection::Rejection;
+pub use tally::Tally;
+pub use write::write_scan;

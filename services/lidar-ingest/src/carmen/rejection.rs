@@ -1,0 +1,44 @@
+/// Why a line of a log was not taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, thiserror::Error)]
+pub enum Rejection {
+    /// The line has bytes that are no text.
+    #[error("not text: is this a binary file?")]
+    NotText,
+    /// The line is longer than the settings allow.
+    #[error("the line is longer than lidar_ingest.max_line_bytes")]
+    TooLong,
+    /// The line ends before its message does.
+    #[error("the line has too few fields")]
+    TooFewFields,
+    /// The number of ranges is not the announced one.
+    #[error("the line has more fields than its number of beams allows")]
+    TooManyFields,
+    /// The announced number of beams is none, not a number, or more than the settings allow.
+    #[error("the number of beams is not between 1 and lidar_ingest.max_beams")]
+    BeamCount,
+    /// A field that should be a number is none.
+    #[error("a field is not a number")]
+    BadNumber,
+    /// A pose or an angle is NaN, infinite or absurdly large.
+    #[error("a pose or an angle is not a finite number of sensible size")]
+    BadPose,
+    /// The stamp is not a decimal number of seconds.
+    #[error("the time stamp is not a number")]
+    BadStamp,
+}
+
+impl Rejection {
+    /// A short name for counters and reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::NotText => "not_text",
+            Self::TooLong => "too_long",
+            Self::TooFewFields => "too_few_fields",
+            Self::TooManyFields => "too_many_fields",
+            Self::BeamCount => "beam_count",
+            Self::BadNumber => "bad_number",
+            Self::BadPose => "bad_pose",
+            Self::BadStamp => "bad_stamp",
+        }
+    }
+}

@@ -1,0 +1,231 @@
+//! The shell of lidar-ingest: reads a source, gives every scan its name and times, and puts it on the bus – by credit
+//! in exact replay, by the clock when live.
+
+mod cursor;
+mod feed;
+mod pacer;
+mod pipe;
+mod world_file;
+
+use crate::{Settings, simulation};
+use cursor::Cursor;
+use feed::{Fed, Feed};
+
+pub use feed::count_scans;
+use flockslam_bus::{BellRinger, Publisher, ScanPublisher, Subscriber};
+use flockslam_messages::{Control, ControlKind, LARGE_SCAN_BEAMS, Progress, ScanBuffer, ScanId, Stage};
+use flockslam_stage::{Actor, Mode, StageContext, StageError, run};
+use flockslam_telemetry::{monotonic_ns, utc_ns};
+use pacer::Pacer;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Where scans come from.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Source {
+    /// A CARMEN log.
+    Log(PathBuf),
+    /// CARMEN lines on the standard input of the process.
+    Pipe,
+    /// The simulated building.
+    Simulation,
+}
+
+/// Everything that the stage is told.
+#[derive(Clone, Debug)]
+pub struct Task {
+    /// Where scans come from.
+    pub source: Source,
+    /// Live replay: log seconds per second. `None` takes scans as they come.
+    pub rate: Option<f64>,
+    /// Settings of the stage.
+    pub settings: Settings,
+    /// Settings of the simulated building.
+    pub simulation: simulation::Settings,
+    /// The YAML file of a map (nav2 conventions) to simulate in, in place of the built-in building.
+    pub world: Option<PathBuf>,
+}
+
+/// Stages whose progress gives credit in exact replay.
+const CONSUMERS: [Stage; 5] =
+    [Stage::CorrelationFilter, Stage::ScanMatcher, Stage::Mapper, Stage::DynamicCleaner, Stage::SyncManager];
+/// The one epoch of a process set that starts cold.
+const EPOCH: u32 = 1;
+/// Large scans on their way at once: their topic has a buffer of two.
+const LARGE_CREDIT: u64 = 2;
+
+/// Runs the stage until it is asked to stop.
+///
+/// # Errors
+/// When the source is not usable ([`StageError::Source`]) or the bus fails.
+pub fn run_stage(context: &mut StageContext, task: Task) -> Result<(), StageError> {
+    let bell = context.bus.listener(Stage::LidarIngest.name())?;
+    let mut ingest = Ingest::open(context, task)?;
+    run(context, &mut ingest, &bell)
+}
+
+struct Ingest {
+    feed: Feed,
+    pacer: Option<Pacer>,
+    cursor: Option<Cursor>,
+    scans: ScanPublisher,
+    control: Publisher<Control>,
+    progress: Subscriber<Progress>,
+    bells: Vec<BellRinger>,
+    filter: BellRinger,
+    done: [u64; CONSUMERS.len()],
+    scan: ScanBuffer,
+    /// A scan is in `scan` and not yet sent.
+    loaded: bool,
+    sequence: u64,
+    ended: bool,
+    stopping: bool,
+}
+
+impl Ingest {
+    fn open(context: &StageContext, task: Task) -> Result<Self, StageError> {
+        let cursor = if context.mode == Mode::Live { Some(Cursor::open(&context.status_dir)?) } else { None };
+        let resumed = cursor.as_ref().map_or(0, |cursor| cursor.next_sequence());
+        let pacer = task.rate.map(|rate| Pacer::new(rate, cursor.as_ref().and_then(Cursor::anchor)));
+        let mut feed = Feed::open(context, &task)?;
+        feed.skip(resumed)?;
+        let bells =
+            CONSUMERS.iter().map(|stage| context.bus.ringer(stage.name())).collect::<Result<_, _>>()?;
+        Ok(Self {
+            feed,
+            pacer,
+            cursor,
+            scans: context.bus.scan_publisher()?,
+            control: context.bus.publisher()?,
+            progress: context.bus.subscriber()?,
+            bells,
+            filter: context.bus.ringer(Stage::CorrelationFilter.name())?,
+            done: [0; CONSUMERS.len()],
+            scan: ScanBuffer::default(),
+            loaded: false,
+            sequence: resumed,
+            ended: false,
+            stopping: false,
+        })
+    }
+
+    fn hear_progress(&mut self) -> Result<(), StageError> {
+        while let Some(progress) = self.progress.receive()? {
+            if let Some(at) = CONSUMERS.iter().position(|stage| *stage as u32 == progress.stage) {
+                self.done[at] = self.done[at].max(progress.done);
+            }
+        }
+        Ok(())
+    }
+
+    /// Exact replay: whether every consumer has room for the loaded scan.
+    fn has_credit(&self, context: &StageContext) -> bool {
+        let slowest = self.done.iter().copied().min().unwrap_or(0);
+        let large = self.scan.numbers.len() > LARGE_SCAN_BEAMS;
+        self.sequence < slowest + if large { LARGE_CREDIT } else { context.capacity.window as u64 }
+    }
+
+    fn is_due(&mut self, context: &StageContext) -> bool {
+        match (context.mode, &mut self.pacer) {
+            (Mode::Exact, _) => self.has_credit(context),
+            (Mode::Live, Some(pacer)) => pacer.is_due(self.scan.header.times.sensor_ns, monotonic_ns()),
+            (Mode::Live, None) => true,
+        }
+    }
+
+    fn publish(&mut self, context: &mut StageContext) -> Result<(), StageError> {
+        let now_ns = monotonic_ns();
+        let header = &mut self.scan.header;
+        header.id = ScanId { epoch: EPOCH, sequence: self.sequence, lidar: header.id.lidar };
+        header.times.monotonic_ns = now_ns;
+        header.times.utc_ns = utc_ns();
+        let view = self.scan.view().map_err(|problem| StageError::Source(problem.to_string()))?;
+        self.scans.send(view)?;
+        self.filter.ring();
+        self.loaded = false;
+        self.sequence += 1;
+        if let Some(cursor) = &mut self.cursor {
+            cursor.advance(self.sequence, self.pacer.as_ref().and_then(Pacer::anchor))?;
+        }
+        context.handled(self.sequence - 1, now_ns, now_ns);
+        Ok(())
+    }
+
+    fn tell_the_end(&mut self, context: &mut StageContext) -> Result<(), StageError> {
+        self.ended = true;
+        self.report(context);
+        self.feed.store_truth(&context.result_dir)?;
+        self.repeat_the_end()
+    }
+
+    fn report(&self, context: &mut StageContext) {
+        let Some(tally) = self.feed.tally() else { return };
+        for (rejection, count) in &tally.rejected {
+            context.report.count(&format!("rejected/{}", rejection.name()), *count);
+        }
+        context.report.count("unknown_lines", tally.unknown);
+        context.report.count("invalid_beams", tally.invalid_beams);
+        context.report.count("stamps_backward", tally.steps_backward);
+    }
+
+    fn repeat_the_end(&self) -> Result<(), StageError> {
+        self.control.send(&Control {
+            kind: ControlKind::StreamEnd as u32,
+            epoch: EPOCH,
+            value: self.sequence,
+        })?;
+        self.bells.iter().for_each(BellRinger::ring);
+        Ok(())
+    }
+}
+
+impl Actor for Ingest {
+    fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
+        self.hear_progress()?;
+        let mut any = false;
+        while !self.ended && !context.stop.is_set() {
+            if !self.loaded {
+                match self.feed.next(&mut self.scan)? {
+                    Fed::Scan => self.loaded = true,
+                    Fed::NotYet => return Ok(any),
+                    Fed::End => {
+                        self.tell_the_end(context)?;
+                        return Ok(true);
+                    }
+                }
+            }
+            if !self.is_due(context) {
+                return Ok(any);
+            }
+            self.publish(context)?;
+            any = true;
+            self.hear_progress()?;
+        }
+        Ok(any)
+    }
+
+    fn refresh(&mut self, _context: &mut StageContext) -> Result<(), StageError> {
+        self.scans.refresh();
+        self.control.refresh();
+        // Whoever has just started needs to hear it too.
+        if self.ended { self.repeat_the_end() } else { Ok(()) }
+    }
+
+    fn patience(&self) -> Duration {
+        match &self.pacer {
+            Some(pacer) if self.loaded => pacer.wait(self.scan.header.times.sensor_ns, monotonic_ns()),
+            _ => Duration::from_millis(100),
+        }
+    }
+
+    fn close(&mut self, context: &mut StageContext) -> Result<(), StageError> {
+        // Asked to stop early: what was sent is the stream.
+        if self.ended || self.stopping {
+            Ok(())
+        } else {
+            self.stopping = true;
+            self.tell_the_end(context)
+        }
+    }
+}

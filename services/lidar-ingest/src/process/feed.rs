@@ -1,0 +1,151 @@
+use super::pipe::{Pipe, Piped};
+use super::{Source, Task, world_file};
+use crate::carmen::{CarmenReader, Tally};
+use crate::experiment::Experiment;
+use crate::simulation::{Simulation, World};
+use flockslam_messages::ScanBuffer;
+use flockslam_stage::results::{self, StampedPose};
+use flockslam_stage::{StageContext, StageError};
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+
+/// Scans one after another, from whatever source, with the experiment's changes applied.
+pub struct Feed {
+    kind: Kind,
+    experiment: Experiment,
+}
+
+enum Kind {
+    Log(Box<CarmenReader<BufReader<File>>>),
+    Pipe(Pipe),
+    Simulation { simulation: Box<Simulation>, truth: Vec<StampedPose> },
+}
+
+/// What a feed gave.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fed {
+    /// The next scan.
+    Scan,
+    /// Nothing for now.
+    NotYet,
+    /// Nothing any more.
+    End,
+}
+
+const BUFFER_BYTES: usize = 1 << 20;
+
+impl Feed {
+    /// Opens the source.
+    pub fn open(context: &StageContext, task: &Task) -> Result<Self, StageError> {
+        let (kind, expected) = match &task.source {
+            Source::Log(path) => {
+                let expected = count_scans(path)?;
+                let reader = BufReader::with_capacity(BUFFER_BYTES, open(path)?);
+                let name = path.display().to_string();
+                (Kind::Log(Box::new(CarmenReader::new(reader, name, task.settings.clone()))), expected)
+            }
+            Source::Pipe => (Kind::Pipe(Pipe::start(context, task.settings.clone())?), 0),
+            Source::Simulation => {
+                let world =
+                    task.world.as_deref().map_or_else(|| Ok(World::floor_plan()), world_file::read)?;
+                let simulation = Simulation::new(&task.simulation, world);
+                let simulation = Box::new(simulation.map_err(|e| StageError::Source(e.to_string()))?);
+                let total = simulation.scans() as u64;
+                (Kind::Simulation { simulation, truth: Vec::new() }, total)
+            }
+        };
+        Ok(Self { kind, experiment: Experiment::new(&task.settings, expected) })
+    }
+
+    /// Goes past the scans that a predecessor has sent.
+    pub fn skip(&mut self, scans: u64) -> Result<(), StageError> {
+        // What went through a pipe is gone with the process that read it.
+        if matches!(self.kind, Kind::Pipe(_)) {
+            return Ok(());
+        }
+        let mut scan = ScanBuffer::default();
+        for _ in 0..scans {
+            if self.next(&mut scan)? != Fed::Scan {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// The next scan.
+    pub fn next(&mut self, scan: &mut ScanBuffer) -> Result<Fed, StageError> {
+        let source = |error: crate::carmen::ReadError| StageError::Source(error.to_string());
+        let fed = match &mut self.kind {
+            Kind::Log(reader) => {
+                if reader.next_scan(scan).map_err(source)? {
+                    Fed::Scan
+                } else {
+                    Fed::End
+                }
+            }
+            Kind::Pipe(pipe) => match pipe.take()? {
+                Piped::Scan(piped) => {
+                    *scan = piped;
+                    Fed::Scan
+                }
+                Piped::NotYet => Fed::NotYet,
+                Piped::End => Fed::End,
+            },
+            Kind::Simulation { simulation, truth } => match simulation.next_scan(scan) {
+                Some(pose) => {
+                    truth.push(StampedPose { stamp_ns: scan.header.times.sensor_ns, pose });
+                    Fed::Scan
+                }
+                None => Fed::End,
+            },
+        };
+        if fed == Fed::Scan {
+            self.experiment.apply(scan);
+        }
+        Ok(fed)
+    }
+
+    /// What was met, for the report.
+    pub fn tally(&self) -> Option<Tally> {
+        match &self.kind {
+            Kind::Log(reader) => Some(reader.tally().clone()),
+            Kind::Pipe(pipe) => Some(pipe.tally()),
+            Kind::Simulation { .. } => None,
+        }
+    }
+
+    /// Stores the simulation's exact trajectory beside the results.
+    pub fn store_truth(&self, result_dir: &Path) -> Result<(), StageError> {
+        let Kind::Simulation { truth, .. } = &self.kind else { return Ok(()) };
+        results::write_trajectory(result_dir, results::TRUE_TRAJECTORY, truth)
+    }
+}
+
+fn open(path: &Path) -> Result<File, StageError> {
+    File::open(path).map_err(|error| StageError::Source(format!("{}: {error}", path.display())))
+}
+
+/// Scan lines of a log: what experiments spread their events over, and what progress is measured against.
+///
+/// # Errors
+/// When the file cannot be read.
+pub fn count_scans(path: &Path) -> Result<u64, StageError> {
+    let mut reader = BufReader::with_capacity(BUFFER_BYTES, open(path)?);
+    let unreadable = |error| StageError::Source(format!("{}: {error}", path.display()));
+    let (mut scans, mut line_begins) = (0, true);
+    loop {
+        let bytes = reader.fill_buf().map_err(unreadable)?;
+        if bytes.is_empty() {
+            return Ok(scans);
+        }
+        // A line that straddles two fills may be missed: this is an estimate.
+        for line in bytes.split_inclusive(|byte| *byte == b'\n') {
+            scans +=
+                u64::from(line_begins && (line.starts_with(b"FLASER") || line.starts_with(b"ROBOTLASER1")));
+            line_begins = line.ends_with(b"\n");
+        }
+        let length = bytes.len();
+        reader.consume(length);
+    }
+}

@@ -1,0 +1,103 @@
+use serde::{Deserialize, Serialize};
+
+/// Section `[lidar_ingest]`: how a log is read, and what an experiment does to it on the way.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// Ranges below are not returns, metres.
+    pub range_min_m: f32,
+    /// Ranges above are not returns, metres. A FLASER line does not say what its sensor writes for "no return"; the
+    /// values in use are 50.0 and about 81.9 m, real returns of such sensors lie below. ROBOTLASER1 lines say it
+    /// themselves and ignore this value.
+    pub range_max_m: f32,
+    /// Lines that announce more beams than this are refused before any memory is taken for them.
+    pub max_beams: u32,
+    /// Lines longer than this are skipped as bad without being stored, bytes.
+    pub max_line_bytes: u64,
+    /// Reading ends with an error when more than this share of the lines so far is bad; ten bad lines are always
+    /// tolerated unless the share is 0.
+    pub max_bad_line_share: f64,
+    /// Whether a log that ends in the middle of a line is taken as far as it goes instead of being refused.
+    pub accept_truncated: bool,
+
+    /// Experiment: seed of everything random below.
+    pub seed: u64,
+    /// Experiment: turns and shifts all odometry so that the first scan's pose is this: metres, metres, radians.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub start_pose: Option<[f64; 3]>,
+    /// Experiment: whether scans carry odometry at all.
+    pub odometry: bool,
+    /// Experiment: how often, over the whole log, odometry jumps within one scan by up to 1 m and 90°.
+    pub odometry_jumps: u32,
+    /// Experiment: standard deviation of what is added to odometry's motion with every scan: metres along each axis,
+    /// degrees of turn.
+    pub odometry_noise: [f64; 2],
+    /// Experiment: share of beams that are replaced by a false return at a random range.
+    pub beam_noise_share: f64,
+    /// Experiment: only every n-th scan is matched; the others are withheld and get a predicted pose.
+    pub keep_every: u64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            range_min_m: 0.05,
+            range_max_m: 49.5,
+            max_beams: 10_000_000,
+            max_line_bytes: 64 << 20,
+            max_bad_line_share: 0.01,
+            accept_truncated: false,
+            seed: 1,
+            start_pose: None,
+            odometry: true,
+            odometry_jumps: 0,
+            odometry_noise: [0.0, 0.0],
+            beam_noise_share: 0.0,
+            keep_every: 1,
+        }
+    }
+}
+
+impl Settings {
+    /// Says which setting is out of its range, and what the range is.
+    ///
+    /// # Errors
+    /// `Err` with the name of the setting and its range.
+    pub fn check(&self) -> Result<(), &'static str> {
+        let share = |value: f64| (0.0..=1.0).contains(&value);
+        let rules = [
+            (
+                self.range_min_m >= 0.0 && self.range_min_m < self.range_max_m,
+                "range_min_m must be below range_max_m",
+            ),
+            (self.range_max_m.is_finite(), "range_max_m must be finite"),
+            (self.max_beams > 0, "max_beams must be at least 1"),
+            (self.max_line_bytes > 0, "max_line_bytes must be at least 1"),
+            (share(self.max_bad_line_share), "max_bad_line_share must be between 0 and 1"),
+            (
+                self.start_pose.is_none_or(|pose| pose.iter().all(|v| v.abs() < 1e8)),
+                "start_pose must be finite",
+            ),
+            (self.odometry_jumps <= 100_000, "odometry_jumps must be at most 100000"),
+            (
+                self.odometry_noise.iter().all(|v| (0.0..=180.0).contains(v)),
+                "odometry_noise must be between 0 and 180",
+            ),
+            (share(self.beam_noise_share), "beam_noise_share must be between 0 and 1"),
+            (self.keep_every > 0, "keep_every must be at least 1"),
+        ];
+        rules.into_iter().find(|(kept, _)| !kept).map_or(Ok(()), |(_, rule)| Err(rule))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_out_of_range_are_named() {
+        assert_eq!(Settings::default().check(), Ok(()));
+        let wrong = Settings { max_bad_line_share: f64::NAN, ..Settings::default() };
+        assert_eq!(wrong.check(), Err("max_bad_line_share must be between 0 and 1"));
+    }
+}

@@ -1,0 +1,197 @@
+use flockslam_geometry::Point;
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+/// Nearer to a wall than this the robot does not plan to go, metres.
+const CLEARANCE_M: f64 = 0.35;
+/// Farther away than this it does not care, metres.
+const COMFORT_M: f64 = 0.7;
+/// How many times longer a way is worth that avoids the closest passage.
+const DETOUR: u32 = 3;
+/// Cost of a step along an axis and along a diagonal.
+const STEP: (u32, u32) = (10, 14);
+/// Points on each side over which a path is averaged.
+const SMOOTHING: usize = 4;
+
+/// Free space with its distances to the walls, in which ways are searched.
+#[derive(Clone, Debug)]
+pub(super) struct PlanningGrid {
+    width: usize,
+    height: usize,
+    cell_m: f64,
+    /// Per cell what a step of cost 1 costs there; `None` where the robot does not fit.
+    toll: Vec<Option<u32>>,
+}
+
+impl PlanningGrid {
+    /// A grid from its solid cells, row by row. Outside is solid.
+    pub(super) fn new(width: usize, height: usize, cell_m: f64, solid: Vec<bool>) -> Self {
+        let scale_m = cell_m / f64::from(STEP.0);
+        let toll_of = |clearance: u32| {
+            let clearance_m = f64::from(clearance) * scale_m;
+            let discomfort = ((COMFORT_M - clearance_m) / (COMFORT_M - CLEARANCE_M)).clamp(0.0, 1.0);
+            (clearance_m >= CLEARANCE_M).then_some(10 + (f64::from(10 * DETOUR) * discomfort) as u32)
+        };
+        let toll = clearances(width, height, &solid).into_iter().map(toll_of).collect();
+        Self { width, height, cell_m, toll }
+    }
+
+    /// A smooth way between two points, about one point for each cell; `None` when there is none. (A*: Hart, Nilsson and
+    /// Raphael 1968.)
+    pub(super) fn path(&self, from: Point, to: Point) -> Option<Vec<Point>> {
+        let (start, goal) = (self.cell_at(from)?, self.cell_at(to)?);
+        let mut costs = vec![u32::MAX; self.toll.len()];
+        let mut came_from = vec![usize::MAX; self.toll.len()];
+        let mut open = BinaryHeap::from([(Reverse(self.least_cost(start, goal)), start)]);
+        costs[start] = 0;
+        while let Some((Reverse(estimate), cell)) = open.pop() {
+            if cell == goal {
+                return Some(smooth(&self.trace(&came_from, goal)));
+            }
+            if estimate > costs[cell].saturating_add(self.least_cost(cell, goal)) {
+                continue;
+            }
+            for (neighbour, step) in self.neighbours(cell) {
+                let Some(toll) = self.toll[neighbour] else { continue };
+                let cost = costs[cell] + step * toll;
+                if cost < costs[neighbour] {
+                    (costs[neighbour], came_from[neighbour]) = (cost, cell);
+                    open.push((Reverse(cost + self.least_cost(neighbour, goal)), neighbour));
+                }
+            }
+        }
+        None
+    }
+
+    /// Centres of the cells of the largest connected free space.
+    pub(super) fn largest_room(&self) -> Vec<Point> {
+        let mut seen = vec![false; self.toll.len()];
+        let mut largest = Vec::new();
+        for start in 0..self.toll.len() {
+            if self.toll[start].is_some() && !seen[start] {
+                let room = self.flood(start, &mut seen);
+                if room.len() > largest.len() {
+                    largest = room;
+                }
+            }
+        }
+        largest.into_iter().map(|cell| self.centre(cell)).collect()
+    }
+
+    fn flood(&self, start: usize, seen: &mut [bool]) -> Vec<usize> {
+        let (mut room, mut next) = (vec![start], 0);
+        seen[start] = true;
+        while next < room.len() {
+            for (neighbour, _) in self.neighbours(room[next]) {
+                if self.toll[neighbour].is_some() && !seen[neighbour] {
+                    seen[neighbour] = true;
+                    room.push(neighbour);
+                }
+            }
+            next += 1;
+        }
+        room
+    }
+
+    fn neighbours(&self, cell: usize) -> impl Iterator<Item = (usize, u32)> {
+        let (x, y) = ((cell % self.width) as i64, (cell / self.width) as i64);
+        let around =
+            (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy))).filter(|offset| *offset != (0, 0));
+        around.filter_map(move |(dx, dy): (i64, i64)| {
+            let (x, y) = (usize::try_from(x + dx).ok()?, usize::try_from(y + dy).ok()?);
+            let step = if dx == 0 || dy == 0 { STEP.0 } else { STEP.1 };
+            (x < self.width && y < self.height).then_some((y * self.width + x, step))
+        })
+    }
+
+    /// What the way between two cells costs at least: the octile distance without tolls.
+    fn least_cost(&self, from: usize, to: usize) -> u32 {
+        let dx = (from % self.width).abs_diff(to % self.width) as u32;
+        let dy = (from / self.width).abs_diff(to / self.width) as u32;
+        10 * (STEP.0 * dx.abs_diff(dy) + STEP.1 * dx.min(dy))
+    }
+
+    fn trace(&self, came_from: &[usize], goal: usize) -> Vec<Point> {
+        let cells = std::iter::successors(Some(goal), |cell| {
+            Some(came_from[*cell]).filter(|from| *from != usize::MAX)
+        });
+        let mut points: Vec<Point> = cells.map(|cell| self.centre(cell)).collect();
+        points.reverse();
+        points
+    }
+
+    fn centre(&self, cell: usize) -> Point {
+        let centre = |index: usize| (index as f64 + 0.5) * self.cell_m;
+        Point::new(centre(cell % self.width), centre(cell / self.width))
+    }
+
+    fn cell_at(&self, point: Point) -> Option<usize> {
+        let (x, y) = ((point.x_m / self.cell_m).floor(), (point.y_m / self.cell_m).floor());
+        let inside = x >= 0.0 && y >= 0.0 && x < self.width as f64 && y < self.height as f64;
+        let cell = inside.then(|| y as usize * self.width + x as usize)?;
+        self.toll[cell].map(|_| cell)
+    }
+}
+
+/// Distance of each cell from the next solid one, in steps: two sweeps of a chamfer mask (Borgefors 1986).
+fn clearances(width: usize, height: usize, solid: &[bool]) -> Vec<u32> {
+    let mut clearance: Vec<u32> = solid.iter().map(|solid| if *solid { 0 } else { u32::MAX }).collect();
+    let cells = width * height;
+    for backward in [false, true] {
+        for i in 0..cells {
+            let cell = if backward { cells - 1 - i } else { i };
+            let (x, y) = ((cell % width) as i64, (cell / width) as i64);
+            let ahead = if backward { 1 } else { -1 };
+            for (dx, dy, step) in
+                [(ahead, 0, STEP.0), (-1, ahead, STEP.1), (0, ahead, STEP.0), (1, ahead, STEP.1)]
+            {
+                let (x, y) = (x + dx, y + dy);
+                let inside = x >= 0 && y >= 0 && x < width as i64 && y < height as i64;
+                let there = if inside { clearance[y as usize * width + x as usize] } else { 0 };
+                clearance[cell] = clearance[cell].min(there.saturating_add(step));
+            }
+        }
+    }
+    clearance
+}
+
+/// A moving average; both ends stay.
+fn smooth(points: &[Point]) -> Vec<Point> {
+    let average = |i: usize| {
+        let reach = SMOOTHING.min(i).min(points.len() - 1 - i);
+        let window = &points[i - reach..=i + reach];
+        let sum = window.iter().fold((0.0, 0.0), |sum, point| (sum.0 + point.x_m, sum.1 + point.y_m));
+        Point::new(sum.0 / window.len() as f64, sum.1 / window.len() as f64)
+    };
+    (0..points.len()).map(average).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two rooms of 5 × 5 m, a wall at x = 5 m with a door of 1.2 m at y = 4 m when `door`.
+    fn rooms(door: bool) -> PlanningGrid {
+        let solid = (0..100 * 50)
+            .map(|i| (i % 100, i / 100))
+            .map(|(x, y)| x == 50 && !(door && (34..46).contains(&y)));
+        PlanningGrid::new(100, 50, 0.1, solid.collect())
+    }
+
+    #[test]
+    fn ways_lead_through_doors_and_keep_clear() {
+        let (from, to) = (Point::new(2.0, 1.0), Point::new(8.0, 1.0));
+        let path = rooms(true).path(from, to).unwrap();
+        assert!(path[0].distance_m(from) < 0.1 && path[path.len() - 1].distance_m(to) < 0.1);
+        let at_door = path.iter().find(|point| point.x_m > 5.0).unwrap();
+        assert!((3.8..=4.2).contains(&at_door.y_m), "{at_door:?}");
+        assert!(path.windows(2).all(|step| step[0].distance_m(step[1]) < 0.15));
+        assert!(rooms(false).path(from, to).is_none());
+    }
+
+    #[test]
+    fn the_largest_room_is_all_that_can_be_reached() {
+        assert!(rooms(true).largest_room().len() > 2 * rooms(false).largest_room().len());
+        assert!(PlanningGrid::new(3, 3, 0.1, vec![true; 9]).largest_room().is_empty());
+    }
+}

@@ -1,0 +1,113 @@
+use serde::{Deserialize, Serialize};
+
+/// Section `[simulation]`: the simulated building, its robot and its lidar.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// Seed of everything random.
+    pub seed: u64,
+    /// How long the robot drives, seconds.
+    pub duration_s: f64,
+    /// Fastest driving, m/s.
+    pub speed_m_s: f64,
+    /// Fastest turning, rad/s.
+    pub turn_rad_s: f64,
+    /// Turns of the lidar per second.
+    pub scan_rate_hz: f64,
+    /// Beams of a scan.
+    pub beams: u32,
+    /// Field of view, degrees; it is centred ahead, and beams run counter-clockwise.
+    pub field_of_view_deg: f64,
+    /// Mounting pose `base_from_laser`: metres, metres, radians.
+    pub laser_mount: [f64; 3],
+    /// Nothing nearer than this is measured (-Inf), metres.
+    pub range_min_m: f32,
+    /// Nothing farther than this is measured (+Inf), metres.
+    pub range_max_m: f32,
+    /// Standard deviation of a range, metres.
+    pub range_sigma_m: f64,
+    /// Constant error of all ranges, metres.
+    pub range_bias_m: f64,
+    /// Share of the beams at the edge of something that give a range between the near and the far surface.
+    pub mixed_pixel_share: f64,
+    /// Share of the beams that come back without a return (+Inf).
+    pub dropout_share: f64,
+    /// Standard deviation of the constant relative errors of the odometry's distances and turns.
+    pub odometry_scale_error: f64,
+    /// Random walk of odometry: metres and degrees (standard deviation) over one metre of driving.
+    pub odometry_walk: [f64; 2],
+    /// How often, over the whole drive, a wheel slips for about a second.
+    pub wheel_slips: u32,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            duration_s: 250.0,
+            speed_m_s: 0.8,
+            turn_rad_s: 1.0,
+            scan_rate_hz: 10.0,
+            beams: 360,
+            field_of_view_deg: 360.0,
+            laser_mount: [0.1, 0.0, 0.0],
+            range_min_m: 0.1,
+            range_max_m: 12.0,
+            range_sigma_m: 0.01,
+            range_bias_m: 0.005,
+            mixed_pixel_share: 0.2,
+            dropout_share: 0.01,
+            odometry_scale_error: 0.02,
+            odometry_walk: [0.01, 0.5],
+            wheel_slips: 4,
+        }
+    }
+}
+
+impl Settings {
+    /// Says which setting is out of its range, and what the range is.
+    ///
+    /// # Errors
+    /// `Err` with the name of the setting and its range.
+    pub fn check(&self) -> Result<(), &'static str> {
+        let share = |value: f64| (0.0..=1.0).contains(&value);
+        let error = |value: f64| (0.0..=10.0).contains(&value);
+        let rules = [
+            ((0.1..=100_000.0).contains(&self.duration_s), "duration_s must be between 0.1 and 100000"),
+            ((0.05..=5.0).contains(&self.speed_m_s), "speed_m_s must be between 0.05 and 5"),
+            ((0.05..=10.0).contains(&self.turn_rad_s), "turn_rad_s must be between 0.05 and 10"),
+            ((0.1..=1000.0).contains(&self.scan_rate_hz), "scan_rate_hz must be between 0.1 and 1000"),
+            ((1..=10_000_000).contains(&self.beams), "beams must be between 1 and 10000000"),
+            (
+                self.field_of_view_deg > 0.0 && self.field_of_view_deg <= 360.0,
+                "field_of_view_deg must be up to 360",
+            ),
+            (self.laser_mount.iter().all(|value| value.abs() < 10.0), "laser_mount must lie within 10 m"),
+            (
+                self.range_min_m >= 0.0 && self.range_min_m < self.range_max_m,
+                "range_min_m must be below range_max_m",
+            ),
+            (self.range_max_m <= 1000.0, "range_max_m must be at most 1000"),
+            (error(self.range_sigma_m), "range_sigma_m must be between 0 and 10"),
+            (self.range_bias_m.abs() <= 10.0, "range_bias_m must be between -10 and 10"),
+            (share(self.mixed_pixel_share), "mixed_pixel_share must be between 0 and 1"),
+            (share(self.dropout_share), "dropout_share must be between 0 and 1"),
+            (share(self.odometry_scale_error), "odometry_scale_error must be between 0 and 1"),
+            (self.odometry_walk.iter().all(|value| error(*value)), "odometry_walk must be between 0 and 10"),
+            (self.wheel_slips <= 10_000, "wheel_slips must be at most 10000"),
+        ];
+        rules.into_iter().find(|(kept, _)| !kept).map_or(Ok(()), |(_, rule)| Err(rule))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_out_of_range_are_named() {
+        assert_eq!(Settings::default().check(), Ok(()));
+        let wrong = Settings { scan_rate_hz: f64::NAN, ..Settings::default() };
+        assert_eq!(wrong.check(), Err("scan_rate_hz must be between 0.1 and 1000"));
+    }
+}

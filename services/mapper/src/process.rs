@@ -1,0 +1,308 @@
+//! The shell of mapper: joins accepted scans with marks, publishes changed tiles and then one commit, stores closed
+//! submaps, and rebuilds itself from journal and store when it starts.
+
+use crate::{Mapper, Settings};
+use flockslam_bus::{BellRinger, Publisher, SliceSubscriber};
+use flockslam_evidence::{Submap, TileKey};
+use flockslam_messages::{
+    ClearedCell, Commit, Control, ControlKind, DropReason, MarksHeader, PoseEstimate, PoseFlags, ScanView, Stage,
+    SubmapClosed, TileMessage,
+};
+use flockslam_stage::{
+    Acknowledger, Actor, JournalReader, Mode, PendingScans, PoseQueue, StageContext, StageError, StreamEnd,
+    SubmapStore, run,
+};
+use flockslam_telemetry::monotonic_ns;
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// Live: marks that are not there by then are not waited for; the scan is inserted without.
+const MARKS_DEADLINE_NS: u64 = 50_000_000;
+
+/// Runs the stage until it is asked to stop.
+///
+/// # Errors
+/// When the bus, the journal or the store fails.
+pub fn run_stage(context: &mut StageContext, settings: Settings) -> Result<(), StageError> {
+    let bell = context.bus.listener(Stage::Mapper.name())?;
+    let mut actor = MapperProcess::open(context, settings)?;
+    run(context, &mut actor, &bell)
+}
+
+struct MapperProcess {
+    logic: Mapper,
+    cell_size_m: f64,
+    store: SubmapStore,
+    scans: PendingScans,
+    poses: PoseQueue,
+    marks: SliceSubscriber<MarksHeader>,
+    waiting_marks: VecDeque<(u64, Vec<ClearedCell>)>,
+    output: Output,
+    acknowledger: Acknowledger,
+    stream: StreamEnd,
+    /// Accepted scans with a sequence below this are in the map.
+    applied: u64,
+    last: Option<PoseEstimate>,
+    waiting_since_ns: Option<u64>,
+    map_closed: bool,
+}
+
+/// Everything that the mapper tells others.
+struct Output {
+    tiles: Publisher<TileMessage>,
+    commits: Publisher<Commit>,
+    submaps: Publisher<SubmapClosed>,
+    control: Publisher<Control>,
+    matcher: BellRinger,
+    sync_manager: BellRinger,
+    /// Tiles that could not be sent for want of memory: they go out with the next commit.
+    unsent: Vec<TileKey>,
+}
+
+impl MapperProcess {
+    fn open(context: &mut StageContext, settings: Settings) -> Result<Self, StageError> {
+        let bus = &context.bus;
+        let output = Output {
+            tiles: bus.publisher()?,
+            commits: bus.publisher()?,
+            submaps: bus.publisher()?,
+            control: bus.publisher()?,
+            matcher: bus.ringer(Stage::ScanMatcher.name())?,
+            sync_manager: bus.ringer(Stage::SyncManager.name())?,
+            unsent: Vec::new(),
+        };
+        let mut process = Self {
+            cell_size_m: settings.cell_size_m,
+            logic: Mapper::new(settings),
+            store: SubmapStore::new(&context.submap_dir),
+            scans: PendingScans::new(bus.scan_subscriber()?, context.capacity.window, 0),
+            poses: PoseQueue::new(bus.subscriber()?, 0),
+            marks: bus.slice_subscriber()?,
+            waiting_marks: VecDeque::new(),
+            output,
+            acknowledger: Acknowledger::open(context, 0)?,
+            stream: StreamEnd::open(context)?,
+            applied: 0,
+            last: None,
+            waiting_since_ns: None,
+            map_closed: false,
+        };
+        process.recover(context)?;
+        Ok(process)
+    }
+
+    /// Rebuilds the map that a predecessor had: its closed submaps from the store, the active one from the journal.
+    fn recover(&mut self, context: &StageContext) -> Result<(), StageError> {
+        let count = self.store.count();
+        let closed = (0..count).map(|number| self.store.load(number)).collect::<Result<Vec<_>, _>>()?;
+        let stored_to = closed.last().map_or(0, |submap| submap.last + 1);
+        let inserted = closed.iter().map(|submap| u64::from(submap.insertions)).sum();
+        self.logic.resume(closed, inserted);
+        self.applied = stored_to;
+        self.catch_up(context)?;
+        for number in 0..count {
+            let submap = self.store.load(number)?;
+            self.output.tell_submap(&self.store.notice(&submap)?)?;
+        }
+        if self.last.is_some() || count > 0 {
+            self.republish(context)?;
+        }
+        Ok(())
+    }
+
+    /// Applies accepted scans of the journal that are not in the map yet.
+    fn catch_up(&mut self, context: &StageContext) -> Result<(), StageError> {
+        let mut journal = JournalReader::open(&context.journal_dir)?;
+        while let Some(record) = journal.read_next()? {
+            let Some(scan) = record.scan.filter(|_| record.pose.id.sequence >= self.applied) else { continue };
+            let Ok(scan) = scan.view() else { continue };
+            self.apply(scan, &record.pose, &[])?;
+        }
+        Ok(())
+    }
+
+    fn apply(&mut self, scan: ScanView<'_>, pose: &PoseEstimate, cleared: &[ClearedCell]) -> Result<(), StageError> {
+        assert!(pose.id.sequence >= self.applied, "a scan enters the map once");
+        let insertion = self.logic.insert(scan, pose, cleared);
+        let commit = Commit {
+            id: pose.id,
+            times: pose.times,
+            generation: insertion.generation,
+            tiles: insertion.changed.len() as u32,
+            active_submap: insertion.active_submap,
+        };
+        let closed = insertion.closed;
+        self.output.unsent.extend_from_slice(insertion.changed);
+        self.output.retire(insertion.retired, commit.generation, self.cell_size_m)?;
+        self.output.send_tiles(&self.logic, commit.generation, self.cell_size_m)?;
+        self.output.commits.send(&commit)?;
+        self.output.matcher.ring();
+        self.applied = pose.id.sequence + 1;
+        self.last = Some(*pose);
+        if let Some(submap) = closed {
+            self.store_submap(&submap)?;
+        }
+        Ok(())
+    }
+
+    fn store_submap(&mut self, submap: &Submap) -> Result<(), StageError> {
+        self.store.save(submap)?;
+        self.output.tell_submap(&self.store.notice(submap)?)
+    }
+
+    /// Sends all live tiles and the last commit again: a reader has started and holds none.
+    fn republish(&mut self, context: &StageContext) -> Result<(), StageError> {
+        let Some(last) = self.last else { return Ok(()) };
+        self.output.unsent = self.logic.live_tiles().collect();
+        let generation = self.logic.generation();
+        self.output.send_tiles(&self.logic, generation, self.cell_size_m)?;
+        let commit = Commit {
+            id: last.id,
+            times: last.times,
+            generation,
+            tiles: self.logic.live_tiles().count() as u32,
+            active_submap: self.logic.active_submap(),
+        };
+        self.output.commits.send(&commit)?;
+        self.output.matcher.ring();
+        context.bus.ringer(Stage::DynamicCleaner.name())?.ring();
+        Ok(())
+    }
+
+    fn drain_marks(&mut self) -> Result<(), StageError> {
+        while let Some(marks) = self.marks.receive()? {
+            self.waiting_marks.push_back((marks.header().id.sequence, marks.elements().to_vec()));
+        }
+        Ok(())
+    }
+
+    /// The marks of a scan, once they are there; live they are not waited for past their deadline.
+    fn take_marks(&mut self, sequence: u64, context: &mut StageContext) -> Option<Vec<ClearedCell>> {
+        while self.waiting_marks.front().is_some_and(|(of, _)| *of < sequence) {
+            self.waiting_marks.pop_front();
+        }
+        if self.waiting_marks.front().is_some_and(|(of, _)| *of == sequence) {
+            self.waiting_since_ns = None;
+            return self.waiting_marks.pop_front().map(|(_, cleared)| cleared);
+        }
+        let since_ns = *self.waiting_since_ns.get_or_insert_with(monotonic_ns);
+        let late = context.mode == Mode::Live && monotonic_ns().saturating_sub(since_ns) > MARKS_DEADLINE_NS;
+        if late {
+            self.waiting_since_ns = None;
+            context.dropped(DropReason::Deadline.name());
+        }
+        late.then(Vec::new)
+    }
+
+    /// Handles the oldest pose; false when its join is not complete.
+    fn step(&mut self, pose: &PoseEstimate, context: &mut StageContext) -> Result<bool, StageError> {
+        let sequence = pose.id.sequence;
+        if !pose.has(PoseFlags::INSERT) || sequence < self.applied {
+            self.scans.release_before(sequence + 1);
+            self.acknowledger.finished(sequence + 1)?;
+            return Ok(true);
+        }
+        let Some(cleared) = self.take_marks(sequence, context) else { return Ok(false) };
+        let started_ns = monotonic_ns();
+        let sample = self.scans.take(sequence);
+        match sample.as_ref().and_then(|sample| sample.view().ok()) {
+            Some(scan) => {
+                context.report.report.scan_address = scan.ranges().as_ptr() as u64;
+                self.apply(scan, pose, &cleared)?;
+            }
+            // It was sent before this process listened; the journal has every accepted scan.
+            None => self.catch_up(context)?,
+        }
+        context.handled(sequence, started_ns, pose.times.monotonic_ns);
+        self.acknowledger.finished(sequence + 1)?;
+        Ok(true)
+    }
+
+    fn close_map(&mut self) -> Result<(), StageError> {
+        if let Some(submap) = self.logic.close() {
+            self.store_submap(&submap)?;
+        }
+        self.map_closed = true;
+        self.repeat_the_end()
+    }
+
+    fn repeat_the_end(&self) -> Result<(), StageError> {
+        let value = u64::from(self.store.count());
+        self.output.control.send(&Control { kind: ControlKind::MapClosed as u32, epoch: 0, value })?;
+        self.output.sync_manager.ring();
+        Ok(())
+    }
+}
+
+impl Output {
+    fn send_tiles(&mut self, logic: &Mapper, generation: u64, cell_size_m: f64) -> Result<(), StageError> {
+        let mut sent = 0;
+        for key in &self.unsent {
+            let outcome = self.tiles.send_with(|message| {
+                (message.key, message.generation, message.cell_size_m) = (*key, generation, cell_size_m);
+                logic.write_tile(*key, &mut message.tile);
+            });
+            if let Err(error) = outcome {
+                tracing::warn!(%error, "tiles wait for memory");
+                break;
+            }
+            sent += 1;
+        }
+        self.unsent.drain(..sent);
+        Ok(())
+    }
+
+    fn retire(&mut self, keys: &[TileKey], generation: u64, cell_size_m: f64) -> Result<(), StageError> {
+        for key in keys {
+            self.tiles.send_with(|message| {
+                (message.key, message.generation, message.cell_size_m) = (*key, generation, cell_size_m);
+                message.retired = 1;
+            })?;
+        }
+        Ok(())
+    }
+
+    fn tell_submap(&self, notice: &SubmapClosed) -> Result<(), StageError> {
+        self.submaps.send(notice)?;
+        self.sync_manager.ring();
+        Ok(())
+    }
+}
+
+impl Actor for MapperProcess {
+    fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
+        let mut any = false;
+        loop {
+            self.scans.drain()?;
+            self.poses.drain()?;
+            self.drain_marks()?;
+            let Some(pose) = self.poses.front().copied() else { break };
+            if !self.step(&pose, context)? {
+                break;
+            }
+            self.poses.pop();
+            any = true;
+        }
+        self.stream.drain()?;
+        if std::mem::take(&mut self.stream.tiles_wanted) {
+            self.republish(context)?;
+        }
+        if !self.map_closed && self.stream.reached(self.acknowledger.done(), context.mode) {
+            self.close_map()?;
+        }
+        Ok(any)
+    }
+
+    fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError> {
+        self.output.tiles.refresh();
+        self.output.commits.refresh();
+        self.output.submaps.refresh();
+        context.report.count("tiles", self.logic.live_tiles().count() as u64);
+        self.acknowledger.send()?;
+        if self.map_closed { self.repeat_the_end() } else { Ok(()) }
+    }
+
+    fn patience(&self) -> Duration {
+        Duration::from_millis(if self.waiting_since_ns.is_some() { 5 } else { 100 })
+    }
+}

@@ -1,0 +1,121 @@
+use flockslam_evidence::{Cell, Masses, SensorModel};
+use serde::{Deserialize, Serialize};
+
+/// Settings of the mapper.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// Side of a cell, metres.
+    pub cell_size_m: f64,
+    /// Which evidence a beam leaves.
+    pub sensor_model: SensorModelKind,
+    /// Weight of evidence of a hit, nat (`evidence` model).
+    pub hit_nat: f64,
+    /// Weight of evidence of a miss, nat (`evidence` model).
+    pub miss_nat: f64,
+    /// Shorter ranges are not inserted, metres.
+    pub range_min_m: f64,
+    /// Longer ranges are not inserted, metres.
+    pub range_max_m: f64,
+    /// Score that the matcher reads.
+    pub read_out: ReadOut,
+    /// Evidence for "occupied" counts at most this much in the score, nat.
+    pub occupied_cap_nat: f64,
+    /// Evidence for "free" counts at most this much in the score, nat.
+    pub free_cap_nat: f64,
+    /// A submap is closed after this much travel, metres.
+    pub submap_length_m: f64,
+    /// A submap is closed after this many insertions, which keeps its sums far from saturation.
+    pub submap_insertions: u32,
+    /// Travel that the closed submaps beside the active one cover in the grid that is matched, metres (rounded up to
+    /// whole submaps of `submap_length_m`); 0 = all of them.
+    pub window_m: f64,
+}
+
+/// Which evidence a beam leaves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SensorModelKind {
+    /// `hit_nat` at the end, `miss_nat` on the way.
+    Evidence,
+    /// vinySLAM's masses and blur.
+    Vinyslam,
+}
+
+/// Score of a cell that the matcher reads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ReadOut {
+    /// The mass on "occupied"; unknown and free alike are 0, so that no edge of knowledge pulls.
+    Occupied,
+    /// vinySLAM's score: occupied 1, unknown ½, free 0.
+    Vinyslam,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            cell_size_m: 0.05,
+            sensor_model: SensorModelKind::Evidence,
+            hit_nat: 1.5,
+            miss_nat: 0.15,
+            range_min_m: 0.4,
+            range_max_m: 30.0,
+            read_out: ReadOut::Occupied,
+            occupied_cap_nat: 20.0,
+            free_cap_nat: 5.0,
+            submap_length_m: 5.0,
+            submap_insertions: 200,
+            window_m: 0.0,
+        }
+    }
+}
+
+impl Settings {
+    /// What the program vinySLAM does: cells of 0.1 m, its masses, blur and score, one map for all.
+    pub fn vinyslam() -> Self {
+        Self {
+            cell_size_m: 0.1,
+            sensor_model: SensorModelKind::Vinyslam,
+            range_min_m: 0.0,
+            read_out: ReadOut::Vinyslam,
+            occupied_cap_nat: 16.0,
+            free_cap_nat: 16.0,
+            submap_insertions: 2000,
+            ..Self::default()
+        }
+    }
+
+    /// Closed submaps in the grid that is matched; `None` = all.
+    pub(crate) fn window_submaps(&self) -> Option<usize> {
+        (self.window_m > 0.0)
+            .then(|| (self.window_m / self.submap_length_m.max(f64::MIN_POSITIVE)).ceil() as usize)
+    }
+
+    /// The inverse sensor model that the settings name.
+    pub fn model(&self) -> SensorModel {
+        match self.sensor_model {
+            SensorModelKind::Evidence => SensorModel::new(
+                Cell::from_weights(self.hit_nat, 0.0),
+                Cell::from_weights(0.0, self.miss_nat),
+            ),
+            SensorModelKind::Vinyslam => SensorModel::vinyslam(0.9),
+        }
+    }
+}
+
+impl ReadOut {
+    /// Score of a cell without evidence, 0 … 65535.
+    pub fn unknown(self) -> u16 {
+        self.score(Masses::UNKNOWN)
+    }
+
+    /// Score of a cell, 0 … 65535.
+    pub fn score(self, masses: Masses) -> u16 {
+        let score = match self {
+            Self::Occupied => masses.occupied,
+            Self::Vinyslam => masses.vinyslam_score(),
+        };
+        (score * f64::from(u16::MAX)).round() as u16
+    }
+}

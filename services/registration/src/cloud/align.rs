@@ -1,0 +1,218 @@
+use super::{MomentGrid, PackedPoint, Placement};
+
+/// How a cloud is fitted to a grid.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AlignSettings {
+    /// Gauss–Newton steps.
+    pub iterations: u32,
+    /// Points farther from their line than this have no say in the first half of the steps, metres.
+    pub gate_wide_m: f64,
+    /// The same for the second half, metres.
+    pub gate_m: f64,
+    /// Scale of the Cauchy kernel, metres.
+    pub kernel_m: f64,
+    /// Pull towards the guess per m² (and per rad², through [`Self::prior_lever_m`]), on a scale where all
+    /// points together weigh one. It decides along directions in which the points say nothing.
+    pub prior: f64,
+    /// Length that makes a turn comparable with a shift in the prior, metres.
+    pub prior_lever_m: f64,
+}
+
+impl Default for AlignSettings {
+    fn default() -> Self {
+        Self {
+            iterations: 8,
+            gate_wide_m: 0.3,
+            gate_m: 0.15,
+            kernel_m: 0.05,
+            prior: 0.002,
+            prior_lever_m: 2.0,
+        }
+    }
+}
+
+/// Where a cloud fits, and how well.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Alignment {
+    /// The fitted pose.
+    pub placement: Placement,
+    /// `Σ w J Jᵀ / Σ 1` over all points at the fitted pose, upper triangle (xx, xy, xθ, yy, yθ, θθ),
+    /// translation in the grid's axes, rotation about the robot.
+    pub information: [f64; 6],
+    /// Share of the points that lie within the gate of a line.
+    pub inliers: f64,
+    /// Root mean square distance of those from their line, metres.
+    pub spread_m: f64,
+}
+
+/// Fits clouds to grids by Gauss–Newton on the distance of a point to its line (Censi 2008, with lines from a
+/// grid in place of neighbours in the last scan).
+#[derive(Default)]
+pub struct Aligner {
+    settings: AlignSettings,
+}
+
+/// Sums over the points at one pose.
+#[derive(Clone, Copy, Default)]
+struct Normal {
+    h: [f64; 6],
+    g: [f64; 3],
+    inliers: u32,
+    squared: f64,
+}
+
+impl Aligner {
+    /// An aligner with these settings.
+    pub fn new(settings: AlignSettings) -> Self {
+        Self { settings }
+    }
+
+    /// Fits `points` (in the robot's frame) to `grid`, from `guess`. `None` when not one point meets a line.
+    pub fn align(
+        &self,
+        grid: &mut MomentGrid,
+        points: &[PackedPoint],
+        guess: Placement,
+    ) -> Option<Alignment> {
+        let settings = &self.settings;
+        let mut at = guess;
+        for step in 0..settings.iterations {
+            let gate_m = if 2 * step < settings.iterations { settings.gate_wide_m } else { settings.gate_m };
+            let normal = self.sum(grid, points, at, gate_m);
+            if normal.inliers == 0 {
+                return None;
+            }
+            let Some(delta) = self.step(&normal, points.len(), at, guess) else { break };
+            at = Placement::new(at.x_m + delta[0], at.y_m + delta[1], at.heading_rad + delta[2]);
+            if delta[0] * delta[0] + delta[1] * delta[1] < 1e-8
+                && delta[2].abs() < 1e-5
+                && 2 * step >= settings.iterations
+            {
+                break;
+            }
+        }
+        let normal = self.sum(grid, points, at, settings.gate_m);
+        let share = 1.0 / points.len() as f64;
+        (normal.inliers > 0).then(|| Alignment {
+            placement: at,
+            information: normal.h.map(|h| h * share),
+            inliers: f64::from(normal.inliers) * share,
+            spread_m: (normal.squared / f64::from(normal.inliers)).sqrt(),
+        })
+    }
+
+    fn sum(&self, grid: &mut MomentGrid, points: &[PackedPoint], at: Placement, gate_m: f64) -> Normal {
+        let mut normal = Normal::default();
+        let kernel = 1.0 / (self.settings.kernel_m * self.settings.kernel_m);
+        for point in points {
+            let (rx, ry) = at.rotate(point.x_m(), point.y_m());
+            let (x, y) = (at.x_m + rx, at.y_m + ry);
+            let Some(line) = grid.line_near(x, y) else { continue };
+            let distance = line.normal_x * (x - line.x_m) + line.normal_y * (y - line.y_m);
+            if distance.abs() > gate_m {
+                continue;
+            }
+            let weight = line.flatness * line.flatness / (1.0 + distance * distance * kernel);
+            let (jx, jy) = (line.normal_x, line.normal_y);
+            let jt = jy * rx - jx * ry;
+            let (wx, wy, wt) = (weight * jx, weight * jy, weight * jt);
+            let h = &mut normal.h;
+            h[0] += wx * jx;
+            h[1] += wx * jy;
+            h[2] += wx * jt;
+            h[3] += wy * jy;
+            h[4] += wy * jt;
+            h[5] += wt * jt;
+            normal.g[0] += wx * distance;
+            normal.g[1] += wy * distance;
+            normal.g[2] += wt * distance;
+            normal.inliers += 1;
+            normal.squared += distance * distance;
+        }
+        normal
+    }
+
+    /// The Gauss–Newton step with the prior towards the guess.
+    fn step(&self, normal: &Normal, points: usize, at: Placement, guess: Placement) -> Option<[f64; 3]> {
+        let share = 1.0 / points as f64;
+        let prior = self.settings.prior;
+        let prior_turn = prior * self.settings.prior_lever_m * self.settings.prior_lever_m;
+        let mut h = normal.h.map(|v| v * share);
+        h[0] += prior;
+        h[3] += prior;
+        h[5] += prior_turn;
+        let turn = flockslam_geometry::wrap_angle(at.heading_rad - guess.heading_rad);
+        let g = [
+            normal.g[0] * share + prior * (at.x_m - guess.x_m),
+            normal.g[1] * share + prior * (at.y_m - guess.y_m),
+            normal.g[2] * share + prior_turn * turn,
+        ];
+        let delta = solve(&h, &g)?;
+        Some([-delta[0].clamp(-0.3, 0.3), -delta[1].clamp(-0.3, 0.3), -delta[2].clamp(-0.2, 0.2)])
+    }
+}
+
+/// Solves the symmetric positive definite 3 × 3 system h·x = g by Cholesky; `None` when it is not.
+fn solve(h: &[f64; 6], g: &[f64; 3]) -> Option<[f64; 3]> {
+    let l00 = h[0].sqrt();
+    let (l10, l20) = (h[1] / l00, h[2] / l00);
+    let l11 = (h[3] - l10 * l10).sqrt();
+    let l21 = (h[4] - l20 * l10) / l11;
+    let l22 = (h[5] - l20 * l20 - l21 * l21).sqrt();
+    let y0 = g[0] / l00;
+    let y1 = (g[1] - l10 * y0) / l11;
+    let y2 = (g[2] - l20 * y0 - l21 * y1) / l22;
+    let x2 = y2 / l22;
+    let x1 = (y1 - l21 * x2) / l11;
+    let x0 = (y0 - l10 * x1 - l20 * x2) / l00;
+    // A negative pivot has become NaN on the way.
+    (x0.is_finite() && x1.is_finite() && x2.is_finite()).then_some([x0, x1, x2])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// The walls of a 6 × 4 m room with a pillar, seen from `at`.
+    pub fn room(at: &Placement) -> Vec<PackedPoint> {
+        let mut points = Vec::new();
+        let mut put = |x: f64, y: f64| {
+            let (x, y) = at.inverse().apply(x, y);
+            points.extend(PackedPoint::from_metres(x, y));
+        };
+        for i in 0..=200 {
+            let t = f64::from(i) / 200.0;
+            put(-3.0 + 6.0 * t, -2.0);
+            put(-3.0 + 6.0 * t, 2.0);
+            put(-3.0, -2.0 + 4.0 * t);
+            put(3.0, -2.0 + 4.0 * t);
+        }
+        points
+    }
+
+    proptest! {
+        #[test]
+        fn finds_back_to_the_true_pose(dx in -0.08..0.08f64, dy in -0.08..0.08f64, turn in -0.03..0.03f64) {
+            let mut grid = MomentGrid::default();
+            grid.add(&Placement::IDENTITY, &room(&Placement::IDENTITY));
+            let truth = Placement::new(0.4, -0.3, 0.7);
+            let guess = Placement::new(0.4 + dx, -0.3 + dy, 0.7 + turn);
+            let found = Aligner::default().align(&mut grid, &room(&truth), guess).unwrap();
+            prop_assert!(found.placement.distance_m(&truth) < 0.003, "{found:?}");
+            prop_assert!(found.placement.turn_rad(&truth) < 0.001 && found.inliers > 0.95);
+        }
+    }
+
+    #[test]
+    fn a_corridor_keeps_the_guess_along_itself() {
+        let wall =
+            |y: f64| (0..300).filter_map(move |i| PackedPoint::from_metres(f64::from(i) * 0.05 - 7.5, y));
+        let points: Vec<_> = wall(1.0).chain(wall(-1.0)).collect();
+        let mut grid = MomentGrid::default();
+        grid.add(&Placement::IDENTITY, &points);
+        let found = Aligner::default().align(&mut grid, &points, Placement::new(0.5, 0.05, 0.01)).unwrap();
+        assert!((found.placement.x_m - 0.5).abs() < 0.02 && found.placement.y_m.abs() < 0.002, "{found:?}");
+        assert!(found.information[0] < 0.01 * found.information[3]);
+    }
+}

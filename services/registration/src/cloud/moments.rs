@@ -1,0 +1,253 @@
+use super::{PackedPoint, Placement};
+
+/// Units in a metre of the fixed-point coordinates: a quarter of a millimetre each.
+const UNITS_PER_M: f64 = 4000.0;
+/// Side of a cell in units: 0.1 m.
+const CELL_UNITS: i32 = 400;
+/// Cells along a side of the torus, a power of two: 51.2 m.
+const SIDE: i32 = 512;
+/// Fewest points from which a line is fitted.
+const LINE_POINTS_MIN: i32 = 3;
+
+/// Zeroth, first and second moments of the points in a cell, about the cell's centre, in units.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Moments {
+    count: i32,
+    x: i32,
+    y: i32,
+    xx: i32,
+    xy: i32,
+    yy: i32,
+}
+
+/// The local line of a submap: a point on it, its unit normal, and how much it deserves to be called a line.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Line {
+    /// Metres along x of a point on the line, in the grid's frame.
+    pub x_m: f64,
+    /// Metres along y of that point.
+    pub y_m: f64,
+    /// Unit normal, x.
+    pub normal_x: f64,
+    /// Unit normal, y.
+    pub normal_y: f64,
+    /// 0 for a round blob … 1 for a thin line.
+    pub flatness: f64,
+}
+
+/// A fitted line is remembered until the grid changes.
+#[derive(Clone, Copy, Default)]
+struct Remembered {
+    version: u32,
+    flatness: f32,
+    x_m: f32,
+    y_m: f32,
+    normal_x: f32,
+    normal_y: f32,
+}
+
+/// Points of a few scans as moments in cells of 0.1 m, from which local lines are read with sub-cell
+/// accuracy.
+///
+/// Sums are integers: what is added can be withdrawn again, exactly, in any order. The cells lie on a torus
+/// of 51 m, so the grid follows the robot without being moved; all points held at one time must fit on it.
+pub struct MomentGrid {
+    cells: Vec<Moments>,
+    lines: Vec<Remembered>,
+    version: u32,
+}
+
+impl Default for MomentGrid {
+    fn default() -> Self {
+        let cells = (SIDE * SIDE) as usize;
+        Self { cells: vec![Moments::default(); cells], lines: vec![Remembered::default(); cells], version: 1 }
+    }
+}
+
+impl MomentGrid {
+    /// Distance between two points beyond which they could share a cell of the torus, metres.
+    pub const SPAN_M: f64 = (SIDE * CELL_UNITS) as f64 / UNITS_PER_M;
+    /// Side of a cell, metres.
+    pub const CELL_M: f64 = CELL_UNITS as f64 / UNITS_PER_M;
+
+    /// Adds a scan's points, seen from `at`.
+    pub fn add(&mut self, at: &Placement, points: &[PackedPoint]) {
+        self.change(at, points, 1);
+    }
+
+    /// Takes back what [`Self::add`] with the same arguments has added.
+    pub fn withdraw(&mut self, at: &Placement, points: &[PackedPoint]) {
+        self.change(at, points, -1);
+    }
+
+    fn change(&mut self, at: &Placement, points: &[PackedPoint], sign: i32) {
+        self.version += 1;
+        for point in points {
+            let (x_m, y_m) = at.apply(point.x_m(), point.y_m());
+            let (x, y) = (units(x_m), units(y_m));
+            let (column, row) = (x.div_euclid(CELL_UNITS), y.div_euclid(CELL_UNITS));
+            let (dx, dy) = (x - column * CELL_UNITS - CELL_UNITS / 2, y - row * CELL_UNITS - CELL_UNITS / 2);
+            let cell = &mut self.cells[index(column, row)];
+            cell.count += sign;
+            cell.x += sign * dx;
+            cell.y += sign * dy;
+            cell.xx += sign * dx * dx;
+            cell.xy += sign * dx * dy;
+            cell.yy += sign * dy * dy;
+        }
+    }
+
+    /// Number of points in the cell that holds (x, y) metres.
+    pub fn count_at(&self, x_m: f64, y_m: f64) -> i32 {
+        self.cells[index(units(x_m).div_euclid(CELL_UNITS), units(y_m).div_euclid(CELL_UNITS))].count
+    }
+
+    /// The line that belongs to the point (x, y) metres: that of its own cell, else of the nearest occupied
+    /// cell among the eight around it. `None` when there is none.
+    #[inline]
+    pub fn line_near(&mut self, x_m: f64, y_m: f64) -> Option<Line> {
+        let (x, y) = (units(x_m), units(y_m));
+        let (column, row) = (x.div_euclid(CELL_UNITS), y.div_euclid(CELL_UNITS));
+        let (column, row) = if self.cells[index(column, row)].count > 0 {
+            (column, row)
+        } else {
+            self.nearest_occupied(x, y, column, row)?
+        };
+        let line = self.line_of(column, row);
+        (line.flatness > 0.0).then_some(line)
+    }
+
+    fn nearest_occupied(&self, x: i32, y: i32, column: i32, row: i32) -> Option<(i32, i32)> {
+        let mut nearest = None;
+        let mut least = i32::MAX;
+        for r in row - 1..=row + 1 {
+            for c in column - 1..=column + 1 {
+                let cell = &self.cells[index(c, r)];
+                if cell.count > 0 {
+                    let dx = x - c * CELL_UNITS - CELL_UNITS / 2 - cell.x / cell.count;
+                    let dy = y - r * CELL_UNITS - CELL_UNITS / 2 - cell.y / cell.count;
+                    let squared = dx * dx + dy * dy;
+                    if squared < least {
+                        (least, nearest) = (squared, Some((c, r)));
+                    }
+                }
+            }
+        }
+        nearest
+    }
+
+    fn line_of(&mut self, column: i32, row: i32) -> Line {
+        let slot = index(column, row);
+        if self.lines[slot].version != self.version {
+            self.lines[slot] = self.fit(column, row);
+        }
+        let line = self.lines[slot];
+        let (center_x_m, center_y_m) = (center_m(column), center_m(row));
+        Line {
+            x_m: center_x_m + f64::from(line.x_m),
+            y_m: center_y_m + f64::from(line.y_m),
+            normal_x: f64::from(line.normal_x),
+            normal_y: f64::from(line.normal_y),
+            flatness: f64::from(line.flatness),
+        }
+    }
+
+    /// Fits a line to the points of a cell and its eight neighbours: the direction comes from all of them,
+    /// the anchor from the cell itself.
+    fn fit(&self, column: i32, row: i32) -> Remembered {
+        let (mut n, mut sx, mut sy, mut sxx, mut sxy, mut syy) = (0i64, 0i64, 0i64, 0i64, 0i64, 0i64);
+        for r in -1..=1i32 {
+            for c in -1..=1i32 {
+                let cell = &self.cells[index(column + c, row + r)];
+                let count = i64::from(cell.count);
+                let (ox, oy) = (i64::from(c * CELL_UNITS), i64::from(r * CELL_UNITS));
+                let (x, y) = (i64::from(cell.x), i64::from(cell.y));
+                n += count;
+                sx += x + count * ox;
+                sy += y + count * oy;
+                sxx += i64::from(cell.xx) + 2 * ox * x + count * ox * ox;
+                sxy += i64::from(cell.xy) + ox * y + oy * x + count * ox * oy;
+                syy += i64::from(cell.yy) + 2 * oy * y + count * oy * oy;
+            }
+        }
+        let own = &self.cells[index(column, row)];
+        let mut line = Remembered { version: self.version, ..Remembered::default() };
+        if n < i64::from(LINE_POINTS_MIN) || own.count == 0 {
+            return line;
+        }
+        let inverse = 1.0 / n as f64;
+        let (mx, my) = (sx as f64 * inverse, sy as f64 * inverse);
+        let (a, b, d) =
+            (sxx as f64 * inverse - mx * mx, sxy as f64 * inverse - mx * my, syy as f64 * inverse - my * my);
+        let half_gap = (0.25 * (a - d) * (a - d) + b * b).sqrt();
+        let middle = 0.5 * (a + d);
+        if half_gap <= 0.0 || middle <= 0.0 {
+            return line;
+        }
+        // Eigenvector of the larger eigenvalue, from whichever row of (C - λI) is better conditioned.
+        let along = if a >= d { (half_gap + 0.5 * (a - d), b) } else { (b, half_gap + 0.5 * (d - a)) };
+        let length = (along.0 * along.0 + along.1 * along.1).sqrt();
+        (line.normal_x, line.normal_y) = ((-along.1 / length) as f32, (along.0 / length) as f32);
+        line.flatness = (half_gap / middle) as f32;
+        let own_inverse = 1.0 / (f64::from(own.count) * UNITS_PER_M);
+        line.x_m = (f64::from(own.x) * own_inverse) as f32;
+        line.y_m = (f64::from(own.y) * own_inverse) as f32;
+        line
+    }
+}
+
+#[inline]
+fn units(metres: f64) -> i32 {
+    // Half a million metres away all cells are one; nothing overflows.
+    (metres * UNITS_PER_M).floor().clamp(-2e9, 2e9) as i32
+}
+
+#[inline]
+fn center_m(cell: i32) -> f64 {
+    f64::from(cell * CELL_UNITS + CELL_UNITS / 2) / UNITS_PER_M
+}
+
+#[inline]
+fn index(column: i32, row: i32) -> usize {
+    ((row & (SIDE - 1)) * SIDE + (column & (SIDE - 1))) as usize
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn wall() -> Vec<PackedPoint> {
+        // y = 2 + x/2, from x = -1 to 3 m.
+        (0..200)
+            .map(|i| f64::from(i) * 0.02 - 1.0)
+            .filter_map(|x| PackedPoint::from_metres(x, 2.0 + 0.5 * x))
+            .collect()
+    }
+
+    #[test]
+    fn reads_a_wall_with_sub_cell_accuracy() {
+        let mut grid = MomentGrid::default();
+        grid.add(&Placement::IDENTITY, &wall());
+        for x in [-0.5, 0.03, 1.111, 2.5] {
+            let line = grid.line_near(x, 2.0 + 0.5 * x + 0.02).unwrap();
+            let distance = line.normal_x * (x - line.x_m) + line.normal_y * (2.0 + 0.5 * x - line.y_m);
+            assert!(distance.abs() < 0.002, "{distance}");
+            assert!((line.normal_x / line.normal_y + 0.5).abs() < 0.02 && line.flatness > 0.95, "{line:?}");
+        }
+        assert!(grid.line_near(0.0, 4.0).is_none());
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_withdrawn_leaves_no_trace(x in -40.0..40.0f64, y in -40.0..40.0f64, heading in -3.0..3.0f64) {
+            let mut grid = MomentGrid::default();
+            grid.add(&Placement::IDENTITY, &wall());
+            let before = grid.cells.clone();
+            let elsewhere = Placement::new(x, y, heading);
+            grid.add(&elsewhere, &wall());
+            grid.withdraw(&elsewhere, &wall());
+            prop_assert_eq!(before, grid.cells);
+        }
+    }
+}

@@ -1,0 +1,254 @@
+use crate::field::{ScoreField, ScoreRead, bilinear};
+use flockslam_evidence::Level;
+use flockslam_geometry::{Covariance, Point, Pose, wrap_angle};
+use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// Settings of [`GaussNewton`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GaussNewton {
+    /// Iterations on cells four times, twice and once as wide as the grid's.
+    pub iterations: [u32; 3],
+    /// Longest step of one iteration, metres.
+    pub step_max_m: f64,
+    /// Greatest turn of one iteration, radians.
+    pub turn_max_rad: f64,
+    /// Pull towards the prediction's position, per m² and point.
+    pub prior_xy: f64,
+    /// Pull towards the prediction's heading, per rad² and point.
+    pub prior_heading: f64,
+}
+
+impl Default for GaussNewton {
+    fn default() -> Self {
+        Self { iterations: [4, 4, 6], step_max_m: 0.5, turn_max_rad: 0.2, prior_xy: 0.5, prior_heading: 0.1 }
+    }
+}
+
+/// A scan fitted to a field.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fit {
+    /// Frame of the field from the frame of the points.
+    pub pose: Pose,
+    /// Mean score of the points, 0 … 1.
+    pub score: f64,
+    /// Jᵀ J summed over the points (per m², per m·rad, per rad²).
+    pub information: Matrix3<f64>,
+    /// Mean squared residual of the points.
+    pub noise: f64,
+    /// Number of points.
+    pub points: usize,
+}
+
+/// Below this step, in sides of its cells and in radians, a level has converged.
+const STEP_MIN_CELLS: f64 = 2e-3;
+const TURN_MIN_RAD: f64 = 2e-5;
+
+impl GaussNewton {
+    /// Fits `points` (metres, frame of the robot) to a field, from coarse to fine, starting at `start`.
+    ///
+    /// Minimises `Σ (1 - M(T p))² / n` plus a pull towards `prediction`, M being the field's score interpolated
+    /// bilinearly. Needs at least one point.
+    pub fn fit<F: ScoreField>(&self, field: &F, points: &[Point], prediction: Pose, start: Pose) -> Fit {
+        let mut pose = start;
+        for (level, iterations) in [Level::Quarter, Level::Half, Level::Full].into_iter().zip(self.iterations)
+        {
+            let mut read = field.reader(level);
+            for _ in 0..iterations {
+                let system = NormalEquations::of(&mut read, points, pose);
+                let Some(step) = self.step(&system, points.len(), prediction, pose) else { break };
+                pose = Pose::new(pose.x_m + step.x, pose.y_m + step.y, pose.heading_rad + step.z);
+                if step.xy().amax() < STEP_MIN_CELLS * read.cell_size_m() && step.z.abs() < TURN_MIN_RAD {
+                    break;
+                }
+            }
+        }
+        Fit::at(field, points, pose)
+    }
+
+    fn step(
+        &self,
+        system: &NormalEquations,
+        points: usize,
+        prediction: Pose,
+        pose: Pose,
+    ) -> Option<Vector3<f64>> {
+        let share = 1.0 / points as f64;
+        let prior = Vector3::new(self.prior_xy, self.prior_xy, self.prior_heading);
+        let pull = Vector3::new(
+            prediction.x_m - pose.x_m,
+            prediction.y_m - pose.y_m,
+            wrap_angle(prediction.heading_rad - pose.heading_rad),
+        );
+        let hessian = system.hessian * share + Matrix3::from_diagonal(&prior);
+        let gradient = system.gradient * share + prior.component_mul(&pull);
+        let step = hessian.cholesky()?.solve(&gradient);
+        let length = step.x.hypot(step.y);
+        let scale = if length > self.step_max_m { self.step_max_m / length } else { 1.0 };
+        Some(Vector3::new(
+            step.x * scale,
+            step.y * scale,
+            step.z.clamp(-self.turn_max_rad, self.turn_max_rad),
+        ))
+    }
+}
+
+/// Sums over all points of the linearised problem, not yet divided by their number.
+struct NormalEquations {
+    hessian: Matrix3<f64>,
+    gradient: Vector3<f64>,
+    score: f64,
+    squares: f64,
+}
+
+impl NormalEquations {
+    fn of(read: &mut impl ScoreRead, points: &[Point], pose: Pose) -> Self {
+        let per_metre = 1.0 / read.cell_size_m();
+        let (sin, cos) = pose.heading_rad.sin_cos();
+        let (mut xx, mut xy, mut xt, mut yy, mut yt, mut tt) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+        let (mut gx, mut gy, mut gt, mut score, mut squares) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        for point in points {
+            let (rx, ry) = (cos * point.x_m - sin * point.y_m, sin * point.x_m + cos * point.y_m);
+            let sample = bilinear(read, per_metre, rx + pose.x_m, ry + pose.y_m);
+            let residual = 1.0 - sample.value;
+            let (jx, jy) = (sample.slope_x, sample.slope_y);
+            let jt = rx * jy - ry * jx;
+            xx += jx * jx;
+            xy += jx * jy;
+            xt += jx * jt;
+            yy += jy * jy;
+            yt += jy * jt;
+            tt += jt * jt;
+            gx += jx * residual;
+            gy += jy * residual;
+            gt += jt * residual;
+            score += sample.value;
+            squares += residual * residual;
+        }
+        Self {
+            hessian: Matrix3::new(xx, xy, xt, xy, yy, yt, xt, yt, tt),
+            gradient: Vector3::new(gx, gy, gt),
+            score,
+            squares,
+        }
+    }
+}
+
+impl Fit {
+    /// Score and information of a pose, without moving it.
+    pub fn at<F: ScoreField>(field: &F, points: &[Point], pose: Pose) -> Fit {
+        let system = NormalEquations::of(&mut field.reader(Level::Full), points, pose);
+        let share = 1.0 / points.len().max(1) as f64;
+        Fit {
+            pose,
+            score: system.score * share,
+            information: system.hessian,
+            noise: system.squares * share,
+            points: points.len(),
+        }
+    }
+
+    /// Covariance of the pose, `s² (JᵀJ)⁻¹` with s² the mean squared residual; directions that the points do not
+    /// determine get the prior's standard deviations (metres, radians).
+    pub fn covariance(&self, prior_xy_m: f64, prior_heading_rad: f64) -> Covariance {
+        let prior = Vector3::new(prior_xy_m.powi(-2), prior_xy_m.powi(-2), prior_heading_rad.powi(-2));
+        let precision = self.information / self.noise.max(1e-6) + Matrix3::from_diagonal(&prior);
+        let Some(factor) = precision.cholesky() else {
+            return Covariance::diagonal(prior_xy_m, prior_heading_rad);
+        };
+        let c = factor.inverse();
+        Covariance {
+            xx: c[(0, 0)],
+            xy: c[(0, 1)],
+            xt: c[(0, 2)],
+            yy: c[(1, 1)],
+            yt: c[(1, 2)],
+            tt: c[(2, 2)],
+        }
+    }
+
+    /// How well the worst direction of translation is determined: the smaller eigenvalue of the information on
+    /// (x, y) with the heading left free, per m² and point. Small in a long corridor.
+    pub fn weakest_direction(&self) -> f64 {
+        let h = &self.information;
+        let turn = h[(2, 2)].max(f64::MIN_POSITIVE);
+        let (xx, yy) = (h[(0, 0)] - h[(0, 2)].powi(2) / turn, h[(1, 1)] - h[(1, 2)].powi(2) / turn);
+        let xy = h[(0, 1)] - h[(0, 2)] * h[(1, 2)] / turn;
+        let (mean, half) = (0.5 * (xx + yy), 0.5 * (xx - yy));
+        (mean - half.hypot(xy)).max(0.0) / self.points.max(1) as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::room;
+    use proptest::prelude::*;
+
+    fn solver() -> GaussNewton {
+        GaussNewton { iterations: [8, 8, 12], ..GaussNewton::default() }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+        #[test]
+        fn finds_the_pose_from_a_prediction_that_is_off(
+            x in -1.0..2.0f64, y in -1.0..0.5f64, heading in -3.0..3.0f64,
+            dx in -0.12..0.12f64, dy in -0.12..0.12f64, turn in -0.04..0.04f64
+        ) {
+            let grid = room::grid(&room::ROOM);
+            let truth = Pose::new(x, y, heading);
+            let start = Pose::new(x + dx, y + dy, heading + turn);
+            let fit = solver().fit(&room::field(&grid), &room::scan(truth), start, start);
+            prop_assert!(fit.pose.distance_m(truth) < 0.015 && fit.pose.turn_rad(truth) < 0.005, "{:?}", fit.pose);
+            prop_assert!(fit.score > 0.8 && fit.weakest_direction() > 1.0);
+            let c = fit.covariance(0.3, 0.15);
+            prop_assert!(c.xx > 0.0 && c.yy > 0.0 && c.tt > 0.0 && c.xx < 0.01 && c.tt < 0.001);
+        }
+    }
+
+    #[test]
+    fn derivatives_are_those_of_the_score() {
+        let grid = room::grid(&room::ROOM);
+        let field = room::field(&grid);
+        let mut read = crate::ScoreField::reader(&field, Level::Full);
+        let step = 1e-7;
+        for (x, y) in [(3.931, 0.273), (-1.957, -0.328), (0.812, 1.468)] {
+            let mut value = |x: f64, y: f64| bilinear(&mut read, 20.0, x, y).value;
+            let (dx, dy) =
+                ((value(x + step, y) - value(x, y)) / step, (value(x, y + step) - value(x, y)) / step);
+            let sample = bilinear(&mut read, 20.0, x, y);
+            assert!((sample.slope_x - dx).abs() < 1e-3 && (sample.slope_y - dy).abs() < 1e-3);
+        }
+    }
+
+    #[test]
+    fn a_corridor_is_weak_along_itself_and_keeps_the_prediction_there() {
+        let walls = [(0.0, 1.0, 1.02), (0.0, 1.0, -0.97)];
+        let grid = room::grid(&walls);
+        let points: Vec<Point> = (-60..60)
+            .map(|i| f64::from(i) * 0.1)
+            .flat_map(|x| [Point::new(x, 1.02), Point::new(x, -0.97)])
+            .collect();
+        let start = Pose::new(0.07, 0.06, 0.01);
+        let fit = solver().fit(&room::field(&grid), &points, start, start);
+        assert!(fit.weakest_direction() < 0.1, "{}", fit.weakest_direction());
+        assert!(
+            (fit.pose.x_m - 0.07).abs() < 0.01
+                && fit.pose.y_m.abs() < 0.005
+                && fit.pose.heading_rad.abs() < 0.002
+        );
+        let c = fit.covariance(0.3, 0.15);
+        assert!(c.xx > 0.05 && c.yy < 0.001);
+    }
+
+    #[test]
+    fn nothing_to_see_leaves_the_prediction() {
+        let grid: flockslam_evidence::TileGrid<Box<flockslam_evidence::Tile>> =
+            flockslam_evidence::TileGrid::new(0.05);
+        let start = Pose::new(1.0, 2.0, 0.5);
+        let fit = solver().fit(&room::field(&grid), &[Point::new(1.0, 0.0)], start, start);
+        assert_eq!((fit.pose, fit.score), (start, 0.0));
+    }
+}

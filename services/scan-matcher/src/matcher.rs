@@ -1,0 +1,273 @@
+use crate::motion::{Motion, Prediction};
+use crate::settings::{Settings, Strategy};
+use flockslam_evidence::{Tile, TileGrid};
+use flockslam_geometry::{Covariance, Point, Pose};
+use flockslam_messages::{Commit, LayoutHeader, PoseEstimate, PoseFlags, Quality, ScanView, Verdict};
+use flockslam_registration::{CorrelativeSearch, Fit, GridField, ScoreField, Window, beam_weight};
+use std::ops::Deref;
+
+/// Fewer points than this fix no pose.
+const POINTS_MIN: usize = 5;
+/// A fit whose weakest direction is below this (per m² and point) slides along it.
+const WEAK_DIRECTION: f64 = 1.0;
+/// Standard deviations assumed of the prediction where the scan determines nothing.
+const PRIOR_SIGMA: (f64, f64) = (0.3, 0.15);
+
+/// Fits scans to the grid. A pure function of its calls.
+#[derive(Debug)]
+pub struct ScanMatcher {
+    settings: Settings,
+    motion: Motion,
+    inserted: Option<Pose>,
+    mean_score: f64,
+    last_score: f64,
+    matched: u64,
+    /// Scans in a row whose fit was not believed.
+    lost: u32,
+    generation: u64,
+    active_submap: u32,
+    map_from_odom: Pose,
+    layout_revision: u32,
+    points: Vec<Point>,
+    weights: Vec<f64>,
+    search: CorrelativeSearch,
+}
+
+/// A matched pose.
+struct Match {
+    pose: Pose,
+    covariance: Covariance,
+    score: f64,
+    quality: Quality,
+    rescued: bool,
+}
+
+impl ScanMatcher {
+    /// A matcher at the origin of its odom frame.
+    pub fn new(settings: Settings) -> Self {
+        Self {
+            motion: Motion::new(),
+            inserted: None,
+            mean_score: 0.0,
+            last_score: 0.0,
+            matched: 0,
+            lost: 0,
+            generation: 0,
+            active_submap: 0,
+            map_from_odom: Pose::IDENTITY,
+            layout_revision: 0,
+            points: Vec::new(),
+            weights: Vec::new(),
+            search: CorrelativeSearch::default(),
+            settings,
+        }
+    }
+
+    /// The pose of a scan against the grid as it was last committed.
+    pub fn handle<H: Deref<Target = Tile>>(
+        &mut self,
+        scan: ScanView<'_>,
+        verdict: &Verdict,
+        grid: &TileGrid<H>,
+    ) -> PoseEstimate {
+        let prediction = self.motion.predict(scan);
+        let withheld = scan.header().withheld == 1;
+        let overridden = verdict.keep == 0 && !withheld && self.overrules(&prediction);
+        let mut estimate = self.predicted(scan, verdict, &prediction);
+        if withheld || (verdict.keep == 0 && !overridden) {
+            self.motion.advance(scan, prediction.pose, prediction.covariance);
+            return estimate;
+        }
+        if overridden {
+            estimate.flags |= PoseFlags::OVERRIDDEN;
+        }
+        self.take_points(scan);
+        if self.points.len() < POINTS_MIN {
+            estimate.quality = Quality::Degraded as u32;
+            self.motion.advance(scan, prediction.pose, prediction.covariance);
+            return estimate;
+        }
+        if grid.is_empty() {
+            estimate.quality = Quality::Tracking as u32;
+        } else {
+            let field = GridField::new(grid, self.settings.unknown_score);
+            let found = self.match_scan(&field, &prediction, scan);
+            self.fill(&mut estimate, &found);
+        }
+        self.motion.advance(scan, estimate.odom_from_base, estimate.covariance);
+        if self.enters_map(&estimate) {
+            estimate.flags |= PoseFlags::INSERT;
+            self.inserted = Some(estimate.odom_from_base);
+        }
+        estimate
+    }
+
+    /// A generation of the grid became valid.
+    pub fn committed(&mut self, commit: &Commit) {
+        self.generation = commit.generation;
+        self.active_submap = commit.active_submap;
+    }
+
+    /// sync-manager has a new correction.
+    pub fn corrected(&mut self, layout: &LayoutHeader) {
+        self.map_from_odom = layout.map_from_odom;
+        self.layout_revision = layout.revision;
+    }
+
+    /// Continues, after a restart, from the last pose that was published.
+    pub fn resume(&mut self, last: &PoseEstimate) {
+        let odometry = last.has(PoseFlags::HAS_ODOMETRY).then_some(last.odometry);
+        self.motion.resume(last.odom_from_base, last.covariance, odometry, last.times.sensor_ns);
+        self.map_from_odom = last.map_from_odom;
+        self.layout_revision = last.layout_revision;
+        self.generation = last.generation;
+        self.active_submap = last.submap;
+        self.inserted = Some(last.odom_from_base);
+        (self.mean_score, self.last_score) = (last.score, last.score);
+    }
+
+    fn take_points(&mut self, scan: ScanView<'_>) {
+        let base_from_laser = scan.header().base_from_laser;
+        let limits = self.settings.range_min_m..=self.settings.range_max_m;
+        self.points.clear();
+        let stride = scan.len().div_ceil(self.settings.beams_max.max(1)).max(1);
+        for beam in (0..scan.len()).step_by(stride) {
+            let Some(range) = scan.valid_range_m(beam) else { continue };
+            if limits.contains(&range) {
+                let (sin, cos) = (base_from_laser.heading_rad + scan.angle_rad(beam)).sin_cos();
+                self.points
+                    .push(Point::new(base_from_laser.x_m + range * cos, base_from_laser.y_m + range * sin));
+            }
+        }
+    }
+
+    /// Whether a scan that the filter would drop is needed nevertheless.
+    fn overrules(&self, prediction: &Prediction) -> bool {
+        let gate = &self.settings.gate;
+        let variance = gate.sigma_max_m * gate.sigma_max_m;
+        self.matched < gate.start_scans
+            || self.last_score < gate.score_share * self.mean_score
+            || prediction.covariance.xx.max(prediction.covariance.yy) > variance
+    }
+
+    fn match_scan<F: ScoreField>(&mut self, field: &F, prediction: &Prediction, scan: ScanView<'_>) -> Match {
+        let (fit, rescued) = match self.settings.strategy {
+            Strategy::GaussNewton => self.gauss_newton(field, prediction.pose),
+            Strategy::MonteCarlo | Strategy::HillClimbing => {
+                (self.sampled(field, prediction.pose, scan), false)
+            }
+        };
+        let quality = self.judge(&fit, prediction.pose);
+        self.count(&fit, quality);
+        let covariance = fit.covariance(PRIOR_SIGMA.0, PRIOR_SIGMA.1);
+        Match { pose: fit.pose, covariance, score: fit.score, quality, rescued }
+    }
+
+    fn gauss_newton<F: ScoreField>(&mut self, field: &F, prediction: Pose) -> (Fit, bool) {
+        let solver = &self.settings.gauss_newton;
+        let fit = solver.fit(field, &self.points, prediction, prediction);
+        let rescue = &self.settings.rescue;
+        if fit.score >= rescue.below * self.mean_score {
+            return (fit, false);
+        }
+        let wider = f64::from(1 + self.lost.min(2));
+        let (reach_m, reach_rad) = (wider * rescue.reach_m, wider * rescue.reach_rad);
+        let window = Window { center: prediction, reach_m, reach_rad };
+        let found =
+            self.search.search(field, &self.points, window, (fit.pose, 0.5 * rescue.gain), rescue.candidates);
+        let refined = found.iter().map(|(_, pose)| solver.fit(field, &self.points, *pose, *pose));
+        match refined.max_by(|a, b| a.score.total_cmp(&b.score)) {
+            Some(best) if best.score > fit.score + rescue.gain => (best, true),
+            _ => (fit, false),
+        }
+    }
+
+    /// vinySLAM's matchers; beams that end outside the map at the first pose are left out.
+    fn sampled<F: ScoreField>(&mut self, field: &F, prediction: Pose, scan: ScanView<'_>) -> Fit {
+        self.points.retain(|point| field.covers(prediction.apply(*point)));
+        self.weights.clear();
+        self.weights.extend(self.points.iter().map(|point| beam_weight(*point)));
+        let (points, weights) = (&self.points, &self.weights);
+        let (pose, _) = match self.settings.strategy {
+            Strategy::MonteCarlo => {
+                let seed = self.settings.seed ^ scan.header().id.sequence.rotate_left(20);
+                self.settings.monte_carlo.search(field, points, weights, prediction, seed)
+            }
+            _ => self.settings.hill_climbing.search(field, points, weights, prediction),
+        };
+        Fit::at(field, points, pose)
+    }
+
+    fn count(&mut self, fit: &Fit, quality: Quality) {
+        self.last_score = fit.score;
+        if quality == Quality::Lost {
+            self.lost += 1;
+            return;
+        }
+        self.lost = 0;
+        self.matched += 1;
+        let rate = self.settings.rescue.mean_rate.max(1.0 / self.matched as f64);
+        self.mean_score += rate * (fit.score - self.mean_score);
+    }
+
+    fn judge(&self, fit: &Fit, prediction: Pose) -> Quality {
+        let rescue = &self.settings.rescue;
+        let share = fit.score / self.mean_score.max(f64::MIN_POSITIVE);
+        let jumps = fit.pose.distance_m(prediction) > rescue.jump_m
+            || fit.pose.turn_rad(prediction) > rescue.jump_rad;
+        let believed = share >= if jumps { rescue.below } else { rescue.lost_below };
+        if !believed && self.lost < rescue.lost_scans_max {
+            Quality::Lost
+        } else if share < self.settings.gate.score_share || fit.weakest_direction() < WEAK_DIRECTION {
+            Quality::Degraded
+        } else {
+            Quality::Tracking
+        }
+    }
+
+    fn enters_map(&self, estimate: &PoseEstimate) -> bool {
+        if estimate.quality == Quality::Lost as u32 {
+            return false;
+        }
+        let Some(last) = self.inserted else { return true };
+        let gate = &self.settings.gate;
+        let pose = estimate.odom_from_base;
+        last.distance_m(pose) >= gate.travel_m || last.turn_rad(pose) >= gate.turn_rad
+    }
+
+    fn predicted(&self, scan: ScanView<'_>, verdict: &Verdict, prediction: &Prediction) -> PoseEstimate {
+        let header = scan.header();
+        PoseEstimate {
+            id: header.id,
+            times: header.times,
+            odom_from_base: prediction.pose,
+            map_from_odom: self.map_from_odom,
+            odometry: scan.odometry().unwrap_or(Pose::IDENTITY),
+            covariance: prediction.covariance,
+            generation: self.generation,
+            submap: self.active_submap,
+            layout_revision: self.layout_revision,
+            flags: if scan.odometry().is_some() { PoseFlags::HAS_ODOMETRY } else { 0 },
+            drop_reason: verdict.reason,
+            ..PoseEstimate::default()
+        }
+    }
+
+    /// Takes a match over into the prediction; from a fit that is not believed only its score.
+    fn fill(&self, estimate: &mut PoseEstimate, found: &Match) {
+        estimate.score = found.score;
+        estimate.quality = found.quality as u32;
+        if found.quality == Quality::Lost {
+            return;
+        }
+        estimate.odom_from_base = found.pose;
+        estimate.covariance = found.covariance;
+        estimate.flags |= PoseFlags::MATCHED;
+        if found.rescued {
+            estimate.flags |= PoseFlags::RESCUED;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

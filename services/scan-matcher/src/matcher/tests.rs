@@ -1,0 +1,186 @@
+use super::*;
+use flockslam_geometry::wrap_angle;
+use flockslam_mapper::Mapper;
+use flockslam_messages::{DropReason, ScanBuffer};
+
+/// A room of 8 × 6 m with a pillar, seen from `pose`; odometry is what the wheels claim.
+fn look(sequence: u64, pose: Pose, odometry: Option<Pose>) -> ScanBuffer {
+    let walls = [(1.0, 0.0, 5.02), (1.0, 0.0, -3.04), (0.0, 1.0, 2.53), (0.0, 1.0, -3.48)];
+    let range = |i: u32| {
+        let angle = pose.heading_rad - 3.0 + 0.02 * f64::from(i);
+        let (sin, cos) = angle.sin_cos();
+        let to_wall = |(nx, ny, offset): (f64, f64, f64)| {
+            let range = (offset - nx * pose.x_m - ny * pose.y_m) / (nx * cos + ny * sin);
+            if range > 0.0 { range } else { f64::INFINITY }
+        };
+        let (px, py) = (2.7 - pose.x_m, 1.2 - pose.y_m);
+        let along = px * cos + py * sin;
+        let inside = 0.09 - (px * sin - py * cos).powi(2);
+        let pillar = if along > 0.0 && inside > 0.0 { along - inside.sqrt() } else { f64::INFINITY };
+        walls.into_iter().map(to_wall).fold(pillar, f64::min) as f32
+    };
+    let mut scan = ScanBuffer::from_ranges(&(0..300).map(range).collect::<Vec<_>>(), -3.0, 0.02);
+    scan.header.range_max_m = 40.0;
+    scan.header.id.sequence = sequence;
+    scan.header.times.sensor_ns = 100_000_000 * sequence as i64;
+    scan.header.odometry = odometry.unwrap_or_default();
+    scan.header.has_odometry = u32::from(odometry.is_some());
+    scan
+}
+
+struct FrontEnd {
+    matcher: ScanMatcher,
+    mapper: Mapper,
+    grid: TileGrid<Box<Tile>>,
+}
+
+impl FrontEnd {
+    fn new(settings: Settings) -> Self {
+        let mapper = flockslam_mapper::Settings::default();
+        let grid = TileGrid::new(mapper.cell_size_m);
+        Self { matcher: ScanMatcher::new(settings), mapper: Mapper::new(mapper), grid }
+    }
+
+    fn step(&mut self, scan: &ScanBuffer, keep: bool) -> PoseEstimate {
+        let view = scan.view().unwrap();
+        let reason = if keep { 0 } else { DropReason::Correlated as u32 };
+        let verdict = Verdict { id: scan.header.id, keep: u32::from(keep), reason, ..Verdict::default() };
+        let estimate = self.matcher.handle(view, &verdict, &self.grid);
+        if estimate.has(PoseFlags::INSERT) {
+            let insertion = self.mapper.insert(view, &estimate, &[]);
+            let (generation, active_submap) = (insertion.generation, insertion.active_submap);
+            let changed = insertion.changed.to_vec();
+            for key in changed {
+                let mut tile = Tile::unknown(0);
+                self.mapper.write_tile(key, &mut tile);
+                self.grid.set(key, tile).unwrap();
+            }
+            self.matcher.committed(&Commit { generation, active_submap, ..Commit::default() });
+        }
+        estimate
+    }
+}
+
+/// A curved drive through the room.
+fn truth(i: u64) -> Pose {
+    let t = i as f64;
+    Pose::new(0.04 * t, 0.3 * (0.05 * t).sin(), 0.02 * t)
+}
+
+/// Wheels that turn too much and slip.
+fn wheels(i: u64) -> Pose {
+    let turn = Pose::new(0.0, 0.0, 1.3);
+    (1..=i).fold(turn, |pose, k| {
+        let step = truth(k - 1).to(truth(k));
+        pose * Pose::new(0.9 * step.x_m, step.y_m, wrap_angle(step.heading_rad + 0.006))
+    })
+}
+
+#[test]
+fn follows_the_robot_whatever_the_wheels_say() {
+    let mut front_end = FrontEnd::new(Settings::default());
+    for i in 0..80 {
+        let estimate = front_end.step(&look(i, truth(i), Some(wheels(i))), true);
+        let expected = truth(0).to(truth(i));
+        assert!(estimate.odom_from_base.distance_m(expected) < 0.03, "{i}: {estimate:?} for {expected:?}");
+        assert!(estimate.odom_from_base.turn_rad(expected) < 0.01);
+        assert_eq!(estimate.has(PoseFlags::MATCHED), i > 0);
+        assert_eq!(estimate.quality, Quality::Tracking as u32);
+    }
+    let inserted = front_end.mapper.generation();
+    assert!((15..30).contains(&inserted), "{inserted} of 80 scans entered the map");
+}
+
+#[test]
+fn needs_no_wheels_and_no_sensible_stamps() {
+    let mut front_end = FrontEnd::new(Settings::default());
+    for i in 0..80 {
+        let mut scan = look(i, truth(i), None);
+        if i % 7 == 3 {
+            scan.header.times.sensor_ns -= 900_000_000;
+        }
+        let estimate = front_end.step(&scan, true);
+        assert!(estimate.odom_from_base.distance_m(truth(i)) < 0.05, "{i}: {estimate:?}");
+    }
+}
+
+#[test]
+fn a_dropped_scan_gets_a_predicted_pose_and_touches_nothing() {
+    let mut front_end = FrontEnd::new(Settings::default());
+    for i in 0..20 {
+        let early = front_end.step(&look(i, truth(i), Some(truth(i))), i >= 10);
+        assert_eq!(early.has(PoseFlags::OVERRIDDEN | PoseFlags::MATCHED), (1..10).contains(&i));
+    }
+    let generation = front_end.mapper.generation();
+    let dropped = front_end.step(&look(20, truth(20), Some(truth(20))), false);
+    assert!(dropped.odom_from_base.distance_m(truth(20)) < 0.02);
+    assert_eq!((dropped.flags, dropped.score), (PoseFlags::HAS_ODOMETRY, 0.0));
+    assert_eq!(dropped.drop_reason, DropReason::Correlated as u32);
+    assert_eq!(front_end.mapper.generation(), generation);
+    let overruled = (21..60).map(|i| front_end.step(&look(i, truth(i), Some(truth(i))), false));
+    assert!(overruled.filter(|pose| pose.has(PoseFlags::OVERRIDDEN)).count() > 0, "drift is bounded");
+}
+
+#[test]
+fn a_withheld_scan_is_never_matched() {
+    let mut front_end = FrontEnd::new(Settings::default());
+    let mut scan = look(0, truth(0), Some(truth(0)));
+    scan.header.withheld = 1;
+    assert_eq!(front_end.step(&scan, false).flags, PoseFlags::HAS_ODOMETRY);
+}
+
+#[test]
+fn a_slip_of_the_wheels_is_rescued_and_nonsense_never_enters_the_map() {
+    let mut front_end = FrontEnd::new(Settings::default());
+    for i in 0..30 {
+        front_end.step(&look(i, truth(i), Some(truth(i))), true);
+    }
+    let slip = Pose::new(0.45, -0.3, 0.3);
+    let estimate = front_end.step(&look(30, truth(30), Some(truth(30) * slip)), true);
+    assert!(estimate.odom_from_base.distance_m(truth(30)) < 0.03, "{estimate:?}");
+    assert!(estimate.has(PoseFlags::RESCUED));
+
+    let mut noise = look(31, truth(31), Some(truth(31) * slip));
+    noise.numbers.iter_mut().enumerate().for_each(|(i, range)| *range = 0.5 + (i * 7919 % 97) as f32 * 0.01);
+    let lost = front_end.step(&noise, true);
+    assert_eq!((lost.quality, lost.has(PoseFlags::INSERT)), (Quality::Lost as u32, false));
+    let found = front_end.step(&look(32, truth(32), Some(truth(32) * slip)), true);
+    assert!(found.odom_from_base.distance_m(truth(32)) < 0.03 && found.quality == Quality::Tracking as u32);
+}
+
+#[test]
+fn continues_where_its_predecessor_stopped() {
+    let mut front_end = FrontEnd::new(Settings::default());
+    let last = (0..30).map(|i| front_end.step(&look(i, truth(i), Some(wheels(i))), true)).last().unwrap();
+    front_end.matcher.corrected(&LayoutHeader { revision: 2, ..LayoutHeader::default() });
+    front_end.matcher = ScanMatcher::new(Settings::default());
+    front_end.matcher.resume(&last);
+    let estimate = front_end.step(&look(30, truth(30), Some(wheels(30))), true);
+    assert!(estimate.odom_from_base.distance_m(truth(30)) < 0.03 && estimate.has(PoseFlags::MATCHED));
+    assert_eq!((estimate.generation, estimate.submap), (last.generation, last.submap));
+}
+
+#[test]
+fn all_strategies_follow_and_repeat_themselves() {
+    for strategy in [Strategy::GaussNewton, Strategy::MonteCarlo, Strategy::HillClimbing] {
+        let settings = Settings { strategy, ..Settings::default() };
+        let mut pair = [FrontEnd::new(settings.clone()), FrontEnd::new(settings)];
+        for i in 0..30 {
+            let scan = look(i, truth(i), Some(truth(i)));
+            let poses = pair.each_mut().map(|front_end| front_end.step(&scan, true));
+            assert_eq!(poses[0], poses[1]);
+            assert!(poses[0].odom_from_base.distance_m(truth(i)) < 0.15, "{strategy:?} {i}");
+        }
+    }
+}
+
+#[test]
+fn scans_of_any_size_are_taken() {
+    let mut front_end = FrontEnd::new(Settings::default());
+    for (sequence, beams) in [0usize, 1, 4, 1_000_000].into_iter().enumerate() {
+        let mut scan = ScanBuffer::from_ranges(&vec![3.0; beams], -3.0, 6.0 / beams.max(1) as f64);
+        scan.header.id.sequence = sequence as u64;
+        let estimate = front_end.step(&scan, true);
+        assert_eq!(estimate.has(PoseFlags::INSERT), beams > 4, "{beams}");
+    }
+}

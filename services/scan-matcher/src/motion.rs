@@ -1,0 +1,90 @@
+use flockslam_geometry::{Covariance, Pose, Twist};
+use flockslam_messages::ScanView;
+
+/// Seconds between scans assumed before the first two stamps are known, and for steps that are no step.
+const PERIOD_START_S: f64 = 0.1;
+/// Longest step between stamps that is still believed, seconds.
+const PERIOD_MAX_S: f64 = 2.0;
+/// Growth of a predicted position's variance per metre travelled, m²/m: 0.1 m after half a metre on poor wheels.
+const DRIFT_XY: f64 = 0.02;
+/// Growth of a predicted heading's variance per radian turned, rad²/rad.
+const DRIFT_HEADING: f64 = 0.01;
+
+/// Where the robot should be, from its last pose and the wheels, or from its last velocity when it has no wheels.
+#[derive(Clone, Debug)]
+pub(crate) struct Motion {
+    pub(crate) pose: Pose,
+    pub(crate) covariance: Covariance,
+    odometry: Option<Pose>,
+    stamp_ns: Option<i64>,
+    period_s: f64,
+    velocity: Twist,
+}
+
+/// A predicted pose with its uncertainty.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Prediction {
+    pub(crate) pose: Pose,
+    pub(crate) covariance: Covariance,
+}
+
+impl Motion {
+    pub(crate) fn new() -> Self {
+        Self {
+            pose: Pose::IDENTITY,
+            covariance: Covariance::default(),
+            odometry: None,
+            stamp_ns: None,
+            period_s: PERIOD_START_S,
+            velocity: Twist::default(),
+        }
+    }
+
+    /// Continues at a pose whose scan had this odometry and stamp.
+    pub(crate) fn resume(
+        &mut self,
+        pose: Pose,
+        covariance: Covariance,
+        odometry: Option<Pose>,
+        stamp_ns: i64,
+    ) {
+        *self = Self { pose, covariance, odometry, stamp_ns: Some(stamp_ns), ..Self::new() };
+    }
+
+    /// The pose at this scan as it follows from the one before. Odometry is a motion in the robot's own frame, so
+    /// composing it turns it into the corrected heading.
+    pub(crate) fn predict(&self, scan: ScanView<'_>) -> Prediction {
+        let motion = match (self.odometry, scan.odometry()) {
+            (Some(before), Some(now)) => before.to(now),
+            _ => self.velocity.motion_after(self.step_s(scan.header().times.sensor_ns)),
+        };
+        let (travel, turn) = (motion.x_m.hypot(motion.y_m), motion.heading_rad.abs());
+        let mut covariance = self.covariance;
+        let position = DRIFT_XY * travel + self.covariance.tt * travel * travel;
+        covariance.xx += position;
+        covariance.yy += position;
+        covariance.tt += DRIFT_HEADING * turn;
+        Prediction { pose: self.pose * motion, covariance }
+    }
+
+    /// Takes over what became of a scan.
+    pub(crate) fn advance(&mut self, scan: ScanView<'_>, pose: Pose, covariance: Covariance) {
+        let stamp_ns = scan.header().times.sensor_ns;
+        let step_s = self.step_s(stamp_ns);
+        if self.stamp_ns.is_some() {
+            self.velocity = Twist::from_motion(self.pose.to(pose), step_s);
+            self.period_s += 0.05 * (step_s - self.period_s);
+        }
+        self.pose = pose;
+        self.covariance = covariance;
+        self.odometry = scan.odometry();
+        self.stamp_ns = Some(stamp_ns);
+    }
+
+    /// Seconds since the scan before; the nominal period when the stamps do not step forward.
+    fn step_s(&self, stamp_ns: i64) -> f64 {
+        let Some(before) = self.stamp_ns else { return self.period_s };
+        let step = stamp_ns.saturating_sub(before) as f64 * 1e-9;
+        if step > 0.0 && step <= PERIOD_MAX_S { step } else { self.period_s }
+    }
+}

@@ -1,0 +1,233 @@
+//! The shell of scan-matcher: joins scan, verdict, grid and corrections, writes the journal, publishes poses.
+
+use crate::{ScanMatcher, Settings};
+use flockslam_bus::{BellRinger, Publisher, ScanSample, Subscriber};
+use flockslam_messages::{DropReason, LayoutHeader, PoseEstimate, PoseFlags, Stage, Verdict};
+use flockslam_stage::{
+    Acknowledger, Actor, GridReader, JournalReader, JournalWriter, Mode, PendingScans, StageContext, StageError,
+    StreamEnd, run,
+};
+use flockslam_telemetry::monotonic_ns;
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// Live: a verdict that is later than this after its scan is not waited for; the scan is processed.
+const VERDICT_DEADLINE_NS: u64 = 20_000_000;
+/// Live: an inserted scan that is not in the grid after this is not waited for.
+const COMMIT_DEADLINE_NS: u64 = 100_000_000;
+/// How often the others are woken for poses that they only have to count.
+const QUIET_SCANS: u64 = 8;
+
+/// Runs the stage until it is asked to stop.
+///
+/// # Errors
+/// When the bus or the journal fails.
+pub fn run_stage(context: &mut StageContext, settings: Settings, cell_size_m: f64) -> Result<(), StageError> {
+    let bell = context.bus.listener(Stage::ScanMatcher.name())?;
+    let mut actor = Matcher::open(context, settings, cell_size_m)?;
+    run(context, &mut actor, &bell)
+}
+
+struct Matcher {
+    logic: ScanMatcher,
+    scans: PendingScans,
+    verdicts: Subscriber<Verdict>,
+    waiting_verdicts: VecDeque<Verdict>,
+    layouts: Subscriber<LayoutHeader>,
+    waiting_layouts: VecDeque<LayoutHeader>,
+    /// sync-manager has finished with all submaps below this.
+    finished_submaps: u32,
+    grid: GridReader,
+    /// Sequence of the accepted scan whose commit is awaited, and since when.
+    awaited: Option<(u64, u64)>,
+    poses: Publisher<PoseEstimate>,
+    journal: JournalWriter,
+    bells: [BellRinger; 3],
+    acknowledger: Acknowledger,
+    stream: StreamEnd,
+}
+
+impl Matcher {
+    fn open(context: &mut StageContext, settings: Settings, cell_size_m: f64) -> Result<Self, StageError> {
+        let mut logic = ScanMatcher::new(settings);
+        let last = last_pose(context)?;
+        let next = last.as_ref().map_or(0, |pose| pose.id.sequence + 1);
+        let bus = &context.bus;
+        let grid = GridReader::open(context, cell_size_m)?;
+        if let Some(last) = &last {
+            logic.resume(last);
+            grid.ask_for_tiles()?;
+        }
+        Ok(Self {
+            logic,
+            scans: PendingScans::new(bus.scan_subscriber()?, context.capacity.window, next),
+            verdicts: bus.subscriber()?,
+            waiting_verdicts: VecDeque::with_capacity(2 * context.capacity.window),
+            layouts: bus.subscriber()?,
+            waiting_layouts: VecDeque::new(),
+            finished_submaps: 0,
+            grid,
+            awaited: None,
+            poses: bus.publisher()?,
+            journal: JournalWriter::open(&context.journal_dir)?,
+            bells: [
+                bus.ringer(Stage::Mapper.name())?,
+                bus.ringer(Stage::DynamicCleaner.name())?,
+                bus.ringer(Stage::SyncManager.name())?,
+            ],
+            acknowledger: Acknowledger::open(context, next)?,
+            stream: StreamEnd::open(context)?,
+        })
+    }
+
+    fn drain(&mut self, context: &StageContext) -> Result<(), StageError> {
+        self.scans.drain()?;
+        while let Some(verdict) = self.verdicts.receive()? {
+            self.waiting_verdicts.push_back(*verdict);
+        }
+        if let Some(commit) = self.grid.drain()? {
+            self.logic.committed(&commit);
+        }
+        while let Some(layout) = self.layouts.receive()? {
+            self.finished_submaps = self.finished_submaps.max(layout.submap + 1);
+            self.waiting_layouts.push_back(*layout);
+        }
+        self.apply_layouts(context.mode);
+        Ok(())
+    }
+
+    /// In replay a correction takes effect at a named place: with the first scan of the submap after the next.
+    fn apply_layouts(&mut self, mode: Mode) {
+        let active = self.grid.committed().map_or(0, |commit| commit.active_submap);
+        while let Some(layout) = self.waiting_layouts.front() {
+            if mode == Mode::Exact && layout.submap + 2 > active {
+                return;
+            }
+            self.logic.corrected(layout);
+            self.waiting_layouts.pop_front();
+        }
+    }
+
+    /// Whether the grid that the next scan needs is there: the last accepted scan in it, and in replay sync-manager not
+    /// more than one submap behind.
+    fn grid_is_ready(&mut self, context: &mut StageContext) -> bool {
+        let Some((sequence, since_ns)) = self.awaited else { return self.layouts_are_ready(context.mode) };
+        if self.grid.committed().is_some_and(|commit| commit.id.sequence >= sequence) {
+            self.awaited = None;
+            return self.layouts_are_ready(context.mode);
+        }
+        let late = context.mode == Mode::Live && monotonic_ns().saturating_sub(since_ns) > COMMIT_DEADLINE_NS;
+        if late {
+            self.awaited = None;
+            context.dropped(DropReason::Deadline.name());
+        }
+        late
+    }
+
+    fn layouts_are_ready(&self, mode: Mode) -> bool {
+        let active = self.grid.committed().map_or(0, |commit| commit.active_submap);
+        mode == Mode::Live || active < 2 || self.finished_submaps >= active - 1
+    }
+
+    /// The verdict on the oldest scan, when there is one or it is not waited for any longer.
+    fn verdict(&mut self, context: &mut StageContext) -> Option<Verdict> {
+        let header = *self.scans.front()?.header();
+        while self.waiting_verdicts.front().is_some_and(|verdict| verdict.id.sequence < header.id.sequence) {
+            self.waiting_verdicts.pop_front();
+        }
+        let made = |keep, reason: DropReason| Verdict {
+            id: header.id,
+            times: header.times,
+            coefficient: f64::NAN,
+            keep,
+            reason: if keep == 1 { 0 } else { reason as u32 },
+        };
+        // Live and far behind: predicting costs next to nothing, so the newest scans are reached at once.
+        if context.mode == Mode::Live && self.scans.len() > context.capacity.window / 2 {
+            context.dropped(DropReason::Overload.name());
+            return Some(made(0, DropReason::Overload));
+        }
+        match self.waiting_verdicts.front() {
+            Some(verdict) if verdict.id.sequence == header.id.sequence => self.waiting_verdicts.pop_front(),
+            _ => {
+                let age_ns = monotonic_ns().saturating_sub(header.times.monotonic_ns);
+                let late = context.mode == Mode::Live && age_ns > VERDICT_DEADLINE_NS;
+                if late {
+                    context.dropped(DropReason::Deadline.name());
+                }
+                late.then(|| made(1, DropReason::Deadline))
+            }
+        }
+    }
+
+    fn process(&mut self, sample: &ScanSample, verdict: &Verdict, context: &mut StageContext) -> Result<(), StageError> {
+        let (header, started_ns) = (*sample.header(), monotonic_ns());
+        let Ok(scan) = sample.view() else {
+            context.dropped("unreadable");
+            return self.acknowledger.finished(header.id.sequence + 1);
+        };
+        let pose = self.logic.handle(scan, verdict, self.grid.grid());
+        // Before anybody hears of an accepted scan it lies outside of this process.
+        if let Err(error) = self.journal.append(&pose, scan) {
+            tracing::error!(%error, "not durable");
+            context.dropped("not-journaled");
+        }
+        self.poses.send(&pose)?;
+        let accepted = pose.has(PoseFlags::INSERT);
+        if accepted {
+            self.awaited = Some((header.id.sequence, monotonic_ns()));
+        }
+        if accepted || header.id.sequence.is_multiple_of(QUIET_SCANS) {
+            self.ring();
+        }
+        context.report.report.scan_address = scan.ranges().as_ptr() as u64;
+        context.handled(header.id.sequence, started_ns, header.times.monotonic_ns);
+        self.acknowledger.finished(header.id.sequence + 1)
+    }
+
+    fn ring(&self) {
+        self.bells.iter().for_each(BellRinger::ring);
+    }
+}
+
+impl Actor for Matcher {
+    fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
+        self.drain(context)?;
+        let mut any = false;
+        while !self.scans.is_empty() && self.grid_is_ready(context) {
+            let Some(verdict) = self.verdict(context) else { break };
+            let Some(sample) = self.scans.pop() else { break };
+            self.process(&sample, &verdict, context)?;
+            any = true;
+            drop(sample);
+            self.drain(context)?;
+        }
+        self.stream.drain()?;
+        if !any && self.stream.reached(self.acknowledger.done(), context.mode) {
+            self.ring();
+        }
+        Ok(any)
+    }
+
+    fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError> {
+        self.poses.refresh();
+        if let Some(address) = self.grid.a_tile_address() {
+            context.report.report.tile_address = address as u64;
+        }
+        self.acknowledger.send()
+    }
+
+    fn patience(&self) -> Duration {
+        // A scan waits for something: look again soon, in case a deadline passes.
+        Duration::from_millis(if self.scans.is_empty() { 100 } else { 5 })
+    }
+}
+
+fn last_pose(context: &StageContext) -> Result<Option<PoseEstimate>, StageError> {
+    let mut journal = JournalReader::open(&context.journal_dir)?;
+    let mut last = None;
+    while let Some(record) = journal.read_next()? {
+        last = Some(record.pose);
+    }
+    Ok(last)
+}

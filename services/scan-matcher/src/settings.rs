@@ -1,0 +1,138 @@
+use flockslam_registration::{GaussNewton, HillClimbing, MonteCarlo};
+use serde::{Deserialize, Serialize};
+
+/// Settings of the matcher.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// How a scan is fitted to the grid.
+    pub strategy: Strategy,
+    /// Settings of `gauss-newton`.
+    pub gauss_newton: GaussNewton,
+    /// Settings of `monte-carlo`.
+    pub monte_carlo: MonteCarlo,
+    /// Settings of `hill-climbing`.
+    pub hill_climbing: HillClimbing,
+    /// Wide search after a bad fit (`gauss-newton` only).
+    pub rescue: Rescue,
+    /// When a scan enters the map and when the filter is overruled.
+    pub gate: Gate,
+    /// Shorter ranges are not matched, metres.
+    pub range_min_m: f64,
+    /// Longer ranges are not matched, metres.
+    pub range_max_m: f64,
+    /// Of scans with more beams than this only every n-th is matched.
+    pub beams_max: usize,
+    /// Score (0 … 1) where the grid has no tile: what the mapper's read-out gives for an unknown cell.
+    pub unknown_score: f64,
+    /// Seed of all random numbers.
+    pub seed: u64,
+}
+
+/// How a scan is fitted to the grid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Strategy {
+    /// Gauss–Newton on the interpolated score, from coarse to fine, with a correlative rescue.
+    GaussNewton,
+    /// vinySLAM's random search.
+    MonteCarlo,
+    /// Deterministic steps along each axis.
+    HillClimbing,
+}
+
+/// Settings of the wide search.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Rescue {
+    /// Search when the score falls below this share of its running mean; 0 = never.
+    pub below: f64,
+    /// Reach of the search, metres to each side; it grows up to three times while the robot is lost.
+    pub reach_m: f64,
+    /// Reach of the search, radians to each side.
+    pub reach_rad: f64,
+    /// Poses refined.
+    pub candidates: usize,
+    /// A found pose is kept when its score is at least this much better, 0 … 1.
+    pub gain: f64,
+    /// Weight of the newest score in the running mean.
+    pub mean_rate: f64,
+    /// A fit below this share of the running mean is not believed: the robot is lost and follows its wheels.
+    pub lost_below: f64,
+    /// A fit further than this from the prediction, metres, must score at least `below`, or it is not believed.
+    pub jump_m: f64,
+    /// The same for its heading, radians.
+    pub jump_rad: f64,
+    /// Scans in a row that are not believed before the fit is taken nevertheless and mapping goes on from there.
+    pub lost_scans_max: u32,
+}
+
+/// When a scan enters the map and when the filter is overruled.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Gate {
+    /// A scan enters the map after this much travel since the last that did, metres; 0 = every scan.
+    pub travel_m: f64,
+    /// … or after this much turning, radians.
+    pub turn_rad: f64,
+    /// The first scans of a run are never dropped: this many.
+    pub start_scans: u64,
+    /// A drop is overruled when the last score is below this share of the running mean.
+    pub score_share: f64,
+    /// A drop is overruled when the standard deviation of the predicted position exceeds this, metres.
+    pub sigma_max_m: f64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            strategy: Strategy::GaussNewton,
+            gauss_newton: GaussNewton::default(),
+            monte_carlo: MonteCarlo::default(),
+            hill_climbing: HillClimbing::default(),
+            rescue: Rescue::default(),
+            gate: Gate::default(),
+            range_min_m: 0.4,
+            range_max_m: 30.0,
+            beams_max: 1000,
+            unknown_score: 0.0,
+            seed: 1,
+        }
+    }
+}
+
+impl Default for Rescue {
+    fn default() -> Self {
+        Self {
+            below: 0.8,
+            reach_m: 0.6,
+            reach_rad: 0.35,
+            candidates: 3,
+            gain: 0.05,
+            mean_rate: 0.02,
+            lost_below: 0.25,
+            jump_m: 0.3,
+            jump_rad: 0.3,
+            lost_scans_max: 10,
+        }
+    }
+}
+
+impl Default for Gate {
+    fn default() -> Self {
+        Self { travel_m: 0.2, turn_rad: 0.35, start_scans: 10, score_share: 0.8, sigma_max_m: 0.1 }
+    }
+}
+
+impl Settings {
+    /// What the program vinySLAM does, with hill climbing and odometry rotated into the corrected heading.
+    pub fn vinyslam() -> Self {
+        Self {
+            strategy: Strategy::HillClimbing,
+            gate: Gate { travel_m: 0.0, turn_rad: 0.0, ..Gate::default() },
+            range_min_m: 0.0,
+            unknown_score: 0.5,
+            ..Self::default()
+        }
+    }
+}

@@ -1,0 +1,55 @@
+use crate::{StageContext, StageError};
+use flockslam_bus::Listener;
+use std::time::Duration;
+
+/// A stage as its loop sees it.
+pub trait Actor {
+    /// Handles all that waits and can be handled now; true when anything was done.
+    ///
+    /// # Errors
+    /// When the stage cannot go on.
+    fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError>;
+
+    /// Called about ten times a second: connect to late readers, repeat what they need to know.
+    ///
+    /// # Errors
+    /// When the stage cannot go on.
+    fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError>;
+
+    /// The longest sleep that is allowed now (a deadline, the next paced scan).
+    fn patience(&self) -> Duration {
+        REFRESH
+    }
+
+    /// Called once before the process ends in good order.
+    ///
+    /// # Errors
+    /// When something could not be saved.
+    fn close(&mut self, _context: &mut StageContext) -> Result<(), StageError> {
+        Ok(())
+    }
+}
+
+const REFRESH: Duration = Duration::from_millis(100);
+
+/// Runs a stage until it is asked to stop: work while there is work, sleep on the bell while there is none.
+///
+/// # Errors
+/// What the actor could not go on from.
+pub fn run(context: &mut StageContext, actor: &mut impl Actor, bell: &Listener) -> Result<(), StageError> {
+    let mut refreshed_ns = 0;
+    while !context.stop.is_set() {
+        let now_ns = flockslam_telemetry::monotonic_ns();
+        if now_ns.saturating_sub(refreshed_ns) >= REFRESH.as_nanos() as u64 {
+            refreshed_ns = now_ns;
+            context.alive();
+            actor.refresh(context)?;
+        }
+        if !actor.advance(context)? {
+            bell.wait(actor.patience().min(REFRESH))?;
+        }
+    }
+    actor.close(context)?;
+    context.report.write();
+    Ok(())
+}

@@ -1,0 +1,37 @@
+use flockslam_bus::{BusError, RuntimeError};
+use std::path::PathBuf;
+
+/// Why a stage had to stop.
+#[derive(Debug, thiserror::Error)]
+pub enum StageError {
+    /// The bus failed.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// The runtime directory failed.
+    #[error(transparent)]
+    Runtime(#[from] RuntimeError),
+    /// The journal or a store failed.
+    #[error(transparent)]
+    Journal(#[from] flockslam_journal::JournalError),
+    /// Telemetry could not be set up.
+    #[error("{0}")]
+    Telemetry(String),
+    /// A file of the set could not be read or written.
+    #[error("{path}: {reason}")]
+    File {
+        /// Which file.
+        path: PathBuf,
+        /// What was wrong.
+        reason: String,
+    },
+    /// The source of scans is not usable: a mistake of the user's, exit code 2.
+    #[error("{0}")]
+    Source(String),
+}
+
+impl StageError {
+    /// A file problem.
+    pub fn file(path: impl Into<PathBuf>, reason: impl std::fmt::Display) -> Self {
+        Self::File { path: path.into(), reason: reason.to_string() }
+    }
+}

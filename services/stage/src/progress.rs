@@ -1,0 +1,106 @@
+use crate::{Mode, StageContext, StageError};
+use flockslam_bus::{BellRinger, Publisher, Subscriber};
+use flockslam_messages::{Control, ControlKind, Progress, Stage};
+use flockslam_telemetry::monotonic_ns;
+
+/// Live: so long after the end of the stream nothing is waited for any more.
+const PATIENCE_NS: u64 = 2_000_000_000;
+
+/// Tells the source how far a stage has come: the credit of exact replay. A few scans are acknowledged at once, so
+/// that flow control costs little.
+pub struct Acknowledger {
+    publisher: Publisher<Progress>,
+    source: BellRinger,
+    message: Progress,
+    step: u64,
+    sent: u64,
+}
+
+impl Acknowledger {
+    /// Opens the way back to the source.
+    ///
+    /// # Errors
+    /// When the topic does not exist.
+    pub fn open(context: &StageContext, done: u64) -> Result<Self, StageError> {
+        Ok(Self {
+            publisher: context.bus.publisher()?,
+            source: context.bus.ringer(Stage::LidarIngest.name())?,
+            message: Progress { stage: context.stage as u32, replica: context.replica, done },
+            step: (context.capacity.window as u64 / 8).max(1),
+            sent: done,
+        })
+    }
+
+    /// All scans with a sequence below `done` are finished here.
+    ///
+    /// # Errors
+    /// When the bus fails.
+    pub fn finished(&mut self, done: u64) -> Result<(), StageError> {
+        self.message.done = self.message.done.max(done);
+        if self.message.done >= self.sent + self.step { self.send() } else { Ok(()) }
+    }
+
+    /// Says so now, also to a source that has just started.
+    ///
+    /// # Errors
+    /// When the bus fails.
+    pub fn send(&mut self) -> Result<(), StageError> {
+        self.sent = self.message.done;
+        self.publisher.send(&self.message)?;
+        self.source.ring();
+        Ok(())
+    }
+
+    /// All scans with a sequence below this are finished.
+    pub fn done(&self) -> u64 {
+        self.message.done
+    }
+}
+
+/// What the control topic has said about the stream of scans.
+pub struct StreamEnd {
+    subscriber: Subscriber<Control>,
+    /// Scans in the stream, once the source has ended.
+    pub scans: Option<u64>,
+    /// Submaps of the mapper, once it has closed the last one.
+    pub submaps: Option<u64>,
+    /// A reader has asked for all live tiles since the last look.
+    pub tiles_wanted: bool,
+    heard_ns: Option<u64>,
+}
+
+impl StreamEnd {
+    /// Listens to the control topic.
+    ///
+    /// # Errors
+    /// When the topic does not exist.
+    pub fn open(context: &StageContext) -> Result<Self, StageError> {
+        Ok(Self { subscriber: context.bus.subscriber()?, scans: None, submaps: None, tiles_wanted: false, heard_ns: None })
+    }
+
+    /// Takes in what was said.
+    ///
+    /// # Errors
+    /// When the bus fails.
+    pub fn drain(&mut self) -> Result<(), StageError> {
+        while let Some(control) = self.subscriber.receive()? {
+            match control.kind {
+                kind if kind == ControlKind::StreamEnd as u32 => {
+                    self.scans = Some(control.value);
+                    self.heard_ns.get_or_insert_with(monotonic_ns);
+                }
+                kind if kind == ControlKind::MapClosed as u32 => self.submaps = Some(control.value),
+                kind if kind == ControlKind::TilesWanted as u32 => self.tiles_wanted = true,
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether all scans of the stream have a sequence below `done`. Live, what is still missing a while after the end
+    /// was lost with a stage that died.
+    pub fn reached(&self, done: u64, mode: Mode) -> bool {
+        let late = |heard_ns| mode == Mode::Live && monotonic_ns().saturating_sub(heard_ns) > PATIENCE_NS;
+        self.scans.is_some_and(|scans| done >= scans) || self.heard_ns.is_some_and(late)
+    }
+}

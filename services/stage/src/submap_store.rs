@@ -1,0 +1,71 @@
+use crate::StageError;
+use flockslam_evidence::Submap;
+use flockslam_journal::{Durability, replace_file};
+use flockslam_messages::{ScanId, SubmapClosed};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+const ENDING: &str = "submap";
+
+/// Closed submaps as files, one each. A file is whole or absent: it is replaced atomically and its content is checked.
+#[derive(Clone, Debug)]
+pub struct SubmapStore {
+    directory: PathBuf,
+}
+
+impl SubmapStore {
+    /// The store in a directory that exists.
+    pub fn new(directory: &Path) -> Self {
+        Self { directory: directory.to_owned() }
+    }
+
+    /// Stores a submap under its number; a file of that number is replaced.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub fn save(&self, submap: &Submap) -> Result<(), StageError> {
+        Ok(replace_file(&self.file(submap.number), &submap.encode(), Durability::Process)?)
+    }
+
+    /// The submap of this number.
+    ///
+    /// # Errors
+    /// When there is none, or its file is damaged.
+    pub fn load(&self, number: u32) -> Result<Submap, StageError> {
+        let path = self.file(number);
+        let bytes = fs::read(&path).map_err(|e| StageError::file(&path, e))?;
+        Submap::decode(&bytes).map_err(|e| StageError::file(&path, e))
+    }
+
+    /// What is told about a stored submap.
+    ///
+    /// # Errors
+    /// When it is not stored.
+    pub fn notice(&self, submap: &Submap) -> Result<SubmapClosed, StageError> {
+        let path = self.file(submap.number);
+        let bytes = fs::read(&path).map_err(|e| StageError::file(&path, e))?;
+        let id = |sequence| ScanId { epoch: 1, lidar: 0, sequence };
+        Ok(SubmapClosed {
+            first: id(submap.first),
+            last: id(submap.last),
+            odom_from_submap: submap.odom_from_submap,
+            checksum: checksum(&bytes),
+            number: submap.number,
+            insertions: submap.insertions,
+        })
+    }
+
+    /// How many submaps there are: they are numbered from 0 without gaps.
+    pub fn count(&self) -> u32 {
+        (0..).find(|number| !self.file(*number).exists()).expect("a directory is finite")
+    }
+
+    fn file(&self, number: u32) -> PathBuf {
+        self.directory.join(format!("{number:06}.{ENDING}"))
+    }
+}
+
+fn checksum(bytes: &[u8]) -> u64 {
+    // FNV-1a: tells versions apart; damage is found by the check inside the file.
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3))
+}

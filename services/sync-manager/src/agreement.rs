@@ -1,0 +1,87 @@
+use crate::chain::Node;
+use crate::closure::Closure;
+use flockslam_registration::cloud::Placement;
+
+/// Closures found in windows wider than this need others that agree, metres.
+pub const WIDE_M: f64 = 1.5;
+/// Others that a closure from a wide window needs.
+const PARTNERS_MIN: usize = 2;
+/// Two closures are compared when the chain between them is no longer than this, both sides together, metres.
+const COMPARED_WITHIN_M: f64 = 20.0;
+/// Two closures agree when their cycle closes within this, plus a share of the chain in it, and this turn.
+const CYCLE: (f64, f64, f64) = (0.2, 0.02, 0.05);
+
+/// Which closures may take part in a solution: those found near where they were expected, and those from wide
+/// windows that at least two others confirm and fewer than half as many contradict.
+///
+/// In a long corridor with a door every few metres a single match is wrong easily, and what the chain knows
+/// after a hundred metres cannot contradict it.
+pub fn eligible(closures: &[Closure], nodes: &[Node]) -> Vec<bool> {
+    let supported = |a: &Closure| {
+        let (mut agreeing, mut disagreeing) = (0, 0);
+        for b in closures.iter().filter(|b| b.edge != a.edge) {
+            match agree(a, b, nodes) {
+                Some(true) => agreeing += 1,
+                Some(false) => disagreeing += 1,
+                None => {}
+            }
+        }
+        agreeing >= PARTNERS_MIN && 2 * disagreeing <= agreeing + 1
+    };
+    closures.iter().map(|closure| closure.reach_m <= WIDE_M || supported(closure)).collect()
+}
+
+/// Whether the cycle over two closures and the chain between their ends closes; `None` when they lie too far
+/// apart.
+fn agree(a: &Closure, b: &Closure, nodes: &[Node]) -> Option<bool> {
+    let between = |i: usize, k: usize| (nodes[i].doubt_m - nodes[k].doubt_m).abs();
+    let way_m = between(a.edge.from, b.edge.from) + between(a.edge.to, b.edge.to);
+    if way_m > COMPARED_WITHIN_M {
+        return None;
+    }
+    let chain = |i: usize, k: usize| nodes[i].chain.to(nodes[k].chain);
+    let around = a.edge.motion.compose(chain(a.edge.to, b.edge.to));
+    let along = chain(a.edge.from, b.edge.from).compose(b.edge.motion);
+    let gap: Placement = along.to(around);
+    let length_m = (gap.x_m * gap.x_m + gap.y_m * gap.y_m).sqrt();
+    Some(length_m <= CYCLE.0 + CYCLE.1 * way_m && gap.heading_rad.abs() <= CYCLE.2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::edge::Edge;
+
+    fn nodes() -> Vec<Node> {
+        let node = |k: usize| {
+            let travel_m = k as f64;
+            let pose = Placement::new(travel_m, 0.0, 0.0);
+            Node { scan: k, odom: pose, chain: pose, travel_m, doubt_m: travel_m }
+        };
+        (0..100).map(node).collect()
+    }
+
+    fn closure(from: usize, to: usize, shift_m: f64, reach_m: f64) -> Closure {
+        let motion = Placement::new(shift_m, 1.0, 0.0);
+        Closure { edge: Edge { from, to, motion, information: [1.0, 0.0, 0.0, 1.0, 0.0, 1.0] }, reach_m }
+    }
+
+    #[test]
+    fn a_lone_match_from_a_wide_window_waits_for_two_that_agree() {
+        let nodes = nodes();
+        let mut closures = vec![closure(10, 90, 0.0, 8.0), closure(20, 50, 0.0, 0.5)];
+        assert_eq!(eligible(&closures, &nodes), [false, true]);
+        closures.push(closure(12, 92, 0.1, 8.0));
+        assert_eq!(eligible(&closures, &nodes), [false, true, false]);
+        closures.push(closure(13, 94, 1.05, 8.0));
+        assert_eq!(eligible(&closures, &nodes), [true, true, true, true]);
+    }
+
+    #[test]
+    fn as_many_that_disagree_keep_it_waiting() {
+        let nodes = nodes();
+        let mut closures: Vec<_> = (0..3).map(|k| closure(10 + k, 90 + k, 0.0, 8.0)).collect();
+        closures.extend((3..6).map(|k| closure(10 + k, 90 + k, 3.0, 8.0)));
+        assert_eq!(eligible(&closures, &nodes), [false; 6]);
+    }
+}

@@ -1,0 +1,294 @@
+use crate::agreement::WIDE_M;
+use crate::chain::{Node, POINT_INFORMATION};
+use crate::edge::Edge;
+use crate::fields::FieldCache;
+use crate::polar::Polar;
+use crate::scans::ScanStore;
+use crate::segment::{Segment, cloud, load, packed, picked, unload};
+use crate::settings::ClosureSettings;
+use crate::symmetric::{in_frame, loosened};
+use flockslam_registration::cloud::{
+    AlignSettings, Aligner, Alignment, Found, MomentGrid, PackedPoint, Placement, PooledField, Searcher,
+    Window,
+};
+
+/// A query is its node and this many before and after it.
+pub const QUERY_NODES: usize = 3;
+/// Points of a query in a search.
+const SEARCH_POINTS: usize = 150;
+/// Points of a query in the refinement.
+const REFINE_POINTS: usize = 600;
+/// A segment may lie this much farther away than the window and still be searched: both see the same place,
+/// metres.
+const SIGHT_M: f64 = 4.0;
+/// A runner-up must lie at least this far away from the best match to count.
+const APART: Window = Window { reach_m: 0.6, turn_rad: 0.2 };
+/// Score of a runner-up, as a share of the best, at which a match is ambiguous.
+const RUNNER_UP: f64 = 0.9;
+/// Farthest that the refinement may move, metres and radians.
+const REFINED_MAX: (f64, f64) = (0.4, 0.15);
+/// Largest share of the query's points in space that the segment saw free.
+const INTRUDING_MAX: f64 = 0.12;
+/// Largest share of the segment's points in space that the query saw free.
+const INTRUDED_MAX: f64 = 0.15;
+/// Least ratio of the information along the weakest and the strongest direction of translation.
+const DEGENERATE: f64 = 0.02;
+/// Errors of a closure beyond those of its points: the segment's own bending.
+const SLACK: (f64, f64) = (0.04, 0.01);
+
+/// A loop that was found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Closure {
+    /// The constraint, from a node of the segment to the query's node.
+    pub edge: Edge,
+    /// Reach of the window in which it was found, metres.
+    pub reach_m: f64,
+}
+
+/// What has been looked at so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SearchCounts {
+    /// Branch-and-bound searches.
+    pub searches: u64,
+    /// Matches with enough score.
+    pub matches: u64,
+}
+
+/// Looks for loops.
+pub struct ClosureFinder {
+    settings: ClosureSettings,
+    fields: FieldCache,
+    searcher: Searcher,
+    aligner: Aligner,
+    grid: MomentGrid,
+    counts: SearchCounts,
+}
+
+/// What a search needs to know of the graph.
+pub struct World<'a> {
+    /// The nodes.
+    pub nodes: &'a [Node],
+    /// Their points.
+    pub scans: &'a ScanStore,
+    /// The segments so far.
+    pub segments: &'a [Segment],
+    /// Poses in force.
+    pub poses: &'a [Placement],
+}
+
+impl ClosureFinder {
+    /// A finder with these settings.
+    pub fn new(settings: &ClosureSettings) -> Self {
+        let align = AlignSettings { iterations: 12, gate_wide_m: 0.4, ..AlignSettings::default() };
+        Self {
+            settings: settings.clone(),
+            fields: FieldCache::default(),
+            searcher: Searcher::default(),
+            aligner: Aligner::new(align),
+            grid: MomentGrid::default(),
+            counts: SearchCounts::default(),
+        }
+    }
+
+    /// An empty grid to work with, lent between searches: it must be given back empty.
+    pub fn scratch(&mut self) -> &mut MomentGrid {
+        &mut self.grid
+    }
+
+    /// What has been looked at so far.
+    pub fn counts(&self) -> SearchCounts {
+        self.counts
+    }
+
+    /// Looks for the surroundings of node `query` in older segments; `distances_m` are its distances along
+    /// the graph to all nodes.
+    pub fn find(&mut self, world: &World<'_>, query: usize, distances_m: &[f64]) -> Vec<Closure> {
+        let end = (query + QUERY_NODES + 1).min(world.nodes.len());
+        let points = cloud(world.nodes, world.scans, query.saturating_sub(QUERY_NODES)..end, query);
+        if points.len() < 30 {
+            return Vec::new();
+        }
+        let candidates = self.candidates(world, query, distances_m);
+        candidates
+            .iter()
+            .filter_map(|(segment, window)| self.try_segment(world, query, &points, *segment, *window))
+            .collect()
+    }
+
+    /// The segments that the query may see, nearest first, and where to look in each.
+    fn candidates(&self, world: &World<'_>, query: usize, distances_m: &[f64]) -> Vec<(usize, Window)> {
+        let at = world.poses[query];
+        let old = |s: &Segment| {
+            world.nodes[query].travel_m - world.nodes[s.nodes.end - 1].travel_m
+                >= self.settings.least_travel_m
+        };
+        let mut near = Vec::new();
+        for (number, segment) in world.segments.iter().enumerate().filter(|(_, s)| old(s)) {
+            let window = window(distances_m[segment.anchor]);
+            let nodes = segment.nodes.clone();
+            let apart_m = nodes.map(|i| world.poses[i].distance_m(&at)).fold(f64::INFINITY, f64::min);
+            if apart_m <= window.reach_m + SIGHT_M {
+                near.push((apart_m, number, window));
+            }
+        }
+        near.sort_by(|a, b| a.0.total_cmp(&b.0));
+        near.truncate(self.settings.segments_per_query);
+        near.into_iter().map(|(_, number, window)| (number, window)).collect()
+    }
+
+    fn try_segment(
+        &mut self,
+        world: &World<'_>,
+        query: usize,
+        points: &[(f64, f64)],
+        number: usize,
+        window: Window,
+    ) -> Option<Closure> {
+        let segment = &world.segments[number];
+        let guess = world.poses[segment.anchor].to(world.poses[query]);
+        let found = self.search(world, points, number, guess, window)?;
+        let (nodes, scans) = (world.nodes, world.scans);
+        let anchor = nodes[segment.anchor].chain;
+        let at = |i: usize| anchor.to(nodes[i].chain);
+        load(&mut self.grid, nodes, scans, segment.nodes.clone(), at);
+        let refined =
+            self.aligner.align(&mut self.grid, &packed(&picked(points, REFINE_POINTS)), found.placement);
+        unload(&mut self.grid, nodes, scans, segment.nodes.clone(), at);
+        let refined = refined.filter(|refined| self.holds(refined, &found))?;
+        let nearest = nearest_node(segment, &refined.placement, at);
+        if !free_space_agrees(world, query, points, segment, nearest, &refined.placement, at) {
+            return None;
+        }
+        closure(query, nearest, &at(nearest), &refined, window)
+    }
+
+    fn search(
+        &mut self,
+        world: &World<'_>,
+        points: &[(f64, f64)],
+        number: usize,
+        guess: Placement,
+        window: Window,
+    ) -> Option<Found> {
+        let segment = &world.segments[number];
+        let make = || PooledField::new(&segment.cloud(world.nodes, world.scans));
+        let field = self.fields.get(number, make);
+        let few = picked(points, SEARCH_POINTS);
+        self.counts.searches += 1;
+        let found = self.searcher.best(field, &few, guess, window, self.settings.score_min, None)?;
+        self.counts.matches += 1;
+        if window.reach_m > WIDE_M {
+            let exclude = Some((found.placement, APART));
+            let second = self.searcher.best(field, &few, guess, window, RUNNER_UP * found.score, exclude);
+            if second.is_some() {
+                return None;
+            }
+        }
+        Some(found)
+    }
+
+    /// Whether a refined match is good enough by itself.
+    fn holds(&self, refined: &Alignment, found: &Found) -> bool {
+        let [xx, xy, _, yy, ..] = refined.information;
+        let (middle, gap) = (0.5 * (xx + yy), (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt());
+        refined.inliers >= self.settings.inliers_min
+            && refined.placement.distance_m(&found.placement) <= REFINED_MAX.0
+            && refined.placement.turn_rad(&found.placement) <= REFINED_MAX.1
+            && middle - gap >= DEGENERATE * (middle + gap)
+    }
+}
+
+/// Where to look after `distance_m` along the graph.
+fn window(distance_m: f64) -> Window {
+    Window { reach_m: (0.3 + 0.06 * distance_m).min(25.0), turn_rad: (0.06 + 0.002 * distance_m).min(0.7) }
+}
+
+fn nearest_node(segment: &Segment, to: &Placement, at: impl Fn(usize) -> Placement) -> usize {
+    let nodes = segment.nodes.clone();
+    nodes.min_by(|&a, &b| at(a).distance_m(to).total_cmp(&at(b).distance_m(to))).expect("a segment has nodes")
+}
+
+/// Whether what one side saw free stays free of the other side's points, both ways.
+fn free_space_agrees(
+    world: &World<'_>,
+    query: usize,
+    points: &[(f64, f64)],
+    segment: &Segment,
+    nearest: usize,
+    placement: &Placement,
+    at: impl Fn(usize) -> Placement,
+) -> bool {
+    let scan_of = |i: usize| world.scans.points(world.nodes[i].scan);
+    let around = nearest.saturating_sub(3).max(segment.nodes.start)..(nearest + 4).min(segment.nodes.end);
+    let placed: Vec<(f64, f64)> = points.iter().map(|&(x, y)| placement.apply(x, y)).collect();
+    for node in around.step_by(3) {
+        if intruding(&Polar::new(scan_of(node)), &at(node), placed.iter().copied()) > INTRUDING_MAX {
+            return false;
+        }
+    }
+    let own = at(nearest);
+    let theirs = scan_of(nearest).iter().map(|p: &PackedPoint| own.apply(p.x_m(), p.y_m()));
+    intruding(&Polar::new(scan_of(query)), placement, theirs) <= INTRUDED_MAX
+}
+
+/// Share of the points that lie where a scan looked through, of those where it looked at all.
+fn intruding(polar: &Polar, at: &Placement, points: impl Iterator<Item = (f64, f64)>) -> f64 {
+    let (mut looked, mut through) = (0u32, 0u32);
+    for (x, y) in points {
+        if let Some(free) = polar.looked_through(at, x, y) {
+            looked += 1;
+            through += u32::from(free);
+        }
+    }
+    f64::from(through) / f64::from(looked.max(1))
+}
+
+fn closure(
+    query: usize,
+    nearest: usize,
+    at: &Placement,
+    refined: &Alignment,
+    window: Window,
+) -> Option<Closure> {
+    let information = loosened(&refined.information.map(|v| v * POINT_INFORMATION), SLACK.0, SLACK.1)?;
+    let motion = at.to(refined.placement);
+    let edge = Edge { from: nearest, to: query, motion, information: in_frame(&information, at) };
+    Some(Closure { edge, reach_m: window.reach_m })
+}
+
+/// Distances along the graph from `from` to every node, metres: along the chain, and across loops in force.
+pub fn graph_distances(nodes: &[Node], loops: &[(usize, usize)], from: usize) -> Vec<f64> {
+    let mut across = vec![Vec::new(); nodes.len()];
+    for &(a, b) in loops {
+        across[a].push(b);
+        across[b].push(a);
+    }
+    let mut distances = vec![f64::INFINITY; nodes.len()];
+    let mut queue = std::collections::BinaryHeap::new();
+    distances[from] = 0.0;
+    // Whole micrometres order the queue: floats have no total order.
+    queue.push((std::cmp::Reverse(0u64), from));
+    while let Some((std::cmp::Reverse(key), node)) = queue.pop() {
+        if key > (distances[node] * 1e6) as u64 {
+            continue;
+        }
+        let mut relax = |next: usize, step_m: f64| {
+            let distance = distances[node] + step_m;
+            if distance < distances[next] {
+                distances[next] = distance;
+                queue.push((std::cmp::Reverse((distance * 1e6) as u64), next));
+            }
+        };
+        let step = |a: usize, b: usize| (nodes[a].doubt_m - nodes[b].doubt_m).abs();
+        if node > 0 {
+            relax(node - 1, step(node, node - 1));
+        }
+        if node + 1 < nodes.len() {
+            relax(node + 1, step(node, node + 1));
+        }
+        for &next in &across[node] {
+            relax(next, 1.0);
+        }
+    }
+    distances
+}

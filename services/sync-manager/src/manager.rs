@@ -1,0 +1,351 @@
+use crate::agreement::eligible;
+use crate::chain::Chain;
+use crate::closure::{Closure, ClosureFinder, QUERY_NODES, World, graph_distances};
+use crate::dense::DensePass;
+use crate::edge::Edge;
+use crate::place::{KeptScan, Placer};
+use crate::robust::{RobustSettings, solve};
+use crate::scans::{ScanStore, Velocity};
+use crate::segment::Segment;
+use crate::settings::Settings;
+use crate::solution::{ClosureCounts, PlacedScan, PlacedSubmap, Solution};
+use crate::trajectory::{Record, filled};
+use flockslam_geometry::Pose;
+use flockslam_messages::{LayoutHeader, PoseEstimate, PoseFlags, ScanView, SubmapClosed};
+use flockslam_registration::cloud::Placement;
+
+/// A scan this close to the last one kept tells nothing new, metres and radians.
+const REST: (f64, f64) = (0.01, 0.005);
+
+/// A scan whose points were kept.
+#[derive(Clone, Copy, Debug)]
+struct Kept {
+    record: usize,
+    scan: usize,
+    /// The last node at or before it.
+    node: usize,
+    is_node: bool,
+}
+
+/// The back end of one robot: poses and inserted scans in, a correction after each closed submap, the
+/// solution at the end.
+///
+/// A pure function of its calls. Work per call is bounded by the settings; everything measured stays
+/// revocable, since poses are solved anew from the measurements.
+pub struct SyncManager {
+    settings: Settings,
+    records: Vec<Record>,
+    scans: ScanStore,
+    kept: Vec<Kept>,
+    chain: Chain,
+    segments: Vec<Segment>,
+    finder: ClosureFinder,
+    closures: Vec<Closure>,
+    /// By closure: whether it acts in the last solution.
+    in_force: Vec<bool>,
+    /// Poses of the nodes in the last solution; newer nodes follow the chain.
+    poses: Vec<Placement>,
+    /// Travel at which the next search for loops is due, metres.
+    next_search_m: f64,
+    revision: u32,
+}
+
+impl SyncManager {
+    /// A back end that has seen nothing yet.
+    pub fn new(settings: Settings) -> Self {
+        Self {
+            chain: Chain::new(&settings),
+            finder: ClosureFinder::new(&settings.closure),
+            next_search_m: settings.closure.least_travel_m,
+            settings,
+            records: Vec::new(),
+            scans: ScanStore::default(),
+            kept: Vec::new(),
+            segments: Vec::new(),
+            closures: Vec::new(),
+            in_force: Vec::new(),
+            poses: Vec::new(),
+            revision: 0,
+        }
+    }
+
+    /// Takes the published pose of a scan. Every scan's, in order of arrival.
+    pub fn pose(&mut self, pose: &PoseEstimate) {
+        self.records.push(Record::new(pose));
+    }
+
+    /// Takes a scan whose pose has just been given. Inserted scans may become nodes of the graph; any matched
+    /// scan may be given, and is then placed by its own points at the end.
+    pub fn node(&mut self, scan: ScanView<'_>, pose: &PoseEstimate) {
+        let Some(record) = self.records.iter().rposition(|r| r.id == pose.id) else { return };
+        let odom = self.records[record].odom;
+        let is_node = pose.has(PoseFlags::INSERT) && self.is_due(&odom);
+        if !is_node && self.rests(&odom) {
+            return;
+        }
+        let scan = self.scans.keep(scan, self.velocity(record), &self.settings);
+        if is_node {
+            self.chain.extend(odom, scan, &self.scans);
+        }
+        if let Some(node) = self.chain.nodes().len().checked_sub(1) {
+            self.kept.push(Kept { record, scan, node, is_node });
+        }
+    }
+
+    /// Whether the robot is still where the last scan was kept: nothing is stored while it stands.
+    fn rests(&self, odom: &Placement) -> bool {
+        self.kept.last().is_some_and(|last| {
+            let last = &self.records[last.record].odom;
+            last.distance_m(odom) < REST.0 && last.turn_rad(odom) < REST.1
+        })
+    }
+
+    /// How the robot moved up to a record, by the front end.
+    fn velocity(&self, record: usize) -> Velocity {
+        let Some(before) = record.checked_sub(1).map(|i| &self.records[i]) else {
+            return Velocity::default();
+        };
+        let now = &self.records[record];
+        Velocity::from_motion(
+            &before.odom.to(now.odom),
+            now.stamp_ns.saturating_sub(before.stamp_ns) as f64 * 1e-9,
+        )
+    }
+
+    /// Whether the robot has moved enough for a new node.
+    fn is_due(&self, odom: &Placement) -> bool {
+        self.chain.nodes().last().is_none_or(|last| {
+            last.odom.distance_m(odom) >= self.settings.node_distance_m
+                || last.odom.turn_rad(odom) >= self.settings.node_turn_rad
+        })
+    }
+
+    /// Concludes what can be concluded after a closed submap of the mapper: looks for loops among the nodes
+    /// up to its last scan, solves the graph when there are new ones, and gives the correction of the front
+    /// end.
+    pub fn submap_closed(&mut self, notice: &SubmapClosed) -> LayoutHeader {
+        let known = self.nodes_up_to(notice.last.sequence);
+        self.close_loops(known, self.settings.closure.searches_per_submap);
+        self.revision += 1;
+        LayoutHeader {
+            map_from_odom: self.correction(known),
+            epoch: notice.last.epoch,
+            submap: notice.number,
+            revision: self.revision,
+            closures: self.in_force.iter().filter(|&&acts| acts).count() as u32,
+        }
+    }
+
+    /// Number of nodes whose scans are not newer than `sequence`.
+    fn nodes_up_to(&self, sequence: u64) -> usize {
+        let nodes = self.kept.iter().rev().filter(|k| k.is_node);
+        let newer = nodes.take_while(|k| self.records[k.record].id.sequence > sequence).count();
+        self.chain.nodes().len() - newer
+    }
+
+    /// `map_from_odom` at the last of the first `known` nodes.
+    fn correction(&self, known: usize) -> Pose {
+        known.checked_sub(1).map_or(Pose::IDENTITY, |last| {
+            self.poses[last].compose(self.chain.nodes()[last].odom.inverse()).pose()
+        })
+    }
+
+    fn close_loops(&mut self, known: usize, searches: usize) {
+        self.follow_chain(known);
+        let from = self.segments.last().map_or(0, |s| s.nodes.end);
+        self.segments.extend(Segment::cut(
+            &self.chain.nodes()[..known],
+            from,
+            self.settings.segment_length_m,
+        ));
+        if !self.settings.closure.enabled {
+            return;
+        }
+        let before = self.closures.len();
+        let limit = self.finder.counts().searches.saturating_add(searches as u64);
+        for query in self.due_queries(known) {
+            if self.finder.counts().searches < limit {
+                self.search(query, known);
+            }
+        }
+        if self.closures.len() > before {
+            self.solve(known);
+        }
+    }
+
+    /// Poses of nodes newer than the last solution.
+    fn follow_chain(&mut self, known: usize) {
+        let nodes = self.chain.nodes();
+        for i in self.poses.len()..known {
+            let pose = match i.checked_sub(1) {
+                None => nodes[0].chain,
+                Some(last) => self.poses[last].compose(nodes[last].chain.to(nodes[i].chain)),
+            };
+            self.poses.push(pose);
+        }
+    }
+
+    /// Nodes at which a search is due and whose surroundings are complete.
+    fn due_queries(&mut self, known: usize) -> Vec<usize> {
+        let mut due = Vec::new();
+        let nodes = &self.chain.nodes()[..known.saturating_sub(QUERY_NODES)];
+        let first = nodes.partition_point(|node| node.travel_m < self.next_search_m);
+        for (i, node) in nodes.iter().enumerate().skip(first) {
+            if node.travel_m >= self.next_search_m {
+                due.push(i);
+                self.next_search_m = node.travel_m + self.settings.closure.every_m;
+            }
+        }
+        due
+    }
+
+    fn search(&mut self, query: usize, known: usize) {
+        let acting = self.closures.iter().zip(&self.in_force).filter(|(_, acts)| **acts);
+        let loops: Vec<_> = acting.map(|(c, _)| (c.edge.from, c.edge.to)).collect();
+        let nodes = &self.chain.nodes()[..known];
+        let distances_m = graph_distances(nodes, &loops, query);
+        let world = World { nodes, scans: &self.scans, segments: &self.segments, poses: &self.poses };
+        let found = self.finder.find(&world, query, &distances_m);
+        self.closures.extend(found);
+        // New ones count at once for the windows of the next queries.
+        let eligible = eligible(&self.closures, nodes);
+        let old = self.in_force.len();
+        self.in_force.extend(&eligible[old..]);
+    }
+
+    /// Solves the graph of the first `known` nodes, from the chain, with all eligible loops on trial again.
+    fn solve(&mut self, known: usize) {
+        let mut edges: Vec<Edge> = self.chain.edges()[..known - 1].to_vec();
+        let trusted = edges.len();
+        let eligible = eligible(&self.closures, &self.chain.nodes()[..known]);
+        edges.extend(
+            self.closures.iter().zip(&eligible).filter(|(_, eligible)| **eligible).map(|(c, _)| c.edge),
+        );
+        let settings = RobustSettings {
+            chi_squared_max: self.settings.closure.chi_squared_max,
+            growth: 1.6,
+            rounds: 25,
+            warm_up: 6,
+        };
+        let mut poses: Vec<Placement> = self.chain.nodes()[..known].iter().map(|n| n.chain).collect();
+        let weights = solve(known, &edges, trusted, &settings, &mut poses);
+        self.poses = poses;
+        let mut acting = weights[trusted..].iter().map(|&w| w > 0.5);
+        self.in_force = eligible.iter().map(|&eligible| eligible && acting.next() == Some(true)).collect();
+    }
+
+    /// Concludes the run: the last loops, a dense pass over the whole layout, and every kept scan placed in
+    /// it.
+    pub fn finish(&mut self) -> Solution {
+        let known = self.chain.nodes().len();
+        if known == 0 {
+            return self.solution(&filled(&self.records, &[]));
+        }
+        self.close_loops(known, usize::MAX);
+        self.refine();
+        let kept = self.expected();
+        let placer = Placer {
+            nodes: self.chain.nodes(),
+            scans: &self.scans,
+            poses: &self.poses,
+            reach: self.settings.final_nodes,
+        };
+        let placed = placer.place_all(&kept, self.finder.scratch());
+        let pairs: Vec<_> = self.kept.iter().zip(placed).map(|(k, pose)| (k.record, pose)).collect();
+        self.solution(&filled(&self.records, &pairs))
+    }
+
+    /// Where each kept scan is expected in the layout: by the front end's path between the nodes around it,
+    /// and, should that have jumped, straight between them.
+    fn expected(&self) -> Vec<KeptScan> {
+        let nodes = self.placed_nodes();
+        let guesses = filled(&self.records, &nodes);
+        let straight = |record: usize, node: usize| match (nodes.get(node), nodes.get(node + 1)) {
+            (Some(&(start, from)), Some(&(end, to))) => {
+                from.interpolate(&to, (record - start) as f64 / (end - start) as f64)
+            }
+            _ => guesses[record],
+        };
+        let expect = |k: &Kept| KeptScan {
+            scan: k.scan,
+            guesses: [guesses[k.record], straight(k.record, k.node)],
+            node: k.node,
+            is_node: k.is_node,
+        };
+        self.kept.iter().map(expect).collect()
+    }
+
+    /// The dense pass, over all nodes.
+    fn refine(&mut self) {
+        let nodes = self.chain.nodes();
+        let mut segments = self.segments.clone();
+        let rest = segments.last().map_or(0, |s| s.nodes.end)..nodes.len();
+        if !rest.is_empty() {
+            segments.push(Segment::new(rest));
+        }
+        let pass = DensePass { nodes, scans: &self.scans, segments: &segments, chain: self.chain.edges() };
+        for _ in 0..self.settings.dense_passes {
+            pass.run(self.finder.scratch(), &mut self.poses);
+        }
+    }
+
+    fn placed_nodes(&self) -> Vec<(usize, Placement)> {
+        self.kept.iter().filter(|k| k.is_node).map(|k| (k.record, self.poses[k.node])).collect()
+    }
+
+    /// The solution with these poses for all records, turned so that the first is where the front end put it.
+    fn solution(&self, poses: &[Placement]) -> Solution {
+        let gauge = match (self.records.first(), poses.first()) {
+            (Some(record), Some(pose)) => record.odom.compose(pose.inverse()),
+            _ => Placement::IDENTITY,
+        };
+        let poses: Vec<Placement> = poses.iter().map(|pose| gauge.compose(*pose)).collect();
+        let place = |(record, pose): (&Record, &Placement)| PlacedScan {
+            id: record.id,
+            stamp_ns: record.stamp_ns,
+            map_from_base: pose.pose(),
+        };
+        Solution {
+            trajectory: self.records.iter().zip(&poses).map(place).collect(),
+            submaps: self.place_submaps(&poses),
+            closures: self.counts(),
+        }
+    }
+
+    /// Each submap of the mapper goes where the median of its scans' corrections takes the one in its middle.
+    fn place_submaps(&self, poses: &[Placement]) -> Vec<PlacedSubmap> {
+        let mut submaps = Vec::new();
+        for group in self.kept.chunk_by(|a, b| self.records[a.record].submap == self.records[b.record].submap)
+        {
+            let middle = &self.records[group[group.len() / 2].record];
+            let carried = |k: &Kept| poses[k.record].compose(self.records[k.record].odom.to(middle.odom));
+            let carried: Vec<Placement> = group.iter().map(carried).collect();
+            let map_from_odom = median(&carried).compose(middle.odom.inverse()).pose();
+            submaps.push(PlacedSubmap { number: middle.submap, map_from_odom });
+        }
+        submaps
+    }
+
+    fn counts(&self) -> ClosureCounts {
+        let counts = self.finder.counts();
+        ClosureCounts {
+            searches: counts.searches,
+            matches: counts.matches,
+            accepted: self.closures.len() as u64,
+            revoked: self.in_force.iter().filter(|&&acts| !acts).count() as u64,
+            nodes: self.chain.nodes().len() as u64,
+            unmatched: self.chain.unmatched() as u64,
+        }
+    }
+}
+
+/// The median of poses that lie close together, coordinate by coordinate.
+fn median(poses: &[Placement]) -> Placement {
+    let near = poses[poses.len() / 2];
+    let middle = |pick: fn(&Placement) -> f64| {
+        let mut values: Vec<f64> = poses.iter().map(|pose| pick(&near.to(*pose))).collect();
+        values.sort_by(f64::total_cmp);
+        values[values.len() / 2]
+    };
+    near.compose(Placement::new(middle(|p| p.x_m), middle(|p| p.y_m), middle(|p| p.heading_rad)))
+}

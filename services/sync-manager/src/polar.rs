@@ -1,0 +1,64 @@
+use flockslam_registration::cloud::{PackedPoint, Placement};
+use std::f64::consts::{PI, TAU};
+
+/// Directions that are told apart: one degree each.
+const SECTORS: usize = 360;
+/// A point must lie this much in front of what was seen to count as in free space, metres.
+const MARGIN_M: f64 = 0.3;
+
+/// How far a scan saw in each direction.
+pub struct Polar {
+    nearest_m: [f64; SECTORS],
+}
+
+impl Polar {
+    /// The nearest point of the scan in each sector and its two neighbours.
+    pub fn new(points: &[PackedPoint]) -> Self {
+        let mut sector_m = [0.0f64; SECTORS];
+        for point in points {
+            let (x, y) = (point.x_m(), point.y_m());
+            let range_m = (x * x + y * y).sqrt();
+            let entry = &mut sector_m[sector(x, y)];
+            if *entry == 0.0 || range_m < *entry {
+                *entry = range_m;
+            }
+        }
+        let around = |i: usize| [(i + SECTORS - 1) % SECTORS, i, (i + 1) % SECTORS].map(|k| sector_m[k]);
+        // A sector is only judged where the scan saw something on both sides too.
+        let nearest = |i| if sector_m[i] == 0.0 { 0.0 } else { least(around(i)) };
+        Self { nearest_m: std::array::from_fn(nearest) }
+    }
+
+    /// Whether the scan, taken at `at`, looked through the point (x, y) metres of the same frame: `None` when
+    /// it did not look there.
+    pub fn looked_through(&self, at: &Placement, x_m: f64, y_m: f64) -> Option<bool> {
+        let (x, y) = at.unrotate(x_m - at.x_m, y_m - at.y_m);
+        let seen_m = self.nearest_m[sector(x, y)];
+        (seen_m > 0.0).then(|| (x * x + y * y).sqrt() + MARGIN_M < seen_m)
+    }
+}
+
+fn least(ranges: [f64; 3]) -> f64 {
+    ranges.into_iter().filter(|&r| r > 0.0).fold(f64::INFINITY, f64::min)
+}
+
+fn sector(x: f64, y: f64) -> usize {
+    (((libm::atan2(y, x) + PI) * (SECTORS as f64 / TAU)) as usize).min(SECTORS - 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn knows_free_space_from_walls_and_from_what_it_did_not_see() {
+        let wall: Vec<_> =
+            (-300..300).filter_map(|i| PackedPoint::from_metres(4.0, f64::from(i) * 0.01)).collect();
+        let polar = Polar::new(&wall);
+        let at = Placement::new(1.0, 0.0, 0.0);
+        assert_eq!(polar.looked_through(&at, 3.0, 0.2), Some(true));
+        assert_eq!(polar.looked_through(&at, 5.0, 0.2), Some(false));
+        assert_eq!(polar.looked_through(&at, 7.0, 0.2), Some(false));
+        assert_eq!(polar.looked_through(&at, -3.0, 0.2), None);
+    }
+}

@@ -1,0 +1,209 @@
+//! The shell of sync-manager: joins poses, accepted scans and closed submaps, publishes corrections, and at the end
+//! stores the final trajectory and the fused map.
+
+use crate::{Settings, SyncManager};
+use flockslam_bus::{BellRinger, Publisher, ScanSample, Subscriber};
+use flockslam_messages::{
+    Control, ControlKind, DropReason, LayoutHeader, PoseEstimate, PoseFlags, ScanView, Stage, SubmapClosed,
+};
+use flockslam_stage::results::{self, StampedPose, Summary};
+use flockslam_stage::{
+    Acknowledger, Actor, JournalReader, Mode, PendingScans, PoseQueue, StageContext, StageError, StreamEnd,
+    SubmapStore, run,
+};
+use flockslam_telemetry::monotonic_ns;
+use std::collections::BTreeMap;
+
+/// Runs the stage until it is asked to stop.
+///
+/// # Errors
+/// When the bus, the journal or the store fails.
+pub fn run_stage(context: &mut StageContext, settings: Settings) -> Result<(), StageError> {
+    let bell = context.bus.listener(Stage::SyncManager.name())?;
+    let mut actor = SyncProcess::open(context, settings)?;
+    run(context, &mut actor, &bell)
+}
+
+struct SyncProcess {
+    logic: SyncManager,
+    /// Scans are handed to the logic, which places them anew.
+    optimises: bool,
+    store: SubmapStore,
+    scans: PendingScans,
+    poses: PoseQueue,
+    submaps: Subscriber<SubmapClosed>,
+    /// Closed submaps that the logic has not seen, by number.
+    waiting_submaps: BTreeMap<u32, SubmapClosed>,
+    /// The logic has seen all submaps below this.
+    next_submap: u32,
+    layouts: Publisher<LayoutHeader>,
+    control: Publisher<Control>,
+    matcher: BellRinger,
+    supervisor: BellRinger,
+    acknowledger: Acknowledger,
+    stream: StreamEnd,
+    online: Vec<StampedPose>,
+    summary: Summary,
+    finished: bool,
+}
+
+impl SyncProcess {
+    fn open(context: &mut StageContext, settings: Settings) -> Result<Self, StageError> {
+        let bus = &context.bus;
+        let mut process = Self {
+            optimises: settings.enabled,
+            logic: SyncManager::new(settings),
+            store: SubmapStore::new(&context.submap_dir),
+            scans: PendingScans::new(bus.scan_subscriber()?, context.capacity.window, 0),
+            poses: PoseQueue::new(bus.subscriber()?, 0),
+            submaps: bus.subscriber()?,
+            waiting_submaps: BTreeMap::new(),
+            next_submap: 0,
+            layouts: bus.publisher()?,
+            control: bus.publisher()?,
+            matcher: bus.ringer(Stage::ScanMatcher.name())?,
+            supervisor: bus.ringer(flockslam_bus::SUPERVISOR_BELL)?,
+            acknowledger: Acknowledger::open(context, 0)?,
+            stream: StreamEnd::open(context)?,
+            online: Vec::new(),
+            summary: Summary::default(),
+            finished: false,
+        };
+        process.recover(context)?;
+        Ok(process)
+    }
+
+    /// Takes in again what a predecessor had seen: the journal has every pose and every accepted scan.
+    fn recover(&mut self, context: &mut StageContext) -> Result<(), StageError> {
+        let mut journal = JournalReader::open(&context.journal_dir)?;
+        let mut next = 0;
+        while let Some(record) = journal.read_next()? {
+            for number in self.next_submap..record.pose.submap.min(self.store.count()) {
+                let submap = self.store.load(number)?;
+                let notice = self.store.notice(&submap)?;
+                self.conclude(&notice)?;
+            }
+            let scan = record.scan.as_ref().and_then(|scan| scan.view().ok());
+            self.take_in(&record.pose, scan);
+            next = record.pose.id.sequence + 1;
+        }
+        self.poses = PoseQueue::new(context.bus.subscriber()?, next);
+        self.scans.release_before(next);
+        self.acknowledger.finished(next)
+    }
+
+    fn take_in(&mut self, pose: &PoseEstimate, scan: Option<ScanView<'_>>) {
+        self.logic.pose(pose);
+        self.online.push(StampedPose { stamp_ns: pose.times.sensor_ns, pose: pose.map_from_base() });
+        let count = |flag, counter: &mut u64| *counter += u64::from(pose.has(flag));
+        self.summary.scans += 1;
+        count(PoseFlags::MATCHED, &mut self.summary.matched);
+        count(PoseFlags::INSERT, &mut self.summary.inserted);
+        count(PoseFlags::RESCUED, &mut self.summary.rescued);
+        if let Some(reason) = DropReason::from_number(pose.drop_reason).filter(|_| !pose.has(PoseFlags::MATCHED)) {
+            *self.summary.dropped.entry(reason.name().to_owned()).or_default() += 1;
+        }
+        if let Some(scan) = scan.filter(|_| self.optimises && pose.has(PoseFlags::MATCHED)) {
+            self.logic.node(scan, pose);
+        }
+    }
+
+    /// Hands a closed submap to the logic and publishes the correction.
+    fn conclude(&mut self, notice: &SubmapClosed) -> Result<(), StageError> {
+        let layout = self.logic.submap_closed(notice);
+        self.next_submap = notice.number + 1;
+        self.layouts.send(&layout)?;
+        self.matcher.ring();
+        Ok(())
+    }
+
+    fn drain(&mut self) -> Result<(), StageError> {
+        self.scans.drain()?;
+        self.poses.drain()?;
+        while let Some(notice) = self.submaps.receive()? {
+            if notice.number >= self.next_submap {
+                self.waiting_submaps.insert(notice.number, *notice);
+            }
+        }
+        Ok(())
+    }
+
+    /// Handles the oldest pose; false when its join is not complete. A submap is concluded at a fixed place: before the first
+    /// scan that enters a later one.
+    fn step(&mut self, pose: &PoseEstimate, context: &mut StageContext) -> Result<bool, StageError> {
+        while self.next_submap < pose.submap && pose.has(PoseFlags::INSERT) {
+            match self.waiting_submaps.remove(&self.next_submap) {
+                Some(notice) => self.conclude(&notice)?,
+                None if context.mode == Mode::Exact => return Ok(false),
+                None => break,
+            }
+        }
+        let started_ns = monotonic_ns();
+        let sample: Option<ScanSample> = self.scans.take(pose.id.sequence);
+        let scan = sample.as_ref().and_then(|sample| sample.view().ok());
+        if let Some(scan) = &scan {
+            context.report.report.scan_address = scan.ranges().as_ptr() as u64;
+        }
+        self.take_in(pose, scan);
+        context.handled(pose.id.sequence, started_ns, pose.times.monotonic_ns);
+        self.acknowledger.finished(pose.id.sequence + 1)?;
+        Ok(true)
+    }
+
+    fn finish(&mut self, context: &StageContext) -> Result<(), StageError> {
+        for number in self.next_submap..self.store.count() {
+            let submap = self.store.load(number)?;
+            self.conclude(&self.store.notice(&submap)?)?;
+        }
+        let solution = self.logic.finish();
+        let rows: Vec<_> = solution
+            .trajectory
+            .iter()
+            .map(|scan| StampedPose { stamp_ns: scan.stamp_ns, pose: scan.map_from_base })
+            .collect();
+        let directory = &context.result_dir;
+        results::write_trajectory(directory, results::FINAL_TRAJECTORY, &rows)?;
+        results::write_trajectory(directory, results::ONLINE_TRAJECTORY, &self.online)?;
+        results::write_map(directory, &crate::fuse::fuse(&self.store, &solution.submaps)?)?;
+        self.summary.submaps = solution.submaps.len() as u64;
+        self.summary.closures_tried = solution.closures.searches;
+        self.summary.closures_accepted = solution.closures.accepted;
+        self.summary.closures_revoked = solution.closures.revoked;
+        results::write_summary(directory, &self.summary)?;
+        self.finished = true;
+        self.repeat_the_end()
+    }
+
+    fn repeat_the_end(&self) -> Result<(), StageError> {
+        self.control.send(&Control { kind: ControlKind::Finished as u32, epoch: 0, value: self.summary.scans })?;
+        self.supervisor.ring();
+        Ok(())
+    }
+}
+
+impl Actor for SyncProcess {
+    fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
+        let mut any = false;
+        loop {
+            self.drain()?;
+            let Some(pose) = self.poses.front().copied() else { break };
+            if !self.step(&pose, context)? {
+                break;
+            }
+            self.poses.pop();
+            any = true;
+        }
+        self.stream.drain()?;
+        if !self.finished && self.stream.reached(self.acknowledger.done(), context.mode) && self.stream.submaps.is_some() {
+            self.finish(context)?;
+        }
+        Ok(any)
+    }
+
+    fn refresh(&mut self, _context: &mut StageContext) -> Result<(), StageError> {
+        self.layouts.refresh();
+        self.control.refresh();
+        self.acknowledger.send()?;
+        if self.finished { self.repeat_the_end() } else { Ok(()) }
+    }
+}

@@ -1,0 +1,136 @@
+use crate::settings::Settings;
+use flockslam_messages::ScanView;
+use flockslam_registration::cloud::{PackedPoint, Placement};
+
+/// Neighbouring points of a scan closer than this tell the same; one of them is kept, metres.
+const SPACING_M: f64 = 0.02;
+/// Farther points are never used, metres: the points of a few nodes must fit on a grid's torus.
+const RANGE_MAX_M: f64 = 20.0;
+/// Most points kept of one scan.
+const POINTS_MAX: usize = 720;
+
+/// Velocity of the robot in its own frame while a scan was taken: metres and radians per second.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Velocity {
+    /// Forward.
+    pub x_m_s: f64,
+    /// To the left.
+    pub y_m_s: f64,
+    /// Counter-clockwise.
+    pub turn_rad_s: f64,
+}
+
+impl Velocity {
+    /// The velocity that leads along `motion` in `seconds`; none when the time between two scans is not
+    /// plausible.
+    pub fn from_motion(motion: &Placement, seconds: f64) -> Self {
+        if !(1e-3..=1.0).contains(&seconds) {
+            return Self::default();
+        }
+        let rate = 1.0 / seconds;
+        Self { x_m_s: motion.x_m * rate, y_m_s: motion.y_m * rate, turn_rad_s: motion.heading_rad * rate }
+    }
+
+    /// Where the robot is after `seconds`, seen from where it was; for the short time of a scan.
+    fn after(&self, seconds: f64) -> Placement {
+        Placement::new(self.x_m_s * seconds, self.y_m_s * seconds, self.turn_rad_s * seconds)
+    }
+}
+
+/// The points of all scans that were kept, in the robot's frame, four bytes each.
+#[derive(Default)]
+pub struct ScanStore {
+    points: Vec<PackedPoint>,
+    ends: Vec<usize>,
+}
+
+impl ScanStore {
+    /// Keeps the valid points of a scan, thinned out, as seen from where the robot was at its stamp; gives
+    /// its number in the store.
+    pub fn keep(&mut self, scan: ScanView<'_>, velocity: Velocity, settings: &Settings) -> usize {
+        let first = self.points.len();
+        let mount = Placement::from(scan.header().base_from_laser);
+        let takes_time =
+            !scan.is_empty() && scan.time_s(scan.len() - 1) != 0.0 && velocity != Velocity::default();
+        let mut last = (f64::INFINITY, f64::INFINITY);
+        // Scans with very many beams are read in strides before anything else.
+        let stride = scan.len().div_ceil(8 * POINTS_MAX).max(1);
+        for i in (0..scan.len()).step_by(stride) {
+            let Some(range_m) = scan.valid_range_m(i) else { continue };
+            if range_m < settings.range_min_m || range_m > settings.range_max_m.min(RANGE_MAX_M) {
+                continue;
+            }
+            let (sin, cos) = libm::sincos(scan.angle_rad(i));
+            let (mut x, mut y) = mount.apply(range_m * cos, range_m * sin);
+            if takes_time {
+                (x, y) = velocity.after(scan.time_s(i)).apply(x, y);
+            }
+            let (dx, dy) = (x - last.0, y - last.1);
+            if dx * dx + dy * dy >= SPACING_M * SPACING_M
+                && let Some(point) = PackedPoint::from_metres(x, y)
+            {
+                self.points.push(point);
+                last = (x, y);
+            }
+        }
+        self.halve_to_fit(first);
+        self.ends.push(self.points.len());
+        self.ends.len() - 1
+    }
+
+    fn halve_to_fit(&mut self, first: usize) {
+        while self.points.len() - first > POINTS_MAX {
+            let half = (self.points.len() - first).div_ceil(2);
+            for k in 0..half {
+                self.points[first + k] = self.points[first + 2 * k];
+            }
+            self.points.truncate(first + half);
+        }
+    }
+
+    /// The points of a scan.
+    pub fn points(&self, scan: usize) -> &[PackedPoint] {
+        let start = if scan == 0 { 0 } else { self.ends[scan - 1] };
+        &self.points[start..self.ends[scan]]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockslam_messages::ScanBuffer;
+
+    #[test]
+    fn keeps_valid_points_in_the_robots_frame() {
+        let mut scan =
+            ScanBuffer::from_ranges(&[1.0, f32::NAN, 2.0, 50.0, 0.1], 0.0, std::f64::consts::FRAC_PI_2);
+        scan.header.base_from_laser.x_m = 0.5;
+        let mut store = ScanStore::default();
+        assert_eq!(store.keep(scan.view().unwrap(), Velocity::default(), &Settings::default()), 0);
+        let metres: Vec<_> = store.points(0).iter().map(|p| (p.x_m(), p.y_m())).collect();
+        assert_eq!(metres, [(1.5, 0.0), (-1.5, 0.0)]);
+    }
+
+    #[test]
+    fn takes_the_robots_own_motion_out_of_a_scan() {
+        let mut scan = ScanBuffer::from_ranges(&[2.0, 2.0, 1.9], 0.0, 0.0);
+        scan.header.time_increment_s = 0.05;
+        // Driving at 1 m/s towards a wall, whose ranges shrink by 5 cm a beam; the second beam came early.
+        scan.numbers[1] = 1.95;
+        let velocity = Velocity::from_motion(&Placement::new(0.1, 0.0, 0.0), 0.1);
+        let settings = Settings { range_min_m: 0.0, ..Settings::default() };
+        let mut store = ScanStore::default();
+        store.keep(scan.view().unwrap(), velocity, &settings);
+        assert_eq!(store.points(0).len(), 1, "all three beams hit the same point");
+        assert_eq!(Velocity::from_motion(&Placement::new(0.1, 0.0, 0.0), -0.9), Velocity::default());
+    }
+
+    #[test]
+    fn bounds_what_it_keeps_of_a_huge_scan() {
+        let scan = ScanBuffer::from_ranges(&vec![15.0; 100_000], 0.0, std::f64::consts::TAU / 1e5);
+        let mut store = ScanStore::default();
+        store.keep(scan.view().unwrap(), Velocity::default(), &Settings::default());
+        let kept = store.points(0).len();
+        assert!((POINTS_MAX / 2..=POINTS_MAX).contains(&kept), "{kept}");
+    }
+}

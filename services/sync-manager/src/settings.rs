@@ -1,0 +1,82 @@
+use serde::{Deserialize, Serialize};
+
+/// What the back end can be told. The defaults are meant for any indoor robot with a 2-D lidar.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// Whether poses are optimised at all; otherwise the final trajectory is the front end's.
+    pub enabled: bool,
+    /// Points nearer than this to the lidar are not used, metres.
+    pub range_min_m: f64,
+    /// Points farther than this from the lidar are not used, metres; at most 20.
+    pub range_max_m: f64,
+    /// A scan becomes a node of the graph after this much travel, metres …
+    pub node_distance_m: f64,
+    /// … or this much turning, radians.
+    pub node_turn_rad: f64,
+    /// Each node is matched again to this many nodes before it.
+    pub chain_nodes: usize,
+    /// Length of travel in a segment, the piece of the chain that closures are searched against, metres; at
+    /// most 10.
+    pub segment_length_m: f64,
+    /// How loops are closed.
+    pub closure: ClosureSettings,
+    /// How often the whole layout is measured again at the end.
+    pub dense_passes: usize,
+    /// Each scan is placed at the end against the nodes up to this many before and after it.
+    pub final_nodes: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            range_min_m: 0.3,
+            range_max_m: 20.0,
+            node_distance_m: 0.3,
+            node_turn_rad: 0.35,
+            chain_nodes: 20,
+            segment_length_m: 5.0,
+            closure: ClosureSettings::default(),
+            dense_passes: 1,
+            final_nodes: 3,
+        }
+    }
+}
+
+/// How loops are closed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ClosureSettings {
+    /// Whether loops are closed at all.
+    pub enabled: bool,
+    /// A search starts after this much travel, metres.
+    pub every_m: f64,
+    /// Only segments that lie back at least this much travel are searched, metres.
+    pub least_travel_m: f64,
+    /// Most branch-and-bound searches after one closed submap.
+    pub searches_per_submap: usize,
+    /// Most segments tried for one query.
+    pub segments_per_query: usize,
+    /// Least score of a match, 0 … 1.
+    pub score_min: f64,
+    /// Least share of the query's points on the segment's lines after refinement.
+    pub inliers_min: f64,
+    /// A closure whose squared Mahalanobis error exceeds this in the solved graph does not act.
+    pub chi_squared_max: f64,
+}
+
+impl Default for ClosureSettings {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            every_m: 1.5,
+            least_travel_m: 15.0,
+            searches_per_submap: 60,
+            segments_per_query: 6,
+            score_min: 0.55,
+            inliers_min: 0.6,
+            chi_squared_max: 16.0,
+        }
+    }
+}

@@ -1,0 +1,91 @@
+use flockslam_messages::{PoseEstimate, ScanId};
+use flockslam_registration::cloud::Placement;
+
+/// A published pose, as kept for the final trajectory.
+#[derive(Clone, Copy, Debug)]
+pub struct Record {
+    /// The scan.
+    pub id: ScanId,
+    /// Sensor stamp, nanoseconds.
+    pub stamp_ns: i64,
+    /// The front end's pose, continuous.
+    pub odom: Placement,
+    /// Submap that the scan entered, if it was inserted.
+    pub submap: u32,
+}
+
+impl Record {
+    /// What is kept of a published pose.
+    pub fn new(pose: &PoseEstimate) -> Self {
+        Self {
+            id: pose.id,
+            stamp_ns: pose.times.sensor_ns,
+            odom: pose.odom_from_base.into(),
+            submap: pose.submap,
+        }
+    }
+}
+
+/// Poses for all records from the known ones, given as (record, pose) in ascending order of records.
+///
+/// Between two known records the front end's motion is trusted: its path is laid on both, and the two results
+/// are blended by the share of the way.
+pub fn filled(records: &[Record], known: &[(usize, Placement)]) -> Vec<Placement> {
+    let Some(&(first, _)) = known.first() else {
+        return records.iter().map(|r| r.odom).collect();
+    };
+    let carried =
+        |anchor: (usize, Placement), i: usize| anchor.1.compose(records[anchor.0].odom.to(records[i].odom));
+    let mut poses: Vec<Placement> = (0..first).map(|i| carried(known[0], i)).collect();
+    for pair in known.windows(2) {
+        let (start, end) = (pair[0].0, pair[1].0);
+        let shares = shares_of_way(&records[start..=end]);
+        poses.push(pair[0].1);
+        for i in start + 1..end {
+            let (forward, backward) = (carried(pair[0], i), carried(pair[1], i));
+            poses.push(forward.interpolate(&backward, shares[i - start]));
+        }
+    }
+    let last = known[known.len() - 1];
+    poses.extend((last.0..records.len()).map(|i| carried(last, i)));
+    poses
+}
+
+/// Share of the way at each record from the first to the last; a turn of one radian counts as a metre.
+fn shares_of_way(records: &[Record]) -> Vec<f64> {
+    let mut way = vec![0.0; records.len()];
+    for i in 1..records.len() {
+        let (a, b) = (&records[i - 1].odom, &records[i].odom);
+        // The smallest step keeps records of a robot at rest apart.
+        way[i] = way[i - 1] + a.distance_m(b) + a.turn_rad(b) + 1e-6;
+    }
+    let whole = way[records.len() - 1];
+    way.iter().map(|w| w / whole).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn corrections_are_blended_along_the_way() {
+        let record = |i: usize| Record {
+            id: ScanId { sequence: i as u64, ..ScanId::default() },
+            stamp_ns: i as i64,
+            odom: Placement::new(i as f64, 0.0, 0.0),
+            submap: 0,
+        };
+        let records: Vec<_> = (0..12).map(record).collect();
+        let known = [(1, Placement::new(1.0, 0.0, 0.0)), (9, Placement::new(9.0, 0.8, 0.0))];
+        let poses = filled(&records, &known);
+        assert_eq!(poses.len(), 12);
+        for (i, pose) in poses.iter().enumerate() {
+            let expected = 0.1 * (i.clamp(1, 9) - 1) as f64;
+            assert!(
+                (pose.y_m - expected).abs() < 1e-5 && (pose.x_m - i as f64).abs() < 1e-5,
+                "{i}: {pose:?}"
+            );
+        }
+        assert_eq!(filled(&records, &[])[3], records[3].odom);
+    }
+}

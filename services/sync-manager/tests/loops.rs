@@ -1,0 +1,258 @@
+//! A robot in synthetic buildings: what the back end makes of a front end that drifts, jumps or is fooled.
+
+use flockslam_geometry::{Point, Pose};
+use flockslam_messages::{LayoutHeader, PoseEstimate, PoseFlags, ScanBuffer, ScanId, SubmapClosed};
+use flockslam_sync_manager::{ClosureSettings, Settings, Solution, SyncManager};
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+/// Walls as line segments.
+struct Building(Vec<(Point, Point)>);
+
+impl Building {
+    fn new() -> Self {
+        Self(Vec::new())
+    }
+
+    fn wall(mut self, from: (f64, f64), to: (f64, f64)) -> Self {
+        self.0.push((Point::new(from.0, from.1), Point::new(to.0, to.1)));
+        self
+    }
+
+    fn block(self, low: (f64, f64), high: (f64, f64)) -> Self {
+        self.wall(low, (high.0, low.1))
+            .wall((high.0, low.1), high)
+            .wall(high, (low.0, high.1))
+            .wall((low.0, high.1), low)
+    }
+
+    /// A ring of corridors, 2 m wide, with pillars at uneven places on its outer wall.
+    fn ring() -> Self {
+        let ring = Self::new().block((-1.0, -1.0), (17.0, 11.0)).block((1.0, 1.0), (15.0, 9.0));
+        let pillars = [
+            (2.3, -1.0),
+            (5.1, -1.0),
+            (6.0, -1.0),
+            (11.7, -1.0),
+            (13.2, 10.6),
+            (9.4, 10.6),
+            (7.9, 10.6),
+            (3.0, 10.6),
+            (-1.0, 8.1),
+            (-1.0, 6.3),
+            (-1.0, 2.2),
+            (16.6, 3.3),
+            (16.6, 4.4),
+            (16.6, 8.7),
+        ];
+        pillars.into_iter().fold(ring, |ring, (x, y)| ring.block((x, y), (x + 0.4, y + 0.4)))
+    }
+
+    /// A straight corridor with the same niche every 3 m on both sides.
+    fn endless() -> Self {
+        let mut building = Self::new().wall((-2.0, -1.0), (-2.0, 1.0)).wall((80.0, -1.0), (80.0, 1.0));
+        for k in 0..28 {
+            let x = -2.0 + 3.0 * f64::from(k);
+            for side in [-1.0, 1.0] {
+                building = building
+                    .wall((x, side), (x + 2.0, side))
+                    .wall((x + 2.0, side), (x + 2.0, 1.4 * side))
+                    .wall((x + 2.0, 1.4 * side), (x + 3.0, 1.4 * side))
+                    .wall((x + 3.0, 1.4 * side), (x + 3.0, side));
+            }
+        }
+        building
+    }
+
+    fn range_m(&self, from: Point, angle_rad: f64) -> f64 {
+        let (sin, cos) = angle_rad.sin_cos();
+        let hit = |&(a, b): &(Point, Point)| {
+            let (ex, ey) = (b.x_m - a.x_m, b.y_m - a.y_m);
+            let (dx, dy) = (a.x_m - from.x_m, a.y_m - from.y_m);
+            let cross = cos * ey - sin * ex;
+            let (range, share) = ((dx * ey - dy * ex) / cross, (dx * sin - dy * cos) / cross);
+            (range > 0.0 && (0.0..=1.0).contains(&share)).then_some(range)
+        };
+        self.0.iter().filter_map(hit).fold(f64::INFINITY, f64::min)
+    }
+
+    fn scan(&self, at: Pose, noise: &mut Noise) -> ScanBuffer {
+        let step = TAU / 360.0;
+        let ranges: Vec<f32> = (0..240)
+            .map(|i| at.heading_rad - 120f64.to_radians() + f64::from(i) * step)
+            .map(|angle| self.range_m(at.position(), angle))
+            .map(|range| if range < 12.0 { (range + 0.02 * noise.next()) as f32 } else { f32::INFINITY })
+            .collect();
+        let mut scan = ScanBuffer::from_ranges(&ranges, (-120f64).to_radians(), step);
+        scan.header.range_max_m = 12.0;
+        scan
+    }
+}
+
+/// Even noise in -1 … 1 from a seed.
+struct Noise(u64);
+
+impl Noise {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 33) as f64 / f64::from(1u32 << 30) - 1.0
+    }
+}
+
+/// Poses every 10 cm along a path through these corners, turning on the spot in steps of 0.2 rad.
+fn path(corners: &[(f64, f64)]) -> Vec<Pose> {
+    let mut poses = Vec::new();
+    let mut heading = 0.0;
+    for pair in corners.windows(2) {
+        let (from, to) = (pair[0], pair[1]);
+        let (dx, dy) = (to.0 - from.0, to.1 - from.1);
+        let turn = Pose::new(0.0, 0.0, dy.atan2(dx) - heading).heading_rad;
+        let turns = (turn.abs() / 0.2).ceil() as i32;
+        poses.extend(
+            (0..turns).map(|k| Pose::new(from.0, from.1, heading + turn * f64::from(k) / f64::from(turns))),
+        );
+        heading += turn;
+        let steps = (dx.hypot(dy) / 0.1).round() as i32;
+        let share = |k: i32| f64::from(k) / f64::from(steps);
+        poses.extend((0..steps).map(|k| Pose::new(from.0 + dx * share(k), from.1 + dy * share(k), heading)));
+    }
+    poses
+}
+
+fn laps(count: usize) -> Vec<Pose> {
+    let corners = [(0.0, 0.0), (16.0, 0.0), (16.0, 10.0), (0.0, 10.0)];
+    let mut way: Vec<(f64, f64)> = corners.iter().copied().cycle().take(4 * count + 1).collect();
+    way.push((3.0, 0.0));
+    path(&way)
+}
+
+/// A front end whose heading bends by so many radians a metre and whose paths are too long by a share.
+fn drifting(truth: &[Pose], bend_rad_m: f64, stretch: f64) -> Vec<Pose> {
+    let mut poses = vec![truth[0]];
+    for pair in truth.windows(2) {
+        let motion = pair[0].to(pair[1]);
+        let bent = Pose::new(
+            motion.x_m * stretch,
+            motion.y_m * stretch,
+            motion.heading_rad + bend_rad_m * motion.x_m,
+        );
+        poses.push(poses[poses.len() - 1] * bent);
+    }
+    poses
+}
+
+/// Replays a run; a submap is closed every 60 scans, and every second scan is inserted.
+fn replay(
+    building: &Building,
+    truth: &[Pose],
+    odom: &[Pose],
+    settings: Settings,
+) -> (Vec<LayoutHeader>, Solution) {
+    let mut manager = SyncManager::new(settings);
+    let mut noise = Noise(7);
+    let mut headers = Vec::new();
+    for (i, (at, odom)) in truth.iter().zip(odom).enumerate() {
+        let id = ScanId { sequence: i as u64, ..ScanId::default() };
+        let mut pose =
+            PoseEstimate { id, odom_from_base: *odom, submap: i as u32 / 60, ..PoseEstimate::default() };
+        pose.times.sensor_ns = i as i64 * 100_000_000;
+        pose.flags = if i % 2 == 0 { PoseFlags::MATCHED | PoseFlags::INSERT } else { PoseFlags::MATCHED };
+        manager.pose(&pose);
+        // One scan in seven never arrives with its points: its pose has to be filled in.
+        if i % 7 != 3 {
+            manager.node(building.scan(*at, &mut noise).view().unwrap(), &pose);
+        }
+        if i % 60 == 59 {
+            headers.push(manager.submap_closed(&SubmapClosed {
+                last: id,
+                number: i as u32 / 60,
+                ..SubmapClosed::default()
+            }));
+        }
+    }
+    (headers, manager.finish())
+}
+
+fn worst_error_m(solution: &Solution, truth: &[Pose]) -> f64 {
+    let pairs = solution.trajectory.iter().zip(truth);
+    pairs.map(|(placed, truth)| placed.map_from_base.distance_m(*truth)).fold(0.0, f64::max)
+}
+
+#[test]
+fn a_drifting_front_end_is_straightened_by_its_loops() {
+    let (building, truth) = (Building::ring(), laps(2));
+    let odom = drifting(&truth, 0.004, 1.01);
+    assert!(odom[odom.len() - 1].distance_m(truth[truth.len() - 1]) > 0.8, "the front end must need help");
+    let (headers, solution) = replay(&building, &truth, &odom, Settings::default());
+    assert_eq!(solution.trajectory.len(), truth.len());
+    assert!(solution.trajectory.iter().enumerate().all(|(i, placed)| placed.id.sequence == i as u64));
+    let first = solution.trajectory[0].map_from_base;
+    assert!(
+        first.distance_m(odom[0]) < 1e-9 && first.turn_rad(odom[0]) < 1e-9,
+        "the first scan is the gauge"
+    );
+    let worst = worst_error_m(&solution, &truth);
+    assert!(worst < 0.04, "{worst} {:?}", solution.closures);
+    assert!(solution.closures.accepted > 10, "{:?}", solution.closures);
+    let last = headers[headers.len() - 1];
+    let corrected = last.map_from_odom * odom[headers.len() * 60 - 1];
+    assert!(corrected.distance_m(truth[headers.len() * 60 - 1]) < 0.15, "{corrected:?}");
+    assert!(headers.iter().enumerate().all(|(i, h)| h.revision == i as u32 + 1 && h.submap == i as u32));
+    for placed in &solution.submaps {
+        let middle = (placed.number as usize * 60 + 30).min(odom.len() - 1);
+        assert!((placed.map_from_odom * odom[middle]).distance_m(truth[middle]) < 0.05, "{placed:?}");
+    }
+}
+
+#[test]
+fn the_same_input_gives_the_same_bits() {
+    let (building, truth) = (Building::ring(), laps(1));
+    let odom = drifting(&truth, 0.004, 1.0);
+    let run = || replay(&building, &truth, &odom, Settings::default());
+    assert_eq!(run(), run());
+}
+
+#[test]
+fn a_front_end_that_jumps_is_caught() {
+    let (building, truth) = (Building::ring(), laps(2));
+    let mut odom = drifting(&truth, 0.001, 1.0);
+    for at in [150, 400] {
+        let jump = Pose::new(0.5, -0.4, 0.6);
+        let root = odom[at];
+        let moved: Vec<Pose> = odom[at..].iter().map(|pose| root * jump * root.to(*pose)).collect();
+        odom.splice(at.., moved);
+    }
+    let (_, solution) = replay(&building, &truth, &odom, Settings::default());
+    let mut errors: Vec<f64> = solution
+        .trajectory
+        .iter()
+        .zip(&truth)
+        .map(|(placed, truth)| placed.map_from_base.distance_m(*truth))
+        .collect();
+    errors.sort_by(f64::total_cmp);
+    // The scan or two at a jump may be anywhere between its ends.
+    let most = errors[errors.len() - 1 - errors.len() / 50];
+    assert!(most < 0.04, "{most} {:?}", solution.closures);
+}
+
+#[test]
+fn a_corridor_that_repeats_itself_closes_no_false_loop() {
+    let building = Building::endless();
+    let truth = path(&[(0.0, 0.0), (72.0, 0.0), (2.0, 0.0), (40.0, 0.0)]);
+    let odom = drifting(&truth, 0.0, 1.02);
+    let (_, with) = replay(&building, &truth, &odom, Settings::default());
+    let closure = ClosureSettings { enabled: false, ..ClosureSettings::default() };
+    let (_, without) = replay(&building, &truth, &odom, Settings { closure, ..Settings::default() });
+    let (with_m, without_m) = (worst_error_m(&with, &truth), worst_error_m(&without, &truth));
+    assert!(with_m < 0.15 && with_m < without_m, "{with_m} m against {without_m} m, {:?}", with.closures);
+}
+
+#[test]
+fn scans_without_points_and_an_empty_run_do_no_harm() {
+    let mut manager = SyncManager::new(Settings::default());
+    assert_eq!(manager.submap_closed(&SubmapClosed::default()).map_from_odom, Pose::IDENTITY);
+    let (nothing, truth) = (Building::new(), laps(1));
+    let odom = drifting(&truth, FRAC_PI_2 / 200.0, 1.0);
+    let (_, solution) = replay(&nothing, &truth, &odom, Settings::default());
+    assert!(worst_error_m(&solution, &odom) < 1e-6, "without points the front end's path stands");
+    assert_eq!(SyncManager::new(Settings::default()).finish(), Solution::default());
+}
