@@ -10,6 +10,12 @@ pub mod stage;
 
 use crate::configuration::ConfigurationError;
 use crate::supervisor::SetError;
+use std::io::Write;
+
+/// Writes to the standard output. A reader that has gone away (`| head`) is no failure of the command.
+fn say(text: &str) {
+    let _ = std::io::stdout().write_all(text.as_bytes());
+}
 
 /// Why a command failed.
 #[derive(Debug, thiserror::Error)]

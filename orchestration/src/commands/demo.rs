@@ -1,7 +1,7 @@
 //! `flockslam demo`: a map from a simulated building, measured against the exact truth.
 
-use super::CommandError;
-use super::run::{Run, points, print_summary, run as run_set};
+use super::{CommandError, say};
+use super::run::{Run, points, summary, run as run_set};
 use crate::cli::DemoArgs;
 use crate::evaluation::evaluate_truth;
 use crate::outputs::write_trajectory;
@@ -15,14 +15,14 @@ pub fn run(args: &DemoArgs) -> Result<(), CommandError> {
     let absolute = |path| std::path::absolute(path).map_err(CommandError::user);
     let world = args.world.as_deref().map(absolute).transpose()?;
     let outcome = run_set(&args.run, Run { source: Source::Simulation, world, scans: None })?;
-    print_summary(&args.run.out, &outcome.report);
+    say(&summary(&args.run.out, &outcome.report));
     let truth = outcome.truth.ok_or_else(|| CommandError::failed("the simulation left no truth"))?;
     let truth = points(&truth);
     write_trajectory(&args.run.out.join("truth.tum"), &truth).map_err(CommandError::failed)?;
-    println!("wrote truth.tum beside them");
+    say("wrote truth.tum beside them\n");
     for (name, trajectory) in [("online", &outcome.online), ("final", &outcome.last)] {
         let report = evaluate_truth(trajectory, &truth).map_err(CommandError::failed)?;
-        println!("\n{name} trajectory against the truth\n{report}");
+        say(&format!("\n{name} trajectory against the truth\n{report}"));
     }
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! `flockslam map`: a lidar log becomes a map.
 
-use super::CommandError;
-use super::run::{Run, print_summary, run as run_set};
+use super::{CommandError, say};
+use super::run::{Run, summary, run as run_set};
 use crate::cli::MapArgs;
 use flockslam_lidar_ingest::process::{Source, count_scans};
 
@@ -23,6 +23,6 @@ pub fn run(args: &MapArgs) -> Result<(), CommandError> {
         }
     };
     let outcome = run_set(&args.run, Run { source, world: None, scans })?;
-    print_summary(&args.run.out, &outcome.report);
+    say(&summary(&args.run.out, &outcome.report));
     Ok(())
 }

@@ -269,22 +269,25 @@ fn microseconds(histogram: &LatencyHistogram) -> LatencyMicroseconds {
     }
 }
 
-/// Prints what a run gave, for people.
-pub fn print_summary(out: &Path, report: &Report) {
+/// What a run gave, for people.
+pub fn summary(out: &Path, report: &Report) -> String {
     let dropped: u64 = report.dropped.values().sum();
     let share = 100.0 * dropped as f64 / report.scans.max(1) as f64;
-    println!("{} scans in {:.1} s ({:.0} scans/s), {share:.0} % dropped by the filter", report.scans, report.wall_s, report.scans_per_s);
-    println!(
-        "{:.0} m driven, {:.0} m² mapped, {} submaps, {} loop closures in force",
+    let closures = report.loop_closures.accepted.saturating_sub(report.loop_closures.revoked);
+    let rejected: BTreeMap<_, _> = report.rejected.iter().filter(|(_, count)| **count > 0).collect();
+    let bad = if rejected.is_empty() { String::new() } else { format!("bad lines skipped: {rejected:?}\n") };
+    format!(
+        "{} scans in {:.1} s ({:.0} scans/s), {share:.0} % dropped by the filter\n\
+         {:.0} m driven, {:.0} m² mapped, {} submaps, {closures} loop closures in force\n\
+         {bad}map {}\n\
+         wrote trajectory.tum, trajectory_online.tum, map.pgm, map.yaml, map.png, report.json to {}\n",
+        report.scans,
+        report.wall_s,
+        report.scans_per_s,
         report.trajectory_length_m,
         report.map_area_m2,
         report.submaps,
-        report.loop_closures.accepted - report.loop_closures.revoked.min(report.loop_closures.accepted)
-    );
-    let rejected: BTreeMap<_, _> = report.rejected.iter().filter(|(_, count)| **count > 0).collect();
-    if !rejected.is_empty() {
-        println!("bad lines skipped: {rejected:?}");
-    }
-    println!("map {}", report.map_hash);
-    println!("wrote trajectory.tum, trajectory_online.tum, map.pgm, map.yaml, map.png, report.json to {}", out.display());
+        report.map_hash,
+        out.display()
+    )
 }

@@ -242,7 +242,7 @@ mod tests {
 
     #[test]
     fn a_beam_leaves_free_space_a_hit_and_nothing_behind() {
-        let mut mapper = Mapper::new(Settings::default());
+        let mut mapper = Mapper::new(Settings { cell_size_m: 0.05, ..Settings::default() });
         let mut buffer = scan(5, &[2.02, 25.0, 0.2, f32::NAN]);
         buffer.header.angle_min_rad = 0.0;
         let insertion = mapper.insert(buffer.view().unwrap(), &pose(0.01, 0.02, 0.0), &[]);
@@ -269,7 +269,7 @@ mod tests {
         submaps.extend(mapper.close());
         assert!(submaps.len() > 3 && mapper.close().is_none());
         let mut next = 0;
-        let mut sum = FusedMap::new(0.05);
+        let mut sum = FusedMap::new(Settings::default().cell_size_m);
         for (number, submap) in submaps.iter().enumerate() {
             assert_eq!((submap.number as usize, submap.first), (number, next));
             assert_eq!(submap.last + 1 - submap.first, u64::from(submap.insertions));

@@ -55,10 +55,10 @@ pub enum ReadOut {
 impl Default for Settings {
     fn default() -> Self {
         Self {
-            cell_size_m: 0.05,
+            cell_size_m: 0.045,
             sensor_model: SensorModelKind::Evidence,
             hit_nat: 1.5,
-            miss_nat: 0.15,
+            miss_nat: 0.3,
             range_min_m: 0.4,
             range_max_m: 30.0,
             read_out: ReadOut::Occupied,

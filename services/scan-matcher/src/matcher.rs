@@ -10,6 +10,8 @@ use std::ops::Deref;
 const POINTS_MIN: usize = 5;
 /// A fit whose weakest direction is below this (per m² and point) slides along it.
 const WEAK_DIRECTION: f64 = 1.0;
+/// A wide search that found nothing is repeated only after this much motion, metres and radians.
+const SEARCH_AGAIN: (f64, f64) = (0.1, 0.1);
 /// Standard deviations assumed of the prediction where the scan determines nothing.
 const PRIOR_SIGMA: (f64, f64) = (0.3, 0.15);
 
@@ -24,6 +26,8 @@ pub struct ScanMatcher {
     matched: u64,
     /// Scans in a row whose fit was not believed.
     lost: u32,
+    /// Where a wide search found nothing.
+    searched: Option<Pose>,
     generation: u64,
     active_submap: u32,
     map_from_odom: Pose,
@@ -52,6 +56,7 @@ impl ScanMatcher {
             last_score: 0.0,
             matched: 0,
             lost: 0,
+            searched: None,
             generation: 0,
             active_submap: 0,
             map_from_odom: Pose::IDENTITY,
@@ -168,8 +173,15 @@ impl ScanMatcher {
         let fit = solver.fit(field, &self.points, prediction, prediction);
         let rescue = &self.settings.rescue;
         if fit.score >= rescue.below * self.mean_score {
+            self.searched = None;
             return (fit, false);
         }
+        let near =
+            |at: Pose| at.distance_m(prediction) < SEARCH_AGAIN.0 && at.turn_rad(prediction) < SEARCH_AGAIN.1;
+        if self.lost == 0 && self.searched.is_some_and(near) {
+            return (fit, false);
+        }
+        self.searched = Some(prediction);
         let wider = f64::from(1 + self.lost.min(2));
         let (reach_m, reach_rad) = (wider * rescue.reach_m, wider * rescue.reach_rad);
         let window = Window { center: prediction, reach_m, reach_rad };

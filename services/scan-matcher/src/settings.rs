@@ -130,6 +130,7 @@ impl Settings {
         Self {
             strategy: Strategy::HillClimbing,
             gate: Gate { travel_m: 0.0, turn_rad: 0.0, ..Gate::default() },
+            rescue: Rescue { lost_scans_max: 0, ..Rescue::default() },
             range_min_m: 0.0,
             unknown_score: 0.5,
             ..Self::default()

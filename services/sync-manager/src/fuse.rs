@@ -10,7 +10,8 @@ use flockslam_stage::{StageError, SubmapStore};
 /// When a submap cannot be read, or lies absurdly far from the others.
 pub fn fuse(store: &SubmapStore, layout: &[PlacedSubmap]) -> Result<StoredMap, StageError> {
     let mut fused: Option<FusedMap> = None;
-    for placed in layout {
+    // The last scans may carry the number of a submap that nothing was inserted in.
+    for placed in layout.iter().filter(|placed| placed.number < store.count()) {
         let submap: Submap = store.load(placed.number)?;
         let map = fused.get_or_insert_with(|| FusedMap::new(submap.cell_size_m));
         let map_from_submap = placed.map_from_odom * submap.odom_from_submap;

@@ -315,10 +315,10 @@ impl SyncManager {
     /// Each submap of the mapper goes where the median of its scans' corrections takes the one in its middle.
     fn place_submaps(&self, poses: &[Placement]) -> Vec<PlacedSubmap> {
         let mut submaps = Vec::new();
-        for group in self.kept.chunk_by(|a, b| self.records[a.record].submap == self.records[b.record].submap)
-        {
-            let middle = &self.records[group[group.len() / 2].record];
-            let carried = |k: &Kept| poses[k.record].compose(self.records[k.record].odom.to(middle.odom));
+        let scans: Vec<(&Record, &Placement)> = self.records.iter().zip(poses).collect();
+        for group in scans.chunk_by(|a, b| a.0.submap == b.0.submap) {
+            let middle = group[group.len() / 2].0;
+            let carried = |(record, pose): &(&Record, &Placement)| pose.compose(record.odom.to(middle.odom));
             let carried: Vec<Placement> = group.iter().map(carried).collect();
             let map_from_odom = median(&carried).compose(middle.odom.inverse()).pose();
             submaps.push(PlacedSubmap { number: middle.submap, map_from_odom });
