@@ -1,6 +1,6 @@
 use crate::TileKey;
 
-/// Entries that a directory may span: 26 × 26 km at 3.2 m a tile would be 64 Mi, so this is ample for a building.
+/// Entries that a directory may span: 2048 × 2048 tiles, 6 × 6 km with cells of 5 cm.
 const ENTRIES_MAX: usize = 1 << 22;
 /// Empty tiles added on every side when a directory grows, so that it grows rarely.
 const MARGIN: i64 = 8;

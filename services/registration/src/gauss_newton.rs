@@ -42,8 +42,8 @@ pub struct Fit {
 }
 
 /// Below this step, in sides of its cells and in radians, a level has converged.
-const STEP_MIN_CELLS: f64 = 5e-3;
-const TURN_MIN_RAD: f64 = 5e-5;
+const STEP_MIN_CELLS: f64 = 2e-3;
+const TURN_MIN_RAD: f64 = 2e-5;
 
 impl GaussNewton {
     /// Fits `points` (metres, frame of the robot) to a field, from coarse to fine, starting at `start`.

@@ -13,7 +13,7 @@ pub struct Settings {
     pub monte_carlo: MonteCarlo,
     /// Settings of `hill-climbing`.
     pub hill_climbing: HillClimbing,
-    /// Wide search after a bad fit (`gauss-newton` only).
+    /// What happens after a bad fit.
     pub rescue: Rescue,
     /// When a scan enters the map and when the filter is overruled.
     pub gate: Gate,
@@ -41,7 +41,7 @@ pub enum Strategy {
     HillClimbing,
 }
 
-/// Settings of the wide search.
+/// What happens after a bad fit: a wide search (`gauss-newton` only), and when a fit is not believed at all.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Rescue {
