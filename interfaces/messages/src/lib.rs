@@ -4,6 +4,7 @@
 //! is part of its type name and its layout is hashed, so two builds that disagree refuse each other.
 
 mod control;
+mod deskew;
 mod grid;
 mod identity;
 mod layout;
@@ -15,6 +16,7 @@ mod scan;
 mod verdict;
 
 pub use control::{Control, ControlKind};
+pub use deskew::Deskew;
 pub use grid::{Commit, SubmapClosed, TileMessage};
 pub use identity::{ScanId, Times};
 pub use layout::LayoutHeader;

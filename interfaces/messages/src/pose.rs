@@ -1,6 +1,6 @@
 use crate::message::message;
 use crate::{ScanId, Times};
-use flockslam_geometry::{Covariance, Pose};
+use flockslam_geometry::{Covariance, Pose, Twist};
 
 message! {
     /// Where the robot was at a scan, published for every scan.
@@ -17,6 +17,8 @@ message! {
         pub odometry: Pose,
         /// Covariance of `odom_from_base` against the grid that was matched.
         pub covariance: Covariance,
+        /// The robot's own velocity while the scan was taken, in `base_link`: what takes its motion out of the scan.
+        pub twist: Twist,
         /// Grid generation that was read.
         pub generation: u64,
         /// Mean matching score, 0 … 1; 0 when not matched.

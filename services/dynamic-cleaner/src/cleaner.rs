@@ -5,7 +5,7 @@ use crate::sight::Sight;
 use crate::votes::{Baseline, Votes};
 use flockslam_evidence::{CellIndex, Tile, TileGrid};
 use flockslam_geometry::{Point, Pose};
-use flockslam_messages::{ClearedCell, MarksHeader, PoseEstimate, PoseFlags, Quality, ScanView};
+use flockslam_messages::{ClearedCell, Deskew, MarksHeader, PoseEstimate, PoseFlags, Quality, ScanView};
 use std::f64::consts::SQRT_2;
 use std::ops::Deref;
 
@@ -88,8 +88,9 @@ impl DynamicCleaner {
         let mut moving = 0;
         if self.settings.enabled && is_certain(pose) {
             let odom_from_laser = pose.odom_from_base * scan.header().base_from_laser;
-            moving = moving_beams(scan, odom_from_laser, grid, self.settings.radius_m);
-            self.sight.look(scan);
+            let deskew = Deskew::new(scan, pose.twist);
+            moving = moving_beams(scan, &deskew, odom_from_laser, grid, self.settings.radius_m);
+            self.sight.look(scan, &deskew);
             self.judge(pose, odom_from_laser, grid);
             if self.is_plausible() {
                 self.vote(odom_from_laser);

@@ -1,4 +1,4 @@
-use flockslam_messages::ScanView;
+use flockslam_messages::{Deskew, ScanView};
 use std::f64::consts::TAU;
 
 /// Sectors of the full circle, 0.35° each.
@@ -33,16 +33,16 @@ impl Sight {
         Self { range_m: Box::new([0.0; SECTORS]), beam_rad: Box::new([NONE; SECTORS]), spacing_rad: 0.0 }
     }
 
-    /// Takes in a scan; directions are angles in the laser frame.
-    pub fn look(&mut self, scan: ScanView<'_>) {
+    /// Takes in a scan; directions are angles in the laser frame at the scan's stamp.
+    pub fn look(&mut self, scan: ScanView<'_>, deskew: &Deskew) {
         self.range_m.fill(f32::INFINITY);
         self.beam_rad.fill(NONE);
         let (count, mut footprints) = (scan.len(), 0.0);
         for beam in 0..count {
-            let angle = scan.angle_rad(beam);
-            let half = half_footprint(scan, beam, angle);
+            let half = half_footprint(scan, beam, scan.angle_rad(beam));
+            let (angle, range_m) = deskew.beam_at_stamp(scan, beam);
             footprints += 2.0 * half;
-            let range_m = scan.valid_range_m(beam).unwrap_or(0.0) as f32;
+            let range_m = range_m.unwrap_or(0.0) as f32;
             for sector in span(angle - half, angle + half).sectors() {
                 self.range_m[sector] = self.range_m[sector].min(range_m);
             }
@@ -126,11 +126,16 @@ mod tests {
     use flockslam_messages::{ScanBuffer, ScanSections};
     use proptest::prelude::*;
 
+    fn look(sight: &mut Sight, scan: &ScanBuffer) {
+        let view = scan.view().unwrap();
+        sight.look(view, &Deskew::new(view, flockslam_geometry::Twist::default()));
+    }
+
     const DEGREE: f64 = TAU / 360.0;
 
     fn sight(ranges: &[f32], angle_min_rad: f64, step_rad: f64) -> Sight {
         let mut sight = Sight::new();
-        sight.look(ScanBuffer::from_ranges(ranges, angle_min_rad, step_rad).view().unwrap());
+        look(&mut sight, &ScanBuffer::from_ranges(ranges, angle_min_rad, step_rad));
         sight
     }
 
@@ -170,7 +175,7 @@ mod tests {
             scan.numbers = list.iter().map(|d| *d as f32 * 0.1 + 1.0).collect();
             scan.numbers.extend(list.iter().map(|d| (*d * DEGREE) as f32));
             let mut sight = Sight::new();
-            sight.look(scan.view().unwrap());
+            look(&mut sight, &scan);
             sight.range_m
         };
         assert_eq!(degrees(&[0.0, 1.0, 2.0, 3.0]), degrees(&[3.0, 2.0, 1.0, 0.0]));

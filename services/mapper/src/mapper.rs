@@ -2,7 +2,7 @@ use crate::settings::Settings;
 use crate::window::Window;
 use flockslam_evidence::{CellIndex, SensorModel, Submap, Tile, TileKey};
 use flockslam_geometry::{Point, Pose};
-use flockslam_messages::{ClearedCell, PoseEstimate, ScanView};
+use flockslam_messages::{ClearedCell, Deskew, PoseEstimate, ScanView};
 use std::collections::VecDeque;
 
 /// Turns scans with poses into evidence, tiles and submaps. A pure function of its calls.
@@ -84,7 +84,7 @@ impl Mapper {
         }
         let odom_from_base = pose.odom_from_base;
         let odom_from_laser = odom_from_base * scan.header().base_from_laser;
-        self.take_ends(scan, odom_from_laser);
+        self.take_ends(scan, pose);
         self.model.insert(
             self.settings.cell_size_m,
             odom_from_laser.position(),
@@ -135,15 +135,19 @@ impl Mapper {
         self.number
     }
 
-    fn take_ends(&mut self, scan: ScanView<'_>, odom_from_laser: Pose) {
+    fn take_ends(&mut self, scan: ScanView<'_>, pose: &PoseEstimate) {
+        let deskew = Deskew::new(scan, pose.twist);
+        let (sin, cos) = pose.odom_from_base.heading_rad.sin_cos();
         let Settings { range_min_m, range_max_m, .. } = self.settings;
         self.ends.clear();
         for beam in 0..scan.len() {
             let Some(range) = scan.valid_range_m(beam) else { continue };
             if (range_min_m..=range_max_m).contains(&range) {
-                let (sin, cos) = (odom_from_laser.heading_rad + scan.angle_rad(beam)).sin_cos();
-                self.ends
-                    .push(Point::new(odom_from_laser.x_m + range * cos, odom_from_laser.y_m + range * sin));
+                let end = deskew.end_in_base(scan, beam, range);
+                self.ends.push(Point::new(
+                    pose.odom_from_base.x_m + cos * end.x_m - sin * end.y_m,
+                    pose.odom_from_base.y_m + sin * end.x_m + cos * end.y_m,
+                ));
             }
         }
     }

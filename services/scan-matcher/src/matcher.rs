@@ -1,8 +1,8 @@
 use crate::motion::{Motion, Prediction};
 use crate::settings::{Settings, Strategy};
 use flockslam_evidence::{Tile, TileGrid};
-use flockslam_geometry::{Covariance, Point, Pose};
-use flockslam_messages::{Commit, LayoutHeader, PoseEstimate, PoseFlags, Quality, ScanView, Verdict};
+use flockslam_geometry::{Covariance, Point, Pose, Twist};
+use flockslam_messages::{Commit, Deskew, LayoutHeader, PoseEstimate, PoseFlags, Quality, ScanView, Verdict};
 use flockslam_registration::{CorrelativeSearch, Fit, GridField, ScoreField, Window, beam_weight};
 use std::ops::Deref;
 
@@ -86,7 +86,7 @@ impl ScanMatcher {
         if overridden {
             estimate.flags |= PoseFlags::OVERRIDDEN;
         }
-        self.take_points(scan);
+        self.take_points(scan, prediction.twist);
         if self.points.len() < POINTS_MIN {
             estimate.quality = Quality::Degraded as u32;
             self.motion.advance(scan, prediction.pose, prediction.covariance);
@@ -131,17 +131,15 @@ impl ScanMatcher {
         (self.mean_score, self.last_score) = (last.score, last.score);
     }
 
-    fn take_points(&mut self, scan: ScanView<'_>) {
-        let base_from_laser = scan.header().base_from_laser;
+    fn take_points(&mut self, scan: ScanView<'_>, twist: Twist) {
+        let deskew = Deskew::new(scan, twist);
         let limits = self.settings.range_min_m..=self.settings.range_max_m;
         self.points.clear();
         let stride = scan.len().div_ceil(self.settings.beams_max.max(1)).max(1);
         for beam in (0..scan.len()).step_by(stride) {
             let Some(range) = scan.valid_range_m(beam) else { continue };
             if limits.contains(&range) {
-                let (sin, cos) = (base_from_laser.heading_rad + scan.angle_rad(beam)).sin_cos();
-                self.points
-                    .push(Point::new(base_from_laser.x_m + range * cos, base_from_laser.y_m + range * sin));
+                self.points.push(deskew.end_in_base(scan, beam, range));
             }
         }
     }
@@ -256,6 +254,7 @@ impl ScanMatcher {
             map_from_odom: self.map_from_odom,
             odometry: scan.odometry().unwrap_or(Pose::IDENTITY),
             covariance: prediction.covariance,
+            twist: prediction.twist,
             generation: self.generation,
             submap: self.active_submap,
             layout_revision: self.layout_revision,

@@ -25,6 +25,8 @@ pub(crate) struct Motion {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Prediction {
     pub(crate) pose: Pose,
+    /// Velocity since the scan before, in the robot's own frame.
+    pub(crate) twist: Twist,
     pub(crate) covariance: Covariance,
 }
 
@@ -54,9 +56,10 @@ impl Motion {
     /// The pose at this scan as it follows from the one before. Odometry is a motion in the robot's own frame, so
     /// composing it turns it into the corrected heading.
     pub(crate) fn predict(&self, scan: ScanView<'_>) -> Prediction {
-        let motion = match (self.odometry, scan.odometry()) {
-            (Some(before), Some(now)) => before.to(now),
-            _ => self.velocity.motion_after(self.step_s(scan.header().times.sensor_ns)),
+        let step_s = self.step_s(scan.header().times.sensor_ns);
+        let (motion, twist) = match (self.odometry, scan.odometry()) {
+            (Some(before), Some(now)) => (before.to(now), Twist::from_motion(before.to(now), step_s)),
+            _ => (self.velocity.motion_after(step_s), self.velocity),
         };
         let (travel, turn) = (motion.x_m.hypot(motion.y_m), motion.heading_rad.abs());
         let mut covariance = self.covariance;
@@ -64,7 +67,7 @@ impl Motion {
         covariance.xx += position;
         covariance.yy += position;
         covariance.tt += DRIFT_HEADING * turn;
-        Prediction { pose: self.pose * motion, covariance }
+        Prediction { pose: self.pose * motion, twist, covariance }
     }
 
     /// Takes over what became of a scan.

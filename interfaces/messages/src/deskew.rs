@@ -1,0 +1,91 @@
+use crate::{ScanHeader, ScanView};
+use flockslam_geometry::{Point, Pose, Twist};
+
+/// Takes the robot's own motion out of a scan: beams are given as if all had left at the scan's stamp.
+///
+/// At 30°/s and 10 Hz a wall 3 m away is off by about 8 cm at the end of a scan without this.
+#[derive(Clone, Copy, Debug)]
+pub struct Deskew {
+    base_from_laser: Pose,
+    twist: Twist,
+    moves: bool,
+}
+
+impl Deskew {
+    /// For a scan taken while the robot moved with `twist` (its own velocity, in `base_link`).
+    pub fn new(scan: ScanView<'_>, twist: Twist) -> Self {
+        let takes_time = !scan.is_empty() && scan.time_s(scan.len() - 1) != 0.0;
+        Self::of_header(scan.header(), twist, takes_time)
+    }
+
+    fn of_header(header: &ScanHeader, twist: Twist, takes_time: bool) -> Self {
+        Self { base_from_laser: header.base_from_laser, twist, moves: takes_time && twist != Twist::default() }
+    }
+
+    /// `base_from_laser` of a beam that left `seconds` after the stamp, seen from the base at the stamp.
+    fn laser_at(&self, seconds: f64) -> Pose {
+        if self.moves { self.twist.motion_after(seconds) * self.base_from_laser } else { self.base_from_laser }
+    }
+
+    /// Where beam `beam` of `scan` ends at `range_m`, in `base_link` at the stamp.
+    pub fn end_in_base(&self, scan: ScanView<'_>, beam: usize, range_m: f64) -> Point {
+        let laser = self.laser_at(if self.moves { scan.time_s(beam) } else { 0.0 });
+        let (sin, cos) = (laser.heading_rad + scan.angle_rad(beam)).sin_cos();
+        Point::new(laser.x_m + range_m * cos, laser.y_m + range_m * sin)
+    }
+
+    /// Direction and range under which the lidar at the stamp would see the end of a beam; a beam without return keeps its
+    /// direction in space.
+    pub fn beam_at_stamp(&self, scan: ScanView<'_>, beam: usize) -> (f64, Option<f64>) {
+        let (angle_rad, range_m) = (scan.angle_rad(beam), scan.valid_range_m(beam));
+        if !self.moves {
+            return (angle_rad, range_m);
+        }
+        match range_m {
+            Some(range_m) => {
+                let end = self.base_from_laser.inverse().apply(self.end_in_base(scan, beam, range_m));
+                (end.y_m.atan2(end.x_m), Some(end.norm_m()))
+            }
+            None => (angle_rad + self.twist.turn_rad_s * scan.time_s(beam), None),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ScanBuffer;
+
+    #[test]
+    fn a_wall_seen_while_turning_is_straight_again() {
+        let (rate, step) = (1.0, 0.01);
+        let twist = Twist { x_m_s: 0.5, turn_rad_s: rate, ..Twist::default() };
+        let mount = Pose::new(0.1, 0.05, 0.3);
+        let angles: Vec<f64> = (0..50).map(|i| -0.8 + 0.02 * f64::from(i)).collect();
+        // A wall at x = 3 in the base frame at the stamp.
+        let ranges = angles.iter().enumerate().map(|(i, angle)| {
+            let laser = twist.motion_after(step * i as f64) * mount;
+            ((3.0 - laser.x_m) / (laser.heading_rad + angle).cos()) as f32
+        });
+        let mut scan = ScanBuffer::from_ranges(&ranges.collect::<Vec<_>>(), -0.8, 0.02);
+        (scan.header.base_from_laser, scan.header.time_increment_s) = (mount, step as f32);
+        let view = scan.view().unwrap();
+        let deskew = Deskew::new(view, twist);
+        for beam in 0..view.len() {
+            let range = view.valid_range_m(beam).unwrap();
+            assert!((deskew.end_in_base(view, beam, range).x_m - 3.0).abs() < 1e-4);
+            let (angle, range) = deskew.beam_at_stamp(view, beam);
+            let (sin, cos) = angle.sin_cos();
+            let end = mount.apply(Point::new(range.unwrap() * cos, range.unwrap() * sin));
+            assert!((end.x_m - 3.0).abs() < 1e-4);
+        }
+    }
+
+    #[test]
+    fn a_scan_taken_at_once_is_left_alone() {
+        let scan = ScanBuffer::from_ranges(&[1.0, 2.0], 0.5, 0.1);
+        let view = scan.view().unwrap();
+        let deskew = Deskew::new(view, Twist { turn_rad_s: 3.0, ..Twist::default() });
+        assert_eq!(deskew.beam_at_stamp(view, 1), (0.6, Some(2.0)));
+    }
+}
