@@ -45,6 +45,11 @@ impl Submap {
         self.tiles.binary_search_by_key(&key, |tile| tile.key).ok().map(|place| &mut self.tiles[place])
     }
 
+    /// Whether a cell was cleared after the submap was closed.
+    pub fn has_cleared(&self) -> bool {
+        self.tiles.iter().any(|tile| tile.cleared.iter().any(|word| *word != 0))
+    }
+
     /// Evidence of a cell of the odom lattice; unknown where there is none or it was cleared.
     pub fn cell(&self, cell: CellIndex) -> PackedCell {
         self.tile(cell.tile()).map_or(PackedCell::UNKNOWN, |tile| tile.cell(cell.offset()))

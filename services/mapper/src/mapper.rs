@@ -13,6 +13,7 @@ pub struct Mapper {
     window: Window,
     /// The closed submaps of a bounded window: what leaves it must be known.
     closed: VecDeque<Submap>,
+    left_cleared: Vec<Submap>,
     active: Option<ActiveSubmap>,
     number: u32,
     generation: u64,
@@ -51,6 +52,7 @@ impl Mapper {
             model: settings.model(),
             window: Window::new(&settings),
             closed: VecDeque::new(),
+            left_cleared: Vec::new(),
             active: None,
             number: 0,
             generation: 0,
@@ -104,9 +106,17 @@ impl Mapper {
         }
     }
 
+    /// Closed submaps that have left the window, or been in it when the map was closed, with cells cleared since they were
+    /// closed: their stored form is to be replaced.
+    pub fn take_cleared(&mut self) -> Vec<Submap> {
+        std::mem::take(&mut self.left_cleared)
+    }
+
     /// Closes the active submap, at the end of a log; `None` when it is empty.
     pub fn close(&mut self) -> Option<Submap> {
-        self.close_active()
+        let closed = self.close_active();
+        self.left_cleared.extend(self.closed.iter().filter(|submap| submap.has_cleared()).cloned());
+        closed
     }
 
     /// Fills `out` with a tile of the window: evidence and scores. False (and an untouched `out`) when there is none.
@@ -195,6 +205,9 @@ impl Mapper {
         while self.closed.len() > size {
             if let Some(oldest) = self.closed.pop_front() {
                 self.window.withdraw_submap(&oldest);
+                if oldest.has_cleared() {
+                    self.left_cleared.push(oldest);
+                }
             }
         }
     }
@@ -322,6 +335,10 @@ mod tests {
         let after = window_of(&mapper).into_iter().find(|(key, _)| *key == stale.tile()).unwrap().1;
         assert_eq!((after.cells[stale.offset()].occupied, after.score[stale.offset()]), (0, 0));
         assert!(mapper.closed.iter().all(|submap| submap.cell(stale).is_unknown()));
+        mapper.close();
+        let cleared = mapper.take_cleared();
+        assert!(!cleared.is_empty() && cleared.iter().all(Submap::has_cleared));
+        assert!(mapper.take_cleared().is_empty());
     }
 
     #[test]

@@ -142,7 +142,12 @@ impl MapperProcess {
         if let Some(submap) = closed {
             self.store_submap(&submap)?;
         }
-        Ok(())
+        self.store_cleared()
+    }
+
+    /// Replaces stored submaps by their form with cleared cells.
+    fn store_cleared(&mut self) -> Result<(), StageError> {
+        self.logic.take_cleared().iter().try_for_each(|submap| self.store.save(submap))
     }
 
     fn store_submap(&mut self, submap: &Submap) -> Result<(), StageError> {
@@ -222,6 +227,7 @@ impl MapperProcess {
         if let Some(submap) = self.logic.close() {
             self.store_submap(&submap)?;
         }
+        self.store_cleared()?;
         self.map_closed = true;
         self.repeat_the_end()
     }

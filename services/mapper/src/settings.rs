@@ -66,7 +66,7 @@ impl Default for Settings {
             free_cap_nat: 5.0,
             submap_length_m: 5.0,
             submap_insertions: 200,
-            window_m: 0.0,
+            window_m: 30.0,
         }
     }
 }

@@ -5,6 +5,8 @@ use flockslam_messages::ScanView;
 const PERIOD_START_S: f64 = 0.1;
 /// Longest step between stamps that is still believed, seconds.
 const PERIOD_MAX_S: f64 = 2.0;
+/// A first odometry pose farther from the origin than this is not taken over, metres.
+const START_MAX_M: f64 = 1e4;
 /// Growth of a predicted position's variance per metre travelled, m²/m: 0.1 m after half a metre on poor wheels.
 const DRIFT_XY: f64 = 0.02;
 /// Growth of a predicted heading's variance per radian turned, rad²/rad.
@@ -19,6 +21,11 @@ pub(crate) struct Motion {
     stamp_ns: Option<i64>,
     period_s: f64,
     velocity: Twist,
+}
+
+/// Whether a first pose is near enough to the origin to count in centimetres from there.
+fn is_near(pose: Pose) -> bool {
+    pose.x_m.abs() < START_MAX_M && pose.y_m.abs() < START_MAX_M
 }
 
 /// A predicted pose with its uncertainty.
@@ -56,6 +63,10 @@ impl Motion {
     /// The pose at this scan as it follows from the one before. Odometry is a motion in the robot's own frame, so
     /// composing it turns it into the corrected heading.
     pub(crate) fn predict(&self, scan: ScanView<'_>) -> Prediction {
+        // The wheels' frame names the start: odom begins where they say that the robot is.
+        if let (None, Some(start)) = (self.stamp_ns, scan.odometry().filter(|start| is_near(*start))) {
+            return Prediction { pose: start, twist: Twist::default(), covariance: self.covariance };
+        }
         let step_s = self.step_s(scan.header().times.sensor_ns);
         let (motion, twist) = match (self.odometry, scan.odometry()) {
             (Some(before), Some(now)) => (before.to(now), Twist::from_motion(before.to(now), step_s)),

@@ -5,11 +5,11 @@ use crate::dense::DensePass;
 use crate::edge::Edge;
 use crate::place::{KeptScan, Placer};
 use crate::robust::{RobustSettings, solve};
-use crate::scans::{ScanStore, Velocity};
+use crate::scans::ScanStore;
 use crate::segment::Segment;
 use crate::settings::Settings;
 use crate::solution::{ClosureCounts, PlacedScan, PlacedSubmap, Solution};
-use crate::trajectory::{Record, filled};
+use crate::trajectory::{Between, Record, filled};
 use flockslam_geometry::Pose;
 use flockslam_messages::{LayoutHeader, PoseEstimate, PoseFlags, ScanView, SubmapClosed};
 use flockslam_registration::cloud::Placement;
@@ -83,7 +83,7 @@ impl SyncManager {
         if !is_node && self.rests(&odom) {
             return;
         }
-        let scan = self.scans.keep(scan, self.velocity(record), &self.settings);
+        let scan = self.scans.keep(scan, pose.twist.into(), &self.settings);
         if is_node {
             self.chain.extend(odom, scan, &self.scans);
         }
@@ -98,18 +98,6 @@ impl SyncManager {
             let last = &self.records[last.record].odom;
             last.distance_m(odom) < REST.0 && last.turn_rad(odom) < REST.1
         })
-    }
-
-    /// How the robot moved up to a record, by the front end.
-    fn velocity(&self, record: usize) -> Velocity {
-        let Some(before) = record.checked_sub(1).map(|i| &self.records[i]) else {
-            return Velocity::default();
-        };
-        let now = &self.records[record];
-        Velocity::from_motion(
-            &before.odom.to(now.odom),
-            now.stamp_ns.saturating_sub(before.stamp_ns) as f64 * 1e-9,
-        )
     }
 
     /// Whether the robot has moved enough for a new node.
@@ -239,7 +227,7 @@ impl SyncManager {
     pub fn finish(&mut self) -> Solution {
         let known = self.chain.nodes().len();
         if known == 0 {
-            return self.solution(&filled(&self.records, &[]));
+            return self.solution(&filled(&self.records, &[], Between::FrontEnd));
         }
         self.close_loops(known, usize::MAX);
         self.refine();
@@ -252,14 +240,14 @@ impl SyncManager {
         };
         let placed = placer.place_all(&kept, self.finder.scratch());
         let pairs: Vec<_> = self.kept.iter().zip(placed).map(|(k, pose)| (k.record, pose)).collect();
-        self.solution(&filled(&self.records, &pairs))
+        self.solution(&filled(&self.records, &pairs, Between::Wheels))
     }
 
     /// Where each kept scan is expected in the layout: by the front end's path between the nodes around it,
     /// and, should that have jumped, straight between them.
     fn expected(&self) -> Vec<KeptScan> {
         let nodes = self.placed_nodes();
-        let guesses = filled(&self.records, &nodes);
+        let guesses = filled(&self.records, &nodes, Between::FrontEnd);
         let straight = |record: usize, node: usize| match (nodes.get(node), nodes.get(node + 1)) {
             (Some(&(start, from)), Some(&(end, to))) => {
                 from.interpolate(&to, (record - start) as f64 / (end - start) as f64)

@@ -1,4 +1,5 @@
 use crate::settings::Settings;
+use flockslam_geometry::Twist;
 use flockslam_messages::ScanView;
 use flockslam_registration::cloud::{PackedPoint, Placement};
 
@@ -21,19 +22,15 @@ pub struct Velocity {
 }
 
 impl Velocity {
-    /// The velocity that leads along `motion` in `seconds`; none when the time between two scans is not
-    /// plausible.
-    pub fn from_motion(motion: &Placement, seconds: f64) -> Self {
-        if !(1e-3..=1.0).contains(&seconds) {
-            return Self::default();
-        }
-        let rate = 1.0 / seconds;
-        Self { x_m_s: motion.x_m * rate, y_m_s: motion.y_m * rate, turn_rad_s: motion.heading_rad * rate }
-    }
-
     /// Where the robot is after `seconds`, seen from where it was; for the short time of a scan.
     fn after(&self, seconds: f64) -> Placement {
         Placement::new(self.x_m_s * seconds, self.y_m_s * seconds, self.turn_rad_s * seconds)
+    }
+}
+
+impl From<Twist> for Velocity {
+    fn from(twist: Twist) -> Self {
+        Self { x_m_s: twist.x_m_s, y_m_s: twist.y_m_s, turn_rad_s: twist.turn_rad_s }
     }
 }
 
@@ -117,12 +114,11 @@ mod tests {
         scan.header.time_increment_s = 0.05;
         // Driving at 1 m/s towards a wall, whose ranges shrink by 5 cm a beam; the second beam came early.
         scan.numbers[1] = 1.95;
-        let velocity = Velocity::from_motion(&Placement::new(0.1, 0.0, 0.0), 0.1);
+        let velocity = Velocity { x_m_s: 1.0, ..Velocity::default() };
         let settings = Settings { range_min_m: 0.0, ..Settings::default() };
         let mut store = ScanStore::default();
         store.keep(scan.view().unwrap(), velocity, &settings);
         assert_eq!(store.points(0).len(), 1, "all three beams hit the same point");
-        assert_eq!(Velocity::from_motion(&Placement::new(0.1, 0.0, 0.0), -0.9), Velocity::default());
     }
 
     #[test]

@@ -1,4 +1,4 @@
-use flockslam_messages::{PoseEstimate, ScanId};
+use flockslam_messages::{PoseEstimate, PoseFlags, ScanId};
 use flockslam_registration::cloud::Placement;
 
 /// A published pose, as kept for the final trajectory.
@@ -10,6 +10,8 @@ pub struct Record {
     pub stamp_ns: i64,
     /// The front end's pose, continuous.
     pub odom: Placement,
+    /// Dead reckoning of the wheels, when the robot has it.
+    pub wheels: Option<Placement>,
     /// Submap that the scan entered, if it was inserted.
     pub submap: u32,
 }
@@ -21,21 +23,41 @@ impl Record {
             id: pose.id,
             stamp_ns: pose.times.sensor_ns,
             odom: pose.odom_from_base.into(),
+            wheels: pose.has(PoseFlags::HAS_ODOMETRY).then(|| pose.odometry.into()),
             submap: pose.submap,
+        }
+    }
+}
+
+/// What is trusted between known poses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Between {
+    /// The front end's path: its matches are better than the wheels.
+    FrontEnd,
+    /// The wheels, where there are any: the front end has only predicted there, and its path jumps at the next match.
+    Wheels,
+}
+
+impl Between {
+    fn motion(self, from: &Record, to: &Record) -> Placement {
+        match (self, from.wheels, to.wheels) {
+            (Self::Wheels, Some(from), Some(to)) => from.to(to),
+            _ => from.odom.to(to.odom),
         }
     }
 }
 
 /// Poses for all records from the known ones, given as (record, pose) in ascending order of records.
 ///
-/// Between two known records the front end's motion is trusted: its path is laid on both, and the two results
-/// are blended by the share of the way.
-pub fn filled(records: &[Record], known: &[(usize, Placement)]) -> Vec<Placement> {
+/// Between two known records the motion that is trusted there is laid on both, and the two results are blended by the share
+/// of the way.
+pub fn filled(records: &[Record], known: &[(usize, Placement)], between: Between) -> Vec<Placement> {
     let Some(&(first, _)) = known.first() else {
         return records.iter().map(|r| r.odom).collect();
     };
-    let carried =
-        |anchor: (usize, Placement), i: usize| anchor.1.compose(records[anchor.0].odom.to(records[i].odom));
+    let carried = |anchor: (usize, Placement), i: usize| {
+        anchor.1.compose(between.motion(&records[anchor.0], &records[i]))
+    };
     let mut poses: Vec<Placement> = (0..first).map(|i| carried(known[0], i)).collect();
     for pair in known.windows(2) {
         let (start, end) = (pair[0].0, pair[1].0);
@@ -73,11 +95,12 @@ mod tests {
             id: ScanId { sequence: i as u64, ..ScanId::default() },
             stamp_ns: i as i64,
             odom: Placement::new(i as f64, 0.0, 0.0),
+            wheels: None,
             submap: 0,
         };
         let records: Vec<_> = (0..12).map(record).collect();
         let known = [(1, Placement::new(1.0, 0.0, 0.0)), (9, Placement::new(9.0, 0.8, 0.0))];
-        let poses = filled(&records, &known);
+        let poses = filled(&records, &known, Between::FrontEnd);
         assert_eq!(poses.len(), 12);
         for (i, pose) in poses.iter().enumerate() {
             let expected = 0.1 * (i.clamp(1, 9) - 1) as f64;
@@ -86,6 +109,6 @@ mod tests {
                 "{i}: {pose:?}"
             );
         }
-        assert_eq!(filled(&records, &[])[3], records[3].odom);
+        assert_eq!(filled(&records, &[], Between::FrontEnd)[3], records[3].odom);
     }
 }

@@ -1,0 +1,109 @@
+//! `kill -9` of any process: a live run restarts the stage and ends with a usable map, an exact replay says what died,
+//! and a killed supervisor leaves no stage behind.
+
+mod support;
+
+use flockslam_messages::Stage;
+use rustix::process::Signal;
+use std::process::Stdio;
+use std::sync::OnceLock;
+use support::{RunningSet, building, live_building, processes_of, run_well, truth_error_m, wait_for};
+
+const DURATION_S: u32 = 60;
+const RATE: u32 = 15;
+const SCANS: usize = 600;
+
+fn undisturbed_area_m2() -> f64 {
+    static AREA: OnceLock<f64> = OnceLock::new();
+    *AREA.get_or_init(|| {
+        let directory = tempfile::tempdir().unwrap();
+        run_well("calm", directory.path(), &building(DURATION_S)).report.map_area_m2
+    })
+}
+
+fn kill_during_a_live_replay(stage: Stage) {
+    let directory = tempfile::tempdir().unwrap();
+    let mut set = RunningSet::start("killed", directory.path(), &live_building(DURATION_S, RATE));
+    set.wait_until_handled(Stage::LidarIngest, SCANS as u64 / 3);
+    let killed = set.pid(stage);
+    support::send(killed, Signal::KILL);
+    let successor = wait_for("a successor", || Some(set.pid(stage)).filter(|pid| *pid != killed));
+    let outputs = set.finish();
+    for (name, report) in &outputs.report.stages {
+        if name == stage.name() {
+            assert_eq!((report.pids.as_slice(), report.restarts), ([killed, successor].as_slice(), 1));
+        } else {
+            assert_eq!((report.pids.len(), report.restarts), (1, 0), "{name} was restarted as well");
+        }
+    }
+    let (lines, error_m) = (outputs.lines("trajectory.tum").len(), truth_error_m(&outputs));
+    let share = outputs.report.map_area_m2 / undisturbed_area_m2();
+    println!(
+        "{} killed: {lines} of {SCANS} scans, {error_m:.3} m against the truth, {:.0} % of the area",
+        stage.name(),
+        100.0 * share
+    );
+    assert!(lines * 100 >= SCANS * 95, "{lines} scans");
+    assert!(error_m < 0.3, "{error_m} m");
+    assert!(share >= 0.8, "{share}");
+}
+
+#[test]
+fn lidar_ingest_killed() {
+    kill_during_a_live_replay(Stage::LidarIngest);
+}
+
+#[test]
+fn correlation_filter_killed() {
+    kill_during_a_live_replay(Stage::CorrelationFilter);
+}
+
+#[test]
+fn scan_matcher_killed() {
+    kill_during_a_live_replay(Stage::ScanMatcher);
+}
+
+#[test]
+fn mapper_killed() {
+    kill_during_a_live_replay(Stage::Mapper);
+}
+
+#[test]
+fn dynamic_cleaner_killed() {
+    kill_during_a_live_replay(Stage::DynamicCleaner);
+}
+
+#[test]
+fn sync_manager_killed() {
+    kill_during_a_live_replay(Stage::SyncManager);
+}
+
+#[test]
+fn an_exact_replay_ends_with_the_name_of_what_died_and_no_outputs() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut messages = None;
+    let mut set = RunningSet::start_with("exact", directory.path(), &building(400), |command| {
+        let (reader, writer) = std::io::pipe().unwrap();
+        messages = Some(reader);
+        command.stdin(Stdio::null()).stderr(writer);
+    });
+    set.wait_until_handled(Stage::LidarIngest, 100);
+    set.signal(Stage::Mapper, Signal::KILL);
+    assert_eq!(set.wait(), Some(1));
+    let told = std::io::read_to_string(messages.unwrap()).unwrap();
+    assert!(told.contains("mapper ended during an exact replay (signal 9)"), "{told}");
+    assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0);
+}
+
+#[test]
+fn stages_die_with_their_supervisor_and_the_next_run_sweeps_up() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut set = RunningSet::start("orphans", directory.path(), &live_building(250, 5));
+    set.wait_until_handled(Stage::SyncManager, 1);
+    let stages = Stage::ALL.map(|stage| set.pid(stage));
+    support::send(set.supervisor_pid(), Signal::KILL);
+    wait_for("the death of all stages", || processes_of(set.robot()).is_empty().then_some(()));
+    println!("stages {stages:?} died with their supervisor");
+    run_well("sweep", directory.path(), &building(10));
+    support::assert_nothing_left(set.robot());
+}

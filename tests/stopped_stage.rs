@@ -1,0 +1,92 @@
+//! Back-pressure of exact replay: with any stage stopped the source comes to rest within its credit window, and the
+//! run goes on to the same result when the stage goes on.
+
+mod support;
+
+use flockslam_messages::Stage;
+use rustix::process::Signal;
+use std::sync::OnceLock;
+use std::time::{Duration, Instant};
+use support::{RunningSet, building, run_well, wait_for};
+
+const DURATION_S: u32 = 400;
+const SCANS: u64 = 4000;
+const WINDOW: u64 = 64;
+/// A source that publishes nothing for so long has come to rest: it is some hundred times the time between two scans.
+const REST: Duration = Duration::from_millis(300);
+
+fn undisturbed_hash() -> &'static str {
+    static HASH: OnceLock<String> = OnceLock::new();
+    HASH.get_or_init(|| {
+        let directory = tempfile::tempdir().unwrap();
+        run_well("calm", directory.path(), &building(DURATION_S)).report.map_hash
+    })
+}
+
+/// Waits until a stage that is alive has handled nothing new for a while; how much it has handled.
+fn handled_at_rest(set: &RunningSet, stage: Stage) -> u64 {
+    let (mut last, mut since) = (None, Instant::now());
+    wait_for("a source at rest", || {
+        let handled = set.handled(stage);
+        if handled != last {
+            (last, since) = (handled, Instant::now());
+        }
+        last.filter(|_| since.elapsed() > REST)
+    })
+}
+
+fn is_stopped(pid: u32) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap();
+    // The state follows the name, which is in brackets.
+    stat.rsplit(')').next().unwrap().trim_start().starts_with('T')
+}
+
+fn stop_and_go_on(stage: Stage) {
+    // The source cannot say how far it is while it is stopped itself; its first reader can.
+    let witness = if stage == Stage::LidarIngest { Stage::CorrelationFilter } else { Stage::LidarIngest };
+    let directory = tempfile::tempdir().unwrap();
+    let mut set = RunningSet::start("stopped", directory.path(), &building(DURATION_S));
+    let pid = set.pid(stage);
+    set.wait_until_handled(witness, 100);
+    support::send(pid, Signal::STOP);
+    wait_for("the stop", || is_stopped(pid).then_some(()));
+    let when_stopped = set.handled(witness).unwrap();
+    let at_rest = handled_at_rest(&set, witness);
+    println!("{} stopped at {when_stopped}: at rest at {at_rest} of {SCANS} scans", stage.name());
+    assert!(at_rest < SCANS, "the run ended without {}", stage.name());
+    assert!(at_rest - when_stopped <= WINDOW, "{} scans went on", at_rest - when_stopped);
+    support::send(pid, Signal::CONT);
+    let outputs = set.finish();
+    assert_eq!(outputs.report.scans, SCANS);
+    assert_eq!(outputs.report.map_hash, undisturbed_hash());
+}
+
+#[test]
+fn lidar_ingest_stopped_and_going_on() {
+    stop_and_go_on(Stage::LidarIngest);
+}
+
+#[test]
+fn correlation_filter_stopped_and_going_on() {
+    stop_and_go_on(Stage::CorrelationFilter);
+}
+
+#[test]
+fn scan_matcher_stopped_and_going_on() {
+    stop_and_go_on(Stage::ScanMatcher);
+}
+
+#[test]
+fn mapper_stopped_and_going_on() {
+    stop_and_go_on(Stage::Mapper);
+}
+
+#[test]
+fn dynamic_cleaner_stopped_and_going_on() {
+    stop_and_go_on(Stage::DynamicCleaner);
+}
+
+#[test]
+fn sync_manager_stopped_and_going_on() {
+    stop_and_go_on(Stage::SyncManager);
+}

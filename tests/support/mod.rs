@@ -1,0 +1,126 @@
+//! What the tests of the whole system share: they run the real executable, each under a robot name of its own, and
+//! wait for conditions with generous limits.
+
+// Every test executable uses its own part of this.
+#![allow(dead_code, unused_imports)]
+
+mod log;
+mod outputs;
+mod running;
+
+pub use log::simulated_log;
+pub use outputs::{Outputs, truth_error_m};
+pub use running::{RunningSet, send};
+
+use flockslam_messages::Stage;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{Duration, Instant};
+
+/// Nothing that is waited for takes longer than this, however busy the machine is.
+pub const LIMIT: Duration = Duration::from_secs(90);
+
+/// A seeded drive through the simulated building.
+pub fn building(duration_s: u32) -> Vec<String> {
+    vec!["demo".to_owned(), "--set".to_owned(), format!("simulation.duration_s={duration_s}")]
+}
+
+/// As [`building`], replayed live at this many log seconds per second.
+pub fn live_building(duration_s: u32, rate: u32) -> Vec<String> {
+    let mut args = building(duration_s);
+    args.extend(["--rate".to_owned(), rate.to_string()]);
+    args
+}
+
+/// The executable under test.
+pub fn flockslam() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_flockslam"))
+}
+
+/// A name for a process set that no other test and no other run has.
+pub fn robot(test: &str) -> String {
+    static COUNT: AtomicU32 = AtomicU32::new(0);
+    // The last letter keeps one name from being the beginning of another.
+    format!("{test}-{}-{}t", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed))
+}
+
+/// Runs the executable to its end under a name of its own.
+pub fn run(test: &str, out: &Path, args: &[String]) -> Output {
+    let robot = robot(test);
+    let output = flockslam().args(args).args(["--robot", &robot, "--out"]).arg(out).output().unwrap();
+    assert_nothing_left(&robot);
+    output
+}
+
+/// As [`run`], and it must succeed.
+pub fn run_well(test: &str, out: &Path, args: &[String]) -> Outputs {
+    let output = run(test, out, args);
+    assert!(output.status.success(), "{args:?}: {}\n{}", output.status, stderr(&output));
+    Outputs::read(out)
+}
+
+/// What a process wrote to its standard error.
+pub fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// What a process wrote to its standard output.
+pub fn stdout(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+/// A set that has ended leaves neither a process nor anything in shared memory.
+pub fn assert_nothing_left(robot: &str) {
+    let in_memory: Vec<_> = std::fs::read_dir("/dev/shm")
+        .unwrap()
+        .filter_map(|entry| Some(entry.ok()?.file_name().to_string_lossy().into_owned()))
+        .filter(|name| name.contains(robot))
+        .collect();
+    assert!(in_memory.is_empty(), "left in shared memory: {in_memory:?}");
+    let processes = processes_of(robot);
+    assert!(processes.is_empty(), "left running: {processes:?}");
+}
+
+/// Processes whose command line names the set.
+pub fn processes_of(robot: &str) -> Vec<u32> {
+    let command_line = |pid: &u32| std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+    std::fs::read_dir("/proc")
+        .unwrap()
+        .filter_map(|entry| entry.ok()?.file_name().to_string_lossy().parse().ok())
+        .filter(|pid| String::from_utf8_lossy(&command_line(pid)).contains(robot))
+        .collect()
+}
+
+/// Looks until there is something to see.
+pub fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let deadline = Instant::now() + LIMIT;
+    loop {
+        if let Some(seen) = look() {
+            return seen;
+        }
+        assert!(Instant::now() < deadline, "{what}: not within {} s", LIMIT.as_secs());
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+/// The benchmark logs, where they are at hand.
+pub fn data_dir() -> Option<PathBuf> {
+    let beside = repository().join("../shared/data");
+    let directory = std::env::var_os("FLOCKSLAM_DATA").map_or(beside, PathBuf::from);
+    if directory.join("intel/intel.clf").is_file() {
+        return Some(directory);
+    }
+    println!("NOT TESTED: no logs in {} (set FLOCKSLAM_DATA)", directory.display());
+    None
+}
+
+/// The top of the source tree.
+pub fn repository() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap()
+}
+
+/// The stages by the names used everywhere.
+pub fn stage_names() -> [&'static str; 6] {
+    Stage::ALL.map(Stage::name)
+}
