@@ -67,7 +67,7 @@ pub struct RunArgs {
     /// Live replay at this many log seconds per second; without it an exact replay at full speed
     #[arg(long, value_name = "RATE", value_parser = positive)]
     pub rate: Option<f64>,
-    /// Live operation: nothing is waited for past its deadline (implied by --rate)
+    /// Live operation: nothing is waited for past its deadline; a recorded source is replayed at --rate 1
     #[arg(long)]
     pub live: bool,
     /// Name of the robot's process set

@@ -49,6 +49,7 @@ impl RuntimeDir {
         if name.is_empty() || name.len() > 40 || !name.chars().all(good) {
             return Err(RuntimeError::BadName(name.to_owned()));
         }
+        let _turn = take_turn();
         sweep_abandoned();
         let path = Path::new(SHARED_MEMORY).join(format!("{DIRECTORY_PREFIX}{name}"));
         fs::create_dir_all(&path).map_err(|source| io_error(&path, source))?;
@@ -146,6 +147,12 @@ impl RuntimeDir {
         file.write_all(text.as_bytes()).map_err(|source| io_error(&path, source))
     }
 
+    fn remove(mut self) {
+        self.wipe_contents();
+        remove(&self.path);
+        self.lock = None;
+    }
+
     fn wipe_contents(&self) {
         for entry in entries(&self.path) {
             if file_name(&entry) != LOCK_FILE {
@@ -159,6 +166,7 @@ impl RuntimeDir {
 impl Drop for RuntimeDir {
     fn drop(&mut self) {
         if self.lock.is_some() {
+            let _turn = take_turn();
             self.wipe_contents();
             remove(&self.path);
         }
@@ -173,10 +181,17 @@ fn sweep_abandoned() {
             continue;
         }
         if let Ok(Some(lock)) = take_lock(&path) {
-            let abandoned = RuntimeDir { path, name, lock: Some(lock) };
-            drop(abandoned);
+            RuntimeDir { path, name, lock: Some(lock) }.remove();
         }
     }
+}
+
+/// Held while sets are created or removed: a sweeper must not meet a directory whose lock is about to be taken, nor a
+/// creator one that is about to go. A system without such locks only loses that safety.
+fn take_turn() -> Option<File> {
+    let turn = File::open(SHARED_MEMORY).ok()?;
+    turn.lock().ok()?;
+    Some(turn)
 }
 
 fn take_lock(directory: &Path) -> Result<Option<File>, RuntimeError> {

@@ -21,6 +21,8 @@ pub enum ControlKind {
     StreamEnd = 1,
     /// sync-manager has stored its final layout and map.
     Finished = 2,
+    /// The source is asked to end: what it has sent is the whole stream.
+    EndWanted = 5,
     /// The mapper has closed its last submap; `value` submaps there are.
     MapClosed = 4,
     /// A restarted reader asks the mapper for all live tiles.

@@ -9,6 +9,7 @@ use crate::outputs::{
     TrajectoryPoint, write_map, write_picture, write_report, write_trajectory,
 };
 use crate::supervisor::{ProcessSet, SetEvent, SetFile};
+use flockslam_bus::RuntimeDir;
 use flockslam_lidar_ingest::process::Source;
 use flockslam_messages::Stage;
 use flockslam_stage::results::{self, StampedPose, StoredMap, Summary};
@@ -52,7 +53,10 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
     let given = &args.configuration;
     let configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
     prepare_directory(&args.out)?;
-    let mode = if args.rate.is_some() || args.live { Mode::Live } else { Mode::Exact };
+    // A recorded source has no pace of its own; a pipe has.
+    let paced = args.live && run.source != Source::Pipe;
+    let rate = args.rate.or_else(|| paced.then_some(1.0));
+    let mode = if rate.is_some() || args.live { Mode::Live } else { Mode::Exact };
     let interrupts = count_interrupts()?;
     let name = args.robot.clone().unwrap_or_else(|| format!("run-{}", std::process::id()));
     let started = Instant::now();
@@ -60,7 +64,7 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
         version: crate::VERSION.to_owned(),
         options: configuration.stage_options(mode),
         source: run.source.clone(),
-        rate: args.rate,
+        rate,
         world: run.world,
         configuration: configuration.clone(),
     };
@@ -76,14 +80,22 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
 fn watch(set: &mut ProcessSet, scans: Option<u64>, interrupts: &AtomicUsize) -> Result<(), CommandError> {
     let progress = RunProgress::new(scans);
     let mut ending = false;
+    let (mut done, mut advanced) = (0, Instant::now());
     loop {
-        match set.watch(Duration::from_millis(20)) {
+        // A set that is idle is looked at less often.
+        let limit_ms = if advanced.elapsed() < Duration::from_secs(1) { 20 } else { 100 };
+        match set.watch(Duration::from_millis(limit_ms)) {
             Ok(SetEvent::Finished) => break,
-            Ok(SetEvent::Progress(done)) => progress.at(done),
-            Ok(SetEvent::Quiet) => {}
+            Ok(SetEvent::Progress(scans)) if scans > done => {
+                (done, advanced) = (scans, Instant::now());
+                progress.at(scans);
+            }
+            Ok(SetEvent::Progress(_) | SetEvent::Quiet) => {}
             Err(error) => {
                 progress.finish();
-                return Err(error.into());
+                // Whoever stops the whole process group stops the stages too.
+                let interrupted = interrupts.load(Ordering::Relaxed) > 0;
+                return Err(if interrupted { CommandError::failed("interrupted") } else { error.into() });
             }
         }
         match interrupts.load(Ordering::Relaxed) {
@@ -91,7 +103,7 @@ fn watch(set: &mut ProcessSet, scans: Option<u64>, interrupts: &AtomicUsize) -> 
             // The first asks for what there is so far, the second for nothing.
             1 if !ending => {
                 ending = true;
-                set.end_stream();
+                set.end_stream()?;
             }
             1 => {}
             _ => {
@@ -126,12 +138,20 @@ fn prepare_directory(directory: &Path) -> Result<(), CommandError> {
     std::fs::remove_file(&probe).map_err(wrong)
 }
 
-/// Gathers the metrics of all stages on one port.
+/// Gathers the metrics of all stages and of the supervisor on one port.
 fn serve_metrics(set: &ProcessSet, port: u16) -> Result<MetricsEndpoint, CommandError> {
-    let status = set.runtime().status();
+    let (metrics, runtime) = (set.metrics().clone(), RuntimeDir::open(set.runtime().path()));
+    let runtime = runtime.map_err(CommandError::failed)?;
     MetricsEndpoint::on_loopback(port, move || {
-        let sockets = Stage::ALL.map(|stage| metrics_socket(&status, &format!("{}-0", stage.name())));
-        let pages: Vec<_> = sockets.iter().filter_map(|s| scrape(s, Duration::from_millis(200)).ok()).collect();
+        let mut pages = Vec::new();
+        for stage in Stage::ALL {
+            let socket = metrics_socket(&runtime.status(), &format!("{}-0", stage.name()));
+            let page = scrape(&socket, Duration::from_millis(200));
+            metrics.set_up(stage.name(), page.is_ok());
+            pages.extend(page);
+        }
+        metrics.set_shared_memory(runtime.occupied_bytes());
+        pages.push(metrics.render());
         merge_expositions(pages.iter().map(String::as_str))
     })
     .map_err(CommandError::user)
@@ -226,7 +246,7 @@ fn report(
         source: run.source.clone(),
         configuration: serde_json::to_value(&run.configuration).map_err(CommandError::failed)?,
         scans: summary.scans,
-        kept: summary.matched,
+        kept: summary.scans - summary.dropped.values().sum::<u64>(),
         dropped: summary.dropped.clone(),
         rejected: rejected.collect(),
         wall_s,

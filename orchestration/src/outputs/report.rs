@@ -15,7 +15,7 @@ pub struct Report {
     pub configuration: serde_json::Value,
     /// Scans that the source gave, each of which has a line in both trajectories.
     pub scans: u64,
-    /// Scans that were matched.
+    /// Scans that were processed: all that were not dropped.
     pub kept: u64,
     /// Scans that got a predicted pose only: reason → count.
     pub dropped: BTreeMap<String, u64>,

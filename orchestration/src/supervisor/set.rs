@@ -1,9 +1,9 @@
 use super::SetFile;
 use super::child::StageChild;
-use flockslam_bus::{Bus, BusError, RuntimeDir, RuntimeError, Subscriber};
+use flockslam_bus::{BellRinger, Bus, BusError, Publisher, RuntimeDir, RuntimeError, Subscriber};
 use flockslam_messages::{Control, ControlKind, Progress, Stage};
 use flockslam_stage::{Mode, StageError, heartbeat_file};
-use flockslam_telemetry::read_heartbeat;
+use flockslam_telemetry::{SupervisorMetrics, read_heartbeat};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::process::Signal;
 use std::io;
@@ -80,6 +80,9 @@ pub struct ProcessSet {
     children: Vec<StageChild>,
     progress: Subscriber<Progress>,
     control: Subscriber<Control>,
+    metrics: SupervisorMetrics,
+    orders: Publisher<Control>,
+    source_bell: BellRinger,
     set: SetFile,
     executable: PathBuf,
     cleaned: Instant,
@@ -110,6 +113,9 @@ impl ProcessSet {
             children: Stage::ALL.map(StageChild::new).into(),
             progress: bus.subscriber()?,
             control: bus.subscriber()?,
+            metrics: SupervisorMetrics::new(&Stage::ALL.map(Stage::name)),
+            orders: bus.publisher()?,
+            source_bell: bus.ringer(Stage::LidarIngest.name())?,
             executable,
             cleaned: Instant::now(),
             set,
@@ -202,11 +208,8 @@ impl ProcessSet {
                 // At once: what the dead process held would block others.
                 self.clean();
                 let bad_source = stage == Stage::LidarIngest && status.code() == Some(EXIT_BAD_SOURCE);
-                if bad_source || (self.set.options.mode == Mode::Exact && !status.success()) {
+                if bad_source || self.set.options.mode == Mode::Exact {
                     return Err(self.ended(stage, status));
-                }
-                if status.success() {
-                    continue;
                 }
                 tracing::warn!(stage = stage.name(), how = describe(status), "restarting");
                 if !self.children[at].plan_restart() {
@@ -216,6 +219,7 @@ impl ProcessSet {
             }
             if self.children[at].is_due() {
                 self.spawn(at)?;
+                self.metrics.restarted(self.children[at].stage.name());
             }
         }
         Ok(())
@@ -238,9 +242,13 @@ impl ProcessSet {
     }
 
     /// Asks the source to end: what was sent so far is the whole stream.
-    pub fn end_stream(&self) {
-        let source = self.children.iter().find(|child| child.stage == Stage::LidarIngest);
-        source.expect("every set has a source").signal(Signal::TERM);
+    ///
+    /// # Errors
+    /// When the bus fails.
+    pub fn end_stream(&self) -> Result<(), SetError> {
+        self.orders.send(&Control { kind: ControlKind::EndWanted as u32, epoch: 0, value: 0 })?;
+        self.source_bell.ring();
+        Ok(())
     }
 
     /// Stops all stages: SIGTERM, and SIGKILL for who does not listen.
@@ -261,6 +269,11 @@ impl ProcessSet {
     /// The set's directory.
     pub fn runtime(&self) -> &RuntimeDir {
         &self.runtime
+    }
+
+    /// What the supervisor itself tells about the set; clones share the numbers.
+    pub fn metrics(&self) -> &SupervisorMetrics {
+        &self.metrics
     }
 
     /// All stages: processes so far and restarts.

@@ -14,7 +14,7 @@ use feed::{Fed, Feed};
 pub use feed::count_scans;
 use flockslam_bus::{BellRinger, Publisher, ScanPublisher, Subscriber};
 use flockslam_messages::{Control, ControlKind, LARGE_SCAN_BEAMS, Progress, ScanBuffer, ScanId, Stage};
-use flockslam_stage::{Actor, Mode, StageContext, StageError, run};
+use flockslam_stage::{Actor, Mode, StageContext, StageError, StreamEnd, run};
 use flockslam_telemetry::{monotonic_ns, utc_ns};
 use pacer::Pacer;
 use std::path::PathBuf;
@@ -80,7 +80,7 @@ struct Ingest {
     loaded: bool,
     sequence: u64,
     ended: bool,
-    stopping: bool,
+    stream: StreamEnd,
 }
 
 impl Ingest {
@@ -106,7 +106,7 @@ impl Ingest {
             loaded: false,
             sequence: resumed,
             ended: false,
-            stopping: false,
+            stream: StreamEnd::open(context)?,
         })
     }
 
@@ -183,6 +183,10 @@ impl Ingest {
 impl Actor for Ingest {
     fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
         self.hear_progress()?;
+        self.stream.drain()?;
+        if self.stream.end_wanted && !self.ended {
+            self.tell_the_end(context)?;
+        }
         let mut any = false;
         while !self.ended && !context.stop.is_set() {
             if !self.loaded {
@@ -216,16 +220,6 @@ impl Actor for Ingest {
         match &self.pacer {
             Some(pacer) if self.loaded => pacer.wait(self.scan.header.times.sensor_ns, monotonic_ns()),
             _ => Duration::from_millis(100),
-        }
-    }
-
-    fn close(&mut self, context: &mut StageContext) -> Result<(), StageError> {
-        // Asked to stop early: what was sent is the stream.
-        if self.ended || self.stopping {
-            Ok(())
-        } else {
-            self.stopping = true;
-            self.tell_the_end(context)
         }
     }
 }

@@ -42,14 +42,17 @@ impl StageOptions {
 pub struct StopFlag(Arc<AtomicBool>);
 
 impl StopFlag {
-    /// A flag that SIGTERM and SIGINT set.
+    /// A flag that SIGTERM sets. SIGINT is left to the supervisor: a terminal sends it to all processes of the set.
     ///
     /// # Errors
     /// When the handlers cannot be installed.
     pub fn on_signals() -> Result<Self, StageError> {
         let flag = Self::default();
-        for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
-            signal_hook::flag::register(signal, Arc::clone(&flag.0))
+        let ignored = Arc::new(AtomicBool::new(false));
+        for (signal, target) in
+            [(signal_hook::consts::SIGTERM, &flag.0), (signal_hook::consts::SIGINT, &ignored)]
+        {
+            signal_hook::flag::register(signal, Arc::clone(target))
                 .map_err(|e| StageError::Telemetry(format!("cannot handle signal {signal}: {e}")))?;
         }
         Ok(flag)

@@ -14,6 +14,7 @@ pub struct Acknowledger {
     message: Progress,
     step: u64,
     sent: u64,
+    rung: u64,
 }
 
 impl Acknowledger {
@@ -28,6 +29,7 @@ impl Acknowledger {
             message: Progress { stage: context.stage as u32, replica: context.replica, done },
             step: (context.capacity.window as u64 / 8).max(1),
             sent: done,
+            rung: done,
         })
     }
 
@@ -47,7 +49,11 @@ impl Acknowledger {
     pub fn send(&mut self) -> Result<(), StageError> {
         self.sent = self.message.done;
         self.publisher.send(&self.message)?;
-        self.source.ring();
+        // What it knows already is no reason to wake the source: an idle set shall sleep.
+        if self.rung < self.sent {
+            self.rung = self.sent;
+            self.source.ring();
+        }
         Ok(())
     }
 
@@ -64,6 +70,8 @@ pub struct StreamEnd {
     pub scans: Option<u64>,
     /// Submaps of the mapper, once it has closed the last one.
     pub submaps: Option<u64>,
+    /// The source is asked to end.
+    pub end_wanted: bool,
     /// A reader has asked for all live tiles since the last look.
     pub tiles_wanted: bool,
     heard_ns: Option<u64>,
@@ -75,7 +83,7 @@ impl StreamEnd {
     /// # Errors
     /// When the topic does not exist.
     pub fn open(context: &StageContext) -> Result<Self, StageError> {
-        Ok(Self { subscriber: context.bus.subscriber()?, scans: None, submaps: None, tiles_wanted: false, heard_ns: None })
+        Ok(Self { subscriber: context.bus.subscriber()?, scans: None, submaps: None, end_wanted: false, tiles_wanted: false, heard_ns: None })
     }
 
     /// Takes in what was said.
@@ -90,6 +98,7 @@ impl StreamEnd {
                     self.heard_ns.get_or_insert_with(monotonic_ns);
                 }
                 kind if kind == ControlKind::MapClosed as u32 => self.submaps = Some(control.value),
+                kind if kind == ControlKind::EndWanted as u32 => self.end_wanted = true,
                 kind if kind == ControlKind::TilesWanted as u32 => self.tiles_wanted = true,
                 _ => {}
             }
