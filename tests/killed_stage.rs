@@ -10,7 +10,7 @@ use std::sync::OnceLock;
 use support::{RunningSet, building, live_building, processes_of, run_well, truth_error_m, wait_for};
 
 const DURATION_S: u32 = 60;
-const RATE: u32 = 15;
+const RATE: u32 = 8;
 const SCANS: usize = 600;
 
 fn undisturbed_area_m2() -> f64 {

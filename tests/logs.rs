@@ -21,6 +21,14 @@ const LOGS: [Log; 3] = [
     Log { name: "aces", limit_m: 0.08, published_m: 0.061 },
 ];
 
+/// A greedy climb over coarse cells is chaotic: how the building happens to lie on the grid changes its error by some
+/// 20 %. The mean over three directions of the start says more than any one of them.
+const STARTS: [&[&str]; 3] = [
+    &[],
+    &["--set", "lidar_ingest.start_pose=[0, 0, 2.0944]"],
+    &["--set", "lidar_ingest.start_pose=[0, 0, -2.0944]"],
+];
+
 impl Log {
     fn file(&self, data: &Path, extension: &str) -> std::path::PathBuf {
         data.join(self.name).join(format!("{}.{extension}", self.name))
@@ -48,7 +56,8 @@ impl Log {
     fn stamps(&self, data: &Path) -> Vec<String> {
         let text = std::fs::read(self.file(data, "clf")).unwrap();
         let text = String::from_utf8_lossy(&text);
-        let scans = text.lines().filter(|line| line.starts_with("FLASER ") || line.starts_with("ROBOTLASER1 "));
+        let scans =
+            text.lines().filter(|line| line.starts_with("FLASER ") || line.starts_with("ROBOTLASER1 "));
         scans.map(|line| line.split_ascii_whitespace().rev().nth(2).unwrap().to_owned()).collect()
     }
 }
@@ -64,7 +73,8 @@ fn one_configuration_maps_all_logs_accurately() {
         let directory = tempfile::tempdir().unwrap();
         let outputs = log.map(&data, directory.path(), &[]);
         let figures = log.evaluate(&data, &outputs);
-        let (mean, short, loops) = (mean_m(&figures["all"]), mean_m(&figures["short"]), mean_m(&figures["loop"]));
+        let (mean, short, loops) =
+            (mean_m(&figures["all"]), mean_m(&figures["short"]), mean_m(&figures["loop"]));
         println!(
             "{}: all {mean:.4} m (at most {} m), short {short:.4} m, loops {loops:.4} m; {:.0} scans/s",
             log.name, log.limit_m, outputs.report.scans_per_s
@@ -80,7 +90,12 @@ fn one_configuration_maps_all_logs_accurately() {
     }
 }
 
-fn agrees_with_the_reference_evaluator(log: &Log, data: &Path, outputs: &Outputs, figures: &serde_json::Value) {
+fn agrees_with_the_reference_evaluator(
+    log: &Log,
+    data: &Path,
+    outputs: &Outputs,
+    figures: &serde_json::Value,
+) {
     let script = data.join("../tools/relations.py");
     let mut command = Command::new("python3");
     command.arg(&script).arg(outputs.directory.join("trajectory.tum")).arg(log.file(data, "relations"));
@@ -118,11 +133,17 @@ fn a_log_gives_the_same_bytes_again() {
 fn the_profile_of_the_published_program_reproduces_its_error() {
     let Some(data) = data_dir() else { return };
     for log in &LOGS {
-        let directory = tempfile::tempdir().unwrap();
-        let outputs = log.map(&data, directory.path(), &["--profile", "vinyslam"]);
-        let short_m = mean_m(&log.evaluate(&data, &outputs)["short"]);
+        let errors_m = STARTS.map(|start| {
+            let directory = tempfile::tempdir().unwrap();
+            let outputs = log.map(&data, directory.path(), &[&["--profile", "vinyslam"], start].concat());
+            mean_m(&log.evaluate(&data, &outputs)["short"])
+        });
+        let short_m = errors_m.iter().sum::<f64>() / STARTS.len() as f64;
         let ratio = short_m / log.published_m;
-        println!("{} as vinySLAM: short {short_m:.4} m, published {} m ({ratio:.2})", log.name, log.published_m);
+        println!(
+            "{} as vinySLAM: short {short_m:.4} m (starts: {errors_m:.4?}), published {} m ({ratio:.2})",
+            log.name, log.published_m
+        );
         assert!((0.75..=1.25).contains(&ratio), "{}: {short_m} m", log.name);
     }
 }

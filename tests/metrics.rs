@@ -63,9 +63,19 @@ fn stages_answer_on_their_sockets_and_one_port_has_all_of_them() {
     assert_valid(&page);
     for stage in support::stage_names() {
         let label = format!("stage=\"{stage}\"");
-        let handled = page.lines().filter(|line| line.starts_with(names::SCANS_HANDLED.name) && line.contains(&label));
+        let handled =
+            page.lines().filter(|line| line.starts_with(names::SCANS_HANDLED.name) && line.contains(&label));
         assert_eq!(handled.count(), 1, "{stage}");
     }
+    for stage in support::stage_names() {
+        for line in [
+            format!("{}{{stage=\"{stage}\"}} 1", names::STAGE_UP.name),
+            format!("{}{{stage=\"{stage}\"}} 0", names::STAGE_RESTARTS.name),
+        ] {
+            assert!(page.lines().any(|other| other == line), "{line} is expected in\n{page}");
+        }
+    }
+    assert!(page.contains(names::SHARED_MEMORY.name));
     println!("the merged page has {} lines", page.lines().count());
     support::send(set.supervisor_pid(), Signal::INT);
     set.finish();

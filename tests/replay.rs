@@ -59,11 +59,15 @@ fn the_report_has_the_documented_fields() {
     let report: serde_json::Value = serde_json::from_slice(&outputs.bytes("report.json")).unwrap();
     assert_eq!(report["version"], flockslam::VERSION);
     assert_eq!(report["scans"], SCANS);
-    let count = |field: &serde_json::Value| field.as_object().unwrap().values().map(|n| n.as_u64().unwrap()).sum::<u64>();
+    let count = |field: &serde_json::Value| {
+        field.as_object().unwrap().values().map(|n| n.as_u64().unwrap()).sum::<u64>()
+    };
     assert_eq!(report["kept"].as_u64().unwrap() + count(&report["dropped"]), SCANS as u64);
     assert_eq!(count(&report["rejected"]), 0);
     let positive = |value: &serde_json::Value| assert!(value.as_f64().unwrap() > 0.0, "{value}");
-    for field in ["wall_s", "scans_per_s", "shared_memory_bytes", "submaps", "map_area_m2", "trajectory_length_m"] {
+    for field in
+        ["wall_s", "scans_per_s", "shared_memory_bytes", "submaps", "map_area_m2", "trajectory_length_m"]
+    {
         positive(&report[field]);
     }
     for quantile in ["p50", "p99", "max"] {
@@ -95,11 +99,14 @@ fn a_map_server_can_read_the_map() {
     };
     let cell_size_m: f64 = value("resolution").parse().unwrap();
     assert_eq!((value("mode").as_str(), value("negate").as_str()), ("trinary", "0"));
-    let origin: Vec<f64> = value("origin").trim_matches(['[', ']']).split(", ").map(|n| n.parse().unwrap()).collect();
-    let (occupied, free): (f64, f64) = (value("occupied_thresh").parse().unwrap(), value("free_thresh").parse().unwrap());
+    let origin: Vec<f64> =
+        value("origin").trim_matches(['[', ']']).split(", ").map(|n| n.parse().unwrap()).collect();
+    let (occupied, free): (f64, f64) =
+        (value("occupied_thresh").parse().unwrap(), value("free_thresh").parse().unwrap());
     let picture = image::open(directory.path().join(value("image"))).unwrap().into_luma8();
     let darkness = |pixel: u8| f64::from(255 - pixel) / 255.0;
-    let cells_with = |is: &dyn Fn(f64) -> bool| picture.pixels().filter(|pixel| is(darkness(pixel.0[0]))).count();
+    let cells_with =
+        |is: &dyn Fn(f64) -> bool| picture.pixels().filter(|pixel| is(darkness(pixel.0[0]))).count();
     let (walls, space) = (cells_with(&|dark| dark > occupied), cells_with(&|dark| dark < free));
     let area_m2 = (walls + space) as f64 * cell_size_m * cell_size_m;
     assert!((area_m2 - outputs.report.map_area_m2).abs() < 1e-6 * area_m2, "{area_m2} m²");
@@ -111,7 +118,11 @@ fn a_map_server_can_read_the_map() {
         let row = f64::from(picture.height()) - (point.map_from_base.y_m - origin[1]) / cell_size_m;
         in_space += usize::from(darkness(picture.get_pixel(column as u32, row as u32).0[0]) < free);
     }
-    assert!(in_space * 100 >= trajectory.len() * 99, "{in_space} of {} poses in free space", trajectory.len());
+    assert!(
+        in_space * 100 >= trajectory.len() * 99,
+        "{in_space} of {} poses in free space",
+        trajectory.len()
+    );
     let people = image::open(directory.path().join("map.png")).unwrap();
     assert!(people.width() >= picture.width() / 2 && people.height() > 100);
 }

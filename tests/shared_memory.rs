@@ -44,7 +44,11 @@ fn segment_of(address: u64, reader: u32, publisher: u32) -> Mapping {
     assert_eq!(held.permissions, "r--s", "readers only read");
     let of_publisher = mappings(publisher).into_iter().find(|mapping| mapping.inode == held.inode);
     let of_publisher = of_publisher.unwrap_or_else(|| panic!("{publisher} does not map {held:?}"));
-    assert_eq!((&of_publisher.file, of_publisher.permissions.as_str()), (&held.file, "rw-s"), "the publisher writes");
+    assert_eq!(
+        (&of_publisher.file, of_publisher.permissions.as_str()),
+        (&held.file, "rw-s"),
+        "the publisher writes"
+    );
     held
 }
 
@@ -53,8 +57,13 @@ fn scans_and_tiles_lie_in_the_memory_of_their_publishers() {
     let directory = tempfile::tempdir().unwrap();
     let set = RunningSet::start("memory", directory.path(), &live_building(250, 5));
     let ingest = set.pid(Stage::LidarIngest);
-    let readers =
-        [Stage::CorrelationFilter, Stage::ScanMatcher, Stage::Mapper, Stage::DynamicCleaner, Stage::SyncManager];
+    let readers = [
+        Stage::CorrelationFilter,
+        Stage::ScanMatcher,
+        Stage::Mapper,
+        Stage::DynamicCleaner,
+        Stage::SyncManager,
+    ];
     let mut segments: Vec<_> = readers
         .into_iter()
         .map(|stage| {

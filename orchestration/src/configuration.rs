@@ -1,6 +1,7 @@
 //! The configuration of a process set: defaults, then a profile, then a TOML file, then single keys.
 
 mod hint;
+mod range;
 
 use flockslam_stage::{Mode, StageOptions};
 use hint::with_hint;
@@ -88,7 +89,7 @@ pub enum ConfigurationError {
     #[error("{key}: {reason}")]
     Value {
         /// The key.
-        key: &'static str,
+        key: String,
         /// What is wrong.
         reason: String,
     },
@@ -134,19 +135,11 @@ impl Configuration {
     }
 
     fn check(&self) -> Result<(), ConfigurationError> {
-        let positive = |key, value: f64| {
-            let reason = || ConfigurationError::Value { key, reason: format!("{value} is not a size") };
-            if value.is_finite() && value > 0.0 { Ok(()) } else { Err(reason()) }
-        };
-        positive("mapper.cell_size_m", self.mapper.cell_size_m)?;
-        positive("set.window", self.set.window as f64)?;
-        positive("set.live_tiles", self.set.live_tiles as f64)?;
-        positive("simulation.duration_s", self.simulation.duration_s)?;
-        positive("simulation.scan_rate_hz", self.simulation.scan_rate_hz)?;
-        positive("simulation.speed_m_s", self.simulation.speed_m_s)?;
-        positive("simulation.turn_rad_s", self.simulation.turn_rad_s)?;
-        positive("simulation.field_of_view_deg", self.simulation.field_of_view_deg)?;
-        positive("simulation.beams", f64::from(self.simulation.beams))
+        let wrong = |key: &str, reason: &str| ConfigurationError::Value { key: key.to_owned(), reason: reason.to_owned() };
+        self.lidar_ingest.check().map_err(|reason| wrong("lidar_ingest", reason))?;
+        self.simulation.check().map_err(|reason| wrong("simulation", reason))?;
+        range::check(&Table::try_from(self).expect("a configuration can be written as TOML"))
+            .map_err(|(key, reason)| wrong(&key, &reason))
     }
 }
 
@@ -208,7 +201,7 @@ mod tests {
         assert!(message.contains("cel_size_m") && message.contains("did you mean `cell_size_m`?"), "{message}");
         assert!(set("maper.cell_size_m=0.1").unwrap_err().to_string().contains("did you mean `mapper`?"));
         assert!(set("mapper").is_err() && set("mapper.cell_size_m=wide").is_err() && set("=3").is_err());
-        assert!(set("mapper.cell_size_m=0").unwrap_err().to_string().contains("not a size"));
+        assert!(set("mapper.cell_size_m=0").unwrap_err().to_string().contains("mapper.cell_size_m"));
     }
 
     #[test]

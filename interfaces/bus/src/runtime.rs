@@ -49,11 +49,12 @@ impl RuntimeDir {
         if name.is_empty() || name.len() > 40 || !name.chars().all(good) {
             return Err(RuntimeError::BadName(name.to_owned()));
         }
-        let _turn = take_turn();
-        sweep_abandoned();
         let path = Path::new(SHARED_MEMORY).join(format!("{DIRECTORY_PREFIX}{name}"));
+        let turn = take_turn();
+        sweep_abandoned();
         fs::create_dir_all(&path).map_err(|source| io_error(&path, source))?;
         let lock = take_lock(&path)?.ok_or_else(|| RuntimeError::Running(name.to_owned()))?;
+        drop(turn);
         let runtime = Self { path, name: name.to_owned(), lock: Some(lock) };
         runtime.wipe_contents();
         for directory in [runtime.bus(), runtime.journal(), runtime.submaps(), runtime.status(), runtime.results()] {

@@ -45,7 +45,8 @@ impl Topic for LaterProgress {
 }
 
 fn refusal<T: Topic>(bus: &Bus) -> String {
-    let refused = [bus.subscriber::<T>().err(), bus.publisher::<T>().err()].map(|error| error.expect("it is refused"));
+    let refused =
+        [bus.subscriber::<T>().err(), bus.publisher::<T>().err()].map(|error| error.expect("it is refused"));
     assert!(refused.iter().all(|error| matches!(error, BusError::Disagree { .. })), "{refused:?}");
     refused[0].to_string()
 }
@@ -59,7 +60,9 @@ fn another_layout_or_version_is_refused_with_what_to_do() {
     let told = refusal::<OtherProgress>(&member);
     println!("{told}");
     assert!(told.starts_with("topic progress was created by another build of flockslam"), "{told}");
-    assert!(told.contains(&format!("{:016x}", OtherProgress::HASH)) && told.contains("flockslam/progress/v1"));
+    assert!(
+        told.contains(&format!("{:016x}", OtherProgress::HASH)) && told.contains("flockslam/progress/v1")
+    );
     assert!(told.contains("start all of its processes from one executable"), "{told}");
     let told = refusal::<LaterProgress>(&member);
     println!("{told}");

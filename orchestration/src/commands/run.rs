@@ -79,7 +79,6 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
 
 fn watch(set: &mut ProcessSet, scans: Option<u64>, interrupts: &AtomicUsize) -> Result<(), CommandError> {
     let progress = RunProgress::new(scans);
-    let mut ending = false;
     let (mut done, mut advanced) = (0, Instant::now());
     loop {
         // A set that is idle is looked at less often.
@@ -101,11 +100,8 @@ fn watch(set: &mut ProcessSet, scans: Option<u64>, interrupts: &AtomicUsize) -> 
         match interrupts.load(Ordering::Relaxed) {
             0 => {}
             // The first asks for what there is so far, the second for nothing.
-            1 if !ending => {
-                ending = true;
-                set.end_stream()?;
-            }
-            1 => {}
+            // Again and again, since a source that is restarted meanwhile has not heard it.
+            1 => set.end_stream()?,
             _ => {
                 progress.finish();
                 return Err(CommandError::failed("interrupted"));

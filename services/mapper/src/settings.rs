@@ -82,6 +82,7 @@ impl Settings {
             occupied_cap_nat: 16.0,
             free_cap_nat: 16.0,
             submap_insertions: 2000,
+            window_m: 0.0,
             ..Self::default()
         }
     }

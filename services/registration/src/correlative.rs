@@ -162,7 +162,7 @@ const BOUND_CHUNK: usize = 10;
 
 /// Greatest mean score of the points when they move by (dx, dy) plus 0 or half a cell of the level along each axis;
 /// `None` when that is not above `floor_score`.
-fn upper_bound(
+pub(crate) fn upper_bound(
     read: &mut impl ScoreRead,
     per_metre: f64,
     points: &[Point],

@@ -4,11 +4,16 @@ pub mod cloud;
 mod correlative;
 mod field;
 mod gauss_newton;
+mod lattice;
+mod ndt;
 #[cfg(test)]
 mod room;
 mod sampling;
 
 pub use correlative::{CorrelativeSearch, Window};
+use correlative::upper_bound;
 pub use field::{GridField, Sample, ScoreField, ScoreRead, bilinear, nearest};
 pub use gauss_newton::{Fit, GaussNewton};
+pub use lattice::{Correlative, CorrelativeSettings};
+pub use ndt::{Ndt, NdtSettings};
 pub use sampling::{HillClimbing, MonteCarlo, beam_weight};

@@ -1,6 +1,9 @@
 //! Replays a CARMEN log through matcher and mapper in one process: writes a TUM trajectory, prints times per scan.
 //!
-//! `replay_front_end LOG --tum FILE [--poses FILE] [--heading RAD] [--vinyslam] [--set matcher.KEY=VALUE | mapper.KEY=VALUE …]`
+//! `replay_front_end LOG --tum FILE [--poses FILE] [--heading RAD] [--vinyslam] [--no-odometry] [--beam-noise SHARE]
+//! [--set matcher.KEY=VALUE | mapper.KEY=VALUE …]`
+//!
+//! `--no-odometry` takes the wheels away, `--beam-noise` replaces that share of all beams by random ranges.
 
 use flockslam_evidence::{Tile, TileGrid, TileKey};
 use flockslam_geometry::Pose;
@@ -17,13 +20,16 @@ struct Options {
     tum: Option<String>,
     poses: Option<String>,
     heading_rad: f64,
+    odometry: bool,
+    beam_noise_share: f64,
     matcher: flockslam_scan_matcher::Settings,
     mapper: flockslam_mapper::Settings,
 }
 
 fn main() -> Result<(), Failure> {
     let options = Options::from_arguments()?;
-    let scans = read_log(&options.log, options.heading_rad)?;
+    let mut scans = read_log(&options.log, options.heading_rad)?;
+    spoil(&mut scans, &options);
     let mut run = Run::new(&options);
     for scan in &scans {
         run.step(scan)?;
@@ -46,6 +52,8 @@ impl Options {
             tum: None,
             poses: None,
             heading_rad: 0.0,
+            odometry: true,
+            beam_noise_share: 0.0,
             matcher: flockslam_scan_matcher::Settings::default(),
             mapper: flockslam_mapper::Settings::default(),
         };
@@ -55,11 +63,16 @@ impl Options {
                 options.mapper = flockslam_mapper::Settings::vinyslam();
                 continue;
             }
+            if name == "--no-odometry" {
+                options.odometry = false;
+                continue;
+            }
             let value = arguments.next().ok_or_else(|| format!("{name} needs a value"))?;
             match name.as_str() {
                 "--tum" => options.tum = Some(value),
                 "--poses" => options.poses = Some(value),
                 "--heading" => options.heading_rad = value.parse()?,
+                "--beam-noise" => options.beam_noise_share = value.parse()?,
                 "--set" => options.set(&value)?,
                 _ => return Err(format!("unknown option {name}").into()),
             }
@@ -121,6 +134,24 @@ fn read_log(path: &str, heading_rad: f64) -> Result<Vec<ScanBuffer>, Failure> {
         scan.header.range_max_m = greatest - 0.01;
     }
     Ok(scans)
+}
+
+/// Takes away the wheels, replaces beams by noise, as the options ask.
+fn spoil(scans: &mut [ScanBuffer], options: &Options) {
+    let mut state = 1u64;
+    // A linear congruential generator (Knuth's MMIX constants), uniform in 0 … 1.
+    let mut uniform = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f32 / (1u64 << 24) as f32
+    };
+    for scan in scans {
+        scan.header.has_odometry = u32::from(options.odometry);
+        for range in scan.numbers.iter_mut().filter(|_| options.beam_noise_share > 0.0) {
+            if f64::from(uniform()) < options.beam_noise_share {
+                *range = 0.5 + uniform() * (scan.header.range_max_m.min(30.0) - 0.5);
+            }
+        }
+    }
 }
 
 struct Done {

@@ -15,8 +15,6 @@ use std::time::Duration;
 const VERDICT_DEADLINE_NS: u64 = 20_000_000;
 /// Live: an inserted scan that is not in the grid after this is not waited for.
 const COMMIT_DEADLINE_NS: u64 = 100_000_000;
-/// How often the others are woken for poses that they only have to count.
-const QUIET_SCANS: u64 = 8;
 
 /// Runs the stage until it is asked to stop.
 ///
@@ -43,6 +41,8 @@ struct Matcher {
     poses: Publisher<PoseEstimate>,
     journal: JournalWriter,
     bells: [BellRinger; 3],
+    /// The others are woken once in so many poses that they only have to count.
+    quiet_scans: u64,
     acknowledger: Acknowledger,
     stream: StreamEnd,
 }
@@ -75,6 +75,7 @@ impl Matcher {
                 bus.ringer(Stage::DynamicCleaner.name())?,
                 bus.ringer(Stage::SyncManager.name())?,
             ],
+            quiet_scans: (context.capacity.window as u64 / 8).max(1),
             acknowledger: Acknowledger::open(context, next)?,
             stream: StreamEnd::open(context)?,
         })
@@ -177,7 +178,7 @@ impl Matcher {
         if accepted {
             self.awaited = Some((header.id.sequence, monotonic_ns()));
         }
-        if accepted || header.id.sequence.is_multiple_of(QUIET_SCANS) {
+        if accepted || header.id.sequence.is_multiple_of(self.quiet_scans) {
             self.ring();
         }
         context.report.report.scan_address = scan.ranges().as_ptr() as u64;

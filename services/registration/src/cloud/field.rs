@@ -8,6 +8,9 @@ const REACH: i32 = 3;
 const SIGMA_M: f64 = 0.1;
 /// Levels of pooling above the finest.
 const LEVELS: usize = 7;
+/// Points farther than this from the frame's origin are left out, metres: a submap's memory stays bounded whatever poses it
+/// was made from.
+const EXTENT_MAX_M: f64 = 60.0;
 /// Steps of the influence table per m² of squared distance.
 const STEPS_PER_M2: f64 = 8000.0;
 
@@ -34,6 +37,8 @@ pub struct PooledField {
 impl PooledField {
     /// The field of a submap's points, metres in its frame.
     pub fn new(points: &[(f64, f64)]) -> Self {
+        let near = |p: &&(f64, f64)| p.0.abs() < EXTENT_MAX_M && p.1.abs() < EXTENT_MAX_M;
+        let points: Vec<(f64, f64)> = points.iter().filter(near).copied().collect();
         let cells: Vec<(i32, i32)> = points.iter().map(|&(x, y)| (Self::cell(x), Self::cell(y))).collect();
         let bound = |pick: fn(&(i32, i32)) -> i32| {
             let low = cells.iter().map(pick).min().unwrap_or(0) - REACH;

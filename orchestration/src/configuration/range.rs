@@ -1,0 +1,91 @@
+use toml::{Table, Value};
+
+/// Keys whose numbers may be negative; their own sections bound them.
+const SIGNED: [&str; 5] = [
+    "lidar_ingest.start_pose",
+    "simulation.laser_mount",
+    "simulation.range_bias_m",
+    "correlation_filter.profile_threshold",
+    "correlation_filter.histogram_threshold",
+];
+
+/// Keys that need more than "not negative": least and greatest value.
+const BOUNDED: [(&str, f64, f64); 14] = [
+    ("set.window", 2.0, 4096.0),
+    ("set.live_tiles", 64.0, 65_536.0),
+    ("correlation_filter.window", 1.0, 64.0),
+    ("scan_matcher.beams_max", 10.0, 1e7),
+    ("scan_matcher.gauss_newton.step_max_m", 1e-3, 10.0),
+    ("scan_matcher.gauss_newton.turn_max_rad", 1e-4, 3.0),
+    ("mapper.cell_size_m", 0.01, 1.0),
+    ("mapper.hit_nat", 1e-3, 16.0),
+    ("mapper.miss_nat", 0.0, 16.0),
+    ("mapper.submap_length_m", 0.5, 1000.0),
+    ("mapper.submap_insertions", 1.0, 2000.0),
+    ("sync_manager.node_distance_m", 0.01, 10.0),
+    ("sync_manager.segment_length_m", 0.5, 10.0),
+    ("sync_manager.chain_nodes", 2.0, 60.0),
+];
+
+/// Refuses numbers that make no sense: (key, reason).
+pub fn check(table: &Table) -> Result<(), (String, String)> {
+    table.iter().try_for_each(|(section, value)| check_value(section, value))
+}
+
+fn check_value(key: &str, value: &Value) -> Result<(), (String, String)> {
+    match value {
+        Value::Table(table) => table.iter().try_for_each(|(name, value)| check_value(&format!("{key}.{name}"), value)),
+        Value::Array(values) => values.iter().try_for_each(|value| check_value(key, value)),
+        Value::Integer(number) => check_number(key, *number as f64),
+        Value::Float(number) => check_number(key, *number),
+        _ => Ok(()),
+    }
+}
+
+fn check_number(key: &str, number: f64) -> Result<(), (String, String)> {
+    let refuse = |reason: String| Err((key.to_owned(), format!("{number} {reason}")));
+    if let Some((_, least, greatest)) = BOUNDED.iter().find(|(name, ..)| *name == key) {
+        if !(*least..=*greatest).contains(&number) {
+            return refuse(format!("is not between {least} and {greatest}"));
+        }
+    }
+    if !number.is_finite() {
+        return refuse("is not a finite number".to_owned());
+    }
+    if number < 0.0 && !SIGNED.contains(&key) {
+        return refuse("is negative".to_owned());
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::configuration::{Configuration, Profile};
+
+    #[test]
+    fn every_bounded_key_exists_and_its_default_is_good() {
+        for profile in [Profile::Default, Profile::Vinyslam] {
+            let table = Table::try_from(Configuration::of_profile(profile)).unwrap();
+            assert_eq!(check(&table), Ok(()));
+            for (key, ..) in BOUNDED {
+                let mut value = Some(&Value::Table(table.clone())).cloned();
+                for part in key.split('.') {
+                    value = value.and_then(|value| value.get(part).cloned());
+                }
+                assert!(value.is_some(), "{key}");
+            }
+        }
+    }
+
+    #[test]
+    fn senseless_numbers_are_refused() {
+        for (section, key, number) in
+            [("mapper", "hit_nat", -1.0), ("mapper", "cell_size_m", f64::NAN), ("dynamic_cleaner", "radius_m", -3.0)]
+        {
+            let table = Table::from_iter([(key.to_owned(), Value::Float(number))]);
+            let refused = check(&Table::from_iter([(section.to_owned(), Value::Table(table))])).unwrap_err();
+            assert_eq!(refused.0, format!("{section}.{key}"));
+        }
+    }
+}

@@ -1,0 +1,318 @@
+use crate::field::{ScoreField, ScoreRead, nearest};
+use crate::gauss_newton::{Fit, GaussNewton};
+use crate::{Window, upper_bound};
+use flockslam_evidence::Level;
+use flockslam_geometry::{Point, Pose};
+use serde::{Deserialize, Serialize};
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+
+/// Headings tried at most on either side.
+const HEADINGS_MAX: i32 = 128;
+/// Nodes opened at most: a search that has not ended by then gives the best lattice pose known so far.
+const NODES_MAX: usize = 50_000;
+
+/// Settings of [`Correlative`]: exhaustive search over a lattice around the prediction, then refinement below a cell.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CorrelativeSettings {
+    /// Half the width of the window, metres.
+    pub reach_m: f64,
+    /// Half its range of headings, radians.
+    pub reach_rad: f64,
+    /// Points used at most in the search; the refinement uses all.
+    pub points_max: usize,
+    /// Score that a pose loses per m² between it and the prediction.
+    pub prior_xy: f64,
+    /// Score that it loses per rad².
+    pub prior_heading: f64,
+    /// Gauss–Newton steps on the finest level behind the search.
+    pub refinements: u32,
+}
+
+impl Default for CorrelativeSettings {
+    fn default() -> Self {
+        Self {
+            reach_m: 0.25,
+            reach_rad: 0.2,
+            points_max: 100,
+            prior_xy: 0.5,
+            prior_heading: 0.1,
+            refinements: 8,
+        }
+    }
+}
+
+/// Correlative matching in several resolutions (Olson 2009) by branch and bound over the max-pooled pyramid (Hess et al.
+/// 2016, section V): exact on a lattice of the grid's own cells.
+///
+/// A node is a heading and 4 × 4, 2 × 2 or one translation of the lattice; its bound is the greatest mean score that the
+/// points can reach in the level whose cells are as wide, less the least pull of the prediction. Nodes are opened in the
+/// order of their bounds, so the first single pose that comes up is the best of the window.
+#[derive(Clone, Debug, Default)]
+pub struct Correlative {
+    sample: Vec<Point>,
+    turned: Vec<Point>,
+    turned_by: Option<i32>,
+    open: BinaryHeap<Node>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Node {
+    bound: f64,
+    level: Level,
+    heading: i32,
+    x: i32,
+    y: i32,
+}
+
+impl Node {
+    /// Equal bounds are told apart by place: the result must not depend on the order of insertion.
+    fn rank(&self) -> (std::cmp::Reverse<Level>, i32, i32, i32) {
+        (std::cmp::Reverse(self.level), self.heading, self.x, self.y)
+    }
+}
+
+impl Ord for Node {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.bound.total_cmp(&other.bound).then_with(|| self.rank().cmp(&other.rank()))
+    }
+}
+
+impl PartialOrd for Node {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Node {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other) == Ordering::Equal
+    }
+}
+
+impl Eq for Node {}
+
+/// The lattice of one search.
+struct Lattice {
+    window: Window,
+    step_m: f64,
+    step_rad: f64,
+    prior_xy: f64,
+    prior_heading: f64,
+}
+
+impl Lattice {
+    fn pose(&self, heading: i32, x: i32, y: i32) -> Pose {
+        let center = self.window.center;
+        Pose::new(
+            center.x_m + self.step_m * f64::from(x),
+            center.y_m + self.step_m * f64::from(y),
+            center.heading_rad + self.step_rad * f64::from(heading),
+        )
+    }
+
+    /// The least pull of the prediction on the poses of a node `side` steps wide.
+    fn pull(&self, heading: i32, x: i32, y: i32, side: i32) -> f64 {
+        let near = |from: i32| f64::from(0.clamp(from, from + side - 1)) * self.step_m;
+        let turn = f64::from(heading) * self.step_rad;
+        self.prior_xy * (near(x).powi(2) + near(y).powi(2)) + self.prior_heading * turn * turn
+    }
+}
+
+fn side(level: Level) -> i32 {
+    1 << level as u32
+}
+
+impl Correlative {
+    /// Fits `points` (metres, frame of the robot) to a field inside a window around `prediction`, and refines the best
+    /// lattice pose with `solver` on the finest level. Needs at least one point.
+    pub fn fit<F: ScoreField>(
+        &mut self,
+        settings: &CorrelativeSettings,
+        solver: &GaussNewton,
+        field: &F,
+        points: &[Point],
+        prediction: Pose,
+    ) -> Fit {
+        let start = self.search(settings, field, points, prediction).map_or(prediction, |(_, pose)| pose);
+        let solver = GaussNewton { iterations: [0, 0, settings.refinements], ..solver.clone() };
+        solver.fit(field, points, prediction, start)
+    }
+
+    /// The best pose of the lattice and its mean score less the prediction's pull; `None` when no pose of the window
+    /// scores better than `prediction`.
+    pub fn search<F: ScoreField>(
+        &mut self,
+        settings: &CorrelativeSettings,
+        field: &F,
+        points: &[Point],
+        prediction: Pose,
+    ) -> Option<(f64, Pose)> {
+        let stride = points.len().div_ceil(settings.points_max.max(1)).max(1);
+        self.sample.clear();
+        self.sample.extend(points.iter().step_by(stride));
+        self.turned_by = None;
+        self.open.clear();
+        if self.sample.is_empty() {
+            return None;
+        }
+        let step_m = field.reader(Level::Full).cell_size_m();
+        let window =
+            Window { center: prediction, reach_m: settings.reach_m, reach_rad: settings.reach_rad };
+        let lattice = Lattice {
+            window,
+            step_m,
+            step_rad: self.heading_step(step_m),
+            prior_xy: settings.prior_xy,
+            prior_heading: settings.prior_heading,
+        };
+        let floor_score = self.bound(field, &lattice, Level::Full, (0, 0, 0), -1.0)?;
+        self.open_window(field, &lattice, floor_score);
+        for _ in 0..NODES_MAX {
+            let node = self.open.pop()?;
+            let Some(finer) = finer(node.level) else {
+                return Some((node.bound, lattice.pose(node.heading, node.x, node.y)));
+            };
+            let half = side(finer);
+            for (x, y) in [(0, 0), (half, 0), (0, half), (half, half)] {
+                self.push(field, &lattice, finer, (node.heading, node.x + x, node.y + y), floor_score);
+            }
+        }
+        None
+    }
+
+    /// The turn that moves a typical point by one step.
+    fn heading_step(&self, step_m: f64) -> f64 {
+        let mean_range = self.sample.iter().map(|p| p.norm_m()).sum::<f64>() / self.sample.len() as f64;
+        (step_m / mean_range.max(step_m)).clamp(0.005, 0.06)
+    }
+
+    fn open_window<F: ScoreField>(&mut self, field: &F, lattice: &Lattice, floor_score: f64) {
+        let headings = ((lattice.window.reach_rad / lattice.step_rad).ceil() as i32).clamp(0, HEADINGS_MAX);
+        let wide = side(Level::Quarter);
+        let reach = ((lattice.window.reach_m / (f64::from(wide) * lattice.step_m)).ceil() as i32).max(1);
+        for heading in -headings..=headings {
+            for (y, x) in (-reach..reach).flat_map(|y| (-reach..reach).map(move |x| (y, x))) {
+                self.push(field, lattice, Level::Quarter, (heading, wide * x, wide * y), floor_score);
+            }
+        }
+    }
+
+    fn push<F: ScoreField>(
+        &mut self,
+        field: &F,
+        lattice: &Lattice,
+        level: Level,
+        place: (i32, i32, i32),
+        floor_score: f64,
+    ) {
+        if let Some(bound) = self.bound(field, lattice, level, place, floor_score) {
+            let (heading, x, y) = place;
+            self.open.push(Node { bound, level, heading, x, y });
+        }
+    }
+
+    /// The most that a pose of the node can reach; `None` when that is not above `floor_score`.
+    fn bound<F: ScoreField>(
+        &mut self,
+        field: &F,
+        lattice: &Lattice,
+        level: Level,
+        (heading, x, y): (i32, i32, i32),
+        floor_score: f64,
+    ) -> Option<f64> {
+        let corner = lattice.pose(heading, x, y);
+        self.turn(heading, corner.heading_rad);
+        let pull = lattice.pull(heading, x, y, side(level));
+        let mut read = field.reader(level);
+        let per_metre = 1.0 / read.cell_size_m();
+        let (dx, dy) = (corner.x_m, corner.y_m);
+        if level > Level::Full {
+            return upper_bound(&mut read, per_metre, &self.turned, (dx, dy), floor_score + pull)
+                .map(|score| score - pull);
+        }
+        let score = |p: &Point| nearest(&mut read, per_metre, p.x_m + dx, p.y_m + dy);
+        let bound = self.turned.iter().map(score).sum::<f64>() / self.turned.len() as f64 - pull;
+        (bound > floor_score).then_some(bound)
+    }
+
+    fn turn(&mut self, heading: i32, heading_rad: f64) {
+        if self.turned_by == Some(heading) {
+            return;
+        }
+        self.turned_by = Some(heading);
+        let turn = Pose::new(0.0, 0.0, heading_rad);
+        self.turned.clear();
+        self.turned.extend(self.sample.iter().map(|point| turn.apply(*point)));
+    }
+}
+
+fn finer(level: Level) -> Option<Level> {
+    match level {
+        Level::Quarter => Some(Level::Half),
+        Level::Half => Some(Level::Full),
+        Level::Full => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::room;
+
+    fn score_at(points: &[Point], field: &impl ScoreField, pose: Pose) -> f64 {
+        let mut read = field.reader(Level::Full);
+        let per_metre = 1.0 / read.cell_size_m();
+        let at = |p: &Point| {
+            let end = pose.apply(*p);
+            nearest(&mut read, per_metre, end.x_m, end.y_m)
+        };
+        points.iter().map(at).sum::<f64>() / points.len() as f64
+    }
+
+    #[test]
+    fn no_pose_of_the_lattice_is_better_than_the_one_found() {
+        let grid = room::grid(&room::ROOM);
+        let field = room::field(&grid);
+        let settings = CorrelativeSettings::default();
+        for (truth, off) in [
+            (Pose::new(0.4, -0.3, 0.7), Pose::new(0.2, 0.13, 0.11)),
+            (Pose::new(1.0, 0.2, -2.0), Pose::new(-0.18, 0.1, -0.15)),
+        ] {
+            let points: Vec<Point> = room::scan(truth).into_iter().step_by(2).collect();
+            let center = Pose::new(truth.x_m + off.x_m, truth.y_m + off.y_m, truth.heading_rad + off.heading_rad);
+            let mut matcher = Correlative::default();
+            let (score, pose) = matcher.search(&settings, &field, &points, center).unwrap();
+            let step_rad = matcher.heading_step(0.05);
+            let mut best = f64::NEG_INFINITY;
+            let headings = (settings.reach_rad / step_rad).ceil() as i32;
+            for heading in -headings..=headings {
+                for (x, y) in (-8..8).flat_map(|x| (-8..8).map(move |y| (x, y))) {
+                    let (dx, dy) = (0.05 * f64::from(x), 0.05 * f64::from(y));
+                    let turn = step_rad * f64::from(heading);
+                    let at = Pose::new(center.x_m + dx, center.y_m + dy, center.heading_rad + turn);
+                    let pull = 0.5 * (dx * dx + dy * dy) + 0.1 * turn * turn;
+                    best = best.max(score_at(&points, &field, at) - pull);
+                }
+            }
+            assert!((score - best).abs() < 1e-9, "{score} for {best}");
+            assert!(pose.distance_m(truth) < 0.08 && pose.turn_rad(truth) < 0.03);
+            let fit = matcher.fit(&settings, &GaussNewton::default(), &field, &points, center);
+            assert!(fit.pose.distance_m(truth) < 0.01 && fit.pose.turn_rad(truth) < 0.005, "{:?}", fit.pose);
+        }
+    }
+
+    #[test]
+    fn where_nothing_is_better_the_prediction_stays() {
+        let grid = room::grid(&[]);
+        let start = Pose::new(0.3, 0.2, 0.1);
+        let points = room::scan(start);
+        let mut matcher = Correlative::default();
+        let settings = CorrelativeSettings::default();
+        assert!(matcher.search(&settings, &room::field(&grid), &points, start).is_none());
+        assert!(matcher.search(&settings, &room::field(&grid), &[], start).is_none());
+        let fit = matcher.fit(&settings, &GaussNewton::default(), &room::field(&grid), &points, start);
+        assert_eq!(fit.pose, start);
+    }
+}

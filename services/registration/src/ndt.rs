@@ -1,0 +1,450 @@
+use crate::field::{ScoreField, ScoreRead};
+use flockslam_evidence::{CellIndex, Level, floor};
+use flockslam_geometry::{Point, Pose, wrap_angle};
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// Settings of [`Ndt`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct NdtSettings {
+    /// Side of an NDT cell, metres (rounded to a whole number of eight grid cells).
+    pub cell_size_m: f64,
+    /// Newton steps at most.
+    pub iterations: u32,
+    /// An NDT cell counts with at least this much occupied mass in it, grid cells.
+    pub points_min: f64,
+    /// Floor of the smaller eigenvalue of a covariance, share of the larger one.
+    pub flatness_min: f64,
+    /// Pull towards the prediction's position, per m² and point.
+    pub prior_xy: f64,
+    /// Pull towards the prediction's heading, per rad² and point.
+    pub prior_heading: f64,
+}
+
+impl Default for NdtSettings {
+    fn default() -> Self {
+        Self {
+            cell_size_m: 0.72,
+            iterations: 20,
+            points_min: 3.0,
+            flatness_min: 0.001,
+            prior_xy: 0.1,
+            prior_heading: 0.02,
+        }
+    }
+}
+
+/// Point-to-distribution matching (Biber & Straßer 2003; Trubin et al. 2020): the occupied cells of the field are gathered
+/// into normal distributions on four grids that overlap by half a cell, and the pose that makes the points most likely is
+/// found by Newton's method with the exact Hessian.
+///
+/// The plane is cut into blocks half an NDT cell wide; an NDT cell is any 2 × 2 blocks, so a point always lies in four.
+/// Distributions are made anew for each scan and only where points fall: that costs a few thousand reads, and nothing can
+/// be stale.
+#[derive(Clone, Debug, Default)]
+pub struct Ndt {
+    blocks: Vec<Slot<Moments>>,
+    cells: Vec<Slot<Option<Normal>>>,
+    scan: u64,
+}
+
+/// Side of the tables that blocks and cells are kept in; a place that is taken is made anew, so any size is right.
+const TABLE_SIDE: i32 = 128;
+/// Smallest eigenvalue of the Hessian, share of the largest, below which it is lifted.
+const EIGENVALUE_MIN: f64 = 1e-3;
+/// Longest step, metres and (scaled) radians.
+const STEP_MAX: f64 = 0.3;
+/// Halvings of a step that does not lower the cost.
+const HALVINGS_MAX: u32 = 6;
+/// Below this step, metres, the search has converged.
+const STEP_MIN: f64 = 1e-4;
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Slot<T> {
+    scan: u64,
+    at: CellIndex,
+    value: T,
+}
+
+/// Sums over occupied cells, relative to the centre of their block: mass, first and second moments (metres).
+#[derive(Clone, Copy, Debug, Default)]
+struct Moments {
+    mass: f64,
+    x: f64,
+    y: f64,
+    xx: f64,
+    xy: f64,
+    yy: f64,
+}
+
+impl Moments {
+    fn add(&mut self, mass: f64, x: f64, y: f64) {
+        self.mass += mass;
+        self.x += mass * x;
+        self.y += mass * y;
+        self.xx += mass * x * x;
+        self.xy += mass * x * y;
+        self.yy += mass * y * y;
+    }
+
+    /// The same sums taken about a point that lies at (-dx, -dy).
+    fn shifted(self, dx: f64, dy: f64) -> Self {
+        Self {
+            mass: self.mass,
+            x: self.x + self.mass * dx,
+            y: self.y + self.mass * dy,
+            xx: self.xx + 2.0 * dx * self.x + self.mass * dx * dx,
+            xy: self.xy + dx * self.y + dy * self.x + self.mass * dx * dy,
+            yy: self.yy + 2.0 * dy * self.y + self.mass * dy * dy,
+        }
+    }
+
+    fn plus(self, other: Self) -> Self {
+        Self {
+            mass: self.mass + other.mass,
+            x: self.x + other.x,
+            y: self.y + other.y,
+            xx: self.xx + other.xx,
+            xy: self.xy + other.xy,
+            yy: self.yy + other.yy,
+        }
+    }
+
+    /// The normal distribution of the sums, which were taken about `center`.
+    fn normal(self, center: Point, settings: &NdtSettings, cell_m: f64) -> Option<Normal> {
+        if self.mass < settings.points_min {
+            return None;
+        }
+        let (mx, my) = (self.x / self.mass, self.y / self.mass);
+        // Each sum stands for a whole cell of the grid: its own spread belongs to the distribution.
+        let spread = cell_m * cell_m / 12.0;
+        let covariance = Matrix2::new(
+            self.xx / self.mass - mx * mx + spread,
+            self.xy / self.mass - mx * my,
+            self.xy / self.mass - mx * my,
+            self.yy / self.mass - my * my + spread,
+        );
+        let eigen = covariance.symmetric_eigen();
+        let floor = settings.flatness_min * eigen.eigenvalues.max();
+        let inverted = eigen.eigenvalues.map(|value| 1.0 / value.max(floor).max(f64::MIN_POSITIVE));
+        let inverse = eigen.eigenvectors * Matrix2::from_diagonal(&inverted) * eigen.eigenvectors.transpose();
+        Some(Normal { mean: Vector2::new(center.x_m + mx, center.y_m + my), inverse })
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Normal {
+    mean: Vector2<f64>,
+    inverse: Matrix2<f64>,
+}
+
+/// Cost of a pose with gradient and Hessian, divided by the number of points and grids.
+struct Terms {
+    cost: f64,
+    gradient: Vector3<f64>,
+    hessian: Matrix3<f64>,
+    hits: usize,
+}
+
+/// Sides of a block and of a grid cell.
+#[derive(Clone, Copy)]
+struct Sides {
+    /// Cells of the level with 4 × 4 grid cells along a block.
+    quarters: i32,
+    block_m: f64,
+    cell_m: f64,
+}
+
+impl Sides {
+    fn new(cell_size_m: f64, cell_m: f64) -> Self {
+        let quarters = ((0.5 * cell_size_m / (4.0 * cell_m)).round() as i32).max(1);
+        Self { quarters, block_m: f64::from(4 * quarters) * cell_m, cell_m }
+    }
+}
+
+impl Ndt {
+    /// The pose (field from points) that makes `points` (metres, frame of the robot) most likely, starting at `start`;
+    /// `None` when no point falls into a cell of the map there.
+    ///
+    /// Minimises `-Σ exp(-qᵀS⁻¹q/2) / 4n` plus half the pull towards `prediction`.
+    pub fn fit<F: ScoreField>(
+        &mut self,
+        settings: &NdtSettings,
+        field: &F,
+        points: &[Point],
+        prediction: Pose,
+        start: Pose,
+    ) -> Option<Pose> {
+        self.begin();
+        let mean_range = points.iter().map(|p| p.norm_m()).sum::<f64>() / points.len().max(1) as f64;
+        let scale = Vector3::new(1.0, 1.0, 1.0 / mean_range.max(0.1));
+        let mut pose = start;
+        let mut terms = self.terms(settings, field, points, prediction, pose);
+        if terms.hits == 0 {
+            return None;
+        }
+        for _ in 0..settings.iterations {
+            let Some(step) = newton_step(&terms, scale) else { break };
+            let Some((next, next_terms)) =
+                self.line_search(settings, field, points, prediction, (pose, &terms), step)
+            else {
+                break;
+            };
+            let length = pose.distance_m(next).hypot(pose.turn_rad(next) * mean_range);
+            (pose, terms) = (next, next_terms);
+            if length < STEP_MIN {
+                break;
+            }
+        }
+        Some(pose)
+    }
+
+    /// Forgets the distributions of the scan before.
+    fn begin(&mut self) {
+        let size = (TABLE_SIDE * TABLE_SIDE) as usize;
+        self.blocks.resize(size, Slot::default());
+        self.cells.resize(size, Slot::default());
+        self.scan += 1;
+    }
+
+    /// The first of the step, its half, its quarter … that lowers the cost enough (Armijo).
+    fn line_search<F: ScoreField>(
+        &mut self,
+        settings: &NdtSettings,
+        field: &F,
+        points: &[Point],
+        prediction: Pose,
+        (pose, terms): (Pose, &Terms),
+        step: Vector3<f64>,
+    ) -> Option<(Pose, Terms)> {
+        let slope = terms.gradient.dot(&step);
+        let mut share = 1.0;
+        for _ in 0..=HALVINGS_MAX {
+            let d = step * share;
+            let next = Pose::new(pose.x_m + d.x, pose.y_m + d.y, pose.heading_rad + d.z);
+            let there = self.terms(settings, field, points, prediction, next);
+            if there.hits > 0 && there.cost <= terms.cost + 1e-4 * share * slope {
+                return Some((next, there));
+            }
+            share *= 0.5;
+        }
+        None
+    }
+
+    fn terms<F: ScoreField>(
+        &mut self,
+        settings: &NdtSettings,
+        field: &F,
+        points: &[Point],
+        prediction: Pose,
+        pose: Pose,
+    ) -> Terms {
+        let sides = Sides::new(settings.cell_size_m, field.reader(Level::Full).cell_size_m());
+        let (sin, cos) = pose.heading_rad.sin_cos();
+        let (mut cost, mut hits) = (0.0, 0);
+        let (mut gradient, mut hessian) = (Vector3::zeros(), Matrix3::zeros());
+        for point in points {
+            let turned = Vector2::new(cos * point.x_m - sin * point.y_m, sin * point.x_m + cos * point.y_m);
+            let end = turned + Vector2::new(pose.x_m, pose.y_m);
+            let block = CellIndex::new(floor(end.x / sides.block_m), floor(end.y / sides.block_m));
+            for (x, y) in [(-1, -1), (0, -1), (-1, 0), (0, 0)] {
+                let corner = CellIndex::new(block.x.wrapping_add(x), block.y.wrapping_add(y));
+                let Some(normal) = self.cell(settings, field, sides, corner) else { continue };
+                hits += 1;
+                let q = end - normal.mean;
+                let weighted = normal.inverse * q;
+                let likelihood = (-0.5 * q.dot(&weighted)).exp();
+                if likelihood < 1e-9 {
+                    continue;
+                }
+                cost -= likelihood;
+                add_derivatives(&mut gradient, &mut hessian, turned, weighted, &normal.inverse, likelihood);
+            }
+        }
+        let share = 1.0 / (4 * points.len().max(1)) as f64;
+        let pull = Vector3::new(
+            pose.x_m - prediction.x_m,
+            pose.y_m - prediction.y_m,
+            wrap_angle(pose.heading_rad - prediction.heading_rad),
+        );
+        let prior = Vector3::new(settings.prior_xy, settings.prior_xy, settings.prior_heading);
+        let pulled = prior.component_mul(&pull);
+        Terms {
+            cost: cost * share + 0.5 * pulled.dot(&pull),
+            gradient: gradient * share + pulled,
+            hessian: hessian * share + Matrix3::from_diagonal(&prior),
+            hits,
+        }
+    }
+
+    /// The distribution of the 2 × 2 blocks whose lower left one is `corner`.
+    fn cell<F: ScoreField>(
+        &mut self,
+        settings: &NdtSettings,
+        field: &F,
+        sides: Sides,
+        corner: CellIndex,
+    ) -> Option<Normal> {
+        let place = place(corner);
+        let slot = self.cells[place];
+        if slot.scan == self.scan && slot.at == corner {
+            return slot.value;
+        }
+        let half = 0.5 * sides.block_m;
+        let mut sums = Moments::default();
+        for (x, y) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+            let block = CellIndex::new(corner.x.wrapping_add(x), corner.y.wrapping_add(y));
+            let (dx, dy) = (half * f64::from(2 * x - 1), half * f64::from(2 * y - 1));
+            sums = sums.plus(self.block(field, sides, block).shifted(dx, dy));
+        }
+        let center = Point::new(
+            (f64::from(corner.x) + 1.0) * sides.block_m,
+            (f64::from(corner.y) + 1.0) * sides.block_m,
+        );
+        let value = sums.normal(center, settings, sides.cell_m);
+        self.cells[place] = Slot { scan: self.scan, at: corner, value };
+        value
+    }
+
+    fn block<F: ScoreField>(&mut self, field: &F, sides: Sides, block: CellIndex) -> Moments {
+        let place = place(block);
+        let slot = self.blocks[place];
+        if slot.scan == self.scan && slot.at == block {
+            return slot.value;
+        }
+        let value = gather(field, sides, block);
+        self.blocks[place] = Slot { scan: self.scan, at: block, value };
+        value
+    }
+}
+
+/// Sums over the occupied cells of a block.
+fn gather<F: ScoreField>(field: &F, sides: Sides, block: CellIndex) -> Moments {
+    let (mut coarse, mut fine) = (field.reader(Level::Quarter), field.reader(Level::Full));
+    let mut sums = Moments::default();
+    let side = sides.quarters;
+    let middle = 0.5 * f64::from(4 * side);
+    for (i, j) in (0..side).flat_map(|j| (0..side).map(move |i| (i, j))) {
+        let (x, y) = (block.x.wrapping_mul(side).wrapping_add(i), block.y.wrapping_mul(side).wrapping_add(j));
+        if coarse.cell(CellIndex::new(x, y)) == 0 {
+            continue;
+        }
+        for (k, l) in (0..4).flat_map(|l| (0..4).map(move |k| (k, l))) {
+            let cell = CellIndex::new(x.wrapping_mul(4).wrapping_add(k), y.wrapping_mul(4).wrapping_add(l));
+            let mass = f64::from(fine.cell(cell)) / f64::from(u16::MAX);
+            let from_middle = |n: i32| (f64::from(n) + 0.5 - middle) * sides.cell_m;
+            sums.add(mass, from_middle(4 * i + k), from_middle(4 * j + l));
+        }
+    }
+    sums
+}
+
+fn place(at: CellIndex) -> usize {
+    ((at.y & (TABLE_SIDE - 1)) * TABLE_SIDE + (at.x & (TABLE_SIDE - 1))) as usize
+}
+
+/// Adds what one point and one cell contribute: `turned` is the point turned into the field's axes, `weighted` is S⁻¹q.
+fn add_derivatives(
+    gradient: &mut Vector3<f64>,
+    hessian: &mut Matrix3<f64>,
+    turned: Vector2<f64>,
+    weighted: Vector2<f64>,
+    inverse: &Matrix2<f64>,
+    likelihood: f64,
+) {
+    let turning = Vector2::new(-turned.y, turned.x);
+    let slopes = Vector3::new(weighted.x, weighted.y, weighted.dot(&turning));
+    let across = inverse * turning;
+    let mut curvature = Matrix3::new(
+        inverse[(0, 0)],
+        inverse[(0, 1)],
+        across.x,
+        inverse[(1, 0)],
+        inverse[(1, 1)],
+        across.y,
+        across.x,
+        across.y,
+        // d²q/dφ² is the turned point, reversed.
+        turning.dot(&across) - weighted.dot(&turned),
+    );
+    curvature -= slopes * slopes.transpose();
+    *gradient += slopes * likelihood;
+    *hessian += curvature * likelihood;
+}
+
+/// Newton's step with the Hessian lifted until it is safely positive, bounded in length.
+fn newton_step(terms: &Terms, scale: Vector3<f64>) -> Option<Vector3<f64>> {
+    let scaling = Matrix3::from_diagonal(&scale);
+    let mut hessian = scaling * terms.hessian * scaling;
+    let eigenvalues = hessian.symmetric_eigenvalues();
+    let (least, most) = (eigenvalues.min(), eigenvalues.abs().max());
+    if least < EIGENVALUE_MIN * most {
+        hessian += Matrix3::identity() * (EIGENVALUE_MIN * most - least);
+    }
+    let step = -hessian.cholesky()?.solve(&scale.component_mul(&terms.gradient));
+    let length = step.norm();
+    let bounded = if length > STEP_MAX { step * (STEP_MAX / length) } else { step };
+    Some(scale.component_mul(&bounded))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::room;
+    use proptest::prelude::*;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+        #[test]
+        fn finds_the_pose_from_a_prediction_that_is_off(
+            x in -1.0..2.0f64, y in -1.0..0.5f64, heading in -3.0..3.0f64,
+            dx in -0.12..0.12f64, dy in -0.12..0.12f64, turn in -0.04..0.04f64
+        ) {
+            let grid = room::grid(&room::ROOM);
+            let truth = Pose::new(x, y, heading);
+            let start = Pose::new(x + dx, y + dy, heading + turn);
+            let settings = NdtSettings { prior_xy: 0.0, prior_heading: 0.0, ..NdtSettings::default() };
+            let found = Ndt::default().fit(&settings, &room::field(&grid), &room::scan(truth), start, start).unwrap();
+            prop_assert!(found.distance_m(truth) < 0.03 && found.turn_rad(truth) < 0.01, "{found:?} for {truth:?}");
+        }
+    }
+
+    #[test]
+    fn gradient_and_hessian_are_those_of_the_cost() {
+        let grid = room::grid(&room::ROOM);
+        let (field, settings) = (room::field(&grid), NdtSettings::default());
+        // Few points, none of which crosses into another block within the difference.
+        let points = [Point::new(3.93, 0.3), Point::new(-1.9, -0.33), Point::new(0.8, 1.5)];
+        let mut ndt = Ndt::default();
+        ndt.begin();
+        let at = Pose::new(0.011, -0.007, 0.005);
+        let mut terms = |dx: f64, dy: f64, turn: f64| {
+            let pose = Pose::new(at.x_m + dx, at.y_m + dy, at.heading_rad + turn);
+            ndt.terms(&settings, &field, &points, Pose::IDENTITY, pose)
+        };
+        let here = terms(0.0, 0.0, 0.0);
+        let h = 1e-5;
+        for (axis, d) in [(h, 0.0, 0.0), (0.0, h, 0.0), (0.0, 0.0, h)].into_iter().enumerate() {
+            let (before, after) = (terms(-d.0, -d.1, -d.2), terms(d.0, d.1, d.2));
+            let slope = (after.cost - before.cost) / (2.0 * h);
+            assert!((slope - here.gradient[axis]).abs() < 1e-5, "{slope} for {}", here.gradient[axis]);
+            let change = (after.gradient - before.gradient) / (2.0 * h);
+            assert!((change - here.hessian.column(axis)).amax() < 1e-3 * here.hessian.amax());
+        }
+    }
+
+    #[test]
+    fn no_cell_hit_is_no_match() {
+        let grid = room::grid(&room::ROOM);
+        let far = [Point::new(500.0, 0.0)];
+        let found = Ndt::default().fit(
+            &NdtSettings::default(),
+            &room::field(&grid),
+            &far,
+            Pose::IDENTITY,
+            Pose::IDENTITY,
+        );
+        assert_eq!(found, None);
+    }
+}
