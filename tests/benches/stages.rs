@@ -141,7 +141,8 @@ fn front_end(bus: &Bus) {
         insertion.record(monotonic_ns() - started);
         let started = monotonic_ns();
         for key in &changed {
-            publisher.send_with(|message| drop(mapper.write_tile(*key, &mut message.tile))).expect("memory is free");
+            let fill = |message: &mut TileMessage| assert!(mapper.write_tile(*key, &mut message.tile));
+            publisher.send_with(fill).expect("memory is free");
         }
         publication.record(monotonic_ns() - started);
         tiles += changed.len();
@@ -190,10 +191,10 @@ fn one_process(file: &SetFile) -> (u64, f64) {
     let started = Instant::now();
     let scans = std::thread::scope(|scope| {
         for stage in Stage::ALL {
-            let bus = bus.clone_in_memory().expect("it is in memory");
+            let join = bus.memory_joiner().expect("it is in memory");
             let (stop, file, runtime) = (stop.clone(), file.clone(), &runtime);
             scope.spawn(move || {
-                let mut context = StageContext::on_bus(stage, 0, bus, runtime, &file.options, stop).expect("it can start");
+                let mut context = StageContext::on_bus(stage, 0, join(), runtime, &file.options, stop).expect("it can start");
                 run_in(&mut context, file).expect("the stage works");
             });
             // Consumers listen before the source speaks.

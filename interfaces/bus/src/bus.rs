@@ -65,15 +65,19 @@ impl Bus {
         Ok(Self(Kind::Shared { _services: Vec::new(), bus: SharedBus::new(name, capacity)? }))
     }
 
-    /// The in-memory twin: clones of it carry messages between threads of this process.
+    /// The in-memory twin: it carries messages between threads of this process, see [`Bus::memory_joiner`].
     pub fn in_memory() -> Self {
         Self(Kind::Memory(MemoryBus::default()))
     }
 
-    /// Another handle on the same in-memory set; `None` for shared memory, where each process joins by itself.
-    pub fn clone_in_memory(&self) -> Option<Self> {
+    /// What another thread needs to join the same in-memory set; `None` for shared memory, where each process joins by
+    /// itself and ports stay within their thread.
+    pub fn memory_joiner(&self) -> Option<impl FnOnce() -> Self + Send + 'static> {
         match &self.0 {
-            Kind::Memory(bus) => Some(Self(Kind::Memory(bus.clone()))),
+            Kind::Memory(bus) => {
+                let bus = bus.clone();
+                Some(move || Self(Kind::Memory(bus)))
+            }
             Kind::Shared { .. } => None,
         }
     }

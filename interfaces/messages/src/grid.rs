@@ -46,7 +46,7 @@ message! {
         pub last: ScanId,
         /// `odom_from_base` of the first scan: the submap's reference pose.
         pub odom_from_submap: Pose,
-        /// CRC of the stored content.
+        /// FNV-1a hash of the stored content.
         pub checksum: u64,
         /// Its number within the epoch, from 0.
         pub number: u32,

@@ -12,6 +12,7 @@ use crate::supervisor::{ProcessSet, SetEvent, SetFile};
 use flockslam_bus::RuntimeDir;
 use flockslam_lidar_ingest::process::Source;
 use flockslam_messages::Stage;
+use flockslam_scan_matcher::process::LOST;
 use flockslam_stage::results::{self, StampedPose, StoredMap, Summary};
 use flockslam_stage::{Mode, metrics_socket, read_reports};
 use flockslam_telemetry::{LatencyHistogram, MetricsEndpoint, merge_expositions, scrape};
@@ -233,20 +234,28 @@ fn report(
     let ingest = read_reports(&status, Stage::LidarIngest.name());
     let rejected = ingest.iter().flat_map(|report| &report.counters);
     let rejected = rejected.filter_map(|(name, n)| Some((name.strip_prefix("rejected/")?.to_owned(), *n)));
+    let matcher = read_reports(&status, Stage::ScanMatcher.name());
     let mut scan_to_pose = LatencyHistogram::default();
-    read_reports(&status, Stage::ScanMatcher.name()).iter().for_each(|r| scan_to_pose.merge(r.since_capture()));
+    matcher.iter().for_each(|report| scan_to_pose.merge(report.since_capture()));
+    // Scans that never reached the matcher have no pose: only its gaps tell of them.
+    let lost = matcher.iter().filter_map(|report| report.dropped.get(LOST)).sum::<u64>();
+    let mut dropped = summary.dropped.clone();
+    if lost > 0 {
+        dropped.insert(LOST.to_owned(), lost);
+    }
+    let scans = summary.scans + lost;
     let wall_s = run.started.elapsed().as_secs_f64();
     let length = |pair: &[TrajectoryPoint]| pair[0].map_from_base.distance_m(pair[1].map_from_base);
     Ok(Report {
         version: crate::VERSION.to_owned(),
         source: run.source.clone(),
         configuration: serde_json::to_value(&run.configuration).map_err(CommandError::failed)?,
-        scans: summary.scans,
+        scans,
         kept: summary.scans - summary.dropped.values().sum::<u64>(),
-        dropped: summary.dropped.clone(),
+        dropped,
         rejected: rejected.collect(),
         wall_s,
-        scans_per_s: summary.scans as f64 / wall_s,
+        scans_per_s: scans as f64 / wall_s,
         scan_to_pose_us: microseconds(&scan_to_pose),
         stages: run.set.stages().map(|(stage, pids, restarts)| stage_report(&status, stage, pids, restarts)).collect(),
         shared_memory_bytes: run.shared_memory_bytes,

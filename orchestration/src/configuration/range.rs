@@ -44,10 +44,10 @@ fn check_value(key: &str, value: &Value) -> Result<(), (String, String)> {
 
 fn check_number(key: &str, number: f64) -> Result<(), (String, String)> {
     let refuse = |reason: String| Err((key.to_owned(), format!("{number} {reason}")));
-    if let Some((_, least, greatest)) = BOUNDED.iter().find(|(name, ..)| *name == key) {
-        if !(*least..=*greatest).contains(&number) {
-            return refuse(format!("is not between {least} and {greatest}"));
-        }
+    if let Some((_, least, greatest)) = BOUNDED.iter().find(|(name, ..)| *name == key)
+        && !(*least..=*greatest).contains(&number)
+    {
+        return refuse(format!("is not between {least} and {greatest}"));
     }
     if !number.is_finite() {
         return refuse("is not a finite number".to_owned());

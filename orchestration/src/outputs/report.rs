@@ -9,15 +9,15 @@ use std::path::Path;
 pub struct Report {
     /// Version of the program.
     pub version: String,
-    /// Where the scans came from: the log's path, `-` or `demo`.
+    /// Where the scans came from: the log's path, `standard input` or `simulated building`.
     pub source: String,
     /// The whole configuration that was in force.
     pub configuration: serde_json::Value,
-    /// Scans that the source gave, each of which has a line in both trajectories.
+    /// Scans that the source gave. Each has a line in both trajectories, but for those counted as `lost`.
     pub scans: u64,
     /// Scans that were processed: all that were not dropped.
     pub kept: u64,
-    /// Scans that got a predicted pose only: reason → count.
+    /// Scans that got a predicted pose only: reason → count. Live, `lost` counts those that never reached the matcher.
     pub dropped: BTreeMap<String, u64>,
     /// Lines or scans of the source that could not be used: reason → count.
     pub rejected: BTreeMap<String, u64>,
@@ -29,7 +29,7 @@ pub struct Report {
     pub scan_to_pose_us: LatencyMicroseconds,
     /// Each stage by name.
     pub stages: BTreeMap<String, StageReport>,
-    /// Shared memory of the process set at its largest, bytes.
+    /// Shared memory and files on tmpfs that the process set occupied at its end, bytes.
     pub shared_memory_bytes: u64,
     /// Hash of the fused map, hexadecimal: equal for equal maps.
     pub map_hash: String,

@@ -3,7 +3,9 @@ use crate::settings::{Settings, Strategy};
 use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::{Covariance, Point, Pose, Twist};
 use flockslam_messages::{Commit, Deskew, LayoutHeader, PoseEstimate, PoseFlags, Quality, ScanView, Verdict};
-use flockslam_registration::{CorrelativeSearch, Fit, GridField, ScoreField, Window, beam_weight};
+use flockslam_registration::{
+    Correlative, CorrelativeSearch, Fit, GridField, Ndt, ScoreField, Window, beam_weight,
+};
 use std::ops::Deref;
 
 /// Fewer points than this fix no pose.
@@ -35,6 +37,8 @@ pub struct ScanMatcher {
     points: Vec<Point>,
     weights: Vec<f64>,
     search: CorrelativeSearch,
+    correlative: Correlative,
+    ndt: Ndt,
 }
 
 /// A matched pose.
@@ -64,6 +68,8 @@ impl ScanMatcher {
             points: Vec::new(),
             weights: Vec::new(),
             search: CorrelativeSearch::default(),
+            correlative: Correlative::default(),
+            ndt: Ndt::default(),
             settings,
         }
     }
@@ -80,7 +86,7 @@ impl ScanMatcher {
         let overridden = verdict.keep == 0 && !withheld && self.overrules(&prediction);
         let mut estimate = self.predicted(scan, verdict, &prediction);
         if withheld || (verdict.keep == 0 && !overridden) {
-            self.motion.advance(scan, prediction.pose, prediction.covariance);
+            self.motion.advance(scan, prediction.pose, prediction.covariance, false);
             return estimate;
         }
         if overridden {
@@ -89,7 +95,7 @@ impl ScanMatcher {
         self.take_points(scan, prediction.twist);
         if self.points.len() < POINTS_MIN {
             estimate.quality = Quality::Degraded as u32;
-            self.motion.advance(scan, prediction.pose, prediction.covariance);
+            self.motion.advance(scan, prediction.pose, prediction.covariance, false);
             return estimate;
         }
         if grid.is_empty() {
@@ -99,7 +105,8 @@ impl ScanMatcher {
             let found = self.match_scan(&field, &prediction, scan);
             self.fill(&mut estimate, &found);
         }
-        self.motion.advance(scan, estimate.odom_from_base, estimate.covariance);
+        let lost = estimate.quality == Quality::Lost as u32;
+        self.motion.advance(scan, estimate.odom_from_base, estimate.covariance, lost);
         if self.enters_map(&estimate) {
             estimate.flags |= PoseFlags::INSERT;
             self.inserted = Some(estimate.odom_from_base);
@@ -155,9 +162,12 @@ impl ScanMatcher {
 
     fn match_scan<F: ScoreField>(&mut self, field: &F, prediction: &Prediction, scan: ScanView<'_>) -> Match {
         let (fit, rescued) = match self.settings.strategy {
-            Strategy::GaussNewton => self.gauss_newton(field, prediction.pose),
             Strategy::MonteCarlo | Strategy::HillClimbing => {
                 (self.sampled(field, prediction.pose, scan), false)
+            }
+            Strategy::GaussNewton | Strategy::Correlative | Strategy::Ndt => {
+                let fit = self.track(field, prediction.pose, scan.odometry().is_some());
+                self.rescue(field, prediction.pose, fit)
             }
         };
         let quality = self.judge(&fit, prediction.pose);
@@ -166,10 +176,34 @@ impl ScanMatcher {
         Match { pose: fit.pose, covariance, score: fit.score, quality, rescued }
     }
 
-    fn gauss_newton<F: ScoreField>(&mut self, field: &F, prediction: Pose) -> (Fit, bool) {
-        let solver = &self.settings.gauss_newton;
-        let fit = solver.fit(field, &self.points, prediction, prediction);
-        let rescue = &self.settings.rescue;
+    /// The fit near the prediction; a scan without odometry is looked for before.
+    fn track<F: ScoreField>(&mut self, field: &F, prediction: Pose, has_odometry: bool) -> Fit {
+        if self.settings.strategy == Strategy::Correlative {
+            let Settings { correlative, gauss_newton, .. } = &self.settings;
+            return self.correlative.fit(correlative, gauss_newton, field, &self.points, prediction);
+        }
+        let fit = self.refine(field, prediction, prediction);
+        if has_odometry {
+            return fit;
+        }
+        let found = self.correlative.search(&self.settings.no_odometry, field, &self.points, prediction);
+        let other = found.map(|(_, start)| self.refine(field, start, start));
+        other.filter(|other| other.score > fit.score).unwrap_or(fit)
+    }
+
+    /// The strategy's own descent from `start`.
+    fn refine<F: ScoreField>(&mut self, field: &F, prediction: Pose, start: Pose) -> Fit {
+        let points = &self.points;
+        if self.settings.strategy == Strategy::Ndt {
+            let pose = self.ndt.fit(&self.settings.ndt, field, points, prediction, start);
+            return Fit::at(field, points, pose.unwrap_or(start));
+        }
+        self.settings.gauss_newton.fit(field, points, prediction, start)
+    }
+
+    /// A wide search when the fit scores badly; true beside its result when that is better.
+    fn rescue<F: ScoreField>(&mut self, field: &F, prediction: Pose, fit: Fit) -> (Fit, bool) {
+        let rescue = self.settings.rescue.clone();
         if fit.score >= rescue.below * self.mean_score {
             self.searched = None;
             return (fit, false);
@@ -183,10 +217,13 @@ impl ScanMatcher {
         let wider = f64::from(1 + self.lost.min(2));
         let (reach_m, reach_rad) = (wider * rescue.reach_m, wider * rescue.reach_rad);
         let window = Window { center: prediction, reach_m, reach_rad };
+        let mut search = std::mem::take(&mut self.search);
         let found =
-            self.search.search(field, &self.points, window, (fit.pose, 0.5 * rescue.gain), rescue.candidates);
-        let refined = found.iter().map(|(_, pose)| solver.fit(field, &self.points, *pose, *pose));
-        match refined.max_by(|a, b| a.score.total_cmp(&b.score)) {
+            search.search(field, &self.points, window, (fit.pose, 0.5 * rescue.gain), rescue.candidates);
+        let refined = found.iter().map(|(_, pose)| self.refine(field, *pose, *pose));
+        let best = refined.max_by(|a, b| a.score.total_cmp(&b.score));
+        self.search = search;
+        match best {
             Some(best) if best.score > fit.score + rescue.gain => (best, true),
             _ => (fit, false),
         }

@@ -12,6 +12,17 @@ const DRIFT_XY: f64 = 0.02;
 /// Growth of a predicted heading's variance per radian turned, rad²/rad.
 const DRIFT_HEADING: f64 = 0.01;
 
+/// Share of the velocity that is left after each scan that was not believed.
+const KEPT_WHEN_LOST: f64 = 0.5;
+
+fn scaled(twist: Twist, share: f64) -> Twist {
+    Twist {
+        x_m_s: share * twist.x_m_s,
+        y_m_s: share * twist.y_m_s,
+        turn_rad_s: share * twist.turn_rad_s,
+    }
+}
+
 /// Where the robot should be, from its last pose and the wheels, or from its last velocity when it has no wheels.
 #[derive(Clone, Debug)]
 pub(crate) struct Motion {
@@ -70,7 +81,7 @@ impl Motion {
         let step_s = self.step_s(scan.header().times.sensor_ns);
         let (motion, twist) = match (self.odometry, scan.odometry()) {
             (Some(before), Some(now)) => (before.to(now), Twist::from_motion(before.to(now), step_s)),
-            _ => (self.velocity.motion_after(step_s), self.velocity),
+            _ => (self.velocity.motion_after(self.even(step_s)), self.velocity),
         };
         let (travel, turn) = (motion.x_m.hypot(motion.y_m), motion.heading_rad.abs());
         let mut covariance = self.covariance;
@@ -81,18 +92,26 @@ impl Motion {
         Prediction { pose: self.pose * motion, twist, covariance }
     }
 
-    /// Takes over what became of a scan.
-    pub(crate) fn advance(&mut self, scan: ScanView<'_>, pose: Pose, covariance: Covariance) {
+    /// Takes over what became of a scan. Of a robot that is `lost` nobody knows how it moves: its velocity fades, or
+    /// without wheels it would be predicted out of the map.
+    pub(crate) fn advance(&mut self, scan: ScanView<'_>, pose: Pose, covariance: Covariance, lost: bool) {
         let stamp_ns = scan.header().times.sensor_ns;
         let step_s = self.step_s(stamp_ns);
         if self.stamp_ns.is_some() {
-            self.velocity = Twist::from_motion(self.pose.to(pose), step_s);
+            let kept = if lost { KEPT_WHEN_LOST } else { 1.0 };
+            self.velocity = scaled(Twist::from_motion(self.pose.to(pose), self.even(step_s)), kept);
             self.period_s += 0.05 * (step_s - self.period_s);
         }
         self.pose = pose;
         self.covariance = covariance;
         self.odometry = scan.odometry();
         self.stamp_ns = Some(stamp_ns);
+    }
+
+    /// A step between stamps that jitter, kept near the nominal period: scans come at even times even if their stamps do
+    /// not, and a velocity over a step far too short would be far too great.
+    fn even(&self, step_s: f64) -> f64 {
+        step_s.clamp(0.5 * self.period_s, 2.0 * self.period_s)
     }
 
     /// Seconds since the scan before; the nominal period when the stamps do not step forward.

@@ -16,6 +16,9 @@ const VERDICT_DEADLINE_NS: u64 = 20_000_000;
 /// Live: an inserted scan that is not in the grid after this is not waited for.
 const COMMIT_DEADLINE_NS: u64 = 100_000_000;
 
+/// Reason of scans that never reached the matcher.
+pub const LOST: &str = "lost";
+
 /// Runs the stage until it is asked to stop.
 ///
 /// # Errors
@@ -41,6 +44,8 @@ struct Matcher {
     poses: Publisher<PoseEstimate>,
     journal: JournalWriter,
     bells: [BellRinger; 3],
+    /// Sequence of the scan that comes next when none is lost.
+    expected: u64,
     /// The others are woken once in so many poses that they only have to count.
     quiet_scans: u64,
     acknowledger: Acknowledger,
@@ -75,6 +80,7 @@ impl Matcher {
                 bus.ringer(Stage::DynamicCleaner.name())?,
                 bus.ringer(Stage::SyncManager.name())?,
             ],
+            expected: next,
             quiet_scans: (context.capacity.window as u64 / 8).max(1),
             acknowledger: Acknowledger::open(context, next)?,
             stream: StreamEnd::open(context)?,
@@ -163,6 +169,11 @@ impl Matcher {
 
     fn process(&mut self, sample: &ScanSample, verdict: &Verdict, context: &mut StageContext) -> Result<(), StageError> {
         let (header, started_ns) = (*sample.header(), monotonic_ns());
+        // Live, a queue that overflows while this process waits for a processor loses its oldest scans.
+        for _ in self.expected..header.id.sequence {
+            context.dropped(LOST);
+        }
+        self.expected = header.id.sequence + 1;
         let Ok(scan) = sample.view() else {
             context.dropped("unreadable");
             return self.acknowledger.finished(header.id.sequence + 1);

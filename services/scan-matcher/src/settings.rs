@@ -1,4 +1,4 @@
-use flockslam_registration::{GaussNewton, HillClimbing, MonteCarlo};
+use flockslam_registration::{CorrelativeSettings, GaussNewton, HillClimbing, MonteCarlo, NdtSettings};
 use serde::{Deserialize, Serialize};
 
 /// Settings of the matcher.
@@ -13,6 +13,12 @@ pub struct Settings {
     pub monte_carlo: MonteCarlo,
     /// Settings of `hill-climbing`.
     pub hill_climbing: HillClimbing,
+    /// Settings of `correlative`.
+    pub correlative: CorrelativeSettings,
+    /// Settings of `ndt`; it needs the mapper's read-out `occupied`.
+    pub ndt: NdtSettings,
+    /// Search before each fit of a scan that carries no odometry (`gauss-newton` and `ndt`).
+    pub no_odometry: CorrelativeSettings,
     /// What happens after a bad fit.
     pub rescue: Rescue,
     /// When a scan enters the map and when the filter is overruled.
@@ -39,9 +45,13 @@ pub enum Strategy {
     MonteCarlo,
     /// Deterministic steps along each axis.
     HillClimbing,
+    /// Best pose of a lattice around the prediction by branch and bound, then Gauss–Newton below a cell; with the rescue.
+    Correlative,
+    /// Points to normal distributions by Newton's method, with the rescue.
+    Ndt,
 }
 
-/// What happens after a bad fit: a wide search (`gauss-newton` only), and when a fit is not believed at all.
+/// What happens after a bad fit: a wide search (`gauss-newton`, `correlative`, `ndt`), and when a fit is not believed at all.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Rescue {
@@ -90,6 +100,9 @@ impl Default for Settings {
             gauss_newton: GaussNewton::default(),
             monte_carlo: MonteCarlo::default(),
             hill_climbing: HillClimbing::default(),
+            correlative: CorrelativeSettings::default(),
+            ndt: NdtSettings::default(),
+            no_odometry: CorrelativeSettings { reach_m: 0.3, reach_rad: 0.35, ..CorrelativeSettings::default() },
             rescue: Rescue::default(),
             gate: Gate::default(),
             range_min_m: 0.4,

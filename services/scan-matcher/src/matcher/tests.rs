@@ -167,7 +167,13 @@ fn continues_where_its_predecessor_stopped() {
 
 #[test]
 fn all_strategies_follow_and_repeat_themselves() {
-    for strategy in [Strategy::GaussNewton, Strategy::MonteCarlo, Strategy::HillClimbing] {
+    for strategy in [
+        Strategy::GaussNewton,
+        Strategy::MonteCarlo,
+        Strategy::HillClimbing,
+        Strategy::Correlative,
+        Strategy::Ndt,
+    ] {
         let settings = Settings { strategy, ..Settings::default() };
         let mut pair = [FrontEnd::new(settings.clone()), FrontEnd::new(settings)];
         for i in 0..30 {
