@@ -34,8 +34,8 @@ message! {
         pub sections: u32,
         /// 1 when the source asks that the scan be given a predicted pose only.
         pub withheld: u32,
-        /// Reserved, zero.
-        pub reserved: u32,
+        /// 1 when the robot starts in `odom` where its odometry says (an experiment) instead of at the origin.
+        pub starts_at_odometry: u32,
     }
 }
 

@@ -45,6 +45,10 @@ pub struct Fit {
 const STEP_MIN_CELLS: f64 = 2e-3;
 const TURN_MIN_RAD: f64 = 2e-5;
 
+/// Points that end in the same cell share the error of the map there, so a scan tells less than its number of points
+/// says: the variance is this much greater (measured: mean NEES of 3 in simulated rooms, see `consistency.rs`).
+const SHARED_ERROR: f64 = 1.7;
+
 impl GaussNewton {
     /// Fits `points` (metres, frame of the robot) to a field, from coarse to fine, starting at `start`.
     ///
@@ -149,11 +153,12 @@ impl Fit {
         }
     }
 
-    /// Covariance of the pose, `s² (JᵀJ)⁻¹` with s² the mean squared residual; directions that the points do not
+    /// Covariance of the pose, `k s² (JᵀJ)⁻¹` with s² the mean squared residual; directions that the points do not
     /// determine get the prior's standard deviations (metres, radians).
     pub fn covariance(&self, prior_xy_m: f64, prior_heading_rad: f64) -> Covariance {
         let prior = Vector3::new(prior_xy_m.powi(-2), prior_xy_m.powi(-2), prior_heading_rad.powi(-2));
-        let precision = self.information / self.noise.max(1e-6) + Matrix3::from_diagonal(&prior);
+        let variance = SHARED_ERROR * self.noise.max(1e-6);
+        let precision = self.information / variance + Matrix3::from_diagonal(&prior);
         let Some(factor) = precision.cholesky() else {
             return Covariance::diagonal(prior_xy_m, prior_heading_rad);
         };
@@ -171,12 +176,48 @@ impl Fit {
     /// How well the worst direction of translation is determined: the smaller eigenvalue of the information on
     /// (x, y) with the heading left free, per m² and point. Small in a long corridor.
     pub fn weakest_direction(&self) -> f64 {
+        self.weakest().0
+    }
+
+    /// That eigenvalue and the motion (metres, metres, radians) along which it holds: a unit of translation, and the turn
+    /// that changes the residuals least beside it.
+    pub fn weakest(&self) -> (f64, Vector3<f64>) {
         let h = &self.information;
         let turn = h[(2, 2)].max(f64::MIN_POSITIVE);
         let (xx, yy) = (h[(0, 0)] - h[(0, 2)].powi(2) / turn, h[(1, 1)] - h[(1, 2)].powi(2) / turn);
         let xy = h[(0, 1)] - h[(0, 2)] * h[(1, 2)] / turn;
         let (mean, half) = (0.5 * (xx + yy), 0.5 * (xx - yy));
-        (mean - half.hypot(xy)).max(0.0) / self.points.max(1) as f64
+        let value = (mean - half.hypot(xy)).max(0.0) / self.points.max(1) as f64;
+        // The axis of the larger eigenvalue lies at half the angle of (half, xy); the smaller one's is across.
+        let (sin, cos) = (0.5 * xy.atan2(half)).sin_cos();
+        let (x, y) = (-sin, cos);
+        (value, Vector3::new(x, y, -(h[(0, 2)] * x + h[(1, 2)] * y) / turn))
+    }
+
+    /// The same fit with the prediction kept along its weakest direction (solution remapping, Zhang et al. 2016): what
+    /// the points do not determine is left to the wheels.
+    pub fn remapped<F: ScoreField>(&self, field: &F, points: &[Point], prediction: Pose) -> Fit {
+        let (_, axis) = self.weakest();
+        let missed = axis.x * (prediction.x_m - self.pose.x_m) + axis.y * (prediction.y_m - self.pose.y_m);
+        let pose = Pose::new(
+            self.pose.x_m + missed * axis.x,
+            self.pose.y_m + missed * axis.y,
+            self.pose.heading_rad + missed * axis.z,
+        );
+        Fit::at(field, points, pose)
+    }
+}
+
+/// `covariance` with an error of `sigma_m` added along `axis` (metres, metres, radians per metre).
+pub fn widened(covariance: Covariance, axis: Vector3<f64>, sigma_m: f64) -> Covariance {
+    let variance = sigma_m * sigma_m;
+    Covariance {
+        xx: covariance.xx + variance * axis.x * axis.x,
+        xy: covariance.xy + variance * axis.x * axis.y,
+        xt: covariance.xt + variance * axis.x * axis.z,
+        yy: covariance.yy + variance * axis.y * axis.y,
+        yt: covariance.yt + variance * axis.y * axis.z,
+        tt: covariance.tt + variance * axis.z * axis.z,
     }
 }
 

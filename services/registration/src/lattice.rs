@@ -36,8 +36,8 @@ impl Default for CorrelativeSettings {
             reach_m: 0.25,
             reach_rad: 0.2,
             points_max: 100,
-            prior_xy: 0.5,
-            prior_heading: 0.1,
+            prior_xy: 5.0,
+            prior_heading: 1.0,
             refinements: 8,
         }
     }
@@ -292,7 +292,7 @@ mod tests {
                     let (dx, dy) = (0.05 * f64::from(x), 0.05 * f64::from(y));
                     let turn = step_rad * f64::from(heading);
                     let at = Pose::new(center.x_m + dx, center.y_m + dy, center.heading_rad + turn);
-                    let pull = 0.5 * (dx * dx + dy * dy) + 0.1 * turn * turn;
+                    let pull = settings.prior_xy * (dx * dx + dy * dy) + settings.prior_heading * turn * turn;
                     best = best.max(score_at(&points, &field, at) - pull);
                 }
             }

@@ -1,6 +1,8 @@
 //! Strategies that fit a scan to a map, shared by scan-matcher (grids) and sync-manager (clouds of points).
 
 pub mod cloud;
+#[cfg(test)]
+mod consistency;
 mod correlative;
 mod field;
 mod gauss_newton;
@@ -13,7 +15,7 @@ mod sampling;
 pub use correlative::{CorrelativeSearch, Window};
 use correlative::upper_bound;
 pub use field::{GridField, Sample, ScoreField, ScoreRead, bilinear, nearest};
-pub use gauss_newton::{Fit, GaussNewton};
+pub use gauss_newton::{Fit, GaussNewton, widened};
 pub use lattice::{Correlative, CorrelativeSettings};
 pub use ndt::{Ndt, NdtSettings};
 pub use sampling::{HillClimbing, MonteCarlo, beam_weight};

@@ -25,7 +25,7 @@ pub struct NdtSettings {
 impl Default for NdtSettings {
     fn default() -> Self {
         Self {
-            cell_size_m: 0.72,
+            cell_size_m: 0.36,
             iterations: 20,
             points_min: 3.0,
             flatness_min: 0.001,
@@ -399,7 +399,7 @@ mod tests {
         #[test]
         fn finds_the_pose_from_a_prediction_that_is_off(
             x in -1.0..2.0f64, y in -1.0..0.5f64, heading in -3.0..3.0f64,
-            dx in -0.12..0.12f64, dy in -0.12..0.12f64, turn in -0.04..0.04f64
+            dx in -0.06..0.06f64, dy in -0.06..0.06f64, turn in -0.02..0.02f64
         ) {
             let grid = room::grid(&room::ROOM);
             let truth = Pose::new(x, y, heading);

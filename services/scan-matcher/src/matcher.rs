@@ -4,7 +4,7 @@ use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::{Covariance, Point, Pose, Twist};
 use flockslam_messages::{Commit, Deskew, LayoutHeader, PoseEstimate, PoseFlags, Quality, ScanView, Verdict};
 use flockslam_registration::{
-    Correlative, CorrelativeSearch, Fit, GridField, Ndt, ScoreField, Window, beam_weight,
+    Correlative, CorrelativeSearch, Fit, GridField, Ndt, ScoreField, Window, beam_weight, widened,
 };
 use std::ops::Deref;
 
@@ -170,9 +170,19 @@ impl ScanMatcher {
                 self.rescue(field, prediction.pose, fit)
             }
         };
-        let quality = self.judge(&fit, prediction.pose);
+        let degenerate = !rescued && fit.weakest_direction() < self.settings.degenerate_below;
+        let mut covariance = fit.covariance(PRIOR_SIGMA.0, PRIOR_SIGMA.1);
+        let mut kept = fit;
+        if degenerate {
+            covariance = widened(covariance, fit.weakest().1, PRIOR_SIGMA.0);
+            kept = fit.remapped(field, &self.points, prediction.pose);
+        }
+        let quality = match self.judge(&kept, prediction.pose) {
+            Quality::Tracking if degenerate => Quality::Degraded,
+            quality => quality,
+        };
+        let fit = kept;
         self.count(&fit, quality);
-        let covariance = fit.covariance(PRIOR_SIGMA.0, PRIOR_SIGMA.1);
         Match { pose: fit.pose, covariance, score: fit.score, quality, rescued }
     }
 
@@ -317,5 +327,7 @@ impl ScanMatcher {
     }
 }
 
+#[cfg(test)]
+mod corridor;
 #[cfg(test)]
 mod tests;

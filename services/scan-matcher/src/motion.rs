@@ -74,8 +74,8 @@ impl Motion {
     /// The pose at this scan as it follows from the one before. Odometry is a motion in the robot's own frame, so
     /// composing it turns it into the corrected heading.
     pub(crate) fn predict(&self, scan: ScanView<'_>) -> Prediction {
-        // The wheels' frame names the start: odom begins where they say that the robot is.
-        if let (None, Some(start)) = (self.stamp_ns, scan.odometry().filter(|start| is_near(*start))) {
+        let placed = scan.header().starts_at_odometry == 1;
+        if let (None, true, Some(start)) = (self.stamp_ns, placed, scan.odometry().filter(|start| is_near(*start))) {
             return Prediction { pose: start, twist: Twist::default(), covariance: self.covariance };
         }
         let step_s = self.step_s(scan.header().times.sensor_ns);

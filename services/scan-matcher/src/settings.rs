@@ -19,6 +19,8 @@ pub struct Settings {
     pub ndt: NdtSettings,
     /// Search before each fit of a scan that carries no odometry (`gauss-newton` and `ndt`).
     pub no_odometry: CorrelativeSettings,
+    /// A direction that the scan determines less than this, per m² and point, keeps the prediction (corridors); 0 = never.
+    pub degenerate_below: f64,
     /// What happens after a bad fit.
     pub rescue: Rescue,
     /// When a scan enters the map and when the filter is overruled.
@@ -103,6 +105,7 @@ impl Default for Settings {
             correlative: CorrelativeSettings::default(),
             ndt: NdtSettings::default(),
             no_odometry: CorrelativeSettings { reach_m: 0.3, reach_rad: 0.35, ..CorrelativeSettings::default() },
+            degenerate_below: 0.3,
             rescue: Rescue::default(),
             gate: Gate::default(),
             range_min_m: 0.4,
