@@ -113,13 +113,19 @@ impl Configuration {
     ///
     /// # Errors
     /// When the file cannot be read, or a key or value is not known: with place, reason and a hint.
-    pub fn load(profile: Profile, file: Option<&Path>, assignments: &[String]) -> Result<Self, ConfigurationError> {
-        let mut table = Table::try_from(Self::of_profile(profile)).expect("a configuration can be written as TOML");
+    pub fn load(
+        profile: Profile,
+        file: Option<&Path>,
+        assignments: &[String],
+    ) -> Result<Self, ConfigurationError> {
+        let mut table =
+            Table::try_from(Self::of_profile(profile)).expect("a configuration can be written as TOML");
         if let Some(path) = file {
             merge(&mut table, read_file(path)?);
         }
         for assignment in assignments {
-            let wrong = |reason: String| ConfigurationError::Assignment { assignment: assignment.clone(), reason };
+            let wrong =
+                |reason: String| ConfigurationError::Assignment { assignment: assignment.clone(), reason };
             merge(&mut table, parse_assignment(assignment).map_err(wrong)?);
             let known: Result<Self, _> = table.clone().try_into();
             known.map_err(|error| wrong(with_hint(error.message())))?;
@@ -135,7 +141,10 @@ impl Configuration {
     }
 
     fn check(&self) -> Result<(), ConfigurationError> {
-        let wrong = |key: &str, reason: &str| ConfigurationError::Value { key: key.to_owned(), reason: reason.to_owned() };
+        let wrong = |key: &str, reason: &str| ConfigurationError::Value {
+            key: key.to_owned(),
+            reason: reason.to_owned(),
+        };
         self.lidar_ingest.check().map_err(|reason| wrong("lidar_ingest", reason))?;
         self.simulation.check().map_err(|reason| wrong("simulation", reason))?;
         range::check(&Table::try_from(self).expect("a configuration can be written as TOML"))
@@ -160,8 +169,12 @@ fn parse_assignment(assignment: &str) -> Result<Table, String> {
     let mut parts: Vec<&str> = key.trim().split('.').collect();
     let last = parts.pop().filter(|part| !part.is_empty()).ok_or("write it as section.key=value")?;
     // What is no TOML value is a word: mode=off.
-    let parsed = toml::from_str::<Table>(&format!("value = {text}")).ok().and_then(|mut table| table.remove("value"));
-    let mut table = Table::from_iter([(last.to_owned(), parsed.unwrap_or_else(|| Value::String(text.trim().to_owned())))]);
+    let parsed =
+        toml::from_str::<Table>(&format!("value = {text}")).ok().and_then(|mut table| table.remove("value"));
+    let mut table = Table::from_iter([(
+        last.to_owned(),
+        parsed.unwrap_or_else(|| Value::String(text.trim().to_owned())),
+    )]);
     for part in parts.into_iter().rev() {
         table = Table::from_iter([(part.to_owned(), Value::Table(table))]);
     }
@@ -192,13 +205,19 @@ mod tests {
         let off = set("correlation_filter.mode=off").unwrap().correlation_filter.mode;
         assert_eq!(off, flockslam_correlation_filter::Mode::Off);
         assert_eq!(set("mapper.cell_size_m=1").unwrap().mapper.cell_size_m, 1.0);
-        assert_eq!(set("lidar_ingest.start_pose=[1, 2.5, 0]").unwrap().lidar_ingest.start_pose, Some([1.0, 2.5, 0.0]));
+        assert_eq!(
+            set("lidar_ingest.start_pose=[1, 2.5, 0]").unwrap().lidar_ingest.start_pose,
+            Some([1.0, 2.5, 0.0])
+        );
     }
 
     #[test]
     fn unknown_keys_and_bad_values_are_refused_with_a_hint() {
         let message = set("mapper.cel_size_m=0.1").unwrap_err().to_string();
-        assert!(message.contains("cel_size_m") && message.contains("did you mean `cell_size_m`?"), "{message}");
+        assert!(
+            message.contains("cel_size_m") && message.contains("did you mean `cell_size_m`?"),
+            "{message}"
+        );
         assert!(set("maper.cell_size_m=0.1").unwrap_err().to_string().contains("did you mean `mapper`?"));
         assert!(set("mapper").is_err() && set("mapper.cell_size_m=wide").is_err() && set("=3").is_err());
         assert!(set("mapper.cell_size_m=0").unwrap_err().to_string().contains("mapper.cell_size_m"));
@@ -208,11 +227,17 @@ mod tests {
     fn a_file_is_refused_with_its_line() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("robot.toml");
-        std::fs::write(&path, "[mapper]\ncell_size_m = 0.1\n\n[scan_matcher]\nstrategie = \"ndt\"\n").unwrap();
+        std::fs::write(&path, "[mapper]\ncell_size_m = 0.1\n\n[scan_matcher]\nstrategie = \"ndt\"\n")
+            .unwrap();
         let message = Configuration::load(Profile::Default, Some(&path), &[]).unwrap_err().to_string();
-        assert!(message.contains("robot.toml:5: ") && message.contains("did you mean `strategy`?"), "{message}");
+        assert!(
+            message.contains("robot.toml:5: ") && message.contains("did you mean `strategy`?"),
+            "{message}"
+        );
         std::fs::write(&path, "[mapper]\ncell_size_m = 0.1\n").unwrap();
-        let loaded = Configuration::load(Profile::Default, Some(&path), &["mapper.cell_size_m=0.2".to_owned()]).unwrap();
+        let loaded =
+            Configuration::load(Profile::Default, Some(&path), &["mapper.cell_size_m=0.2".to_owned()])
+                .unwrap();
         assert_eq!(loaded.mapper.cell_size_m, 0.2);
         assert!(Configuration::load(Profile::Default, Some(Path::new("/no/such/file")), &[]).is_err());
     }

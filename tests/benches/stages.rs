@@ -23,7 +23,8 @@ fn main() {
     if let Some(at) = args.iter().position(|arg| arg == "--echo") {
         return echo(Path::new(&args[at + 1]));
     }
-    let runtime = RuntimeDir::create(&format!("bench-{}", std::process::id())).expect("shared memory can be used");
+    let runtime =
+        RuntimeDir::create(&format!("bench-{}", std::process::id())).expect("shared memory can be used");
     let bus = Bus::host(&runtime, Capacity::default()).expect("the bus can be created");
     for beams in [180, 1000, 8000] {
         hop(&runtime, &bus, beams);
@@ -39,10 +40,8 @@ fn main() {
 }
 
 fn intel_log() -> Option<PathBuf> {
-    let folder = std::env::var_os("FLOCKSLAM_DATA").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
-        PathBuf::from,
-    );
+    let folder = std::env::var_os("FLOCKSLAM_DATA")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"), PathBuf::from);
     let path = folder.join("intel/intel.clf");
     path.exists().then_some(path)
 }
@@ -70,7 +69,9 @@ fn echo(directory: &Path) {
         bell.wait(Duration::from_secs(1)).expect("the bell works");
         while let Some(sample) = scans.receive().expect("the topic works") {
             let coefficient = monotonic_ns().saturating_sub(sample.header().times.monotonic_ns) as f64;
-            answers.send(&Verdict { id: sample.header().id, coefficient, ..Verdict::default() }).expect("it is heard");
+            answers
+                .send(&Verdict { id: sample.header().id, coefficient, ..Verdict::default() })
+                .expect("it is heard");
         }
     }
 }
@@ -90,7 +91,8 @@ fn hop(runtime: &RuntimeDir, bus: &Bus, beams: usize) {
     let bell = bus.ringer(Stage::CorrelationFilter.name()).expect("the bell is there");
     let this = std::env::current_exe().expect("a program knows itself");
     let mut command = Command::new(this);
-    let child = command.arg("--echo").arg(runtime.path()).stdin(Stdio::null()).spawn().expect("it can start itself");
+    let child =
+        command.arg("--echo").arg(runtime.path()).stdin(Stdio::null()).spawn().expect("it can start itself");
     let _child = Killed(child);
     let mut scan = ScanBuffer::from_ranges(&vec![2.0; beams], 0.0, 0.01);
     let mut histogram = LatencyHistogram::default();
@@ -115,7 +117,8 @@ fn hop(runtime: &RuntimeDir, bus: &Bus, beams: usize) {
 /// Matching, insertion and publication over the simulated drive, in this process.
 fn front_end(bus: &Bus) {
     let configuration = Configuration::default();
-    let mut simulation = Simulation::new(&configuration.simulation, World::floor_plan()).expect("the building is good");
+    let mut simulation =
+        Simulation::new(&configuration.simulation, World::floor_plan()).expect("the building is good");
     let mut matcher = ScanMatcher::new(configuration.scan_matcher);
     let mut grid: TileGrid<Box<Tile>> = TileGrid::new(configuration.mapper.cell_size_m);
     let mut mapper = Mapper::new(configuration.mapper);
@@ -184,7 +187,8 @@ fn separation(source: Source, name: &str) {
 }
 
 fn one_process(file: &SetFile) -> (u64, f64) {
-    let runtime = RuntimeDir::create(&format!("bench-threads-{}", std::process::id())).expect("tmpfs can be used");
+    let runtime =
+        RuntimeDir::create(&format!("bench-threads-{}", std::process::id())).expect("tmpfs can be used");
     let bus = Bus::in_memory();
     let control = bus.subscriber::<Control>().expect("memory has every topic");
     let stop = StopFlag::default();
@@ -194,7 +198,8 @@ fn one_process(file: &SetFile) -> (u64, f64) {
             let join = bus.memory_joiner().expect("it is in memory");
             let (stop, file, runtime) = (stop.clone(), file.clone(), &runtime);
             scope.spawn(move || {
-                let mut context = StageContext::on_bus(stage, 0, join(), runtime, &file.options, stop).expect("it can start");
+                let mut context = StageContext::on_bus(stage, 0, join(), runtime, &file.options, stop)
+                    .expect("it can start");
                 run_in(&mut context, file).expect("the stage works");
             });
             // Consumers listen before the source speaks.

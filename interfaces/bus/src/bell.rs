@@ -21,7 +21,8 @@ impl Listener {
             ListenerKind::Shared(listener) => {
                 let mut rang = false;
                 let note = |_| rang = true;
-                let waited = if limit.is_zero() { listener.try_wait(note) } else { listener.timed_wait(note, limit) };
+                let waited =
+                    if limit.is_zero() { listener.try_wait(note) } else { listener.timed_wait(note, limit) };
                 match waited {
                     Ok(_) => Ok(rang),
                     // A signal (SIGSTOP and SIGCONT among them) only cuts the wait short.

@@ -3,12 +3,12 @@ use crate::memory::MemoryBus;
 use crate::port::{PublisherKind, SlicePublisherKind, SliceSubscriberKind, SubscriberKind};
 use crate::shared::{SharedBus, assert_limits};
 use crate::{
-    BusError, Capacity, LargeScanHeader, Publisher, RuntimeDir, ScanPublisher, ScanSubscriber, SlicePublisher,
-    SliceSubscriber, SliceTopic, Subscriber, Topic,
+    BusError, Capacity, LargeScanHeader, Publisher, RuntimeDir, ScanPublisher, ScanSubscriber,
+    SlicePublisher, SliceSubscriber, SliceTopic, Subscriber, Topic,
 };
 use flockslam_messages::{
-    Commit, Control, LayoutHeader, MarksHeader, PoseEstimate, Progress, ScanHeader, Stage, SubmapClosed, TileMessage,
-    Verdict,
+    Commit, Control, LayoutHeader, MarksHeader, PoseEstimate, Progress, ScanHeader, Stage, SubmapClosed,
+    TileMessage, Verdict,
 };
 use std::any::Any;
 
@@ -130,7 +130,9 @@ impl Bus {
     pub fn slice_subscriber<H: SliceTopic>(&self) -> Result<SliceSubscriber<H>, BusError> {
         match &self.0 {
             Kind::Shared { bus, .. } => bus.slice_subscriber(),
-            Kind::Memory(bus) => Ok(SliceSubscriber(SliceSubscriberKind::Memory(bus.topic(H::NAME).subscribe()))),
+            Kind::Memory(bus) => {
+                Ok(SliceSubscriber(SliceSubscriberKind::Memory(bus.topic(H::NAME).subscribe())))
+            }
         }
     }
 

@@ -82,7 +82,9 @@ impl<T: Topic> Subscriber<T> {
                 let sample = subscriber.receive().map_err(|e| BusError::transfer(T::NAME, e))?;
                 Ok(sample.map(|sample| Sample(SampleKind::Shared(sample))))
             }
-            SubscriberKind::Memory(receiver) => Ok(receiver.try_recv().ok().map(|m| Sample(SampleKind::Memory(m)))),
+            SubscriberKind::Memory(receiver) => {
+                Ok(receiver.try_recv().ok().map(|m| Sample(SampleKind::Memory(m))))
+            }
         }
     }
 }
@@ -119,16 +121,25 @@ impl<H: SliceTopic> SlicePublisher<H> {
     ///
     /// # Errors
     /// When no memory is free or a connection is broken.
-    pub fn send_with(&self, header: &H, length: usize, fill: impl FnOnce(&mut [H::Element])) -> Result<(), BusError> {
+    pub fn send_with(
+        &self,
+        header: &H,
+        length: usize,
+        fill: impl FnOnce(&mut [H::Element]),
+    ) -> Result<(), BusError> {
         match &self.0 {
             SlicePublisherKind::Shared(publisher) => {
-                let mut slot = publisher.loan_slice_uninit(length).map_err(|e| BusError::transfer(H::NAME, e))?;
+                let mut slot =
+                    publisher.loan_slice_uninit(length).map_err(|e| BusError::transfer(H::NAME, e))?;
                 *slot.user_header_mut() = Wire(*header);
                 let place = slot.payload_mut();
                 // SAFETY: the loan is exclusive; elements are valid for all-zero bytes and every byte is written here.
                 let elements = unsafe {
                     place.as_mut_ptr().write_bytes(0, place.len());
-                    core::slice::from_raw_parts_mut(place.as_mut_ptr().cast::<Wire<H::Element>>(), place.len())
+                    core::slice::from_raw_parts_mut(
+                        place.as_mut_ptr().cast::<Wire<H::Element>>(),
+                        place.len(),
+                    )
                 };
                 fill(unwrap_slice_mut(elements));
                 // SAFETY: all bytes were written above.

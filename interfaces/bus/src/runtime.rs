@@ -57,7 +57,9 @@ impl RuntimeDir {
         drop(turn);
         let runtime = Self { path, name: name.to_owned(), lock: Some(lock) };
         runtime.wipe_contents();
-        for directory in [runtime.bus(), runtime.journal(), runtime.submaps(), runtime.status(), runtime.results()] {
+        for directory in
+            [runtime.bus(), runtime.journal(), runtime.submaps(), runtime.status(), runtime.results()]
+        {
             fs::create_dir_all(&directory).map_err(|source| io_error(&directory, source))?;
         }
         runtime.write_bus_configuration()?;

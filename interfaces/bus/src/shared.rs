@@ -3,7 +3,9 @@
 use crate::bell::{BellRinger, Listener, ListenerKind, RingerKind};
 use crate::port::{PublisherKind, SlicePublisherKind, SliceSubscriberKind, SubscriberKind};
 use crate::wire::Wire;
-use crate::{BusError, Capacity, Limits, Publisher, SlicePublisher, SliceSubscriber, SliceTopic, Subscriber, Topic};
+use crate::{
+    BusError, Capacity, Limits, Publisher, SlicePublisher, SliceSubscriber, SliceTopic, Subscriber, Topic,
+};
 use flockslam_messages::Message;
 use iceoryx2::prelude::*;
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
@@ -63,7 +65,8 @@ impl SharedBus {
     /// As [`SharedBus::create`], for headers with slices.
     pub fn create_slice<H: SliceTopic>(&self) -> Result<Box<dyn Any>, BusError> {
         let limits = H::limits(&self.capacity);
-        let builder = self.node.service_builder(&service_name(H::NAME)?).publish_subscribe::<[Wire<H::Element>]>();
+        let builder =
+            self.node.service_builder(&service_name(H::NAME)?).publish_subscribe::<[Wire<H::Element>]>();
         let created = builder
             .user_header::<Wire<H>>()
             .enable_safe_overflow(true)
@@ -178,7 +181,10 @@ fn service_name(name: &str) -> Result<ServiceName, BusError> {
     ServiceName::new(&format!("flockslam/{name}")).map_err(|e| BusError::open(name, e))
 }
 
-fn layout_pair<T: Message>() -> Result<(iceoryx2::service::attribute::AttributeKey, iceoryx2::service::attribute::AttributeValue), BusError> {
+fn layout_pair<T: Message>() -> Result<
+    (iceoryx2::service::attribute::AttributeKey, iceoryx2::service::attribute::AttributeValue),
+    BusError,
+> {
     let text = format!("{:016x}", T::HASH);
     let key = LAYOUT_KEY.try_into().map_err(|e| BusError::open(T::TYPE_NAME, e))?;
     let value = text.as_str().try_into().map_err(|e| BusError::open(T::TYPE_NAME, e))?;

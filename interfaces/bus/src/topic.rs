@@ -1,6 +1,6 @@
 use flockslam_messages::{
-    ClearedCell, Commit, Control, Layout, LayoutHeader, MarksHeader, Message, PoseEstimate, Progress, ScanHeader,
-    SubmapClosed, TileMessage, Verdict,
+    ClearedCell, Commit, Control, Layout, LayoutHeader, MarksHeader, Message, PoseEstimate, Progress,
+    ScanHeader, SubmapClosed, TileMessage, Verdict,
 };
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 

@@ -23,7 +23,8 @@ fn a_set_carries_scans_tiles_and_rings_and_leaves_nothing() {
     }
     assert!(reader.receive().unwrap().is_none());
 
-    let (tiles, tile_reader) = (member.publisher::<TileMessage>().unwrap(), host.subscriber::<TileMessage>().unwrap());
+    let (tiles, tile_reader) =
+        (member.publisher::<TileMessage>().unwrap(), host.subscriber::<TileMessage>().unwrap());
     tiles.send_with(|tile| tile.tile.score[17] = 9).unwrap();
     let held = tile_reader.receive().unwrap().unwrap();
     drop(tiles);

@@ -19,12 +19,20 @@ impl Deskew {
     }
 
     fn of_header(header: &ScanHeader, twist: Twist, takes_time: bool) -> Self {
-        Self { base_from_laser: header.base_from_laser, twist, moves: takes_time && twist != Twist::default() }
+        Self {
+            base_from_laser: header.base_from_laser,
+            twist,
+            moves: takes_time && twist != Twist::default(),
+        }
     }
 
     /// `base_from_laser` of a beam that left `seconds` after the stamp, seen from the base at the stamp.
     fn laser_at(&self, seconds: f64) -> Pose {
-        if self.moves { self.twist.motion_after(seconds) * self.base_from_laser } else { self.base_from_laser }
+        if self.moves {
+            self.twist.motion_after(seconds) * self.base_from_laser
+        } else {
+            self.base_from_laser
+        }
     }
 
     /// Where beam `beam` of `scan` ends at `range_m`, in `base_link` at the stamp.

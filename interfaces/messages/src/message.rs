@@ -11,7 +11,9 @@ pub trait Layout {
 /// A payload that may cross a process boundary.
 ///
 /// The zerocopy bounds make the compiler prove that it is plain data without padding, valid for any bytes.
-pub trait Message: Layout + Copy + FromBytes + IntoBytes + Immutable + KnownLayout + Send + Sync + 'static {
+pub trait Message:
+    Layout + Copy + FromBytes + IntoBytes + Immutable + KnownLayout + Send + Sync + 'static
+{
     /// Name and version, for example `flockslam/pose/v1`.
     const TYPE_NAME: &'static str;
 }

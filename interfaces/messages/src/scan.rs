@@ -219,7 +219,8 @@ mod tests {
 
     #[test]
     fn only_finite_ranges_within_the_limits_are_valid() {
-        let mut scan = ScanBuffer::from_ranges(&[0.05, 1.0, 81.0, f32::NAN, f32::INFINITY, f32::NEG_INFINITY], 0.0, 0.1);
+        let mut scan =
+            ScanBuffer::from_ranges(&[0.05, 1.0, 81.0, f32::NAN, f32::INFINITY, f32::NEG_INFINITY], 0.0, 0.1);
         (scan.header.range_min_m, scan.header.range_max_m) = (0.1, 80.0);
         let view = scan.view().unwrap();
         let valid: Vec<_> = (0..view.len()).map(|i| view.valid_range_m(i)).collect();

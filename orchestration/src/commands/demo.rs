@@ -1,7 +1,7 @@
 //! `flockslam demo`: a map from a simulated building, measured against the exact truth.
 
+use super::run::{Run, points, run as run_set, summary};
 use super::{CommandError, say};
-use super::run::{Run, points, summary, run as run_set};
 use crate::cli::DemoArgs;
 use crate::evaluation::evaluate_truth;
 use crate::outputs::write_trajectory;

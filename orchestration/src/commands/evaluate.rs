@@ -21,11 +21,13 @@ struct Figures {
 /// # Errors
 /// When a file cannot be read, has a line that is not understood, or the figures cannot be written.
 pub fn run(args: &EvaluateArgs) -> Result<(), CommandError> {
-    let parsed = |path: &Path| parse_tum(&path.display().to_string(), &read(path)?).map_err(CommandError::user);
+    let parsed =
+        |path: &Path| parse_tum(&path.display().to_string(), &read(path)?).map_err(CommandError::user);
     let trajectory = parsed(&args.trajectory)?;
     let mut figures = Figures::default();
     if let Some(path) = &args.relations {
-        let relations = parse_relations(&path.display().to_string(), &read(path)?).map_err(CommandError::user)?;
+        let relations =
+            parse_relations(&path.display().to_string(), &read(path)?).map_err(CommandError::user)?;
         let report = evaluate_relations(&trajectory, &relations);
         say(&report.to_string());
         figures.relations = Some(report);

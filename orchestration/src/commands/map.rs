@@ -1,7 +1,7 @@
 //! `flockslam map`: a lidar log becomes a map.
 
+use super::run::{Run, run as run_set, summary};
 use super::{CommandError, say};
-use super::run::{Run, summary, run as run_set};
 use crate::cli::MapArgs;
 use flockslam_lidar_ingest::process::{Source, count_scans};
 
@@ -12,14 +12,17 @@ use flockslam_lidar_ingest::process::{Source, count_scans};
 pub fn run(args: &MapArgs) -> Result<(), CommandError> {
     let (source, scans) = match (&args.log, &args.source) {
         (Some(log), _) => {
-            let absolute = std::path::absolute(log).map_err(|e| CommandError::user(format!("{}: {e}", log.display())))?;
+            let absolute = std::path::absolute(log)
+                .map_err(|e| CommandError::user(format!("{}: {e}", log.display())))?;
             let scans = count_scans(log).map_err(CommandError::user)?;
             (Source::Log(absolute), Some(scans))
         }
         (None, Some(dash)) if dash.as_os_str() == "-" => (Source::Pipe, None),
         (None, other) => {
             let given = other.as_deref().unwrap_or(std::path::Path::new("")).display().to_string();
-            return Err(CommandError::user(format!("--source {given}: the one source known is '-', the standard input")));
+            return Err(CommandError::user(format!(
+                "--source {given}: the one source known is '-', the standard input"
+            )));
         }
     };
     let outcome = run_set(&args.run, Run { source, world: None, scans })?;

@@ -12,7 +12,8 @@ impl RunProgress {
                     .expect("the template is a constant"),
             ),
             None => ProgressBar::no_length().with_style(
-                ProgressStyle::with_template("{spinner} {pos} scans  {per_sec}").expect("the template is a constant"),
+                ProgressStyle::with_template("{spinner} {pos} scans  {per_sec}")
+                    .expect("the template is a constant"),
             ),
         };
         Self(bar)

@@ -74,7 +74,8 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
     watch(&mut set, run.scans, &interrupts)?;
     let shared_memory_bytes = set.runtime().occupied_bytes();
     set.stop();
-    let finished = Finished { set: &set, started, shared_memory_bytes, source: describe(&run.source), configuration };
+    let finished =
+        Finished { set: &set, started, shared_memory_bytes, source: describe(&run.source), configuration };
     write_outputs(&args.out, &finished)
 }
 
@@ -257,7 +258,11 @@ fn report(
         wall_s,
         scans_per_s: scans as f64 / wall_s,
         scan_to_pose_us: microseconds(&scan_to_pose),
-        stages: run.set.stages().map(|(stage, pids, restarts)| stage_report(&status, stage, pids, restarts)).collect(),
+        stages: run
+            .set
+            .stages()
+            .map(|(stage, pids, restarts)| stage_report(&status, stage, pids, restarts))
+            .collect(),
         shared_memory_bytes: run.shared_memory_bytes,
         map_hash,
         submaps: summary.submaps,

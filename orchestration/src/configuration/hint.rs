@@ -5,7 +5,9 @@ pub fn with_hint(message: &str) -> String {
     let (Some((wrong, expected)), true) = (names.split_first(), unknown) else { return message.to_owned() };
     let nearest = expected.iter().min_by_key(|name| distance(wrong, name));
     match nearest {
-        Some(name) if distance(wrong, name) <= 1 + wrong.len() / 3 => format!("{message}; did you mean `{name}`?"),
+        Some(name) if distance(wrong, name) <= 1 + wrong.len() / 3 => {
+            format!("{message}; did you mean `{name}`?")
+        }
         _ => message.to_owned(),
     }
 }

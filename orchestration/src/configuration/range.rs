@@ -34,7 +34,9 @@ pub fn check(table: &Table) -> Result<(), (String, String)> {
 
 fn check_value(key: &str, value: &Value) -> Result<(), (String, String)> {
     match value {
-        Value::Table(table) => table.iter().try_for_each(|(name, value)| check_value(&format!("{key}.{name}"), value)),
+        Value::Table(table) => {
+            table.iter().try_for_each(|(name, value)| check_value(&format!("{key}.{name}"), value))
+        }
         Value::Array(values) => values.iter().try_for_each(|value| check_value(key, value)),
         Value::Integer(number) => check_number(key, *number as f64),
         Value::Float(number) => check_number(key, *number),
@@ -80,9 +82,11 @@ mod tests {
 
     #[test]
     fn senseless_numbers_are_refused() {
-        for (section, key, number) in
-            [("mapper", "hit_nat", -1.0), ("mapper", "cell_size_m", f64::NAN), ("dynamic_cleaner", "radius_m", -3.0)]
-        {
+        for (section, key, number) in [
+            ("mapper", "hit_nat", -1.0),
+            ("mapper", "cell_size_m", f64::NAN),
+            ("dynamic_cleaner", "radius_m", -3.0),
+        ] {
             let table = Table::from_iter([(key.to_owned(), Value::Float(number))]);
             let refused = check(&Table::from_iter([(section.to_owned(), Value::Table(table))])).unwrap_err();
             assert_eq!(refused.0, format!("{section}.{key}"));

@@ -98,7 +98,11 @@ impl ProcessSet {
     /// When a set of this name runs, or a stage cannot be started.
     pub fn start(name: &str, set: SetFile) -> Result<Self, SetError> {
         let executable = std::env::current_exe();
-        Self::start_with(executable.map_err(|source| SetError::Start { stage: "flockslam", source })?, name, set)
+        Self::start_with(
+            executable.map_err(|source| SetError::Start { stage: "flockslam", source })?,
+            name,
+            set,
+        )
     }
 
     /// As [`ProcessSet::start`], with another program's `flockslam` executable for the stages.
@@ -229,7 +233,9 @@ impl ProcessSet {
         let told = std::fs::read_to_string(error_file(&self.runtime, stage)).ok();
         match (status.code(), told) {
             (Some(EXIT_BAD_SOURCE), Some(reason)) => SetError::Source(reason),
-            (_, told) => SetError::Ended { stage: stage.name(), how: told.unwrap_or_else(|| describe(status)) },
+            (_, told) => {
+                SetError::Ended { stage: stage.name(), how: told.unwrap_or_else(|| describe(status)) }
+            }
         }
     }
 

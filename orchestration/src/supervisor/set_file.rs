@@ -41,7 +41,8 @@ impl SetFile {
         if read.version == crate::VERSION {
             Ok(read)
         } else {
-            let reason = format!("the set was started by flockslam {}, this is {}", read.version, crate::VERSION);
+            let reason =
+                format!("the set was started by flockslam {}, this is {}", read.version, crate::VERSION);
             Err(StageError::file(path, reason))
         }
     }

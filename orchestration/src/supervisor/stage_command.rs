@@ -27,7 +27,10 @@ pub fn run_in(context: &mut StageContext, set: SetFile) -> Result<(), StageError
     match context.stage {
         Stage::LidarIngest => {
             let (settings, simulation) = (configuration.lidar_ingest, configuration.simulation);
-            flockslam_lidar_ingest::process::run_stage(context, Task { source, rate, settings, simulation, world })
+            flockslam_lidar_ingest::process::run_stage(
+                context,
+                Task { source, rate, settings, simulation, world },
+            )
         }
         Stage::CorrelationFilter => {
             flockslam_correlation_filter::process::run_stage(context, configuration.correlation_filter)

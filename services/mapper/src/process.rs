@@ -5,8 +5,8 @@ use crate::{Mapper, Settings};
 use flockslam_bus::{BellRinger, Publisher, SliceSubscriber};
 use flockslam_evidence::{Submap, TileKey};
 use flockslam_messages::{
-    ClearedCell, Commit, Control, ControlKind, DropReason, MarksHeader, PoseEstimate, PoseFlags, ScanView, Stage,
-    SubmapClosed, TileMessage,
+    ClearedCell, Commit, Control, ControlKind, DropReason, MarksHeader, PoseEstimate, PoseFlags, ScanView,
+    Stage, SubmapClosed, TileMessage,
 };
 use flockslam_stage::{
     Acknowledger, Actor, JournalReader, Mode, PendingScans, PoseQueue, StageContext, StageError, StreamEnd,
@@ -114,14 +114,21 @@ impl MapperProcess {
     fn catch_up(&mut self, context: &StageContext) -> Result<(), StageError> {
         let mut journal = JournalReader::open(&context.journal_dir)?;
         while let Some(record) = journal.read_next()? {
-            let Some(scan) = record.scan.filter(|_| record.pose.id.sequence >= self.applied) else { continue };
+            let Some(scan) = record.scan.filter(|_| record.pose.id.sequence >= self.applied) else {
+                continue;
+            };
             let Ok(scan) = scan.view() else { continue };
             self.apply(scan, &record.pose, &[])?;
         }
         Ok(())
     }
 
-    fn apply(&mut self, scan: ScanView<'_>, pose: &PoseEstimate, cleared: &[ClearedCell]) -> Result<(), StageError> {
+    fn apply(
+        &mut self,
+        scan: ScanView<'_>,
+        pose: &PoseEstimate,
+        cleared: &[ClearedCell],
+    ) -> Result<(), StageError> {
         assert!(pose.id.sequence >= self.applied, "a scan enters the map once");
         let insertion = self.logic.insert(scan, pose, cleared);
         let commit = Commit {

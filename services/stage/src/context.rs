@@ -105,7 +105,13 @@ impl StageContext {
     ///
     /// # Errors
     /// When the set does not exist, or telemetry cannot be set up.
-    pub fn join(stage: Stage, replica: u32, runtime: &RuntimeDir, options: &StageOptions, stop: StopFlag) -> Result<Self, StageError> {
+    pub fn join(
+        stage: Stage,
+        replica: u32,
+        runtime: &RuntimeDir,
+        options: &StageOptions,
+        stop: StopFlag,
+    ) -> Result<Self, StageError> {
         let bus = Bus::join(runtime, &format!("{}-{replica}", stage.name()), options.capacity())?;
         Self::on_bus(stage, replica, bus, runtime, options, stop)
     }
@@ -114,13 +120,21 @@ impl StageContext {
     ///
     /// # Errors
     /// When telemetry cannot be set up.
-    pub fn on_bus(stage: Stage, replica: u32, bus: Bus, runtime: &RuntimeDir, options: &StageOptions, stop: StopFlag) -> Result<Self, StageError> {
+    pub fn on_bus(
+        stage: Stage,
+        replica: u32,
+        bus: Bus,
+        runtime: &RuntimeDir,
+        options: &StageOptions,
+        stop: StopFlag,
+    ) -> Result<Self, StageError> {
         let status_dir = runtime.status();
         let name = format!("{}-{replica}", stage.name());
         let telemetry = |error: &dyn std::fmt::Display| StageError::Telemetry(error.to_string());
         let metrics = StageMetrics::new(stage.name(), replica, &DropReason::ALL.map(DropReason::name));
         let rendered = metrics.clone();
-        let endpoint = MetricsEndpoint::on_unix_socket(&metrics_socket(&status_dir, &name), move || rendered.render());
+        let endpoint =
+            MetricsEndpoint::on_unix_socket(&metrics_socket(&status_dir, &name), move || rendered.render());
         Ok(Self {
             stage,
             replica,
@@ -150,7 +164,8 @@ impl StageContext {
     /// Records that a scan was handled: `started_ns` is when the stage began with it, `captured_ns` when it was taken.
     pub fn handled(&mut self, sequence: u64, started_ns: u64, captured_ns: u64) {
         let now_ns = monotonic_ns();
-        let (latency_ns, since_capture_ns) = (now_ns.saturating_sub(started_ns), now_ns.saturating_sub(captured_ns));
+        let (latency_ns, since_capture_ns) =
+            (now_ns.saturating_sub(started_ns), now_ns.saturating_sub(captured_ns));
         self.metrics.handled(sequence, latency_ns, since_capture_ns);
         self.report.handled(latency_ns, since_capture_ns);
     }

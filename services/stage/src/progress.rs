@@ -83,7 +83,14 @@ impl StreamEnd {
     /// # Errors
     /// When the topic does not exist.
     pub fn open(context: &StageContext) -> Result<Self, StageError> {
-        Ok(Self { subscriber: context.bus.subscriber()?, scans: None, submaps: None, end_wanted: false, tiles_wanted: false, heard_ns: None })
+        Ok(Self {
+            subscriber: context.bus.subscriber()?,
+            scans: None,
+            submaps: None,
+            end_wanted: false,
+            tiles_wanted: false,
+            heard_ns: None,
+        })
     }
 
     /// Takes in what was said.

@@ -102,9 +102,11 @@ impl ReportWriter {
         let usage = own_usage();
         (self.report.cpu_s, self.report.peak_rss_bytes) = usage;
         let written = serde_json::to_vec(&self.report).map_err(|e| e.to_string()).and_then(|json| {
-            let parts: [&[u8]; 3] = [self.report.latency.as_bytes(), self.report.since_capture.as_bytes(), &json];
+            let parts: [&[u8]; 3] =
+                [self.report.latency.as_bytes(), self.report.since_capture.as_bytes(), &json];
             let durability = flockslam_journal::Durability::Process;
-            flockslam_journal::replace_file(&self.path, &parts.concat(), durability).map_err(|e| e.to_string())
+            flockslam_journal::replace_file(&self.path, &parts.concat(), durability)
+                .map_err(|e| e.to_string())
         });
         if let Err(error) = written {
             tracing::warn!(%error, "no report");
@@ -115,7 +117,10 @@ impl ReportWriter {
 /// All reports that processes of this stage left, oldest process first.
 pub fn read_reports(status_dir: &Path, stage: &str) -> Vec<ProcessReport> {
     let Ok(entries) = fs::read_dir(status_dir) else { return Vec::new() };
-    let mut files: Vec<_> = entries.filter_map(|entry| Some(entry.ok()?.path())).filter(|path| is_report_of(path, stage)).collect();
+    let mut files: Vec<_> = entries
+        .filter_map(|entry| Some(entry.ok()?.path()))
+        .filter(|path| is_report_of(path, stage))
+        .collect();
     files.sort_by_key(|path| fs::metadata(path).and_then(|m| m.created()).ok());
     files.iter().filter_map(|path| decode(&fs::read(path).ok()?)).collect()
 }
@@ -160,7 +165,10 @@ mod tests {
         fs::write(directory.path().join("mapper-0.1.report"), b"torn").unwrap();
         let reports = read_reports(directory.path(), "mapper");
         assert_eq!(reports.len(), 1);
-        assert_eq!((reports[0].handled, reports[0].dropped["deadline"], reports[0].counters["tiles"]), (1, 2, 7));
+        assert_eq!(
+            (reports[0].handled, reports[0].dropped["deadline"], reports[0].counters["tiles"]),
+            (1, 2, 7)
+        );
         assert!(reports[0].peak_rss_bytes > 0 && reports[0].since_capture().max_ns() >= 49_000);
         assert!(read_reports(directory.path(), "scan-matcher").is_empty());
     }

@@ -174,6 +174,9 @@ mod tests {
             let bytes = fs::read(&path).unwrap();
             fs::write(&path, &bytes[..bytes.len() - 1]).unwrap();
         }
-        assert!(read_trajectory(directory.path(), FINAL_TRAJECTORY).is_err() && read_map(directory.path()).is_err());
+        assert!(
+            read_trajectory(directory.path(), FINAL_TRAJECTORY).is_err()
+                && read_map(directory.path()).is_err()
+        );
     }
 }

@@ -33,7 +33,8 @@ impl JournalWriter {
     /// When the disk refuses.
     pub fn append(&mut self, pose: &PoseEstimate, scan: ScanView<'_>) -> Result<(), JournalError> {
         if pose.has(PoseFlags::INSERT) {
-            self.records.append(ACCEPTED, &[pose.as_bytes(), scan.header().as_bytes(), scan.numbers().as_bytes()])
+            self.records
+                .append(ACCEPTED, &[pose.as_bytes(), scan.header().as_bytes(), scan.numbers().as_bytes()])
         } else {
             self.records.append(POSE, &[pose.as_bytes()])
         }
@@ -88,7 +89,10 @@ fn decode_scan(bytes: &[u8]) -> Option<ScanBuffer> {
     if numbers.len() % 4 != 0 {
         return None;
     }
-    let numbers = numbers.chunks_exact(4).map(|four| f32::from_ne_bytes([four[0], four[1], four[2], four[3]])).collect();
+    let numbers = numbers
+        .chunks_exact(4)
+        .map(|four| f32::from_ne_bytes([four[0], four[1], four[2], four[3]]))
+        .collect();
     let scan = ScanBuffer { header, numbers };
     scan.view().ok()?;
     Some(scan)

@@ -67,5 +67,7 @@ impl SubmapStore {
 
 fn checksum(bytes: &[u8]) -> u64 {
     // FNV-1a: tells versions apart; damage is found by the check inside the file.
-    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3))
+    bytes
+        .iter()
+        .fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3))
 }

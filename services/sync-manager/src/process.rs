@@ -100,7 +100,9 @@ impl SyncProcess {
         count(PoseFlags::MATCHED, &mut self.summary.matched);
         count(PoseFlags::INSERT, &mut self.summary.inserted);
         count(PoseFlags::RESCUED, &mut self.summary.rescued);
-        if let Some(reason) = DropReason::from_number(pose.drop_reason).filter(|_| !pose.has(PoseFlags::MATCHED)) {
+        if let Some(reason) =
+            DropReason::from_number(pose.drop_reason).filter(|_| !pose.has(PoseFlags::MATCHED))
+        {
             *self.summary.dropped.entry(reason.name().to_owned()).or_default() += 1;
         }
         if let Some(scan) = scan.filter(|_| self.optimises && pose.has(PoseFlags::MATCHED)) {
@@ -175,7 +177,11 @@ impl SyncProcess {
     }
 
     fn repeat_the_end(&self) -> Result<(), StageError> {
-        self.control.send(&Control { kind: ControlKind::Finished as u32, epoch: 0, value: self.summary.scans })?;
+        self.control.send(&Control {
+            kind: ControlKind::Finished as u32,
+            epoch: 0,
+            value: self.summary.scans,
+        })?;
         self.supervisor.ring();
         Ok(())
     }
@@ -194,7 +200,10 @@ impl Actor for SyncProcess {
             any = true;
         }
         self.stream.drain()?;
-        if !self.finished && self.stream.reached(self.acknowledger.done(), context.mode) && self.stream.submaps.is_some() {
+        if !self.finished
+            && self.stream.reached(self.acknowledger.done(), context.mode)
+            && self.stream.submaps.is_some()
+        {
             self.finish(context)?;
         }
         Ok(any)
