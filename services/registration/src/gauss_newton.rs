@@ -47,7 +47,7 @@ const TURN_MIN_RAD: f64 = 2e-5;
 
 /// Points that end in the same cell share the error of the map there, so a scan tells less than its number of points
 /// says: the variance is this much greater (measured: mean NEES of 3 in simulated rooms, see `consistency.rs`).
-const SHARED_ERROR: f64 = 1.7;
+const SHARED_ERROR: f64 = 1.9;
 
 impl GaussNewton {
     /// Fits `points` (metres, frame of the robot) to a field, from coarse to fine, starting at `start`.
@@ -176,28 +176,23 @@ impl Fit {
     /// How well the worst direction of translation is determined: the smaller eigenvalue of the information on
     /// (x, y) with the heading left free, per m² and point. Small in a long corridor.
     pub fn weakest_direction(&self) -> f64 {
-        self.weakest().0
-    }
-
-    /// That eigenvalue and the motion (metres, metres, radians) along which it holds: a unit of translation, and the turn
-    /// that changes the residuals least beside it.
-    pub fn weakest(&self) -> (f64, Vector3<f64>) {
         let h = &self.information;
         let turn = h[(2, 2)].max(f64::MIN_POSITIVE);
         let (xx, yy) = (h[(0, 0)] - h[(0, 2)].powi(2) / turn, h[(1, 1)] - h[(1, 2)].powi(2) / turn);
         let xy = h[(0, 1)] - h[(0, 2)] * h[(1, 2)] / turn;
         let (mean, half) = (0.5 * (xx + yy), 0.5 * (xx - yy));
-        let value = (mean - half.hypot(xy)).max(0.0) / self.points.max(1) as f64;
-        // The axis of the larger eigenvalue lies at half the angle of (half, xy); the smaller one's is across.
-        let (sin, cos) = (0.5 * xy.atan2(half)).sin_cos();
-        let (x, y) = (-sin, cos);
-        (value, Vector3::new(x, y, -(h[(0, 2)] * x + h[(1, 2)] * y) / turn))
+        (mean - half.hypot(xy)).max(0.0) / self.points.max(1) as f64
     }
 
-    /// The same fit with the prediction kept along its weakest direction (solution remapping, Zhang et al. 2016): what
-    /// the points do not determine is left to the wheels.
-    pub fn remapped<F: ScoreField>(&self, field: &F, points: &[Point], prediction: Pose) -> Fit {
-        let (_, axis) = self.weakest();
+    /// The same fit with the prediction kept along `axis` (metres, metres, radians per metre; solution remapping, Zhang et
+    /// al. 2016): what the points do not determine is left to the wheels.
+    pub fn remapped<F: ScoreField>(
+        &self,
+        field: &F,
+        points: &[Point],
+        prediction: Pose,
+        axis: Vector3<f64>,
+    ) -> Fit {
         let missed = axis.x * (prediction.x_m - self.pose.x_m) + axis.y * (prediction.y_m - self.pose.y_m);
         let pose = Pose::new(
             self.pose.x_m + missed * axis.x,

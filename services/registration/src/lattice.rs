@@ -158,8 +158,7 @@ impl Correlative {
             return None;
         }
         let step_m = field.reader(Level::Full).cell_size_m();
-        let window =
-            Window { center: prediction, reach_m: settings.reach_m, reach_rad: settings.reach_rad };
+        let window = Window { center: prediction, reach_m: settings.reach_m, reach_rad: settings.reach_rad };
         let lattice = Lattice {
             window,
             step_m,
@@ -281,7 +280,8 @@ mod tests {
             (Pose::new(1.0, 0.2, -2.0), Pose::new(-0.18, 0.1, -0.15)),
         ] {
             let points: Vec<Point> = room::scan(truth).into_iter().step_by(2).collect();
-            let center = Pose::new(truth.x_m + off.x_m, truth.y_m + off.y_m, truth.heading_rad + off.heading_rad);
+            let center =
+                Pose::new(truth.x_m + off.x_m, truth.y_m + off.y_m, truth.heading_rad + off.heading_rad);
             let mut matcher = Correlative::default();
             let (score, pose) = matcher.search(&settings, &field, &points, center).unwrap();
             let step_rad = matcher.heading_step(0.05);

@@ -11,11 +11,13 @@ mod ndt;
 #[cfg(test)]
 mod room;
 mod sampling;
+mod shape;
 
-pub use correlative::{CorrelativeSearch, Window};
 use correlative::upper_bound;
+pub use correlative::{CorrelativeSearch, Window};
 pub use field::{GridField, Sample, ScoreField, ScoreRead, bilinear, nearest};
 pub use gauss_newton::{Fit, GaussNewton, widened};
 pub use lattice::{Correlative, CorrelativeSettings};
 pub use ndt::{Ndt, NdtSettings};
 pub use sampling::{HillClimbing, MonteCarlo, beam_weight};
+pub use shape::least_held;

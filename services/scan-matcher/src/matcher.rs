@@ -4,8 +4,9 @@ use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::{Covariance, Point, Pose, Twist};
 use flockslam_messages::{Commit, Deskew, LayoutHeader, PoseEstimate, PoseFlags, Quality, ScanView, Verdict};
 use flockslam_registration::{
-    Correlative, CorrelativeSearch, Fit, GridField, Ndt, ScoreField, Window, beam_weight, widened,
+    Correlative, CorrelativeSearch, Fit, GridField, Ndt, ScoreField, Window, beam_weight, least_held, widened,
 };
+use nalgebra::Vector3;
 use std::ops::Deref;
 
 /// Fewer points than this fix no pose.
@@ -170,12 +171,13 @@ impl ScanMatcher {
                 self.rescue(field, prediction.pose, fit)
             }
         };
-        let degenerate = !rescued && fit.weakest_direction() < self.settings.degenerate_below;
+        let free = if rescued { None } else { self.free_axis(prediction.pose) };
+        let degenerate = free.is_some();
         let mut covariance = fit.covariance(PRIOR_SIGMA.0, PRIOR_SIGMA.1);
         let mut kept = fit;
-        if degenerate {
-            covariance = widened(covariance, fit.weakest().1, PRIOR_SIGMA.0);
-            kept = fit.remapped(field, &self.points, prediction.pose);
+        if let Some(axis) = free {
+            covariance = widened(covariance, axis, PRIOR_SIGMA.0);
+            kept = fit.remapped(field, &self.points, prediction.pose, axis);
         }
         let quality = match self.judge(&kept, prediction.pose) {
             Quality::Tracking if degenerate => Quality::Degraded,
@@ -184,6 +186,14 @@ impl ScanMatcher {
         let fit = kept;
         self.count(&fit, quality);
         Match { pose: fit.pose, covariance, score: fit.score, quality, rescued }
+    }
+
+    /// Direction in the grid's frame that the scan's surfaces leave open.
+    fn free_axis(&self, prediction: Pose) -> Option<Vector3<f64>> {
+        let (held, axis) = least_held(&self.points)?;
+        let (sin, cos) = prediction.heading_rad.sin_cos();
+        (held < self.settings.degenerate_below)
+            .then(|| Vector3::new(cos * axis.x - sin * axis.y, sin * axis.x + cos * axis.y, 0.0))
     }
 
     /// The fit near the prediction; a scan without odometry is looked for before.

@@ -16,11 +16,7 @@ const DRIFT_HEADING: f64 = 0.01;
 const KEPT_WHEN_LOST: f64 = 0.5;
 
 fn scaled(twist: Twist, share: f64) -> Twist {
-    Twist {
-        x_m_s: share * twist.x_m_s,
-        y_m_s: share * twist.y_m_s,
-        turn_rad_s: share * twist.turn_rad_s,
-    }
+    Twist { x_m_s: share * twist.x_m_s, y_m_s: share * twist.y_m_s, turn_rad_s: share * twist.turn_rad_s }
 }
 
 /// Where the robot should be, from its last pose and the wheels, or from its last velocity when it has no wheels.
@@ -75,7 +71,9 @@ impl Motion {
     /// composing it turns it into the corrected heading.
     pub(crate) fn predict(&self, scan: ScanView<'_>) -> Prediction {
         let placed = scan.header().starts_at_odometry == 1;
-        if let (None, true, Some(start)) = (self.stamp_ns, placed, scan.odometry().filter(|start| is_near(*start))) {
+        if let (None, true, Some(start)) =
+            (self.stamp_ns, placed, scan.odometry().filter(|start| is_near(*start)))
+        {
             return Prediction { pose: start, twist: Twist::default(), covariance: self.covariance };
         }
         let step_s = self.step_s(scan.header().times.sensor_ns);

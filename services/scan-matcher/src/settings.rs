@@ -19,7 +19,8 @@ pub struct Settings {
     pub ndt: NdtSettings,
     /// Search before each fit of a scan that carries no odometry (`gauss-newton` and `ndt`).
     pub no_odometry: CorrelativeSettings,
-    /// A direction that the scan determines less than this, per m² and point, keeps the prediction (corridors); 0 = never.
+    /// Along a direction that fewer surfaces of the scan face than this (mean squared cosine, 0 … ½) the prediction is kept:
+    /// bare corridors; 0 = never.
     pub degenerate_below: f64,
     /// What happens after a bad fit.
     pub rescue: Rescue,
@@ -104,8 +105,12 @@ impl Default for Settings {
             hill_climbing: HillClimbing::default(),
             correlative: CorrelativeSettings::default(),
             ndt: NdtSettings::default(),
-            no_odometry: CorrelativeSettings { reach_m: 0.3, reach_rad: 0.35, ..CorrelativeSettings::default() },
-            degenerate_below: 0.3,
+            no_odometry: CorrelativeSettings {
+                reach_m: 0.3,
+                reach_rad: 0.35,
+                ..CorrelativeSettings::default()
+            },
+            degenerate_below: 0.0,
             rescue: Rescue::default(),
             gate: Gate::default(),
             range_min_m: 0.4,

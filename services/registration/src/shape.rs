@@ -1,0 +1,33 @@
+use flockslam_geometry::Point;
+use nalgebra::Vector2;
+
+/// Points of a wall are compared over at least this much of it, and at most that, metres.
+const CHORD_MIN_M: f64 = 0.3;
+const CHORD_MAX_M: f64 = 0.8;
+/// Points looked at behind each point.
+const AHEAD_MAX: usize = 40;
+
+/// The direction in which a scan (points in order of their beams, metres) has least to hold on to: a unit vector in the
+/// frame of the points, and the mean of (n·direction)² over the normals n of its surfaces – 0 in a bare corridor, ½ where
+/// surfaces face all ways alike. The grid's own slopes do not show this: single cells along a bare wall have slopes too.
+pub fn least_held(points: &[Point]) -> Option<(f64, Vector2<f64>)> {
+    let (mut xx, mut xy, mut yy, mut count) = (0.0, 0.0, 0.0, 0u32);
+    for (i, from) in points.iter().enumerate() {
+        let far = points[i + 1..].iter().take(AHEAD_MAX).find(|to| to.distance_m(*from) >= CHORD_MIN_M);
+        let Some(to) = far.filter(|to| to.distance_m(*from) <= CHORD_MAX_M) else { continue };
+        let length = to.distance_m(*from);
+        let (nx, ny) = ((from.y_m - to.y_m) / length, (to.x_m - from.x_m) / length);
+        xx += nx * nx;
+        xy += nx * ny;
+        yy += ny * ny;
+        count += 1;
+    }
+    if count == 0 {
+        return None;
+    }
+    let share = 1.0 / f64::from(count);
+    let (mean, half) = (0.5 * (xx + yy) * share, 0.5 * (xx - yy) * share);
+    // The axis of the larger eigenvalue lies at half the angle of (half, xy); the smaller one's is across.
+    let (sin, cos) = (0.5 * (xy * share).atan2(half)).sin_cos();
+    Some(((mean - half.hypot(xy * share)).max(0.0), Vector2::new(-sin, cos)))
+}
