@@ -2,7 +2,7 @@
 //! grid, and the same stages as threads of one process against six processes. Run with `cargo bench`.
 
 use flockslam::configuration::Configuration;
-use flockslam::supervisor::{ProcessSet, SetEvent, SetFile, run_in};
+use flockslam::supervisor::{SetFile, run_in};
 use flockslam_bus::{Bus, Capacity, RuntimeDir};
 use flockslam_evidence::{Tile, TileGrid};
 use flockslam_lidar_ingest::process::Source;
@@ -179,7 +179,6 @@ fn separation(source: Source, name: &str) {
         configuration,
     };
     let threads = one_process(&file);
-    // The set looks for its executable beside the bench.
     let processes = six_processes(&file);
     for (how, (scans, wall)) in [("six threads of one process", threads), ("six processes", processes)] {
         println!("{name}, {how:<28} {:>8.0} scans/s ({scans} scans in {:.2} s)", scans as f64 / wall, wall);
@@ -221,20 +220,21 @@ fn one_process(file: &SetFile) -> (u64, f64) {
     (scans, started.elapsed().as_secs_f64())
 }
 
+/// The set as a user runs it, with all outputs written: a process belongs to one set only, so it is not this one.
 fn six_processes(file: &SetFile) -> (u64, f64) {
-    let executable = PathBuf::from(env!("CARGO_BIN_EXE_flockslam"));
-    let started = Instant::now();
-    let name = format!("bench-set-{}", std::process::id());
-    let mut set = ProcessSet::start_with(executable, &name, file.clone()).expect("the set starts");
-    let mut scans = 0;
-    loop {
-        match set.watch(Duration::from_millis(5)).expect("the set works") {
-            SetEvent::Finished => break,
-            SetEvent::Progress(done) => scans = scans.max(done),
-            SetEvent::Quiet => {}
-        }
-    }
-    let wall = started.elapsed().as_secs_f64();
-    set.stop();
-    (scans, wall)
+    let out = std::env::temp_dir().join(format!("flockslam-bench-{}", std::process::id()));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_flockslam"));
+    match &file.source {
+        Source::Log(path) => command.arg("map").arg(path),
+        _ => command.arg("demo"),
+    };
+    command.arg("--out").arg(&out).args(["--set", "correlation_filter.mode=off"]).stdout(Stdio::null());
+    assert!(command.status().expect("flockslam can be started").success());
+    let report = std::fs::read(out.join("report.json")).expect("a run leaves a report");
+    let report: serde_json::Value = serde_json::from_slice(&report).expect("the report is JSON");
+    let _ = std::fs::remove_dir_all(&out);
+    (
+        report["scans"].as_u64().expect("scans are counted"),
+        report["wall_s"].as_f64().expect("time is measured"),
+    )
 }

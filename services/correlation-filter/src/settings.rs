@@ -37,7 +37,7 @@ impl Default for Settings {
             window: 3,
             profile_threshold: 0.6,
             histogram_threshold: 0.6,
-            consecutive_drops_max: 4,
+            consecutive_drops_max: 2,
             corridor_max: 0.6,
         }
     }

@@ -281,7 +281,7 @@ mod tests {
 
     #[test]
     fn every_scan_enters_exactly_one_submap_and_their_sum_is_the_window() {
-        let mut mapper = Mapper::new(Settings::default());
+        let mut mapper = Mapper::new(Settings { window_m: 0.0, ..Settings::default() });
         let mut submaps = drive(&mut mapper, 0..60);
         submaps.extend(mapper.close());
         assert!(submaps.len() > 3 && mapper.close().is_none());

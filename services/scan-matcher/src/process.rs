@@ -4,8 +4,8 @@ use crate::{ScanMatcher, Settings};
 use flockslam_bus::{BellRinger, Publisher, ScanSample, Subscriber};
 use flockslam_messages::{DropReason, LayoutHeader, PoseEstimate, PoseFlags, Stage, Verdict};
 use flockslam_stage::{
-    Acknowledger, Actor, GridReader, JournalReader, JournalWriter, Mode, PendingScans, StageContext, StageError,
-    StreamEnd, run,
+    Acknowledger, Actor, GridReader, JournalReader, JournalWriter, Mode, PendingScans, StageContext,
+    StageError, StreamEnd, run,
 };
 use flockslam_telemetry::monotonic_ns;
 use std::collections::VecDeque;
@@ -167,7 +167,12 @@ impl Matcher {
         }
     }
 
-    fn process(&mut self, sample: &ScanSample, verdict: &Verdict, context: &mut StageContext) -> Result<(), StageError> {
+    fn process(
+        &mut self,
+        sample: &ScanSample,
+        verdict: &Verdict,
+        context: &mut StageContext,
+    ) -> Result<(), StageError> {
         let (header, started_ns) = (*sample.header(), monotonic_ns());
         // Live, a queue that overflows while this process waits for a processor loses its oldest scans.
         for _ in self.expected..header.id.sequence {
