@@ -136,7 +136,8 @@ mod tests {
 
     #[test]
     fn the_first_scans_are_kept_then_equal_ones_are_dropped_up_to_the_bound() {
-        let mut filter = CorrelationFilter::new(Settings { consecutive_drops_max: 3, ..Settings::default() });
+        let mut filter =
+            CorrelationFilter::new(Settings { window: 3, consecutive_drops_max: 3, ..Settings::default() });
         let found = reasons(&mut filter, (0..12).map(|_| room(3.0, 2.0, 0.3)));
         assert_eq!(found, [0, 0, 0, 1, 1, 1, 0, 1, 1, 1, 0, 1]);
     }
@@ -185,7 +186,7 @@ mod tests {
             scan.header.id.lidar = lidar;
             scan
         };
-        let mut filter = CorrelationFilter::new(Settings::default());
+        let mut filter = CorrelationFilter::new(Settings { window: 3, ..Settings::default() });
         assert_eq!(reasons(&mut filter, (0..3).map(|_| of_lidar(0))), [0; 3]);
         assert_eq!(reasons(&mut filter, (0..4).map(|_| of_lidar(7))), [0, 0, 0, 1]);
         assert_eq!(reasons(&mut filter, [of_lidar(0)]), [1]);

@@ -34,9 +34,9 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             mode: Mode::Correlation,
-            window: 3,
-            profile_threshold: 0.6,
-            histogram_threshold: 0.6,
+            window: 4,
+            profile_threshold: 0.8,
+            histogram_threshold: 0.8,
             consecutive_drops_max: 2,
             corridor_max: 0.6,
         }
