@@ -97,19 +97,8 @@ impl ProcessSet {
     /// # Errors
     /// When a set of this name runs, or a stage cannot be started.
     pub fn start(name: &str, set: SetFile) -> Result<Self, SetError> {
-        let executable = std::env::current_exe();
-        Self::start_with(
-            executable.map_err(|source| SetError::Start { stage: "flockslam", source })?,
-            name,
-            set,
-        )
-    }
-
-    /// As [`ProcessSet::start`], with another program's `flockslam` executable for the stages.
-    ///
-    /// # Errors
-    /// As [`ProcessSet::start`].
-    pub fn start_with(executable: PathBuf, name: &str, set: SetFile) -> Result<Self, SetError> {
+        let executable =
+            std::env::current_exe().map_err(|source| SetError::Start { stage: "flockslam", source })?;
         let runtime = RuntimeDir::create(name)?;
         let bus = Bus::host(&runtime, set.options.capacity())?;
         set.write(&runtime.configuration())?;
