@@ -232,7 +232,9 @@ fn ends_in_good_order(out: &Path, args: &[String], interrupt: impl Fn(u32)) -> O
     let outputs = set.finish();
     let lines = outputs.lines("trajectory.tum").len();
     assert!((60..2500).contains(&lines), "{lines}");
-    assert_eq!(outputs.report.scans as usize, lines);
+    // A stage that ends between receiving a scan and naming its pose takes that scan with it: counted, without a line.
+    let lost = outputs.report.dropped.get("lost").copied().unwrap_or(0);
+    assert_eq!(outputs.report.scans, lines as u64 + lost);
     for file in ["trajectory_online.tum", "map.pgm", "map.yaml", "map.png"] {
         assert!(!outputs.bytes(file).is_empty());
     }
