@@ -15,6 +15,8 @@ const POINTS_MIN: usize = 5;
 const WEAK_DIRECTION: f64 = 1.0;
 /// A wide search that found nothing is repeated only after this much motion, metres and radians.
 const SEARCH_AGAIN: (f64, f64) = (0.1, 0.1);
+/// Wheels are not believed when the velocity so far leads to a fit that scores better by this, 0 … 1.
+const JUMPED: f64 = 0.05;
 /// Standard deviations assumed of the prediction where the scan determines nothing.
 const PRIOR_SIGMA: (f64, f64) = (0.3, 0.15);
 
@@ -103,6 +105,8 @@ impl ScanMatcher {
             estimate.quality = Quality::Tracking as u32;
         } else {
             let field = GridField::new(grid, self.settings.unknown_score);
+            let prediction = self.settled(&field, prediction, scan);
+            estimate.twist = prediction.twist;
             let found = self.match_scan(&field, &prediction, scan);
             self.fill(&mut estimate, &found);
         }
@@ -157,8 +161,27 @@ impl ScanMatcher {
         let gate = &self.settings.gate;
         let variance = gate.sigma_max_m * gate.sigma_max_m;
         self.matched < gate.start_scans
+            || prediction.steady.is_some()
             || self.last_score < gate.score_share * self.mean_score
             || prediction.covariance.xx.max(prediction.covariance.yy) > variance
+    }
+
+    /// Decides between wheels and velocity where they contradict each other: whichever leads to the better fit.
+    fn settled<F: ScoreField>(
+        &mut self,
+        field: &F,
+        prediction: Prediction,
+        scan: ScanView<'_>,
+    ) -> Prediction {
+        let Some(steady) = prediction.steady else { return prediction };
+        let by_wheels = self.refine(field, prediction.pose, prediction.pose);
+        self.take_points(scan, steady.twist);
+        let by_velocity = self.refine(field, steady.pose, steady.pose);
+        if by_velocity.score > by_wheels.score + JUMPED {
+            return Prediction { pose: steady.pose, twist: steady.twist, ..prediction };
+        }
+        self.take_points(scan, prediction.twist);
+        prediction
     }
 
     fn match_scan<F: ScoreField>(&mut self, field: &F, prediction: &Prediction, scan: ScanView<'_>) -> Match {

@@ -12,6 +12,9 @@ const DRIFT_XY: f64 = 0.02;
 /// Growth of a predicted heading's variance per radian turned, rad²/rad.
 const DRIFT_HEADING: f64 = 0.01;
 
+/// Wheels that differ by more than this from the velocity so far, metres and radians within one scan, may have jumped.
+const SURPRISE: (f64, f64) = (0.15, 0.15);
+
 /// Share of the velocity that is left after each scan that was not believed.
 const KEPT_WHEN_LOST: f64 = 0.5;
 
@@ -42,6 +45,15 @@ pub(crate) struct Prediction {
     /// Velocity since the scan before, in the robot's own frame.
     pub(crate) twist: Twist,
     pub(crate) covariance: Covariance,
+    /// The pose by the velocity so far, when the wheels say something quite different: they may have jumped.
+    pub(crate) steady: Option<Steady>,
+}
+
+/// Where the robot is if it went on as before.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Steady {
+    pub(crate) pose: Pose,
+    pub(crate) twist: Twist,
 }
 
 impl Motion {
@@ -74,20 +86,25 @@ impl Motion {
         if let (None, true, Some(start)) =
             (self.stamp_ns, placed, scan.odometry().filter(|start| is_near(*start)))
         {
-            return Prediction { pose: start, twist: Twist::default(), covariance: self.covariance };
+            let (twist, covariance) = (Twist::default(), self.covariance);
+            return Prediction { pose: start, twist, covariance, steady: None };
         }
         let step_s = self.step_s(scan.header().times.sensor_ns);
+        let unchanged = self.velocity.motion_after(self.even(step_s));
         let (motion, twist) = match (self.odometry, scan.odometry()) {
             (Some(before), Some(now)) => (before.to(now), Twist::from_motion(before.to(now), step_s)),
-            _ => (self.velocity.motion_after(self.even(step_s)), self.velocity),
+            _ => (unchanged, self.velocity),
         };
+        let surprises =
+            motion.distance_m(unchanged) > SURPRISE.0 || motion.turn_rad(unchanged) > SURPRISE.1;
+        let steady = surprises.then(|| Steady { pose: self.pose * unchanged, twist: self.velocity });
         let (travel, turn) = (motion.x_m.hypot(motion.y_m), motion.heading_rad.abs());
         let mut covariance = self.covariance;
         let position = DRIFT_XY * travel + self.covariance.tt * travel * travel;
         covariance.xx += position;
         covariance.yy += position;
         covariance.tt += DRIFT_HEADING * turn;
-        Prediction { pose: self.pose * motion, twist, covariance }
+        Prediction { pose: self.pose * motion, twist, covariance, steady }
     }
 
     /// Takes over what became of a scan. Of a robot that is `lost` nobody knows how it moves: its velocity fades, or
