@@ -72,6 +72,13 @@ pub enum ScanProblem {
     NotFinite,
 }
 
+/// Beams whose ranges differ by less than this, metres, and this many times the distance between them, return from near
+/// each other.
+const ISOLATED_M: f32 = 0.1;
+const ISOLATED_SLOPE: f64 = 5.7;
+/// Returns nearer than this are never isolated, metres.
+const ISOLATED_FROM_M: f32 = 2.0;
+
 /// A scan read in place: the header and its numbers, wherever they lie.
 #[derive(Clone, Copy, Debug)]
 pub struct ScanView<'a> {
@@ -153,6 +160,23 @@ impl<'a> ScanView<'a> {
         (self.header.range_min_m <= range && range <= self.header.range_max_m).then_some(f64::from(range))
     }
 
+    /// Whether no beam beside beam `i`, which must be valid, returns from near where it does: rain, dust, a false return –
+    /// or something thinner than the beams are apart. Two beams to each side are looked at; a surface seen at up to 80°
+    /// from its normal counts as near. Close to the sensor, where even a table's leg matters, nothing is isolated.
+    pub fn is_isolated(&self, i: usize) -> bool {
+        let range = self.numbers[i];
+        if range < ISOLATED_FROM_M {
+            return false;
+        }
+        let step = (ISOLATED_SLOPE * self.header.angle_increment_rad.abs()) as f32;
+        let near = |other: usize| {
+            let reach = ISOLATED_M + range * step * other.abs_diff(i) as f32;
+            (self.numbers[other] - range).abs() <= reach
+        };
+        let (first, last) = (i.saturating_sub(2), (i + 3).min(self.len()));
+        !(first..last).any(|other| other != i && near(other))
+    }
+
     /// Raw dead reckoning at the stamp, when the robot has it.
     pub fn odometry(&self) -> Option<Pose> {
         (self.header.has_odometry == 1).then_some(self.header.odometry)
@@ -225,6 +249,23 @@ mod tests {
         let view = scan.view().unwrap();
         let valid: Vec<_> = (0..view.len()).map(|i| view.valid_range_m(i)).collect();
         assert_eq!(valid, [None, Some(1.0), None, None, None, None]);
+    }
+
+    #[test]
+    fn isolated_returns_have_nothing_near_beside_them() {
+        let ranges = [5.0, 5.1, 9.0, 5.2, 5.3, f32::NAN, f32::INFINITY, 7.0, f32::INFINITY, f32::NAN, 1.0];
+        let mut scan = ScanBuffer::from_ranges(&ranges, 0.0, 0.01);
+        scan.header.range_max_m = 20.0;
+        let view = scan.view().unwrap();
+        let isolated: Vec<usize> =
+            (0..view.len()).filter(|&i| view.valid_range_m(i).is_some() && view.is_isolated(i)).collect();
+        assert_eq!(isolated, [2, 7]);
+        // A wall seen along its surface: neighbours differ much, but not more than such a wall explains.
+        let grazing: Vec<f32> = (0..20).map(|i| 0.5 / (0.1 + 0.01 * i as f32).sin()).collect();
+        let scan = ScanBuffer::from_ranges(&grazing, 0.1, 0.01);
+        assert!((0..20).all(|i| !scan.view().unwrap().is_isolated(i)));
+        let lone = ScanBuffer::from_ranges(&[5.0], 0.0, 0.0);
+        assert!(lone.view().unwrap().is_isolated(0));
     }
 
     #[test]

@@ -148,11 +148,12 @@ impl Mapper {
     fn take_ends(&mut self, scan: ScanView<'_>, pose: &PoseEstimate) {
         let deskew = Deskew::new(scan, pose.twist);
         let (sin, cos) = pose.odom_from_base.heading_rad.sin_cos();
-        let Settings { range_min_m, range_max_m, .. } = self.settings;
+        let Settings { range_min_m, range_max_m, skip_isolated, .. } = self.settings;
         self.ends.clear();
         for beam in 0..scan.len() {
             let Some(range) = scan.valid_range_m(beam) else { continue };
-            if (range_min_m..=range_max_m).contains(&range) {
+            let skipped = skip_isolated && scan.is_isolated(beam);
+            if (range_min_m..=range_max_m).contains(&range) && !skipped {
                 let end = deskew.end_in_base(scan, beam, range);
                 self.ends.push(Point::new(
                     pose.odom_from_base.x_m + cos * end.x_m - sin * end.y_m,
@@ -259,7 +260,8 @@ mod tests {
 
     #[test]
     fn a_beam_leaves_free_space_a_hit_and_nothing_behind() {
-        let mut mapper = Mapper::new(Settings { cell_size_m: 0.05, ..Settings::default() });
+        let settings = Settings { cell_size_m: 0.05, skip_isolated: false, ..Settings::default() };
+        let mut mapper = Mapper::new(settings);
         let mut buffer = scan(5, &[2.02, 25.0, 0.2, f32::NAN]);
         buffer.header.angle_min_rad = 0.0;
         let insertion = mapper.insert(buffer.view().unwrap(), &pose(0.01, 0.02, 0.0), &[]);

@@ -17,6 +17,8 @@ pub struct Settings {
     pub range_min_m: f64,
     /// Longer ranges are not inserted, metres.
     pub range_max_m: f64,
+    /// Whether returns with nothing near beside them (dust, rain, false returns; never those within 2 m) are not inserted.
+    pub skip_isolated: bool,
     /// Score that the matcher reads.
     pub read_out: ReadOut,
     /// Evidence for "occupied" counts at most this much in the score, nat.
@@ -61,6 +63,7 @@ impl Default for Settings {
             miss_nat: 0.3,
             range_min_m: 0.4,
             range_max_m: 30.0,
+            skip_isolated: true,
             read_out: ReadOut::Occupied,
             occupied_cap_nat: 20.0,
             free_cap_nat: 5.0,
@@ -78,6 +81,7 @@ impl Settings {
             cell_size_m: 0.1,
             sensor_model: SensorModelKind::Vinyslam,
             range_min_m: 0.0,
+            skip_isolated: false,
             read_out: ReadOut::Vinyslam,
             occupied_cap_nat: 16.0,
             free_cap_nat: 16.0,

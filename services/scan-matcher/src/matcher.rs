@@ -146,11 +146,12 @@ impl ScanMatcher {
     fn take_points(&mut self, scan: ScanView<'_>, twist: Twist) {
         let deskew = Deskew::new(scan, twist);
         let limits = self.settings.range_min_m..=self.settings.range_max_m;
+        let skips = self.settings.skip_isolated;
         self.points.clear();
         let stride = scan.len().div_ceil(self.settings.beams_max.max(1)).max(1);
         for beam in (0..scan.len()).step_by(stride) {
             let Some(range) = scan.valid_range_m(beam) else { continue };
-            if limits.contains(&range) {
+            if limits.contains(&range) && !(skips && scan.is_isolated(beam)) {
                 self.points.push(deskew.end_in_base(scan, beam, range));
             }
         }

@@ -30,6 +30,8 @@ pub struct Settings {
     pub range_min_m: f64,
     /// Longer ranges are not matched, metres.
     pub range_max_m: f64,
+    /// Whether returns with nothing near beside them (dust, rain, false returns; never those within 2 m) are not matched.
+    pub skip_isolated: bool,
     /// Of scans with more beams than this only every n-th is matched.
     pub beams_max: usize,
     /// Score (0 … 1) where the grid has no tile: what the mapper's read-out gives for an unknown cell.
@@ -115,6 +117,7 @@ impl Default for Settings {
             gate: Gate::default(),
             range_min_m: 0.4,
             range_max_m: 30.0,
+            skip_isolated: true,
             beams_max: 1000,
             unknown_score: 0.0,
             seed: 1,
@@ -153,6 +156,7 @@ impl Settings {
             gate: Gate { travel_m: 0.0, turn_rad: 0.0, ..Gate::default() },
             rescue: Rescue { lost_scans_max: 0, ..Rescue::default() },
             range_min_m: 0.0,
+            skip_isolated: false,
             unknown_score: 0.5,
             ..Self::default()
         }

@@ -57,6 +57,9 @@ impl ScanStore {
             if range_m < settings.range_min_m || range_m > settings.range_max_m.min(RANGE_MAX_M) {
                 continue;
             }
+            if scan.is_isolated(i) {
+                continue;
+            }
             let (sin, cos) = libm::sincos(scan.angle_rad(i));
             let (mut x, mut y) = mount.apply(range_m * cos, range_m * sin);
             if takes_time {
@@ -100,12 +103,12 @@ mod tests {
     #[test]
     fn keeps_valid_points_in_the_robots_frame() {
         let mut scan =
-            ScanBuffer::from_ranges(&[1.0, f32::NAN, 2.0, 50.0, 0.1], 0.0, std::f64::consts::FRAC_PI_2);
+            ScanBuffer::from_ranges(&[1.0, f32::NAN, 1.9, 50.0, 0.1], 0.0, std::f64::consts::FRAC_PI_2);
         scan.header.base_from_laser.x_m = 0.5;
         let mut store = ScanStore::default();
         assert_eq!(store.keep(scan.view().unwrap(), Velocity::default(), &Settings::default()), 0);
         let metres: Vec<_> = store.points(0).iter().map(|p| (p.x_m(), p.y_m())).collect();
-        assert_eq!(metres, [(1.5, 0.0), (-1.5, 0.0)]);
+        assert_eq!(metres, [(1.5, 0.0), (-1.4, 0.0)]);
     }
 
     #[test]
