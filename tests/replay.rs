@@ -65,11 +65,13 @@ fn the_report_has_the_documented_fields() {
     assert_eq!(report["kept"].as_u64().unwrap() + count(&report["dropped"]), SCANS as u64);
     assert_eq!(count(&report["rejected"]), 0);
     let positive = |value: &serde_json::Value| assert!(value.as_f64().unwrap() > 0.0, "{value}");
-    for field in
-        ["wall_s", "scans_per_s", "shared_memory_bytes", "submaps", "map_area_m2", "trajectory_length_m"]
-    {
+    for field in ["wall_s", "scans_per_s", "cpu_s", "submaps", "map_area_m2", "trajectory_length_m"] {
         positive(&report[field]);
     }
+    for field in ["memory_bytes", "shared_memory_bytes", "file_bytes"] {
+        positive(&report[field]);
+    }
+    positive(&report["supervisor"]["peak_private_bytes"]);
     for quantile in ["p50", "p99", "max"] {
         positive(&report["scan_to_pose_us"][quantile]);
     }
@@ -84,6 +86,7 @@ fn the_report_has_the_documented_fields() {
         assert_eq!((stage["pids"].as_array().unwrap().len(), stage["restarts"].as_u64()), (1, Some(0)));
         positive(&stage["cpu_s"]);
         positive(&stage["peak_rss_bytes"]);
+        positive(&stage["peak_private_bytes"]);
         positive(&stage["latency_us"]["p50"]);
     }
 }

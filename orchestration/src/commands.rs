@@ -1,5 +1,6 @@
 //! What the command line can do, one file a command.
 
+mod accounting;
 pub mod config;
 pub mod demo;
 pub mod evaluate;

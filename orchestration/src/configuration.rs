@@ -39,11 +39,14 @@ pub struct SetSettings {
     pub window: usize,
     /// Greatest number of live tiles (3.2 × 3.2 m each with cells of 5 cm).
     pub live_tiles: usize,
+    /// Directory on disk for what is large and rarely read: closed submaps. Each set has a folder of its own in it, as long as it
+    /// runs. Without it everything lies in memory, in /dev/shm.
+    pub spill_dir: Option<PathBuf>,
 }
 
 impl Default for SetSettings {
     fn default() -> Self {
-        Self { window: 64, live_tiles: 4096 }
+        Self { window: 64, live_tiles: 4096, spill_dir: None }
     }
 }
 

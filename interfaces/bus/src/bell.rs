@@ -21,8 +21,12 @@ impl Listener {
             ListenerKind::Shared(listener) => {
                 let mut rang = false;
                 let note = |_| rang = true;
-                let waited =
-                    if limit.is_zero() { listener.try_wait(note) } else { listener.timed_wait(note, limit) };
+                // The system counts in microseconds, and a limit of none would be no limit.
+                let waited = if limit < Duration::from_micros(1) {
+                    listener.try_wait(note)
+                } else {
+                    listener.timed_wait(note, limit)
+                };
                 match waited {
                     Ok(_) => Ok(rang),
                     // A signal (SIGSTOP and SIGCONT among them) only cuts the wait short.

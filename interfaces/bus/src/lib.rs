@@ -22,5 +22,5 @@ pub use error::BusError;
 pub use port::{Publisher, Sample, SlicePublisher, SliceSample, SliceSubscriber, Subscriber};
 pub use runtime::{RuntimeDir, RuntimeError};
 pub use scan_port::{ScanPublisher, ScanSample, ScanSubscriber};
-pub use tile_port::TileHandle;
+pub use tile_port::{TileHandle, TilePublisher};
 pub use topic::{Capacity, LargeScanHeader, Limits, SliceTopic, Topic};

@@ -10,6 +10,10 @@ use std::path::{Path, PathBuf};
 const SHARED_MEMORY: &str = "/dev/shm";
 const DIRECTORY_PREFIX: &str = "flockslam-";
 const LOCK_FILE: &str = "lock";
+/// Begins the names of folders on disk that belong to sets.
+const SPILL_PREFIX: &str = "flockslam-spill-";
+/// In a set's directory: leads to its folder on disk.
+const SPILL_LINK: &str = "spill";
 
 /// Why a set's runtime directory cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -20,6 +24,14 @@ pub enum RuntimeError {
     /// The name cannot be part of a file name.
     #[error("'{0}' cannot name a process set: use letters, digits and '-', at most 40")]
     BadName(String),
+    /// The folder on disk for what is large and rarely read cannot be used.
+    #[error("set.spill_dir: {path}: {source}")]
+    Spill {
+        /// What was being touched.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
     /// The system refused.
     #[error("{path}: {source}")]
     Io {
@@ -31,12 +43,15 @@ pub enum RuntimeError {
 }
 
 /// Everything that a process set keeps in memory outside its processes: one directory on tmpfs and the shared-memory
-/// objects with its prefix. State lives here, not in a process that may die.
+/// objects with its prefix. State lives here, not in a process that may die. What is large and rarely read may lie in a folder on
+/// disk instead, which comes and goes with the directory.
 pub struct RuntimeDir {
     path: PathBuf,
     name: String,
-    // Held for as long as the set lives: the lock goes with the process, whatever kills it.
+    spill: PathBuf,
+    // Held for as long as the set lives: the locks go with the process, whatever kills it.
     lock: Option<File>,
+    _spill_lock: Option<File>,
 }
 
 impl RuntimeDir {
@@ -45,6 +60,15 @@ impl RuntimeDir {
     /// # Errors
     /// When a set of this name runs, or the system refuses.
     pub fn create(name: &str) -> Result<Self, RuntimeError> {
+        Self::create_spilling(name, None)
+    }
+
+    /// As [`RuntimeDir::create`], with a folder for the set in `spill_dir`, which is made when it is not there. Folders that dead
+    /// sets left there are removed.
+    ///
+    /// # Errors
+    /// When a set of this name runs, the folder cannot be made or written, or the system refuses.
+    pub fn create_spilling(name: &str, spill_dir: Option<&Path>) -> Result<Self, RuntimeError> {
         let good = |c: char| c.is_ascii_alphanumeric() || c == '-';
         if name.is_empty() || name.len() > 40 || !name.chars().all(good) {
             return Err(RuntimeError::BadName(name.to_owned()));
@@ -55,8 +79,12 @@ impl RuntimeDir {
         fs::create_dir_all(&path).map_err(|source| io_error(&path, source))?;
         let lock = take_lock(&path)?.ok_or_else(|| RuntimeError::Running(name.to_owned()))?;
         drop(turn);
-        let runtime = Self { path, name: name.to_owned(), lock: Some(lock) };
+        let mut runtime =
+            Self { spill: path.clone(), path, name: name.to_owned(), lock: Some(lock), _spill_lock: None };
         runtime.wipe_contents();
+        if let Some(spill_dir) = spill_dir {
+            runtime.spill_into(spill_dir)?;
+        }
         for directory in
             [runtime.bus(), runtime.journal(), runtime.submaps(), runtime.status(), runtime.results()]
         {
@@ -74,7 +102,8 @@ impl RuntimeDir {
         fs::metadata(path.join(LOCK_FILE)).map_err(|source| io_error(path, source))?;
         let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         let name = name.strip_prefix(DIRECTORY_PREFIX).unwrap_or(&name).to_owned();
-        Ok(Self { path: path.to_owned(), name, lock: None })
+        let spill = spill_folder(path).unwrap_or_else(|| path.to_owned());
+        Ok(Self { path: path.to_owned(), name, spill, lock: None, _spill_lock: None })
     }
 
     /// The directory itself.
@@ -87,9 +116,14 @@ impl RuntimeDir {
         self.path.join("journal")
     }
 
+    /// Where what is large and rarely read lies: the set's folder on disk, or the directory itself when there is none.
+    pub fn spill(&self) -> &Path {
+        &self.spill
+    }
+
     /// Closed submaps.
     pub fn submaps(&self) -> PathBuf {
-        self.path.join("submaps")
+        self.spill.join("submaps")
     }
 
     /// Heartbeats, metrics sockets and reports of the stages.
@@ -141,13 +175,34 @@ impl RuntimeDir {
 
     fn write_bus_configuration(&self) -> Result<(), RuntimeError> {
         let path = self.path.join("iceoryx2.toml");
+        // A subscriber lays out 3.6 kB for every connection that may outlive its publisher; 128 of them by default.
         let text = format!(
-            "[global]\nroot-path = \"{}\"\nprefix = \"{}\"\ncreation-timeout = {{ secs = 0, nanos = 300000000 }}\n",
+            "[global]\nroot-path = \"{}\"\nprefix = \"{}\"\ncreation-timeout = {{ secs = 0, nanos = 300000000 }}\n\
+             [defaults.publish-subscribe]\nsubscriber-expired-connection-buffer = 16\n",
             self.bus().display(),
             self.object_prefix()
         );
         let mut file = File::create(&path).map_err(|source| io_error(&path, source))?;
         file.write_all(text.as_bytes()).map_err(|source| io_error(&path, source))
+    }
+
+    /// Makes the set's folder on disk, and a link to it by which stages and sweepers find it.
+    fn spill_into(&mut self, spill_dir: &Path) -> Result<(), RuntimeError> {
+        let refused = |path: &Path, source| RuntimeError::Spill { path: path.to_owned(), source };
+        let spill_dir = std::path::absolute(spill_dir).map_err(|source| refused(spill_dir, source))?;
+        sweep_spilled(&spill_dir);
+        let folder = spill_dir.join(format!("{SPILL_PREFIX}{}", self.name));
+        fs::create_dir_all(&folder).map_err(|source| refused(&folder, source))?;
+        let lock = take_lock(&folder).map_err(|error| match error {
+            RuntimeError::Io { path, source } => refused(&path, source),
+            other => other,
+        })?;
+        // A set of the same name on another machine may share the disk.
+        self._spill_lock = Some(lock.ok_or_else(|| RuntimeError::Running(self.name.clone()))?);
+        let link = self.path.join(SPILL_LINK);
+        std::os::unix::fs::symlink(&folder, &link).map_err(|source| io_error(&link, source))?;
+        self.spill = folder;
+        Ok(())
     }
 
     fn remove(mut self) {
@@ -157,6 +212,9 @@ impl RuntimeDir {
     }
 
     fn wipe_contents(&self) {
+        if let Some(folder) = spill_folder(&self.path).filter(|folder| folder.exists()) {
+            remove(&folder);
+        }
         for entry in entries(&self.path) {
             if file_name(&entry) != LOCK_FILE {
                 remove(&entry);
@@ -184,9 +242,25 @@ fn sweep_abandoned() {
             continue;
         }
         if let Ok(Some(lock)) = take_lock(&path) {
-            RuntimeDir { path, name, lock: Some(lock) }.remove();
+            RuntimeDir { spill: path.clone(), path, name, lock: Some(lock), _spill_lock: None }.remove();
         }
     }
+}
+
+/// Removes the folders of sets that are dead, and whose directory has not survived a restart of the machine.
+fn sweep_spilled(spill_dir: &Path) {
+    for folder in entries(spill_dir) {
+        let is_spill = file_name(&folder).starts_with(SPILL_PREFIX) && folder.join(LOCK_FILE).exists();
+        if is_spill && let Ok(Some(_lock)) = take_lock(&folder) {
+            remove(&folder);
+        }
+    }
+}
+
+/// The folder on disk of the set in a directory.
+fn spill_folder(path: &Path) -> Option<PathBuf> {
+    let folder = fs::read_link(path.join(SPILL_LINK)).ok()?;
+    file_name(&folder).starts_with(SPILL_PREFIX).then_some(folder)
 }
 
 /// Held while sets are created or removed: a sweeper must not meet a directory whose lock is about to be taken, nor a
@@ -238,9 +312,69 @@ fn allocated_bytes(path: &Path) -> u64 {
 
 fn directory_bytes(directory: &Path) -> u64 {
     let size = |path: PathBuf| if path.is_dir() { directory_bytes(&path) } else { allocated_bytes(&path) };
-    entries(directory).into_iter().map(size).sum()
+    // What a link leads to lies on disk.
+    entries(directory).into_iter().filter(|path| !path.is_symlink()).map(size).sum()
 }
 
 fn io_error(path: &Path, source: io::Error) -> RuntimeError {
     RuntimeError::Io { path: path.to_owned(), source }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn name(test: &str) -> String {
+        format!("{test}-{}", std::process::id())
+    }
+
+    #[test]
+    fn without_a_folder_on_disk_everything_lies_in_the_directory() {
+        let runtime = RuntimeDir::create(&name("nospill")).unwrap();
+        assert_eq!(runtime.spill(), runtime.path());
+        assert!(runtime.submaps().starts_with(runtime.path()) && runtime.submaps().is_dir());
+    }
+
+    #[test]
+    fn a_folder_on_disk_comes_and_goes_with_the_set_and_those_of_dead_sets_go_first() {
+        let disk = tempfile::tempdir().unwrap();
+        let spill_dir = disk.path().join("deep/spill");
+        let dead = spill_dir.join("flockslam-spill-dead");
+        fs::create_dir_all(dead.join("submaps")).unwrap();
+        fs::write(dead.join(LOCK_FILE), b"").unwrap();
+        fs::create_dir_all(spill_dir.join("not-ours")).unwrap();
+        let runtime = RuntimeDir::create_spilling(&name("spill"), Some(&spill_dir)).unwrap();
+        assert!(!dead.exists() && spill_dir.join("not-ours").exists());
+        fs::write(runtime.submaps().join("x"), vec![0; 1 << 20]).unwrap();
+        assert!(runtime.submaps().starts_with(&spill_dir));
+        assert!(runtime.occupied_bytes() < 1 << 20, "what lies on disk occupies no memory");
+        let joined = RuntimeDir::open(runtime.path()).unwrap();
+        assert_eq!(joined.spill(), runtime.spill());
+        // Another set leaves the folder of a living one alone.
+        let other = RuntimeDir::create_spilling(&name("other"), Some(&spill_dir)).unwrap();
+        assert!(runtime.submaps().join("x").exists());
+        drop(other);
+        drop(runtime);
+        assert_eq!(fs::read_dir(&spill_dir).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_killed_sets_folder_is_removed_by_the_next_of_its_name() {
+        let disk = tempfile::tempdir().unwrap();
+        let mut killed = RuntimeDir::create_spilling(&name("killed"), Some(disk.path())).unwrap();
+        // What a kill leaves: everything but the locks.
+        (killed.lock, killed._spill_lock) = (None, None);
+        fs::write(killed.submaps().join("x"), b"").unwrap();
+        let again = RuntimeDir::create(&name("killed")).unwrap();
+        assert!(!killed.submaps().exists() && again.submaps().exists());
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_made_is_named() {
+        let disk = tempfile::tempdir().unwrap();
+        let file = disk.path().join("file");
+        fs::write(&file, b"").unwrap();
+        let error = RuntimeDir::create_spilling(&name("bad"), Some(&file)).err().unwrap().to_string();
+        assert!(error.starts_with("set.spill_dir: ") && error.contains("file"), "{error}");
+    }
 }

@@ -1,3 +1,4 @@
+use crate::tile_port::LANES;
 use flockslam_messages::{
     ClearedCell, Commit, Control, Layout, LayoutHeader, MarksHeader, Message, PoseEstimate, Progress,
     ScanHeader, SubmapClosed, TileMessage, Verdict,
@@ -24,7 +25,7 @@ impl Default for Capacity {
 /// Limits of one topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Publishers at once.
+    /// Publishers at once; a sender of tiles has several.
     pub publishers: usize,
     /// Subscribers at once.
     pub subscribers: usize,
@@ -109,12 +110,14 @@ impl Topic for TileMessage {
     const NAME: &'static str = "tile";
 
     fn limits(capacity: &Capacity) -> Limits {
-        let buffer = 1024;
+        // Each lane carries its share of the tiles, twice that when they lie along a diagonal.
+        let (lane, buffer) = (2 * capacity.live_tiles.div_ceil(LANES), 128);
         Limits {
+            publishers: LANES * (capacity.replicas + 1),
             buffer,
-            borrowed: capacity.live_tiles + buffer,
+            borrowed: lane + buffer,
             // Readers hold the newest sample of each tile, so memory for all live ones and two rounds of changes is enough.
-            preallocated: Some(capacity.live_tiles + 2 * buffer),
+            preallocated: Some(lane + 2 * buffer),
             ..Limits::small(capacity)
         }
     }

@@ -54,6 +54,7 @@ impl Cell {
     }
 
     /// Dempster's rule: the sum of the weights. It saturates only after 10⁶ nat, which bounded submaps never reach.
+    #[inline]
     #[must_use]
     pub fn combine(self, other: Cell) -> Cell {
         Cell {
@@ -63,6 +64,7 @@ impl Cell {
     }
 
     /// Takes evidence out again that was combined before; `None` when it cannot have been.
+    #[inline]
     #[must_use]
     pub fn withdraw(self, other: Cell) -> Option<Cell> {
         Some(Cell {
@@ -72,11 +74,13 @@ impl Cell {
     }
 
     /// Whether the cell holds no evidence.
+    #[inline]
     pub fn is_unknown(self) -> bool {
         self == Self::UNKNOWN
     }
 
     /// The published form.
+    #[inline]
     pub fn pack(self) -> PackedCell {
         let cap = |weight: u32| u16::try_from(weight).unwrap_or(u16::MAX);
         PackedCell { occupied: cap(self.occupied), free: cap(self.free) }
@@ -105,11 +109,13 @@ impl PackedCell {
     pub const UNKNOWN: PackedCell = PackedCell { occupied: 0, free: 0 };
 
     /// The form that can be summed.
+    #[inline]
     pub fn unpack(self) -> Cell {
         Cell { occupied: u32::from(self.occupied), free: u32::from(self.free) }
     }
 
     /// Whether the cell holds no evidence.
+    #[inline]
     pub fn is_unknown(self) -> bool {
         self == Self::UNKNOWN
     }

@@ -1,8 +1,6 @@
-use crate::{
-    Cell, CellIndex, PackedCell, Submap, SubmapTile, TILE_CELLS, TILE_SIDE, TileDirectory, TileKey, TooFar,
-    floor,
-};
-use flockslam_geometry::{Point, Pose};
+use crate::resampling::Resampling;
+use crate::{Cell, CellIndex, Footprint, PackedCell, Submap, TILE_CELLS, TileDirectory, TileKey, TooFar};
+use flockslam_geometry::Pose;
 
 /// The sum of submaps at the poses of a layout, in a lattice of its own.
 ///
@@ -37,21 +35,31 @@ impl FusedMap {
         self.cell_size_m
     }
 
-    /// Adds a submap whose reference pose lies at `map_from_submap`. Cleared cells count as unknown.
+    /// Adds a submap whose reference pose lies at `map_from_submap`, and tells where it knows something. Cleared cells count as
+    /// unknown.
     ///
     /// # Errors
-    /// When the submap lies absurdly far from the others; then part of it may have been added.
-    pub fn add(&mut self, submap: &Submap, map_from_submap: Pose) -> Result<(), TooFar> {
-        let cell_size_m = self.cell_size_m;
-        let mut result = Ok(());
+    /// When the submap lies absurdly far from the others; then nothing changes.
+    pub fn add(&mut self, submap: &Submap, map_from_submap: Pose) -> Result<Footprint, TooFar> {
+        let resampling = Resampling::new(submap, map_from_submap, self.cell_size_m);
+        let mut parts = Vec::new();
+        let (mut done, mut result) = (0, Ok(()));
         for tile in &submap.tiles {
-            resample(tile, submap, map_from_submap, cell_size_m, |index, evidence| {
-                if result.is_ok() {
-                    result = self.cell_mut(index).map(|cell| *cell = cell.combine(evidence));
+            resampling.for_each(tile, |part| {
+                parts.push((part.key, part.blocks));
+                if result.is_ok() && !part.cells.is_empty() {
+                    result = self.tile_mut(part.key).map(|cells| add(cells, part.cells));
+                    done += if result.is_ok() { part.cells.len() } else { 0 };
                 }
             });
         }
-        result
+        if result.is_err() {
+            self.undo(submap, &resampling, done, |cells, evidence| {
+                withdraw(cells, evidence);
+            });
+            self.drop_empty(parts.iter().map(|(key, _)| *key).collect());
+        }
+        result.map(|()| Footprint::new(parts))
     }
 
     /// Takes out a submap that was added at this pose with these cells cleared.
@@ -59,33 +67,56 @@ impl FusedMap {
     /// # Errors
     /// When it cannot have been added so; then nothing changes.
     pub fn withdraw(&mut self, submap: &Submap, map_from_submap: Pose) -> Result<(), NotFused> {
-        let mut fits = true;
+        let resampling = Resampling::new(submap, map_from_submap, self.cell_size_m);
+        let mut touched = Vec::new();
+        let (mut done, mut fits) = (0, true);
         for tile in &submap.tiles {
-            resample(tile, submap, map_from_submap, self.cell_size_m, |index, evidence| {
-                fits &= self.cell(index).withdraw(evidence).is_some();
+            resampling.for_each(tile, |part| {
+                if !fits || part.cells.is_empty() {
+                    return;
+                }
+                touched.push(part.key);
+                let count = self.tiles.get_mut(part.key).map_or(0, |cells| withdraw(cells, part.cells));
+                done += count;
+                fits = count == part.cells.len();
             });
         }
         if !fits {
+            self.undo(submap, &resampling, done, add);
             return Err(NotFused(submap.number));
         }
-        let mut touched = Vec::new();
+        self.drop_empty(touched);
+        Ok(())
+    }
+
+    /// Takes back what was done to the first `count` cells of a submap.
+    fn undo(
+        &mut self,
+        submap: &Submap,
+        resampling: &Resampling,
+        mut count: usize,
+        back: fn(&mut FusedTile, &[(u16, PackedCell)]),
+    ) {
         for tile in &submap.tiles {
-            let cell_size_m = self.cell_size_m;
-            resample(tile, submap, map_from_submap, cell_size_m, |index, evidence| {
-                let cells = self.tiles.get_mut(index.tile()).expect("checked above");
-                let left = cells[index.offset()].withdraw(evidence);
-                cells[index.offset()] = left.expect("checked above: each cell is visited once");
-                if touched.last() != Some(&index.tile()) {
-                    touched.push(index.tile());
+            resampling.for_each(tile, |part| {
+                let done = &part.cells[..count.min(part.cells.len())];
+                count -= done.len();
+                if let Some(cells) = self.tiles.get_mut(part.key) {
+                    back(cells, done);
                 }
             });
         }
-        for key in touched {
+    }
+
+    /// Drops those of the tiles that hold no evidence any more.
+    fn drop_empty(&mut self, mut keys: Vec<TileKey>) {
+        keys.sort_unstable();
+        keys.dedup();
+        for key in keys {
             if self.tiles.get(key).is_some_and(|cells| cells.iter().all(|cell| cell.is_unknown())) {
                 self.tiles.remove(key);
             }
         }
-        Ok(())
     }
 
     /// Evidence of a cell.
@@ -118,13 +149,31 @@ impl FusedMap {
         })
     }
 
-    fn cell_mut(&mut self, index: CellIndex) -> Result<&mut Cell, TooFar> {
-        let key = index.tile();
+    fn tile_mut(&mut self, key: TileKey) -> Result<&mut FusedTile, TooFar> {
         if self.tiles.get(key).is_none() {
             self.tiles.set(key, Box::new([Cell::UNKNOWN; TILE_CELLS]))?;
         }
-        Ok(&mut self.tiles.get_mut(key).expect("just set")[index.offset()])
+        Ok(self.tiles.get_mut(key).expect("just set"))
     }
+}
+
+fn add(cells: &mut FusedTile, evidence: &[(u16, PackedCell)]) {
+    for (place, evidence) in evidence {
+        let cell = &mut cells[usize::from(*place)];
+        *cell = cell.combine(evidence.unpack());
+    }
+}
+
+/// Takes evidence out as far as it goes, and says how far.
+fn withdraw(cells: &mut FusedTile, evidence: &[(u16, PackedCell)]) -> usize {
+    for (done, (place, evidence)) in evidence.iter().enumerate() {
+        let cell = &mut cells[usize::from(*place)];
+        match cell.withdraw(evidence.unpack()) {
+            Some(left) => *cell = left,
+            None => return done,
+        }
+    }
+    evidence.len()
 }
 
 impl PartialEq for FusedMap {
@@ -133,62 +182,11 @@ impl PartialEq for FusedMap {
     }
 }
 
-/// Calls `visit` for each cell of the target lattice whose centre falls into a cell of `tile` with evidence.
-///
-/// Going from target to source leaves no holes and gives each target cell one source cell, whatever the rotation.
-fn resample(
-    tile: &SubmapTile,
-    submap: &Submap,
-    map_from_submap: Pose,
-    cell_size_m: f64,
-    mut visit: impl FnMut(CellIndex, Cell),
-) {
-    let map_from_odom = map_from_submap * submap.odom_from_submap.inverse();
-    let odom_from_map = map_from_odom.inverse();
-    let (low, high) = target_bounds(tile.key, submap.cell_size_m, map_from_odom, cell_size_m);
-    let (sin, cos) = odom_from_map.heading_rad.sin_cos();
-    for y in low.y..=high.y {
-        for x in low.x..=high.x {
-            let (cx, cy) = ((f64::from(x) + 0.5) * cell_size_m, (f64::from(y) + 0.5) * cell_size_m);
-            let source = CellIndex::new(
-                floor((cos * cx - sin * cy + odom_from_map.x_m) / submap.cell_size_m),
-                floor((sin * cx + cos * cy + odom_from_map.y_m) / submap.cell_size_m),
-            );
-            if source.tile() != tile.key {
-                continue;
-            }
-            let evidence: PackedCell = tile.cell(source.offset());
-            if !evidence.is_unknown() {
-                visit(CellIndex::new(x, y), evidence.unpack());
-            }
-        }
-    }
-}
-
-/// Target cells that a source tile can touch.
-fn target_bounds(
-    key: TileKey,
-    source_size_m: f64,
-    map_from_odom: Pose,
-    cell_size_m: f64,
-) -> (CellIndex, CellIndex) {
-    let side_m = source_size_m * TILE_SIDE as f64;
-    let (x, y) = (f64::from(key.x) * side_m, f64::from(key.y) * side_m);
-    let corners = [(x, y), (x + side_m, y), (x, y + side_m), (x + side_m, y + side_m)]
-        .map(|(x, y)| map_from_odom.apply(Point::new(x, y)));
-    let cell = |m: f64, margin: i32| floor(m / cell_size_m).saturating_add(margin);
-    let least = |f: fn(&Point) -> f64| corners.iter().map(f).fold(f64::INFINITY, f64::min);
-    let most = |f: fn(&Point) -> f64| corners.iter().map(f).fold(f64::NEG_INFINITY, f64::max);
-    (
-        CellIndex::new(cell(least(|p| p.x_m), -1), cell(least(|p| p.y_m), -1)),
-        CellIndex::new(cell(most(|p| p.x_m), 1), cell(most(|p| p.y_m), 1)),
-    )
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::submap_bytes::tests::submap;
+    use crate::{SubmapTile, TILE_SIDE};
     use proptest::prelude::*;
 
     fn pose() -> impl Strategy<Value = Pose> {
@@ -202,7 +200,13 @@ mod tests {
             a in submap(), b in submap(), pose_a in pose(), pose_b in pose()
         ) {
             let (mut ab, mut ba, mut only_b) = (FusedMap::new(0.05), FusedMap::new(0.05), FusedMap::new(0.05));
-            ab.add(&a, pose_a).unwrap();
+            let footprint = ab.add(&a, pose_a).unwrap();
+            for (key, cells) in ab.tiles() {
+                let blocks = footprint.tiles().iter().find(|(of, _)| *of == key).map_or(0, |(_, blocks)| *blocks);
+                for (place, _) in cells.iter().enumerate().filter(|(_, cell)| !cell.is_unknown()) {
+                    prop_assert!(blocks >> (place / 512 * 8 + place % 64 / 8) & 1 == 1);
+                }
+            }
             ab.add(&b, pose_b).unwrap();
             ba.add(&b, pose_b).unwrap();
             ba.add(&a, pose_a).unwrap();
@@ -228,12 +232,35 @@ mod tests {
     }
 
     #[test]
+    fn a_submap_that_reaches_too_far_leaves_no_trace() {
+        let cells = || Box::new([PackedCell { occupied: 5, free: 1 }; TILE_CELLS]);
+        let tiles = [0, 1, 1 << 20].map(|x| SubmapTile::new(TileKey { x, y: 0 }, cells()));
+        let near = Submap {
+            number: 4,
+            chain: 0,
+            insertions: 1,
+            first: 0,
+            last: 0,
+            odom_from_submap: Pose::IDENTITY,
+            cell_size_m: 0.05,
+            tiles: tiles[1..2].to_vec(),
+        };
+        let far = Submap { tiles: tiles.to_vec(), ..near.clone() };
+        let mut map = FusedMap::new(0.05);
+        map.add(&near, Pose::IDENTITY).unwrap();
+        let before = map.clone();
+        assert!(map.add(&far, Pose::new(0.3, 0.2, 0.0)).is_err());
+        assert_eq!(map, before);
+    }
+
+    #[test]
     fn what_is_not_in_the_map_cannot_be_taken_out() {
         let key = TileKey { x: 0, y: 0 };
         let mut tile = SubmapTile::new(key, Box::new([PackedCell { occupied: 5, free: 1 }; TILE_CELLS]));
         tile.clear(7);
         let mut submap = Submap {
             number: 4,
+            chain: 0,
             insertions: 1,
             first: 0,
             last: 0,

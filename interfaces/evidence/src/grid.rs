@@ -99,7 +99,12 @@ impl<H: Deref<Target = Tile>> TileGrid<H> {
 
     /// Fast repeated reads of one level; `outside` is the score where the grid has no tile.
     pub fn scores(&self, level: Level, outside: u16) -> ScoreReader<'_, H> {
-        ScoreReader { grid: self, level, outside, key: TileKey { x: i32::MAX, y: i32::MAX }, scores: None }
+        let shift = crate::TILE_SIDE.trailing_zeros() - level as u32;
+        let corner = CellIndex::new(0, 0);
+        let mut reader =
+            ScoreReader { grid: self, level, shift, last: (1 << shift) - 1, outside, corner, scores: &[] };
+        reader.turn_to(corner);
+        reader
     }
 }
 
@@ -108,9 +113,15 @@ impl<H: Deref<Target = Tile>> TileGrid<H> {
 pub struct ScoreReader<'a, H> {
     grid: &'a TileGrid<H>,
     level: Level,
+    /// A tile of this level has 2 to this power cells along a side.
+    shift: u32,
+    /// Last column and row of a tile.
+    last: u32,
     outside: u16,
-    key: TileKey,
-    scores: Option<&'a [u16]>,
+    /// First cell of the remembered tile.
+    corner: CellIndex,
+    /// Its scores; empty where the grid has no tile.
+    scores: &'a [u16],
 }
 
 impl<'a, H: Deref<Target = Tile>> ScoreReader<'a, H> {
@@ -122,60 +133,96 @@ impl<'a, H: Deref<Target = Tile>> ScoreReader<'a, H> {
     /// Score of a cell of this level.
     #[inline]
     pub fn cell(&mut self, cell: CellIndex) -> u16 {
-        let shift = self.shift();
-        match self.tile(TileKey { x: cell.x >> shift, y: cell.y >> shift }) {
-            Some(scores) => scores[place(cell, shift)],
-            None => self.outside,
+        let (mut x, mut y) = self.place(cell);
+        if x > self.last || y > self.last {
+            self.turn_to(cell);
+            (x, y) = self.place(cell);
+        }
+        self.scores.get((y << self.shift | x) as usize).copied().unwrap_or(self.outside)
+    }
+
+    /// Scores of the cells of a row, from `first` on to the right.
+    pub fn row(&mut self, first: CellIndex, scores: &mut [u16]) {
+        let (mut cell, mut left) = (first, scores);
+        while !left.is_empty() {
+            self.turn_to(cell);
+            let (x, y) = self.place(cell);
+            let count = left.len().min((self.last - x) as usize + 1);
+            let (here, further) = left.split_at_mut(count);
+            let start = (y << self.shift | x) as usize;
+            match self.scores.get(start..start + count) {
+                Some(known) => here.copy_from_slice(known),
+                None => here.fill(self.outside),
+            }
+            cell.x = cell.x.wrapping_add(count as i32);
+            left = further;
         }
     }
 
     /// Scores of the block whose lower left cell is given: (0, 0), (1, 0), (0, 1), (1, 1).
     #[inline]
     pub fn block(&mut self, cell: CellIndex) -> [u16; 4] {
-        let shift = self.shift();
-        let last = (1 << shift) - 1;
-        if cell.x & last != last && cell.y & last != last {
-            let first = place(cell, shift);
-            return match self.tile(TileKey { x: cell.x >> shift, y: cell.y >> shift }) {
-                Some(scores) => {
-                    let rows = &scores[first..first + last as usize + 3];
-                    [rows[0], rows[1], rows[last as usize + 1], rows[last as usize + 2]]
-                }
-                None => [self.outside; 4],
-            };
+        let (x, y) = self.place(cell);
+        if x < self.last && y < self.last {
+            return self.block_within(x, y);
+        }
+        self.block_elsewhere(cell)
+    }
+
+    /// A block that lies in the remembered tile.
+    #[inline]
+    fn block_within(&self, x: u32, y: u32) -> [u16; 4] {
+        let pair = |y: u32| self.scores.get((y << self.shift | x) as usize..)?.first_chunk::<2>();
+        match (pair(y), pair(y.wrapping_add(1))) {
+            (Some(&[m00, m10]), Some(&[m01, m11])) => [m00, m10, m01, m11],
+            _ => [self.outside; 4],
+        }
+    }
+
+    /// A block of another tile than the remembered one, or of several.
+    #[cold]
+    #[inline(never)]
+    fn block_elsewhere(&mut self, cell: CellIndex) -> [u16; 4] {
+        self.turn_to(cell);
+        let (x, y) = self.place(cell);
+        if x < self.last && y < self.last {
+            return self.block_within(x, y);
         }
         let (right, up) = (cell.x.wrapping_add(1), cell.y.wrapping_add(1));
-        [
-            self.cell(cell),
-            self.cell(CellIndex::new(right, cell.y)),
-            self.cell(CellIndex::new(cell.x, up)),
-            self.cell(CellIndex::new(right, up)),
-        ]
+        let other = |x, y| {
+            let cell = CellIndex::new(x, y);
+            self.scores_at(cell).get(self.offset(cell)).copied().unwrap_or(self.outside)
+        };
+        [other(cell.x, cell.y), other(right, cell.y), other(cell.x, up), other(right, up)]
     }
 
+    /// Column and row of a cell in the remembered tile; cells of other tiles get numbers above `last`.
     #[inline]
-    fn shift(&self) -> u32 {
-        crate::TILE_SIDE.trailing_zeros() - self.level as u32
+    fn place(&self, cell: CellIndex) -> (u32, u32) {
+        (cell.x.wrapping_sub(self.corner.x) as u32, cell.y.wrapping_sub(self.corner.y) as u32)
     }
 
+    /// Place of a cell's score in its tile.
     #[inline]
-    fn tile(&mut self, key: TileKey) -> Option<&'a [u16]> {
-        if key != self.key {
-            self.key = key;
-            self.scores = self.grid.tile(key).map(|tile| match self.level {
-                Level::Full => &tile.score[..],
-                Level::Half => &tile.score_half[..],
-                Level::Quarter => &tile.score_quarter[..],
-            });
-        }
-        self.scores
+    fn offset(&self, cell: CellIndex) -> usize {
+        ((cell.y as u32 & self.last) << self.shift | cell.x as u32 & self.last) as usize
     }
-}
 
-#[inline]
-fn place(cell: CellIndex, shift: u32) -> usize {
-    let last = (1 << shift) - 1;
-    (((cell.y & last) << shift) | (cell.x & last)) as usize
+    /// Remembers the tile of a cell.
+    fn turn_to(&mut self, cell: CellIndex) {
+        self.corner = CellIndex::new(cell.x & !(self.last as i32), cell.y & !(self.last as i32));
+        self.scores = self.scores_at(cell);
+    }
+
+    /// Scores of the tile that a cell lies in.
+    fn scores_at(&self, cell: CellIndex) -> &'a [u16] {
+        let tile = self.grid.tile(TileKey { x: cell.x >> self.shift, y: cell.y >> self.shift });
+        tile.map_or(&[], |tile| match self.level {
+            Level::Full => &tile.score[..],
+            Level::Half => &tile.score_half[..],
+            Level::Quarter => &tile.score_quarter[..],
+        })
+    }
 }
 
 /// Greatest whole number not above `value`, saturating. (The target's baseline has no instruction for it, so the
@@ -214,6 +261,16 @@ mod tests {
             for (i, score) in block.into_iter().enumerate() {
                 let cell = CellIndex::new(x + (i % 2) as i32, y + (i / 2) as i32);
                 prop_assert_eq!(score, grid.scores(level, 7).cell(cell));
+            }
+        }
+
+        #[test]
+        fn rows_and_single_cells_agree(x in -150i32..150, y in -70i32..70, count in 0usize..200, level in 0usize..3) {
+            let (grid, level) = (grid(), [Level::Full, Level::Half, Level::Quarter][level]);
+            let mut row = vec![1; count];
+            grid.scores(level, 7).row(CellIndex::new(x, y), &mut row);
+            for (cell, score) in (x..).zip(row) {
+                prop_assert_eq!(score, grid.scores(level, 7).cell(CellIndex::new(cell, y)));
             }
         }
 

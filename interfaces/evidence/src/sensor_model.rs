@@ -11,6 +11,13 @@ const BLUR_STEPS: usize = 32;
 pub trait ObservedCells {
     /// Evidence for a cell from the current scan.
     fn observe(&mut self, cell: CellIndex, evidence: Cell);
+
+    /// The same evidence for all cells that a ray crosses. Nothing but rays with the same evidence follows in this scan.
+    fn observe_ray(&mut self, ray: Ray, evidence: Cell) {
+        for cell in ray {
+            self.observe(cell, evidence);
+        }
+    }
 }
 
 /// Inverse sensor model: which evidence a beam leaves along its way.
@@ -72,9 +79,7 @@ impl SensorModel {
             if before.replace(end_cell) == Some(end_cell) {
                 continue;
             }
-            for cell in Ray::new(origin, end) {
-                map.observe(cell, self.miss);
-            }
+            map.observe_ray(Ray::new(origin, end), self.miss);
         }
     }
 }

@@ -9,6 +9,8 @@ use flockslam_geometry::Pose;
 pub struct Submap {
     /// Its number within the epoch, from 0.
     pub number: u32,
+    /// Chain of submaps that it belongs to: how the submaps of one chain lie to each other is known from driving.
+    pub chain: u32,
     /// Scans in it.
     pub insertions: u32,
     /// Sequence of its first scan.
@@ -34,6 +36,10 @@ pub struct SubmapTile {
     pub cleared: [u64; TILE_SIDE],
 }
 
+/// Which cells of a submap are masked: what can change about it once it is closed.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ClearedCells(Vec<(TileKey, [u64; TILE_SIDE])>);
+
 impl Submap {
     /// The tile with this key, if the submap has evidence there.
     pub fn tile(&self, key: TileKey) -> Option<&SubmapTile> {
@@ -47,7 +53,29 @@ impl Submap {
 
     /// Whether a cell was cleared after the submap was closed.
     pub fn has_cleared(&self) -> bool {
-        self.tiles.iter().any(|tile| tile.cleared.iter().any(|word| *word != 0))
+        self.tiles.iter().any(SubmapTile::has_cleared)
+    }
+
+    /// Area of its cells with evidence, cleared or not, m².
+    pub fn known_area_m2(&self) -> f64 {
+        let known = self.tiles.iter().flat_map(|tile| tile.cells.iter()).filter(|cell| !cell.is_unknown());
+        known.count() as f64 * self.cell_size_m * self.cell_size_m
+    }
+
+    /// The cells that are masked now.
+    pub fn cleared(&self) -> ClearedCells {
+        let cleared = self.tiles.iter().filter(|tile| tile.has_cleared());
+        ClearedCells(cleared.map(|tile| (tile.key, tile.cleared)).collect())
+    }
+
+    /// Masks these cells and no others. Tiles that the submap does not have are passed over.
+    pub fn set_cleared(&mut self, cells: &ClearedCells) {
+        self.tiles.iter_mut().for_each(|tile| tile.cleared = [0; TILE_SIDE]);
+        for (key, rows) in &cells.0 {
+            if let Some(tile) = self.tile_mut(*key) {
+                tile.cleared = *rows;
+            }
+        }
     }
 
     /// Evidence of a cell of the odom lattice; unknown where there is none or it was cleared.
@@ -77,6 +105,11 @@ impl SubmapTile {
     #[inline]
     pub fn is_cleared(&self, offset: usize) -> bool {
         self.cleared[offset / TILE_SIDE] >> (offset % TILE_SIDE) & 1 == 1
+    }
+
+    /// Whether any cell is masked.
+    pub fn has_cleared(&self) -> bool {
+        self.cleared.iter().any(|row| *row != 0)
     }
 
     /// Masks the cell at `offset` and gives back the evidence that it had.

@@ -1,18 +1,24 @@
-//! The stored and transmitted form of a submap: compact, canonical, and read with suspicion.
+//! The stored and transmitted form of a submap: compact, and read with suspicion.
 //!
-//! Little-endian: `FLSM`, version, number, insertions, first, last, reference pose, cell size, number of tiles; then
-//! each tile: key, rows with evidence (64 bits), and for each such row its cells with evidence (64 bits) and their two
-//! weights; then in the same way the rows with cleared cells and their masks.
+//! Little-endian: `FLSM`, version, checksum (CRC-32 of all that follows), number, insertions, first, last, reference pose, cell
+//! size; the levels of both weights (count, then each weight); the number of tiles and their keys, each as the
+//! difference to the one before; the tiles with cleared cells, as place, rows (64 bits) and a mask for each row; then to the end
+//! the cells, as places among the levels, range coded by [`CellModel`].
 
-use crate::{PackedCell, Submap, SubmapTile, TILE_CELLS, TILE_SIDE, TileKey};
+use crate::cell_coder::{CellModel, Symbol};
+use crate::levels::{CellLevels, Levels};
+use crate::range_coder::{RangeDecoder, RangeEncoder};
+use crate::{PackedCell, Submap, SubmapTile, TILE_CELLS, TileKey};
 use flockslam_geometry::Pose;
 
 const MAGIC: [u8; 4] = *b"FLSM";
-const VERSION: u8 = 1;
+const VERSION: u8 = 2;
+/// Where the bytes begin that the checksum is of.
+const CHECKED_FROM: usize = 9;
 /// Tiles that a submap may have: memory that foreign bytes can ask for is bounded by it (128 MiB).
 const TILES_MAX: u32 = 8192;
-/// The least bytes of a tile: key and the two words that say which rows follow.
-const TILE_BYTES_MIN: usize = 24;
+/// The least bytes of a tile: those of its key.
+const TILE_BYTES_MIN: usize = 2;
 
 /// Why bytes are not a submap.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -26,10 +32,13 @@ pub enum SubmapBytesError {
     /// Written by a build that this one does not know.
     #[error("a submap of version {0}, this build reads version {VERSION}")]
     Version(u8),
+    /// The bytes have changed since they were written.
+    #[error("a submap's bytes are damaged")]
+    Damaged,
     /// More tiles than a bounded submap can have, or than the bytes can hold.
     #[error("a submap of {0} tiles")]
     TooManyTiles(u32),
-    /// A pose or cell size that is no number, tiles out of order, or rows that are listed but empty.
+    /// A pose or cell size that is no number, tiles out of order, rows that are listed but empty, or a level that is not.
     #[error("a submap's content is not well formed")]
     Malformed,
     /// Bytes follow after the end.
@@ -38,12 +47,14 @@ pub enum SubmapBytesError {
 }
 
 impl Submap {
-    /// The stored form. The same submap gives the same bytes.
+    /// The stored form: of [`Submap::quantised`], which is what [`Submap::decode`] gives. The same submap gives the same bytes.
     pub fn encode(&self) -> Vec<u8> {
-        let mut out = Vec::with_capacity(96 + self.tiles.len() * 2048);
+        let mut out = Vec::with_capacity(4096);
         out.extend(MAGIC);
         out.push(VERSION);
+        out.extend([0; 4]);
         out.extend(self.number.to_le_bytes());
+        out.extend(self.chain.to_le_bytes());
         out.extend(self.insertions.to_le_bytes());
         out.extend(self.first.to_le_bytes());
         out.extend(self.last.to_le_bytes());
@@ -51,10 +62,14 @@ impl Submap {
         for number in [pose.x_m, pose.y_m, pose.heading_rad, self.cell_size_m] {
             out.extend(number.to_le_bytes());
         }
-        out.extend((self.tiles.len() as u32).to_le_bytes());
-        for tile in &self.tiles {
-            tile.encode(&mut out);
-        }
+        let levels = CellLevels::of(&self.tiles);
+        encode_levels(&levels.occupied, &mut out);
+        encode_levels(&levels.free, &mut out);
+        encode_keys(&self.tiles, &mut out);
+        encode_masks(&self.tiles, &mut out);
+        let mut out = encode_cells(&self.tiles, &levels, out);
+        let checksum = crc32fast::hash(&out[CHECKED_FROM..]);
+        out[CHECKED_FROM - 4..CHECKED_FROM].copy_from_slice(&checksum.to_le_bytes());
         out
     }
 
@@ -71,88 +86,152 @@ impl Submap {
         if version != VERSION {
             return Err(SubmapBytesError::Version(version));
         }
-        let (number, insertions) = (input.u32()?, input.u32()?);
+        if input.u32()? != crc32fast::hash(input.0) {
+            return Err(SubmapBytesError::Damaged);
+        }
+        let (number, chain, insertions) = (input.u32()?, input.u32()?, input.u32()?);
         let (first, last) = (input.u64()?, input.u64()?);
         let odom_from_submap = Pose { x_m: input.f64()?, y_m: input.f64()?, heading_rad: input.f64()? };
         let cell_size_m = input.f64()?;
         if !odom_from_submap.is_finite() || !(1e-3..=10.0).contains(&cell_size_m) || last < first {
             return Err(SubmapBytesError::Malformed);
         }
-        let count = input.u32()?;
-        if count > TILES_MAX || count as usize > input.0.len() / TILE_BYTES_MIN {
-            return Err(SubmapBytesError::TooManyTiles(count));
-        }
-        let mut tiles: Vec<SubmapTile> = Vec::with_capacity(count as usize);
-        for _ in 0..count {
-            let tile = SubmapTile::decode(&mut input)?;
-            if tiles.last().is_some_and(|before| before.key >= tile.key) {
-                return Err(SubmapBytesError::Malformed);
-            }
-            tiles.push(tile);
-        }
-        if !input.0.is_empty() {
-            return Err(SubmapBytesError::Trailing(input.0.len()));
-        }
-        Ok(Submap { number, insertions, first, last, odom_from_submap, cell_size_m, tiles })
+        let levels = CellLevels { occupied: decode_levels(&mut input)?, free: decode_levels(&mut input)? };
+        let keys = decode_keys(&mut input)?;
+        let empty = |key| SubmapTile::new(key, Box::new([PackedCell::UNKNOWN; TILE_CELLS]));
+        let mut tiles: Vec<SubmapTile> = keys.into_iter().map(empty).collect();
+        decode_masks(&mut input, &mut tiles)?;
+        decode_cells(input.0, &levels, &mut tiles)?;
+        Ok(Submap { number, chain, insertions, first, last, odom_from_submap, cell_size_m, tiles })
     }
 }
 
-impl SubmapTile {
-    fn encode(&self, out: &mut Vec<u8>) {
-        out.extend(self.key.x.to_le_bytes());
-        out.extend(self.key.y.to_le_bytes());
-        let rows: [u64; TILE_SIDE] = std::array::from_fn(|y| {
-            let row = &self.cells[y * TILE_SIDE..(y + 1) * TILE_SIDE];
-            row.iter().enumerate().fold(0, |bits, (x, cell)| bits | (u64::from(!cell.is_unknown()) << x))
-        });
-        out.extend(nonzero_rows(&rows).to_le_bytes());
-        for (y, row) in rows.iter().enumerate().filter(|(_, row)| **row != 0) {
-            out.extend(row.to_le_bytes());
-            for x in ones(*row) {
-                let cell = self.cells[y * TILE_SIDE + x];
-                out.extend(cell.occupied.to_le_bytes());
-                out.extend(cell.free.to_le_bytes());
-            }
-        }
-        out.extend(nonzero_rows(&self.cleared).to_le_bytes());
-        for row in self.cleared.iter().filter(|row| **row != 0) {
-            out.extend(row.to_le_bytes());
+fn encode_levels(levels: &Levels, out: &mut Vec<u8>) {
+    out.push(levels.weights().len() as u8);
+    levels.weights().iter().for_each(|weight| out.extend(weight.to_le_bytes()));
+}
+
+fn decode_levels(input: &mut Input<'_>) -> Result<Levels, SubmapBytesError> {
+    let [count] = input.take::<1>()?;
+    let mut levels = Levels::default();
+    for _ in 0..count {
+        if !levels.push(input.u16()?) {
+            return Err(SubmapBytesError::Malformed);
         }
     }
+    Ok(levels)
+}
 
-    fn decode(input: &mut Input<'_>) -> Result<Self, SubmapBytesError> {
-        let key = TileKey { x: input.u32()? as i32, y: input.u32()? as i32 };
-        let mut tile = Self::new(key, Box::new([PackedCell::UNKNOWN; TILE_CELLS]));
-        for y in ones(input.u64()?) {
-            for x in ones(input.row()?) {
-                let cell = PackedCell { occupied: input.u16()?, free: input.u16()? };
-                if cell.is_unknown() {
-                    return Err(SubmapBytesError::Malformed);
-                }
-                tile.cells[y * TILE_SIDE + x] = cell;
-            }
-        }
-        for y in ones(input.u64()?) {
-            tile.cleared[y] = input.row()?;
-        }
-        Ok(tile)
+fn encode_keys(tiles: &[SubmapTile], out: &mut Vec<u8>) {
+    out.extend((tiles.len() as u32).to_le_bytes());
+    let mut before = TileKey::default();
+    for TileKey { x, y } in tiles.iter().map(|tile| tile.key) {
+        encode_difference(before.x, x, out);
+        encode_difference(before.y, y, out);
+        before = TileKey { x, y };
     }
 }
 
-/// Bit y is set when row y is not empty.
-fn nonzero_rows(rows: &[u64; TILE_SIDE]) -> u64 {
-    rows.iter().enumerate().fold(0, |bits, (y, row)| bits | (u64::from(*row != 0) << y))
+fn decode_keys(input: &mut Input<'_>) -> Result<Vec<TileKey>, SubmapBytesError> {
+    let count = input.u32()?;
+    if count > TILES_MAX || count as usize > input.0.len() / TILE_BYTES_MIN {
+        return Err(SubmapBytesError::TooManyTiles(count));
+    }
+    let mut keys: Vec<TileKey> = Vec::with_capacity(count as usize);
+    for _ in 0..count {
+        let before = keys.last().copied();
+        let TileKey { x, y } = before.unwrap_or_default();
+        let key = TileKey { x: decode_difference(x, input)?, y: decode_difference(y, input)? };
+        if before.is_some_and(|before| before >= key) {
+            return Err(SubmapBytesError::Malformed);
+        }
+        keys.push(key);
+    }
+    Ok(keys)
 }
 
-/// Places of the set bits, ascending.
-fn ones(mut bits: u64) -> impl Iterator<Item = usize> {
-    std::iter::from_fn(move || {
-        let place = bits.trailing_zeros() as usize;
-        (bits != 0).then(|| {
-            bits &= bits - 1;
-            place
-        })
-    })
+/// A small difference in one byte, any in six: groups of seven bits, the lowest first, the sign lowest of all.
+fn encode_difference(from: i32, to: i32, out: &mut Vec<u8>) {
+    let difference = i64::from(to) - i64::from(from);
+    let mut rest = (difference << 1 ^ difference >> 63) as u64;
+    while rest >= 0x80 {
+        out.push(rest as u8 | 0x80);
+        rest >>= 7;
+    }
+    out.push(rest as u8);
+}
+
+fn decode_difference(from: i32, input: &mut Input<'_>) -> Result<i32, SubmapBytesError> {
+    let mut folded = 0u64;
+    for shift in (0..35).step_by(7) {
+        let [byte] = input.take::<1>()?;
+        folded |= u64::from(byte & 0x7f) << shift;
+        if byte & 0x80 == 0 {
+            let difference = (folded >> 1) as i64 ^ -((folded & 1) as i64);
+            let to = i64::from(from) + difference;
+            return i32::try_from(to).map_err(|_| SubmapBytesError::Malformed);
+        }
+    }
+    Err(SubmapBytesError::Malformed)
+}
+
+fn encode_masks(tiles: &[SubmapTile], out: &mut Vec<u8>) {
+    let rows = |tile: &SubmapTile| {
+        let bit = |(y, row): (usize, &u64)| u64::from(*row != 0) << y;
+        tile.cleared.iter().enumerate().map(bit).sum::<u64>()
+    };
+    let cleared = tiles.iter().enumerate().filter(|(_, tile)| rows(tile) != 0);
+    out.extend((cleared.clone().count() as u32).to_le_bytes());
+    for (place, tile) in cleared {
+        out.extend((place as u32).to_le_bytes());
+        out.extend(rows(tile).to_le_bytes());
+        tile.cleared.iter().filter(|row| **row != 0).for_each(|row| out.extend(row.to_le_bytes()));
+    }
+}
+
+fn decode_masks(input: &mut Input<'_>, tiles: &mut [SubmapTile]) -> Result<(), SubmapBytesError> {
+    let mut next = 0;
+    for _ in 0..input.u32()? {
+        let place = input.u32()? as usize;
+        let rows = input.u64()?;
+        let tile = tiles.get_mut(place).filter(|_| place >= next && rows != 0);
+        let tile = tile.ok_or(SubmapBytesError::Malformed)?;
+        for (y, row) in tile.cleared.iter_mut().enumerate() {
+            if rows >> y & 1 == 1 {
+                *row = Some(input.u64()?).filter(|row| *row != 0).ok_or(SubmapBytesError::Malformed)?;
+            }
+        }
+        next = place + 1;
+    }
+    Ok(())
+}
+
+fn encode_cells(tiles: &[SubmapTile], levels: &CellLevels, out: Vec<u8>) -> Vec<u8> {
+    let (mut coder, mut model) = (RangeEncoder::new(out), CellModel::new(levels));
+    let mut symbols = [[0; 2]; TILE_CELLS];
+    for tile in tiles {
+        for (symbol, cell) in symbols.iter_mut().zip(tile.cells.iter()) {
+            *symbol = if cell.is_unknown() { [0; 2] } else { levels.places(*cell) };
+        }
+        model.code(&mut coder, &mut symbols);
+    }
+    coder.finish()
+}
+
+fn decode_cells(bytes: &[u8], levels: &CellLevels, tiles: &mut [SubmapTile]) -> Result<(), SubmapBytesError> {
+    let (mut coder, mut model) = (RangeDecoder::new(bytes), CellModel::new(levels));
+    let mut symbols: [Symbol; TILE_CELLS] = [[0; 2]; TILE_CELLS];
+    for tile in tiles {
+        model.code(&mut coder, &mut symbols);
+        for (cell, symbol) in tile.cells.iter_mut().zip(&symbols).filter(|(_, symbol)| **symbol != [0; 2]) {
+            *cell = levels.cell(*symbol).ok_or(SubmapBytesError::Malformed)?;
+        }
+    }
+    // Zeros at the end are never written.
+    match (coder.left(), bytes.last()) {
+        (0, None | Some(1..)) => Ok(()),
+        (left, _) => Err(SubmapBytesError::Trailing(left.max(1))),
+    }
 }
 
 /// What is left to read.
@@ -180,12 +259,6 @@ impl Input<'_> {
     fn f64(&mut self) -> Result<f64, SubmapBytesError> {
         self.take().map(f64::from_le_bytes)
     }
-
-    /// A row's bits; only rows that are not empty are written.
-    fn row(&mut self) -> Result<u64, SubmapBytesError> {
-        let bits = self.u64()?;
-        if bits == 0 { Err(SubmapBytesError::Malformed) } else { Ok(bits) }
-    }
 }
 
 #[cfg(test)]
@@ -212,6 +285,7 @@ pub(crate) mod tests {
                 let tiles = tiles.into_values().collect();
                 Submap {
                     number: 3,
+                    chain: 0,
                     insertions: 7,
                     first: 40,
                     last: 61,
@@ -227,40 +301,75 @@ pub(crate) mod tests {
         #[test]
         fn what_was_written_is_read(submap in submap()) {
             let bytes = submap.encode();
-            prop_assert_eq!(Submap::decode(&bytes), Ok(submap));
+            let read = Submap::decode(&bytes).unwrap();
+            prop_assert_eq!(read.encode(), bytes);
+            prop_assert_eq!(read, submap.quantised());
         }
 
         #[test]
-        fn damaged_bytes_are_refused_or_another_submap_but_never_a_crash(
+        fn damaged_bytes_are_refused(
             submap in submap(), place in any::<prop::sample::Index>(), flip in 1u8.., cut in any::<prop::sample::Index>()
         ) {
             let mut bytes = submap.encode();
             prop_assert!(Submap::decode(&bytes[..cut.index(bytes.len())]).is_err());
             let place = place.index(bytes.len());
             bytes[place] ^= flip;
-            if let Ok(other) = Submap::decode(&bytes) {
-                prop_assert_eq!(other.encode(), bytes, "the form is canonical");
+            prop_assert!(Submap::decode(&bytes).is_err());
+        }
+
+        #[test]
+        fn forged_bytes_are_refused_or_a_submap_but_never_a_crash(
+            submap in submap(), place in any::<prop::sample::Index>(), flip in 1u8..
+        ) {
+            let mut bytes = submap.encode();
+            let place = CHECKED_FROM + place.index(bytes.len() - CHECKED_FROM);
+            bytes[place] ^= flip;
+            if let Ok(other) = Submap::decode(&signed(bytes)) {
+                prop_assert_eq!(Submap::decode(&other.encode()), Ok(other));
             }
+        }
+
+        #[test]
+        fn keys_come_back(keys in proptest::collection::btree_set((any::<i32>(), any::<i32>()), 0..20)) {
+            let cells = Box::new([PackedCell { occupied: 0, free: 3 }; TILE_CELLS]);
+            let tiles = keys.into_iter().map(|(x, y)| SubmapTile::new(TileKey { x, y }, cells.clone()));
+            let submap = Submap { tiles: tiles.collect(), ..empty() };
+            prop_assert_eq!(Submap::decode(&submap.encode()), Ok(submap));
         }
     }
 
-    #[test]
-    fn sizes_are_checked_before_memory_is_asked_for() {
-        let empty = Submap {
+    fn signed(mut bytes: Vec<u8>) -> Vec<u8> {
+        let checksum = crc32fast::hash(&bytes[CHECKED_FROM..]);
+        bytes[CHECKED_FROM - 4..CHECKED_FROM].copy_from_slice(&checksum.to_le_bytes());
+        bytes
+    }
+
+    fn empty() -> Submap {
+        Submap {
             number: 0,
+            chain: 0,
             insertions: 0,
             first: 0,
             last: 0,
             odom_from_submap: Pose::IDENTITY,
             cell_size_m: 0.05,
             tiles: Vec::new(),
-        };
-        let mut bytes = empty.encode();
-        let count = bytes.len() - 4;
-        bytes[count..].fill(0xff);
+        }
+    }
+
+    #[test]
+    fn sizes_are_checked_before_memory_is_asked_for() {
+        let mut bytes = empty().encode();
+        let count = bytes.len() - 8;
+        bytes[count..count + 4].fill(0xff);
+        let mut bytes = signed(bytes);
         assert_eq!(Submap::decode(&bytes), Err(SubmapBytesError::TooManyTiles(u32::MAX)));
+        bytes[9] ^= 1;
+        assert_eq!(Submap::decode(&bytes), Err(SubmapBytesError::Damaged));
         bytes[4] = 9;
         assert_eq!(Submap::decode(&bytes), Err(SubmapBytesError::Version(9)));
         assert_eq!(Submap::decode(b"PNG"), Err(SubmapBytesError::Truncated));
+        let long = [empty().encode(), vec![0; 8]].concat();
+        assert_eq!(Submap::decode(&signed(long)), Err(SubmapBytesError::Trailing(3)));
     }
 }

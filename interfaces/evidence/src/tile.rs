@@ -44,6 +44,7 @@ pub struct CellIndex {
 
 impl CellIndex {
     /// The cell (x, y).
+    #[inline]
     pub const fn new(x: i32, y: i32) -> Self {
         Self { x, y }
     }
@@ -97,19 +98,24 @@ impl Tile {
     /// Sets the score of the cell at `offset` and what follows from it in the coarser levels.
     #[inline]
     pub fn set_score(&mut self, offset: usize, score: u16) {
-        if self.score[offset] == score {
-            return;
-        }
-        self.score[offset] = score;
+        let before = std::mem::replace(&mut self.score[offset], score);
         let (x, y) = (offset & (TILE_SIDE - 1), offset >> SIDE_SHIFT);
-        let half = (y / 2) * (TILE_SIDE / 2) + x / 2;
-        let pooled = greatest_of_block(&self.score, TILE_SIDE, x / 2, y / 2);
-        if self.score_half[half] == pooled {
+        let half = &mut self.score_half[(y / 2) * (TILE_SIDE / 2) + x / 2];
+        let pooled = if score >= *half {
+            score
+        } else if before == *half {
+            greatest_of_block(&self.score, TILE_SIDE, x / 2, y / 2)
+        } else {
+            // Another cell of the block is the greatest, as before.
             return;
+        };
+        let before = std::mem::replace(half, pooled);
+        let quarter = &mut self.score_quarter[(y / 4) * (TILE_SIDE / 4) + x / 4];
+        if pooled >= *quarter {
+            *quarter = pooled;
+        } else if before == *quarter {
+            *quarter = greatest_of_block(&self.score_half, TILE_SIDE / 2, x / 4, y / 4);
         }
-        self.score_half[half] = pooled;
-        let quarter = (y / 4) * (TILE_SIDE / 4) + x / 4;
-        self.score_quarter[quarter] = greatest_of_block(&self.score_half, TILE_SIDE / 2, x / 4, y / 4);
     }
 }
 

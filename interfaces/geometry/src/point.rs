@@ -12,6 +12,7 @@ pub struct Point {
 
 impl Point {
     /// The point at (x, y) metres.
+    #[inline]
     pub const fn new(x_m: f64, y_m: f64) -> Self {
         Self { x_m, y_m }
     }

@@ -12,5 +12,5 @@ mod writer;
 pub use error::JournalError;
 pub use format::{PARTS_MAX, RECORD_BYTES_MAX, VERSION};
 pub use reader::{Ending, Record, RecordReader};
-pub use replace::{Durability, remove_leftovers, replace_file};
+pub use replace::{Durability, remove_leftovers, replace_file, replace_file_by_parts};
 pub use writer::RecordWriter;

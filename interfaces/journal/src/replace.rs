@@ -23,8 +23,20 @@ static COUNTER: AtomicU64 = AtomicU64::new(0);
 /// # Errors
 /// When the disk refuses; the old file is then untouched.
 pub fn replace_file(path: &Path, bytes: &[u8], durability: Durability) -> Result<(), JournalError> {
+    replace_file_by_parts(path, &[bytes], durability)
+}
+
+/// As [`replace_file`], for bytes that lie in several places: large ones need not be copied together.
+///
+/// # Errors
+/// As [`replace_file`].
+pub fn replace_file_by_parts(
+    path: &Path,
+    parts: &[&[u8]],
+    durability: Durability,
+) -> Result<(), JournalError> {
     let temporary = temporary_of(path)?;
-    let replaced = write_new(&temporary, bytes, durability)
+    let replaced = write_new(&temporary, parts, durability)
         .and_then(|()| fs::rename(&temporary, path))
         .map_err(JournalError::io("replace", path));
     if replaced.is_err() {
@@ -74,9 +86,9 @@ fn writer_of(name: &OsStr) -> Option<u32> {
     fields.next()?.parse().ok()
 }
 
-fn write_new(path: &Path, bytes: &[u8], durability: Durability) -> io::Result<()> {
+fn write_new(path: &Path, parts: &[&[u8]], durability: Durability) -> io::Result<()> {
     let mut file = OpenOptions::new().write(true).create(true).truncate(true).open(path)?;
-    file.write_all(bytes)?;
+    parts.iter().try_for_each(|bytes| file.write_all(bytes))?;
     if durability == Durability::Power { file.sync_all() } else { Ok(()) }
 }
 

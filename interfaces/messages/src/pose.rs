@@ -4,7 +4,7 @@ use flockslam_geometry::{Covariance, Pose, Twist};
 
 message! {
     /// Where the robot was at a scan, published for every scan.
-    pub struct PoseEstimate = "flockslam/pose/v1" {
+    pub struct PoseEstimate = "flockslam/pose/v2" {
         /// The scan.
         pub id: ScanId,
         /// Its times, as in the scan.
@@ -33,8 +33,9 @@ message! {
         pub flags: u32,
         /// Why the filter dropped the scan (a `DropReason` as number), 0 when it was kept.
         pub drop_reason: u32,
-        /// Reserved, zero.
-        pub reserved: u32,
+        /// Number of the chain of submaps, from 0. A robot that stays lost begins a new one: how it lies to those before is not
+        /// known from driving, only from closures.
+        pub chain: u32,
     }
 }
 

@@ -25,7 +25,7 @@ pub fn run(args: &MapArgs) -> Result<(), CommandError> {
             )));
         }
     };
-    let outcome = run_set(&args.run, Run { source, world: None, scans })?;
+    let outcome = run_set(&args.run, Run { source, world: None, scans, refine: args.refine })?;
     say(&summary(&args.run.out, &outcome.report));
     Ok(())
 }

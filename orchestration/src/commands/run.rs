@@ -1,12 +1,14 @@
 //! One run of a process set, from its start to its outputs.
 
 use super::CommandError;
+use super::accounting::{SharedMemoryPeak, sum_up};
 use super::progress_bar::RunProgress;
 use crate::cli::RunArgs;
 use crate::configuration::Configuration;
+use crate::epoch;
 use crate::outputs::{
     CellState, LatencyMicroseconds, LoopClosures, OccupancyImage, PictureTracks, Report, StageReport,
-    TrajectoryPoint, write_map, write_picture, write_report, write_trajectory,
+    TrajectoryPoint, map_hash, write_map, write_picture, write_report, write_trajectory,
 };
 use crate::supervisor::{ProcessSet, SetEvent, SetFile};
 use flockslam_bus::RuntimeDir;
@@ -14,7 +16,7 @@ use flockslam_lidar_ingest::process::Source;
 use flockslam_messages::Stage;
 use flockslam_scan_matcher::process::LOST;
 use flockslam_stage::results::{self, StampedPose, StoredMap, Summary};
-use flockslam_stage::{Mode, metrics_socket, read_reports};
+use flockslam_stage::{MemoryUse, Mode, StageError, SubmapStore, metrics_socket, read_reports};
 use flockslam_telemetry::{LatencyHistogram, MetricsEndpoint, merge_expositions, scrape};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -30,6 +32,8 @@ pub struct Run {
     pub world: Option<PathBuf>,
     /// Scans in the source, when that is known.
     pub scans: Option<u64>,
+    /// Whether all scans are matched once more at the end.
+    pub refine: bool,
 }
 
 /// What a run gave.
@@ -40,6 +44,8 @@ pub struct Outcome {
     pub last: Vec<TrajectoryPoint>,
     /// The trajectory as it was published at the time.
     pub online: Vec<TrajectoryPoint>,
+    /// The refined trajectory, when it was asked for.
+    pub refined: Option<Vec<TrajectoryPoint>>,
     /// The exact trajectory, when the source knows it.
     pub truth: Option<Vec<StampedPose>>,
 }
@@ -52,7 +58,11 @@ pub struct Outcome {
 pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
     flockslam_telemetry::init_tracing("supervisor");
     let given = &args.configuration;
-    let configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
+    let mut configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
+    configuration.sync_manager.refine |= run.refine;
+    if configuration.sync_manager.refine {
+        keep_everything(&mut configuration);
+    }
     prepare_directory(&args.out)?;
     // A recorded source has no pace of its own; a pipe has.
     let paced = args.live && run.source != Source::Pipe;
@@ -71,21 +81,37 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
     };
     let mut set = ProcessSet::start(&name, file)?;
     let _metrics = args.metrics_port.map(|port| serve_metrics(&set, port)).transpose()?;
-    watch(&mut set, run.scans, &interrupts)?;
-    let shared_memory_bytes = set.runtime().occupied_bytes();
+    let mut shared_memory = SharedMemoryPeak::default();
+    watch(&mut set, run.scans, &interrupts, &mut shared_memory)?;
+    shared_memory.look(set.runtime());
+    let own_memory = MemoryUse::of_this_process();
     set.stop();
-    let finished =
-        Finished { set: &set, started, shared_memory_bytes, source: describe(&run.source), configuration };
+    let shared_memory_bytes = shared_memory.bytes();
+    let source = describe(&run.source);
+    let finished = Finished { set: &set, started, shared_memory_bytes, own_memory, source, configuration };
     write_outputs(&args.out, &finished)
 }
 
-fn watch(set: &mut ProcessSet, scans: Option<u64>, interrupts: &AtomicUsize) -> Result<(), CommandError> {
+/// What has been settled or has retired cannot be refined.
+fn keep_everything(configuration: &mut Configuration) {
+    configuration.sync_manager.visits_kept = 0;
+    configuration.sync_manager.retire_covered_by = 0;
+}
+
+fn watch(
+    set: &mut ProcessSet,
+    scans: Option<u64>,
+    interrupts: &AtomicUsize,
+    shared_memory: &mut SharedMemoryPeak,
+) -> Result<(), CommandError> {
     let progress = RunProgress::new(scans);
     let (mut done, mut advanced) = (0, Instant::now());
     loop {
         // A set that is idle is looked at less often.
         let limit_ms = if advanced.elapsed() < Duration::from_secs(1) { 20 } else { 100 };
-        match set.watch(Duration::from_millis(limit_ms)) {
+        let event = set.watch(Duration::from_millis(limit_ms));
+        shared_memory.look_sometimes(set.runtime());
+        match event {
             Ok(SetEvent::Finished) => break,
             Ok(SetEvent::Progress(scans)) if scans > done => {
                 (done, advanced) = (scans, Instant::now());
@@ -167,6 +193,7 @@ struct Finished<'a> {
     set: &'a ProcessSet,
     started: Instant,
     shared_memory_bytes: u64,
+    own_memory: MemoryUse,
     source: String,
     configuration: Configuration,
 }
@@ -177,19 +204,44 @@ fn write_outputs(out: &Path, run: &Finished<'_>) -> Result<Outcome, CommandError
     let last = points(&read(results::FINAL_TRAJECTORY)?);
     let online = points(&read(results::ONLINE_TRAJECTORY)?);
     let summary = results::read_summary(&directory).map_err(CommandError::failed)?;
-    let stored = results::read_map(&directory).map_err(CommandError::failed)?;
-    let map = occupancy(&stored);
+    let (stored, refined) = match refine(out, run).map_err(CommandError::failed)? {
+        Some((map, trajectory)) => (map, Some(trajectory)),
+        None => (results::read_map(&directory).map_err(CommandError::failed)?, None),
+    };
+    let (map, map_hash) = (occupancy(&stored), map_hash(&stored));
+    // Several times larger than the picture of it.
+    drop(stored);
     let write = || {
         write_trajectory(&out.join("trajectory.tum"), &last)?;
         write_trajectory(&out.join("trajectory_online.tum"), &online)?;
+        if let Some(refined) = &refined {
+            write_trajectory(&out.join("trajectory_refined.tum"), refined)?;
+        }
         write_map(out, &map)?;
-        write_picture(&out.join("map.png"), &map, PictureTracks { main: &last, other: &[] })
+        write_picture(
+            &out.join("map.png"),
+            &map,
+            PictureTracks { main: refined.as_ref().unwrap_or(&last), other: &[] },
+        )
     };
     write().map_err(CommandError::failed)?;
-    let report = report(run, &summary, &map, &last, map_hash(&stored))?;
+    let report = report(run, &summary, &map, &last, map_hash)?;
     write_report(&out.join("report.json"), &report).map_err(CommandError::failed)?;
     let truth = results::read_trajectory(&directory, results::TRUE_TRAJECTORY).ok();
-    Ok(Outcome { report, last, online, truth })
+    Ok(Outcome { report, last, online, refined, truth })
+}
+
+/// Makes the map of refined poses, when they were asked for: the map and the trajectory.
+fn refine(out: &Path, run: &Finished<'_>) -> Result<Option<(StoredMap, Vec<TrajectoryPoint>)>, StageError> {
+    if !run.configuration.sync_manager.refine {
+        return Ok(None);
+    }
+    let (runtime, submaps) = (run.set.runtime(), out.join("submaps"));
+    let layout = results::read_layout(&runtime.results())?;
+    let rows = results::read_trajectory(&runtime.results(), results::REFINED_TRAJECTORY)?;
+    epoch::keep_originals(&SubmapStore::new(&runtime.submaps()), &layout, &submaps)?;
+    let map = epoch::rebuild(&runtime.journal(), &run.configuration, &rows, &layout, &submaps)?;
+    Ok(Some((StoredMap::of(&map), points(&rows))))
 }
 
 /// A stored trajectory as the outputs take it.
@@ -206,22 +258,6 @@ fn occupancy(map: &StoredMap) -> OccupancyImage {
     };
     let cells = map.cells.iter().map(state).collect();
     OccupancyImage::new(map.width, map.height, map.cell_size_m, map.origin, cells)
-}
-
-/// Names the fused map: blake3 over its place, its size and every cell.
-fn map_hash(map: &StoredMap) -> String {
-    let mut hasher = blake3::Hasher::new();
-    for number in [map.width as u64, map.height as u64] {
-        hasher.update(&number.to_le_bytes());
-    }
-    for number in [map.cell_size_m, map.origin.x_m, map.origin.y_m] {
-        hasher.update(&number.to_bits().to_le_bytes());
-    }
-    for cell in &map.cells {
-        hasher.update(&cell.occupied.to_le_bytes());
-        hasher.update(&cell.free.to_le_bytes());
-    }
-    hasher.finalize().to_hex().to_string()
 }
 
 fn report(
@@ -247,7 +283,7 @@ fn report(
     let scans = summary.scans + lost;
     let wall_s = run.started.elapsed().as_secs_f64();
     let length = |pair: &[TrajectoryPoint]| pair[0].map_from_base.distance_m(pair[1].map_from_base);
-    Ok(Report {
+    let mut report = Report {
         version: crate::VERSION.to_owned(),
         source: run.source.clone(),
         configuration: serde_json::to_value(&run.configuration).map_err(CommandError::failed)?,
@@ -266,6 +302,11 @@ fn report(
         shared_memory_bytes: run.shared_memory_bytes,
         map_hash,
         submaps: summary.submaps,
+        submaps_retired: summary.submaps_retired,
+        submap_bytes: summary.submap_bytes,
+        submap_bytes_per_m2: summary.submap_bytes as f64 / summary.submap_area_m2.max(1.0),
+        chains: summary.chains,
+        detached_scans: summary.detached_scans,
         loop_closures: LoopClosures {
             tried: summary.closures_tried,
             accepted: summary.closures_accepted,
@@ -273,7 +314,11 @@ fn report(
         },
         map_area_m2: map.known_area_m2(),
         trajectory_length_m: trajectory.windows(2).map(length).sum(),
-    })
+        ..Report::default()
+    };
+    let all = Stage::ALL.into_iter().flat_map(|stage| read_reports(&status, stage.name()));
+    sum_up(&mut report, run.own_memory, all.map(|process| process.file_bytes).max().unwrap_or(0));
+    Ok(report)
 }
 
 fn stage_report(status: &Path, stage: Stage, pids: &[u32], restarts: u64) -> (String, StageReport) {
@@ -285,6 +330,7 @@ fn stage_report(status: &Path, stage: Stage, pids: &[u32], restarts: u64) -> (St
         restarts,
         cpu_s: reports.iter().map(|report| report.cpu_s).sum(),
         peak_rss_bytes: reports.iter().map(|report| report.peak_rss_bytes).max().unwrap_or(0),
+        peak_private_bytes: reports.iter().map(|report| report.peak_private_bytes).max().unwrap_or(0),
         latency_us: microseconds(&latency),
     };
     (stage.name().to_owned(), report)
@@ -305,12 +351,14 @@ pub fn summary(out: &Path, report: &Report) -> String {
     let share = 100.0 * dropped as f64 / report.scans.max(1) as f64;
     let closures = report.loop_closures.accepted.saturating_sub(report.loop_closures.revoked);
     let rejected: BTreeMap<_, _> = report.rejected.iter().filter(|(_, count)| **count > 0).collect();
+    let refines = report.configuration["sync_manager"]["refine"] == true;
+    let refined = if refines { "trajectory_refined.tum, submaps/, " } else { "" };
     let bad = if rejected.is_empty() { String::new() } else { format!("bad lines skipped: {rejected:?}\n") };
     format!(
         "{} scans in {:.1} s ({:.0} scans/s), {share:.0} % dropped by the filter\n\
          {:.0} m driven, {:.0} m² mapped, {} submaps, {closures} loop closures in force\n\
          {bad}map {}\n\
-         wrote trajectory.tum, trajectory_online.tum, map.pgm, map.yaml, map.png, report.json to {}\n",
+         wrote trajectory.tum, trajectory_online.tum, {refined}map.pgm, map.yaml, map.png, report.json to {}\n",
         report.scans,
         report.wall_s,
         report.scans_per_s,

@@ -4,15 +4,17 @@
 mod canvas;
 mod glyphs;
 mod map_files;
+mod map_hash;
 mod occupancy;
 mod picture;
 mod report;
 mod trajectory;
 
 pub use map_files::{render_pgm, render_yaml, write_map};
+pub use map_hash::map_hash;
 pub use occupancy::{CellState, OccupancyImage};
 pub use picture::{PictureTracks, render_picture, write_picture};
-pub use report::{LatencyMicroseconds, LoopClosures, Report, StageReport, write_report};
+pub use report::{LatencyMicroseconds, LoopClosures, ProcessUse, Report, StageReport, write_report};
 pub use trajectory::{TrajectoryPoint, render_trajectory, write_trajectory};
 
 use flockslam_journal::{Durability, JournalError, replace_file};

@@ -29,12 +29,31 @@ pub struct Report {
     pub scan_to_pose_us: LatencyMicroseconds,
     /// Each stage by name.
     pub stages: BTreeMap<String, StageReport>,
-    /// Shared memory and files on tmpfs that the process set occupied at its end, bytes.
+    /// The supervisor's own share; its latency does not exist.
+    pub supervisor: ProcessUse,
+    /// Processor time of the whole set, supervisor included, from the start of each process to its end, seconds.
+    pub cpu_s: f64,
+    /// Peak of the memory of the whole set, each page counted once, bytes: the private peaks of all processes, as if they coincided,
+    /// `shared_memory_bytes`, and `file_bytes`; or what is left while the outputs are written, should that be more.
+    pub memory_bytes: u64,
+    /// Peak of the set's shared-memory objects and files on tmpfs, bytes.
     pub shared_memory_bytes: u64,
+    /// Pages of the executable and its libraries, which all processes share: the most that one of them had mapped, bytes.
+    pub file_bytes: u64,
     /// Hash of the fused map, hexadecimal: equal for equal maps.
     pub map_hash: String,
     /// Submaps that were closed.
     pub submaps: u64,
+    /// Of those, submaps that left the map again, since newer ones know all that they knew.
+    pub submaps_retired: u64,
+    /// Bytes of all stored submaps.
+    pub submap_bytes: u64,
+    /// The same by the area that each of them knows, bytes/m².
+    pub submap_bytes_per_m2: f64,
+    /// Chains of submaps: more than one when the robot was lost and mapped anew.
+    pub chains: u64,
+    /// Scans of chains that no closure connects with the map: their poses are guesses, and the map is without them.
+    pub detached_scans: u64,
     /// Loop closures.
     pub loop_closures: LoopClosures,
     /// Area that is known to be free or occupied, m².
@@ -52,10 +71,25 @@ pub struct StageReport {
     pub restarts: u64,
     /// Processor time of all of them, user and system, seconds.
     pub cpu_s: f64,
-    /// Largest resident memory of one of them, bytes.
+    /// Largest resident memory of one of them, bytes. It includes what is shared with others.
     pub peak_rss_bytes: u64,
+    /// Largest private memory of one of them, bytes: heap, stacks, changed pages of files; no shared memory.
+    pub peak_private_bytes: u64,
     /// Time in the stage's logic per scan.
     pub latency_us: LatencyMicroseconds,
+}
+
+/// What a process that is not a stage used.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ProcessUse {
+    /// Processor time, user and system, seconds.
+    pub cpu_s: f64,
+    /// Largest resident memory, bytes.
+    pub peak_rss_bytes: u64,
+    /// Largest private memory while the stages ran, bytes.
+    pub peak_private_bytes: u64,
+    /// Largest private memory while the outputs were written, the stages having ended, bytes.
+    pub outputs_private_bytes: u64,
 }
 
 /// A distribution of durations, microseconds.

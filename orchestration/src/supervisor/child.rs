@@ -1,5 +1,5 @@
 use flockslam_messages::Stage;
-use rustix::process::{Pid, PidfdFlags, pidfd_open};
+use rustix::process::{Pid, PidfdFlags, getpriority_process, pidfd_open, setpriority_process};
 use std::os::fd::OwnedFd;
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -30,8 +30,14 @@ impl StageChild {
         Self { stage, pids: Vec::new(), process: None, started: Instant::now(), hasty_deaths: 0, due: None }
     }
 
-    /// Starts a process of this executable as the stage.
-    pub fn start(&mut self, executable: &Path, set_dir: &Path, reads_stdin: bool) -> std::io::Result<()> {
+    /// Starts a process of this executable as the stage, so many steps of niceness behind this one.
+    pub fn start(
+        &mut self,
+        executable: &Path,
+        set_dir: &Path,
+        reads_stdin: bool,
+        niceness: i32,
+    ) -> std::io::Result<()> {
         let mut command = Command::new(executable);
         command.args(["stage", self.stage.name(), "--set-dir"]).arg(set_dir);
         command.arg("--parent").arg(std::process::id().to_string());
@@ -39,6 +45,10 @@ impl StageChild {
         let child = command.spawn()?;
         let pid = Pid::from_child(&child);
         let death = pidfd_open(pid, PidfdFlags::empty())?;
+        if niceness > 0 {
+            // A process that has ended already needs none; its end is noticed by its descriptor.
+            let _ = setpriority_process(Some(pid), getpriority_process(None)? + niceness);
+        }
         self.pids.push(child.id());
         self.process = Some((child, death));
         self.started = Instant::now();

@@ -99,7 +99,7 @@ impl ProcessSet {
     pub fn start(name: &str, set: SetFile) -> Result<Self, SetError> {
         let executable =
             std::env::current_exe().map_err(|source| SetError::Start { stage: "flockslam", source })?;
-        let runtime = RuntimeDir::create(name)?;
+        let runtime = RuntimeDir::create_spilling(name, set.configuration.set.spill_dir.as_deref())?;
         let bus = Bus::host(&runtime, set.options.capacity())?;
         set.write(&runtime.configuration())?;
         let mut started = Self {
@@ -133,11 +133,12 @@ impl ProcessSet {
     }
 
     fn spawn(&mut self, at: usize) -> Result<(), SetError> {
+        let mode = self.set.options.mode;
         let child = &mut self.children[at];
         let reads_stdin = child.stage == Stage::LidarIngest;
         let stage = child.stage.name();
         child
-            .start(&self.executable, self.runtime.path(), reads_stdin)
+            .start(&self.executable, self.runtime.path(), reads_stdin, niceness(child.stage, mode))
             .map_err(|source| SetError::Start { stage, source })
     }
 
@@ -287,6 +288,11 @@ impl Drop for ProcessSet {
             });
         }
     }
+}
+
+/// Steps that a stage yields to the others of its set: live, a pose is awaited, and a loop closure can be a little later.
+fn niceness(stage: Stage, mode: Mode) -> i32 {
+    if mode == Mode::Live && stage == Stage::SyncManager { 10 } else { 0 }
 }
 
 /// Where a stage writes why it could not go on.

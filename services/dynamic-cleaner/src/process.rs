@@ -50,7 +50,7 @@ impl Cleaner {
     /// Whether the grid that the pose was found in is the present one.
     fn grid_is_ready(&self, pose: &PoseEstimate) -> bool {
         let generation = self.grid.committed().map_or(0, |commit| commit.generation);
-        generation == pose.generation
+        generation >= pose.generation
     }
 
     fn clean(

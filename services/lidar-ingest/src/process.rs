@@ -5,6 +5,7 @@ mod cursor;
 mod feed;
 mod pacer;
 mod pipe;
+mod truth;
 mod world_file;
 
 use crate::{Settings, simulation};
@@ -28,7 +29,7 @@ pub enum Source {
     Log(PathBuf),
     /// CARMEN lines on the standard input of the process.
     Pipe,
-    /// The simulated building.
+    /// The simulated world.
     Simulation,
 }
 
@@ -41,9 +42,9 @@ pub struct Task {
     pub rate: Option<f64>,
     /// Settings of the stage.
     pub settings: Settings,
-    /// Settings of the simulated building.
+    /// Settings of the simulated world.
     pub simulation: simulation::Settings,
-    /// The YAML file of a map (nav2 conventions) to simulate in, in place of the built-in building.
+    /// The YAML file of a map (nav2 conventions) to simulate in, in place of a built-in world.
     pub world: Option<PathBuf>,
 }
 
@@ -54,6 +55,15 @@ const CONSUMERS: [Stage; 5] =
 const EPOCH: u32 = 1;
 /// Large scans on their way at once: their topic has a buffer of two.
 const LARGE_CREDIT: u64 = 2;
+
+/// Who is woken for each scan. Live, the matcher wakes up while the filter judges: one after the other they would take as
+/// long again as the matching itself.
+fn first_stages(mode: Mode) -> &'static [Stage] {
+    match mode {
+        Mode::Exact => &[Stage::CorrelationFilter],
+        Mode::Live => &[Stage::CorrelationFilter, Stage::ScanMatcher],
+    }
+}
 
 /// Runs the stage until it is asked to stop.
 ///
@@ -73,7 +83,8 @@ struct Ingest {
     control: Publisher<Control>,
     progress: Subscriber<Progress>,
     bells: Vec<BellRinger>,
-    filter: BellRinger,
+    /// Who looks at a scan first.
+    first: Vec<BellRinger>,
     done: [u64; CONSUMERS.len()],
     scan: ScanBuffer,
     /// A scan is in `scan` and not yet sent.
@@ -100,7 +111,10 @@ impl Ingest {
             control: context.bus.publisher()?,
             progress: context.bus.subscriber()?,
             bells,
-            filter: context.bus.ringer(Stage::CorrelationFilter.name())?,
+            first: first_stages(context.mode)
+                .iter()
+                .map(|stage| context.bus.ringer(stage.name()))
+                .collect::<Result<_, _>>()?,
             done: [0; CONSUMERS.len()],
             scan: ScanBuffer::default(),
             loaded: false,
@@ -142,7 +156,11 @@ impl Ingest {
         header.times.utc_ns = utc_ns();
         let view = self.scan.view().map_err(|problem| StageError::Source(problem.to_string()))?;
         self.scans.send(view)?;
-        self.filter.ring();
+        self.first.iter().for_each(BellRinger::ring);
+        if context.mode == Mode::Live {
+            // Whoever was woken may wait for this very processor: reading the next scan has time.
+            std::thread::yield_now();
+        }
         self.loaded = false;
         self.sequence += 1;
         if let Some(cursor) = &mut self.cursor {
@@ -155,7 +173,7 @@ impl Ingest {
     fn tell_the_end(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.ended = true;
         self.report(context);
-        self.feed.store_truth(&context.result_dir)?;
+        self.feed.store_truth()?;
         self.repeat_the_end()
     }
 

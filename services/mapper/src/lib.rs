@@ -2,8 +2,10 @@
 
 mod mapper;
 pub mod process;
+mod score;
 mod settings;
 mod window;
+mod window_tile;
 
 pub use mapper::{Insertion, Mapper};
 pub use settings::{ReadOut, SensorModelKind, Settings};

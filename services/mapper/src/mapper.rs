@@ -16,6 +16,7 @@ pub struct Mapper {
     left_cleared: Vec<Submap>,
     active: Option<ActiveSubmap>,
     number: u32,
+    chain: u32,
     generation: u64,
     ends: Vec<Point>,
 }
@@ -41,8 +42,8 @@ pub struct Insertion<'a> {
     pub retired: &'a [TileKey],
     /// Submap that the next scan enters.
     pub active_submap: u32,
-    /// The submap that this scan was the last of.
-    pub closed: Option<Submap>,
+    /// The submaps that this scan closed: the one that it was the last of, and the one before when a new chain begins with it.
+    pub closed: Vec<Submap>,
 }
 
 impl Mapper {
@@ -55,6 +56,7 @@ impl Mapper {
             left_cleared: Vec::new(),
             active: None,
             number: 0,
+            chain: 0,
             generation: 0,
             ends: Vec::new(),
             settings,
@@ -67,6 +69,7 @@ impl Mapper {
         self.window.begin_scan();
         for submap in closed {
             self.number = submap.number + 1;
+            self.enter_chain(submap.chain);
             self.window.add_submap(&submap);
             self.remember(submap);
         }
@@ -81,6 +84,11 @@ impl Mapper {
         cleared: &[ClearedCell],
     ) -> Insertion<'_> {
         self.window.begin_scan();
+        let mut closed = Vec::new();
+        if pose.chain != self.chain {
+            closed.extend(self.close_active());
+            self.enter_chain(pose.chain);
+        }
         for cell in cleared {
             self.clear(CellIndex::new(cell.x, cell.y));
         }
@@ -93,8 +101,11 @@ impl Mapper {
             &self.ends,
             &mut self.window,
         );
+        self.window.end_rays();
         let full = self.advance(scan.header().id.sequence, odom_from_base);
-        let closed = if full { self.close_active() } else { None };
+        if full {
+            closed.extend(self.close_active());
+        }
         self.window.end_scan();
         self.generation += 1;
         Insertion {
@@ -185,6 +196,7 @@ impl Mapper {
         let active = self.active.take()?;
         let submap = Submap {
             number: self.number,
+            chain: self.chain,
             insertions: active.insertions,
             first: active.first,
             last: active.last,
@@ -197,6 +209,16 @@ impl Mapper {
             self.remember(submap.clone());
         }
         Some(submap)
+    }
+
+    /// Empties the window when another chain begins: what came before lies nobody knows how to it.
+    fn enter_chain(&mut self, chain: u32) {
+        if chain == self.chain {
+            return;
+        }
+        self.chain = chain;
+        self.window.clear_all();
+        self.left_cleared.extend(self.closed.drain(..).filter(Submap::has_cleared));
     }
 
     /// Keeps a closed submap while it is in a bounded window, and lets the oldest leave.
@@ -246,7 +268,7 @@ mod tests {
             let at = pose(0.3 * i as f64, (i as f64).sin(), 0.1 * i as f64);
             mapper.insert(scan(i, &ranges).view().unwrap(), &at, &[]).closed
         };
-        steps.filter_map(step).collect()
+        steps.flat_map(step).collect()
     }
 
     fn window_of(mapper: &Mapper) -> Vec<(TileKey, Tile)> {
@@ -265,7 +287,7 @@ mod tests {
         let mut buffer = scan(5, &[2.02, 25.0, 0.2, f32::NAN]);
         buffer.header.angle_min_rad = 0.0;
         let insertion = mapper.insert(buffer.view().unwrap(), &pose(0.01, 0.02, 0.0), &[]);
-        assert_eq!((insertion.generation, insertion.active_submap, insertion.closed), (1, 0, None));
+        assert_eq!((insertion.generation, insertion.active_submap, insertion.closed.len()), (1, 0, 0));
         assert_eq!((insertion.changed, insertion.retired), (&[TileKey { x: 0, y: 0 }][..], &[][..]));
         let mut tile = Tile::unknown(0);
         assert!(mapper.write_tile(TileKey { x: 0, y: 0 }, &mut tile));
@@ -341,6 +363,28 @@ mod tests {
         let cleared = mapper.take_cleared();
         assert!(!cleared.is_empty() && cleared.iter().all(Submap::has_cleared));
         assert!(mapper.take_cleared().is_empty());
+    }
+
+    #[test]
+    fn a_new_chain_begins_with_an_empty_window_and_leaves_the_old_submaps_as_they_are() {
+        let mut mapper = Mapper::new(Settings::default());
+        let before = drive(&mut mapper, 0..40);
+        let start = PoseEstimate { chain: 1, ..pose(3.0, 1.0, 0.5) };
+        let insertion = mapper.insert(scan(40, &[3.0; 100]).view().unwrap(), &start, &[]);
+        assert_eq!((insertion.closed.len(), insertion.closed[0].last), (1, 39));
+        assert_eq!(insertion.closed[0].chain, 0);
+        assert!(!insertion.retired.is_empty());
+        assert!(insertion.changed.iter().all(|key| !insertion.retired.contains(key)));
+        let closed = insertion.closed[0].clone();
+        let mut alone = Mapper::new(Settings::default());
+        alone.insert(scan(40, &[3.0; 100]).view().unwrap(), &start, &[]);
+        assert_eq!(window_of(&mapper), window_of(&alone));
+        let last = mapper.close().unwrap();
+        assert_eq!((last.chain, last.number), (1, closed.number + 1));
+
+        let mut resumed = Mapper::new(Settings::default());
+        resumed.resume([before, vec![closed, last]].concat(), 41);
+        assert_eq!(window_of(&resumed), window_of(&mapper));
     }
 
     #[test]

@@ -2,11 +2,11 @@
 //! submaps, and rebuilds itself from journal and store when it starts.
 
 use crate::{Mapper, Settings};
-use flockslam_bus::{BellRinger, Publisher, SliceSubscriber};
+use flockslam_bus::{BellRinger, Publisher, SliceSubscriber, TilePublisher};
 use flockslam_evidence::{Submap, TileKey};
 use flockslam_messages::{
     ClearedCell, Commit, Control, ControlKind, DropReason, MarksHeader, PoseEstimate, PoseFlags, ScanView,
-    Stage, SubmapClosed, TileMessage,
+    Stage, SubmapClosed,
 };
 use flockslam_stage::{
     Acknowledger, Actor, JournalReader, Mode, PendingScans, PoseQueue, StageContext, StageError, StreamEnd,
@@ -49,7 +49,7 @@ struct MapperProcess {
 
 /// Everything that the mapper tells others.
 struct Output {
-    tiles: Publisher<TileMessage>,
+    tiles: TilePublisher,
     commits: Publisher<Commit>,
     submaps: Publisher<SubmapClosed>,
     control: Publisher<Control>,
@@ -63,7 +63,7 @@ impl MapperProcess {
     fn open(context: &mut StageContext, settings: Settings) -> Result<Self, StageError> {
         let bus = &context.bus;
         let output = Output {
-            tiles: bus.publisher()?,
+            tiles: TilePublisher::open(bus)?,
             commits: bus.publisher()?,
             submaps: bus.publisher()?,
             control: bus.publisher()?,
@@ -146,9 +146,7 @@ impl MapperProcess {
         self.output.matcher.ring();
         self.applied = pose.id.sequence + 1;
         self.last = Some(*pose);
-        if let Some(submap) = closed {
-            self.store_submap(&submap)?;
-        }
+        closed.iter().try_for_each(|submap| self.store_submap(submap))?;
         self.store_cleared()
     }
 
@@ -251,8 +249,8 @@ impl Output {
     fn send_tiles(&mut self, logic: &Mapper, generation: u64, cell_size_m: f64) -> Result<(), StageError> {
         let mut sent = 0;
         for key in &self.unsent {
-            let outcome = self.tiles.send_with(|message| {
-                (message.key, message.generation, message.cell_size_m) = (*key, generation, cell_size_m);
+            let outcome = self.tiles.send_with(*key, |message| {
+                (message.generation, message.cell_size_m) = (generation, cell_size_m);
                 logic.write_tile(*key, &mut message.tile);
             });
             if let Err(error) = outcome {
@@ -267,8 +265,8 @@ impl Output {
 
     fn retire(&mut self, keys: &[TileKey], generation: u64, cell_size_m: f64) -> Result<(), StageError> {
         for key in keys {
-            self.tiles.send_with(|message| {
-                (message.key, message.generation, message.cell_size_m) = (*key, generation, cell_size_m);
+            self.tiles.send_with(*key, |message| {
+                (message.generation, message.cell_size_m) = (generation, cell_size_m);
                 message.retired = 1;
             })?;
         }

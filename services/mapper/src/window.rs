@@ -1,95 +1,72 @@
-use crate::settings::{ReadOut, Settings};
+use crate::score::Scores;
+use crate::settings::Settings;
+use crate::window_tile::WindowTile;
 use flockslam_evidence::{
-    Cell, CellIndex, Masses, ObservedCells, PackedCell, Submap, SubmapTile, TILE_CELLS, Tile, TileDirectory,
-    TileKey, WEIGHT_SCALE,
+    Cell, CellIndex, CrossedCells, ObservedCells, PackedCell, Ray, Submap, SubmapTile, TILE_CELLS, Tile,
+    TileDirectory, TileKey,
 };
 
 /// The grid that is matched: the integer sum of the active submap and of closed ones, with its published form.
 #[derive(Debug)]
 pub(crate) struct Window {
     tiles: TileDirectory<Box<WindowTile>>,
-    read_out: ReadOut,
-    occupied_cap: u32,
-    free_cap: u32,
+    scores: Scores,
     scan: u32,
     /// Tiles that the active submap has evidence in.
     active: Vec<TileKey>,
     changed: Vec<TileKey>,
     retired: Vec<TileKey>,
-    rescored: Vec<CellIndex>,
-}
-
-/// A tile of the window. What an observation touches lies together.
-#[derive(Debug)]
-struct WindowTile {
-    published: Tile,
-    cells: [WindowCell; TILE_CELLS],
-    /// Scan that changed the tile last.
-    changed_by: u32,
-    /// Whether the tile is in the list of the active submap.
-    in_active: bool,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct WindowCell {
-    /// Evidence of the whole window.
-    sum: Cell,
-    /// Evidence of the active submap; capped as it will be when the submap is closed.
-    active: PackedCell,
-    /// Last scan that observed the cell.
-    observed_by: u32,
-}
-
-impl WindowTile {
-    fn new(unknown_score: u16) -> Box<Self> {
-        let empty = WindowCell { sum: Cell::UNKNOWN, active: PackedCell::UNKNOWN, observed_by: 0 };
-        Box::new(Self {
-            published: *Tile::unknown(unknown_score),
-            cells: [empty; TILE_CELLS],
-            changed_by: 0,
-            in_active: false,
-        })
-    }
+    /// Tiles that rays of the present scan cross, and the evidence that they leave there.
+    crossed: Vec<TileKey>,
+    crossing: Cell,
+    /// Takes the marks of rays where no tile can be.
+    nowhere: CrossedCells,
 }
 
 impl Window {
     pub(crate) fn new(settings: &Settings) -> Self {
-        let cap = |nat: f64| Cell::from_weights(nat, 0.0).occupied;
         Self {
             tiles: TileDirectory::default(),
-            read_out: settings.read_out,
-            occupied_cap: cap(settings.occupied_cap_nat),
-            free_cap: cap(settings.free_cap_nat),
+            scores: Scores::new(settings),
             scan: 0,
             active: Vec::new(),
             changed: Vec::new(),
             retired: Vec::new(),
-            rescored: Vec::new(),
+            crossed: Vec::new(),
+            crossing: Cell::UNKNOWN,
+            nowhere: CrossedCells::default(),
         }
     }
 
     /// Starts the next scan: what changes from here on is listed anew.
     pub(crate) fn begin_scan(&mut self) {
         self.scan = self.scan.checked_add(1).expect("fewer than 2^32 insertions");
-        self.changed.clear();
+        for key in self.changed.drain(..) {
+            if let Some(tile) = self.tiles.get_mut(key) {
+                tile.begin_scan();
+            }
+        }
         self.retired.clear();
     }
 
-    /// Brings the scores of all touched cells up to date and forgets the tiles that retired.
+    /// Gives the cells that rays have crossed their evidence. Called once, behind the last ray of a scan.
+    pub(crate) fn end_rays(&mut self) {
+        let mut crossed = std::mem::take(&mut self.crossed);
+        for key in crossed.drain(..) {
+            let tile = self.tiles.get_mut(key).expect("crossed tiles are in the window");
+            if tile.observe_crossed(self.crossing, &mut self.scores) {
+                note(key, tile, self.scan, &mut self.active, &mut self.changed);
+            }
+        }
+        self.crossed = crossed;
+    }
+
+    /// Ends the scan and forgets the tiles that retired.
     pub(crate) fn end_scan(&mut self) {
         self.retired.retain(|key| {
-            let known = |tile: &WindowTile| tile.cells.iter().any(|cell| !cell.sum.is_unknown());
-            let left = self.tiles.get(*key).is_some_and(|tile| !tile.in_active && !known(tile));
+            let left = self.tiles.get(*key).is_some_and(|tile| !tile.in_active && !tile.is_known());
             left && self.tiles.remove(*key).is_some()
         });
-        let mut rescored = std::mem::take(&mut self.rescored);
-        for cell in rescored.drain(..) {
-            let Some(tile) = self.tiles.get_mut(cell.tile()) else { continue };
-            let sum = tile.cells[cell.offset()].sum;
-            let score = score(self.read_out, sum, self.occupied_cap, self.free_cap);
-            tile.published.set_score(cell.offset(), score);
-        }
-        self.rescored = rescored;
         self.changed.retain(|key| self.tiles.get(*key).is_some());
         self.changed.sort_unstable();
     }
@@ -113,48 +90,53 @@ impl Window {
     /// Leaves of a cell's evidence only the active submap's for "free".
     pub(crate) fn clear(&mut self, cell: CellIndex) {
         if let Some(tile) = self.tiles.get_mut(cell.tile()) {
-            let place = &mut tile.cells[cell.offset()];
-            place.active.occupied = 0;
-            place.sum = place.active.unpack();
-            self.touch(cell);
+            let active = &mut tile.active[cell.offset()];
+            active.occupied = 0;
+            let left = active.unpack();
+            tile.set_sum(cell.offset(), left, &mut self.scores);
+            self.touch(cell.tile());
         }
-    }
-
-    /// Takes evidence that was in the window's sum out of a cell.
-    fn withdraw(&mut self, cell: CellIndex, evidence: PackedCell) {
-        if evidence.is_unknown() {
-            return;
-        }
-        let tile = self.tiles.get_mut(cell.tile()).expect("evidence lies in a tile");
-        let sum = tile.cells[cell.offset()].sum.withdraw(evidence.unpack());
-        tile.cells[cell.offset()].sum = sum.expect("the window holds what its submaps hold");
-        self.touch(cell);
     }
 
     /// Puts a closed submap's evidence into the sum.
     pub(crate) fn add_submap(&mut self, submap: &Submap) {
-        for tile in &submap.tiles {
-            for offset in 0..TILE_CELLS {
-                let evidence = tile.cell(offset);
-                if evidence.is_unknown() || !self.ensure(tile.key) {
-                    continue;
-                }
-                let cell = tile.key.cell(offset);
-                let place = &mut self.tiles.get_mut(tile.key).expect("ensured").cells[offset];
-                place.sum = place.sum.combine(evidence.unpack());
-                self.touch(cell);
-            }
-        }
+        self.change_sums(submap, Cell::combine);
     }
 
     /// Takes a closed submap's evidence out of the sum; its tiles retire if nothing else is in them.
     pub(crate) fn withdraw_submap(&mut self, submap: &Submap) {
-        for tile in &submap.tiles {
-            for offset in 0..TILE_CELLS {
-                self.withdraw(tile.key.cell(offset), tile.cell(offset));
+        self.change_sums(submap, |sum, evidence| {
+            sum.withdraw(evidence).expect("the window holds what its submaps hold")
+        });
+        self.retired.extend(submap.tiles.iter().map(|tile| tile.key));
+    }
+
+    /// Changes the sum of each cell that a submap has evidence of.
+    fn change_sums(&mut self, submap: &Submap, change: impl Fn(Cell, Cell) -> Cell) {
+        for part in &submap.tiles {
+            let evidence = |offset| Some(part.cell(offset)).filter(|cell| !cell.is_unknown());
+            let mut known = (0..TILE_CELLS).filter_map(|offset| Some((offset, evidence(offset)?))).peekable();
+            if known.peek().is_none() {
+                continue;
             }
-            self.retired.push(tile.key);
+            let Some(tile) = tile_at(&mut self.tiles, part.key, self.scores.unknown()) else { continue };
+            for (offset, evidence) in known {
+                let sum = change(tile.sums[offset], evidence.unpack());
+                tile.set_sum(offset, sum, &mut self.scores);
+            }
+            self.touch(part.key);
         }
+    }
+
+    /// Takes all evidence out; every tile retires.
+    pub(crate) fn clear_all(&mut self) {
+        self.retired.extend(self.tiles.iter().map(|(key, _)| key));
+        for key in &self.retired {
+            if let Some(tile) = self.tiles.get_mut(*key) {
+                *tile = WindowTile::new(self.scores.unknown());
+            }
+        }
+        self.active.clear();
     }
 
     /// Takes the active submap's cells out as closed tiles, sorted by key; the sum stays as it is.
@@ -165,9 +147,7 @@ impl Window {
             let tile = self.tiles.get_mut(key).expect("tiles with active evidence are in the window");
             tile.in_active = false;
             let mut cells = Box::new([PackedCell::UNKNOWN; TILE_CELLS]);
-            for (to, from) in cells.iter_mut().zip(&mut tile.cells) {
-                *to = std::mem::take(&mut from.active);
-            }
+            std::mem::swap(&mut *cells, &mut tile.active);
             closed.push(SubmapTile::new(key, cells));
         }
         self.active = keys;
@@ -175,67 +155,65 @@ impl Window {
         closed
     }
 
-    fn ensure(&mut self, key: TileKey) -> bool {
-        self.tiles.get(key).is_some() || self.tiles.set(key, WindowTile::new(self.read_out.unknown())).is_ok()
-    }
-
-    /// Publishes a cell's changed sum.
-    fn touch(&mut self, cell: CellIndex) {
-        let scan = self.scan;
-        let tile = self.tiles.get_mut(cell.tile()).expect("touched cells lie in tiles");
-        let sum = tile.cells[cell.offset()].sum;
-        tile.published.cells[cell.offset()] = sum.pack();
-        self.rescored.push(cell);
-        if tile.changed_by != scan {
-            tile.changed_by = scan;
-            self.changed.push(cell.tile());
+    /// Lists a tile as changed.
+    fn touch(&mut self, key: TileKey) {
+        let tile = self.tiles.get_mut(key).expect("touched tiles are in the window");
+        if tile.changed_by != self.scan {
+            tile.changed_by = self.scan;
+            self.changed.push(key);
         }
+    }
+}
+
+/// The tile of the window at a key, made if need be; `None` absurdly far away.
+#[inline]
+fn tile_at(
+    tiles: &mut TileDirectory<Box<WindowTile>>,
+    key: TileKey,
+    unknown_score: u16,
+) -> Option<&mut WindowTile> {
+    if tiles.get(key).is_none() {
+        tiles.set(key, WindowTile::new(unknown_score)).ok()?;
+    }
+    tiles.get_mut(key).map(|tile| &mut **tile)
+}
+
+/// Lists a tile as changed by the scan, and as one of the active submap's.
+fn note(key: TileKey, tile: &mut WindowTile, scan: u32, active: &mut Vec<TileKey>, changed: &mut Vec<TileKey>) {
+    if tile.changed_by != scan {
+        tile.changed_by = scan;
+        changed.push(key);
+    }
+    if !tile.in_active {
+        tile.in_active = true;
+        active.push(key);
     }
 }
 
 impl ObservedCells for Window {
     #[inline]
     fn observe(&mut self, cell: CellIndex, evidence: Cell) {
-        let (key, offset, scan) = (cell.tile(), cell.offset(), self.scan);
-        let tile = match self.tiles.get_mut(key) {
-            Some(tile) => tile,
-            None => {
-                // A cell absurdly far away is not part of any map.
-                if !self.ensure(key) {
-                    return;
-                }
-                self.tiles.get_mut(key).expect("ensured")
-            }
-        };
-        let place = &mut tile.cells[offset];
-        if place.observed_by == scan {
-            return;
-        }
-        place.observed_by = scan;
-        let before = place.active.unpack();
-        place.active = before.combine(evidence).pack();
-        let after = place.active.unpack();
-        place.sum = place
-            .sum
-            .combine(Cell { occupied: after.occupied - before.occupied, free: after.free - before.free });
-        tile.published.cells[offset] = place.sum.pack();
-        if !tile.in_active {
-            tile.in_active = true;
-            self.active.push(key);
-        }
-        if self.read_out == ReadOut::Vinyslam || place.sum.occupied > 0 {
-            self.rescored.push(cell);
-        }
-        if tile.changed_by != scan {
-            tile.changed_by = scan;
-            self.changed.push(key);
+        let key = cell.tile();
+        // A cell absurdly far away is not part of any map.
+        let Some(tile) = tile_at(&mut self.tiles, key, self.scores.unknown()) else { return };
+        if tile.observe(cell.offset(), evidence, &mut self.scores) {
+            note(key, tile, self.scan, &mut self.active, &mut self.changed);
         }
     }
-}
 
-/// Score of a cell's evidence, each weight counted up to its cap (units of the fixed point).
-fn score(read_out: ReadOut, sum: Cell, occupied_cap: u32, free_cap: u32) -> u16 {
-    let nat = |weight: u32| f64::from(weight) / WEIGHT_SCALE;
-    let masses = Masses::from_weights(nat(sum.occupied.min(occupied_cap)), nat(sum.free.min(free_cap)));
-    read_out.score(masses)
+    /// Only marks the cells: rays cross each other near the robot, and what many of them cross gets its evidence once.
+    fn observe_ray(&mut self, mut ray: Ray, evidence: Cell) {
+        self.crossing = evidence;
+        while let Some(key) = ray.tile() {
+            let Some(tile) = tile_at(&mut self.tiles, key, self.scores.unknown()) else {
+                ray.cross_tile(&mut self.nowhere);
+                continue;
+            };
+            if tile.crossed_by != self.scan {
+                tile.crossed_by = self.scan;
+                self.crossed.push(key);
+            }
+            ray.cross_tile(&mut tile.crossed);
+        }
+    }
 }

@@ -1,4 +1,5 @@
-use crate::field::{ScoreField, ScoreRead, nearest};
+use crate::bounds::NodeBounds;
+use crate::field::{ScoreField, ScoreRead};
 use flockslam_evidence::{CellIndex, Level, floor};
 use flockslam_geometry::{Point, Pose};
 
@@ -6,6 +7,10 @@ use flockslam_geometry::{Point, Pose};
 const POINTS_MAX: usize = 100;
 /// Headings tried at most on either side.
 const HEADINGS_MAX: i32 = 64;
+/// Nodes tried at most to either side.
+pub(crate) const REACH_MAX: i32 = 128;
+/// Points further away than this many cells of the widest level are left out of a search.
+const RADIUS_MAX: f64 = 512.0;
 
 /// Exhaustive search for a pose around a guess by branch and bound (Olson 2009; Hess et al. 2016, section V).
 ///
@@ -14,7 +19,9 @@ const HEADINGS_MAX: i32 = 64;
 #[derive(Clone, Debug, Default)]
 pub struct CorrelativeSearch {
     sample: Vec<Point>,
-    turned: Vec<Point>,
+    /// Where the sample ends at the heading that is looked at and the window's centre, in cells of the middle level.
+    ends: Vec<CellIndex>,
+    bounds: NodeBounds,
     nodes: Vec<Node>,
     found: Vec<(f64, Pose)>,
 }
@@ -51,13 +58,14 @@ impl CorrelativeSearch {
     ) -> &[(f64, Pose)] {
         self.found.clear();
         self.nodes.clear();
-        self.take_sample(points);
+        let step_m = field.reader(Level::Half).cell_size_m();
+        self.take_sample(points, step_m);
         if self.sample.is_empty() || wanted == 0 {
             return &self.found;
         }
-        let step_m = field.reader(Level::Half).cell_size_m();
         let step_rad = self.heading_step(step_m);
-        let floor_score = self.pooled_score(field, rival) + gain;
+        self.turn(rival, step_m);
+        let floor_score = mean_score(&mut field.reader(Level::Half), &self.ends, (0, 0)) + gain;
         self.bound_nodes(field, window, step_m, step_rad, floor_score);
         // Equal bounds are told apart by place: the result must not depend on the sort.
         self.nodes.sort_unstable_by(|a, b| {
@@ -76,18 +84,8 @@ impl CorrelativeSearch {
         &self.found
     }
 
-    fn take_sample(&mut self, points: &[Point]) {
-        let stride = points.len().div_ceil(POINTS_MAX).max(1);
-        self.sample.clear();
-        self.sample.extend(points.iter().step_by(stride));
-    }
-
-    fn pooled_score<F: ScoreField>(&mut self, field: &F, pose: Pose) -> f64 {
-        self.turn(pose.heading_rad);
-        let mut read = field.reader(Level::Half);
-        let per_metre = 1.0 / read.cell_size_m();
-        let score = |p: &Point| nearest(&mut read, per_metre, p.x_m + pose.x_m, p.y_m + pose.y_m);
-        self.turned.iter().map(score).sum::<f64>() / self.turned.len() as f64
+    fn take_sample(&mut self, points: &[Point], step_m: f64) {
+        sample(points, POINTS_MAX, 2.0 * step_m, &mut self.sample);
     }
 
     /// The turn that moves a typical point by one step.
@@ -96,10 +94,9 @@ impl CorrelativeSearch {
         (step_m / mean_range.max(step_m)).clamp(0.01, 0.06)
     }
 
-    fn turn(&mut self, heading_rad: f64) {
-        let turn = Pose::new(0.0, 0.0, heading_rad);
-        self.turned.clear();
-        self.turned.extend(self.sample.iter().map(|point| turn.apply(*point)));
+    fn turn(&mut self, pose: Pose, step_m: f64) {
+        self.ends.clear();
+        self.ends.extend(end_cells(&self.sample, pose, step_m));
     }
 
     fn bound_nodes<F: ScoreField>(
@@ -110,19 +107,17 @@ impl CorrelativeSearch {
         step_rad: f64,
         floor_score: f64,
     ) {
-        let mut read = field.reader(Level::Quarter);
-        let per_metre = 1.0 / read.cell_size_m();
         let headings = ((window.reach_rad / step_rad).ceil() as i32).clamp(0, HEADINGS_MAX);
-        let reach = ((window.reach_m / (2.0 * step_m)).ceil() as i32).max(0);
+        let wide_m = 2.0 * step_m;
+        let reach = ((window.reach_m / wide_m).ceil() as i32).clamp(1, REACH_MAX);
+        let radius = (farthest_m(&self.sample) / wide_m).ceil() as i32 + 1;
+        let middle = CellIndex::new(floor(window.center.x_m / wide_m), floor(window.center.y_m / wide_m));
+        self.bounds.lay_out(&mut field.reader(Level::Quarter), middle, radius, reach);
         for heading in -headings..=headings {
-            self.turn(window.center.heading_rad + f64::from(heading) * step_rad);
-            for (y, x) in (-reach..reach).flat_map(|y| (-reach..reach).map(move |x| (y, x))) {
-                let dx = window.center.x_m + 2.0 * step_m * f64::from(x);
-                let dy = window.center.y_m + 2.0 * step_m * f64::from(y);
-                if let Some(bound) = upper_bound(&mut read, per_metre, &self.turned, (dx, dy), floor_score) {
-                    self.nodes.push(Node { bound, heading, x, y });
-                }
-            }
+            self.turn(turned(window.center, heading, step_rad), step_m);
+            self.bounds.sum(&self.ends, 1);
+            let nodes = self.bounds.above(floor_score);
+            self.nodes.extend(nodes.map(|(bound, x, y)| Node { bound, heading, x, y }));
         }
     }
 
@@ -135,16 +130,17 @@ impl CorrelativeSearch {
         step_rad: f64,
         wanted: usize,
     ) {
-        let heading_rad = center.heading_rad + f64::from(node.heading) * step_rad;
-        self.turn(heading_rad);
+        let center = turned(center, node.heading, step_rad);
+        self.turn(center, step_m);
         let mut read = field.reader(Level::Half);
-        let per_metre = 1.0 / read.cell_size_m();
         for (x, y) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-            let dx = center.x_m + step_m * f64::from(2 * node.x + x);
-            let dy = center.y_m + step_m * f64::from(2 * node.y + y);
-            let sum: f64 =
-                self.turned.iter().map(|p| nearest(&mut read, per_metre, p.x_m + dx, p.y_m + dy)).sum();
-            self.keep(sum / self.turned.len() as f64, Pose::new(dx, dy, heading_rad), wanted);
+            let (x, y) = (2 * node.x + x, 2 * node.y + y);
+            let pose = Pose {
+                x_m: center.x_m + step_m * f64::from(x),
+                y_m: center.y_m + step_m * f64::from(y),
+                ..center
+            };
+            self.keep(mean_score(&mut read, &self.ends, (x, y)), pose, wanted);
         }
     }
 
@@ -157,33 +153,77 @@ impl CorrelativeSearch {
     }
 }
 
+/// At most `count` of the points, evenly taken, that are not further away than a search can look (in cells of a side).
+pub(crate) fn sample(points: &[Point], count: usize, side_m: f64, sample: &mut Vec<Point>) {
+    let stride = points.len().div_ceil(count.max(1)).max(1);
+    let near = points.iter().step_by(stride).filter(|point| point.norm_m() <= RADIUS_MAX * side_m);
+    sample.clear();
+    sample.extend(near);
+}
+
+/// Greatest distance of a point from the robot, metres.
+pub(crate) fn farthest_m(points: &[Point]) -> f64 {
+    points.iter().map(|point| point.norm_m()).fold(0.0, f64::max)
+}
+
+/// Cells of this side that points end in when the robot is at a pose.
+pub(crate) fn end_cells(points: &[Point], pose: Pose, side_m: f64) -> impl Iterator<Item = CellIndex> {
+    let (sin, cos) = pose.heading_rad.sin_cos();
+    let per_metre = 1.0 / side_m;
+    points.iter().map(move |point| {
+        let x = cos * point.x_m - sin * point.y_m + pose.x_m;
+        let y = sin * point.x_m + cos * point.y_m + pose.y_m;
+        CellIndex::new(floor(x * per_metre), floor(y * per_metre))
+    })
+}
+
+fn turned(pose: Pose, steps: i32, step_rad: f64) -> Pose {
+    Pose::new(pose.x_m, pose.y_m, pose.heading_rad + f64::from(steps) * step_rad)
+}
+
+#[inline]
+fn moved(cell: CellIndex, (x, y): (i32, i32)) -> CellIndex {
+    CellIndex::new(cell.x.wrapping_add(x), cell.y.wrapping_add(y))
+}
+
+/// Mean score of cells of the level after a move, 0 … 1.
+pub(crate) fn mean_score(read: &mut impl ScoreRead, cells: &[CellIndex], by: (i32, i32)) -> f64 {
+    let sum: u64 = cells.iter().map(|cell| u64::from(read.cell(moved(*cell, by)))).sum();
+    sum as f64 / (f64::from(u16::MAX) * cells.len() as f64)
+}
+
 /// Points after which a bound that cannot reach the floor any more is given up.
 const BOUND_CHUNK: usize = 10;
 
-/// Greatest mean score of the points when they move by (dx, dy) plus 0 or half a cell of the level along each axis;
-/// `None` when that is not above `floor_score`.
-pub(crate) fn upper_bound(
+/// Greatest mean score that cells can have after `by` and 0 … 2^halvings - 1 more along each axis, from a level whose
+/// cells are 2^halvings times as wide; `None` when that is not above `floor_score`.
+pub(crate) fn node_bound(
     read: &mut impl ScoreRead,
-    per_metre: f64,
-    points: &[Point],
-    (dx, dy): (f64, f64),
+    cells: &[CellIndex],
+    by: (i32, i32),
+    halvings: u32,
     floor_score: f64,
 ) -> Option<f64> {
-    let full = f64::from(u16::MAX);
-    // What may still be lost before the mean falls to the floor.
-    let mut spare = (1.0 - floor_score) * points.len() as f64 * full;
-    for chunk in points.chunks(BOUND_CHUNK) {
-        for point in chunk {
-            let cell =
-                CellIndex::new(floor((point.x_m + dx) * per_metre), floor((point.y_m + dy) * per_metre));
-            let block = read.block(cell);
-            spare -= full - f64::from(block[0].max(block[1]).max(block[2]).max(block[3]));
+    let full = f64::from(u16::MAX) * cells.len() as f64;
+    // What may be lost before the mean falls to the floor.
+    let spare = (1.0 - floor_score) * full;
+    let rest = (1 << halvings) - 1;
+    let mut lost = 0u64;
+    for chunk in cells.chunks(BOUND_CHUNK) {
+        for cell in chunk {
+            let cell = moved(*cell, by);
+            let block = read.block(CellIndex::new(cell.x >> halvings, cell.y >> halvings));
+            // From the first cell of a wide one on, all moves stay within it.
+            let right = if cell.x & rest == 0 { 0 } else { u16::MAX };
+            let up = if cell.y & rest == 0 { 0 } else { u16::MAX };
+            let best = block[0].max(block[1] & right).max(block[2] & up).max(block[3] & right & up);
+            lost += u64::from(u16::MAX - best);
         }
-        if spare <= 0.0 {
+        if lost as f64 >= spare {
             return None;
         }
     }
-    Some(floor_score + spare / (points.len() as f64 * full))
+    Some(1.0 - lost as f64 / full)
 }
 
 #[cfg(test)]
@@ -198,21 +238,17 @@ mod tests {
         window: Window,
     ) -> f64 {
         let mut search = CorrelativeSearch::default();
-        search.take_sample(points);
-        let step_rad = search.heading_step(0.1);
+        search.take_sample(points, 0.1);
+        let (step_m, step_rad) = (0.1, search.heading_step(0.1));
         let field = room::field(grid);
         let mut read = field.reader(Level::Half);
         let (headings, reach) =
             ((window.reach_rad / step_rad).ceil() as i32, (window.reach_m / 0.2).ceil() as i32);
         let mut best = 0.0f64;
         for heading in -headings..=headings {
-            search.turn(window.center.heading_rad + f64::from(heading) * step_rad);
+            search.turn(turned(window.center, heading, step_rad), step_m);
             for (x, y) in (-2 * reach..2 * reach).flat_map(|x| (-2 * reach..2 * reach).map(move |y| (x, y))) {
-                let (dx, dy) =
-                    (window.center.x_m + 0.1 * f64::from(x), window.center.y_m + 0.1 * f64::from(y));
-                let sum: f64 =
-                    search.turned.iter().map(|p| nearest(&mut read, 10.0, p.x_m + dx, p.y_m + dy)).sum();
-                best = best.max(sum / search.turned.len() as f64);
+                best = best.max(mean_score(&mut read, &search.ends, (x, y)));
             }
         }
         best

@@ -28,6 +28,9 @@ pub trait ScoreRead {
 
     /// Scores of the cells (0, 0), (1, 0), (0, 1), (1, 1) counted from `cell`.
     fn block(&mut self, cell: CellIndex) -> [u16; 4];
+
+    /// Scores of the cells of a row, from `first` on to the right.
+    fn row(&mut self, first: CellIndex, scores: &mut [u16]);
 }
 
 /// Score and its derivative at a point.
@@ -107,5 +110,9 @@ impl<H: Deref<Target = Tile>> ScoreRead for ScoreReader<'_, H> {
     #[inline]
     fn block(&mut self, cell: CellIndex) -> [u16; 4] {
         ScoreReader::block(self, cell)
+    }
+
+    fn row(&mut self, first: CellIndex, scores: &mut [u16]) {
+        ScoreReader::row(self, first, scores);
     }
 }

@@ -1,4 +1,5 @@
-use crate::field::{ScoreField, ScoreRead, bilinear};
+use crate::batch::{BATCH, Batch, Sums};
+use crate::field::{ScoreField, ScoreRead};
 use flockslam_evidence::Level;
 use flockslam_geometry::{Covariance, Point, Pose, wrap_angle};
 use nalgebra::{Matrix3, Vector3};
@@ -99,43 +100,31 @@ impl GaussNewton {
 }
 
 /// Sums over all points of the linearised problem, not yet divided by their number.
-struct NormalEquations {
-    hessian: Matrix3<f64>,
-    gradient: Vector3<f64>,
-    score: f64,
-    squares: f64,
+pub(crate) struct NormalEquations {
+    pub(crate) hessian: Matrix3<f64>,
+    pub(crate) gradient: Vector3<f64>,
+    pub(crate) score: f64,
+    pub(crate) squares: f64,
 }
 
 impl NormalEquations {
     fn of(read: &mut impl ScoreRead, points: &[Point], pose: Pose) -> Self {
         let per_metre = 1.0 / read.cell_size_m();
         let (sin, cos) = pose.heading_rad.sin_cos();
-        let (mut xx, mut xy, mut xt, mut yy, mut yt, mut tt) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-        let (mut gx, mut gy, mut gt, mut score, mut squares) = (0.0, 0.0, 0.0, 0.0, 0.0);
-        for point in points {
-            let (rx, ry) = (cos * point.x_m - sin * point.y_m, sin * point.x_m + cos * point.y_m);
-            let sample = bilinear(read, per_metre, rx + pose.x_m, ry + pose.y_m);
-            let residual = 1.0 - sample.value;
-            let (jx, jy) = (sample.slope_x, sample.slope_y);
-            let jt = rx * jy - ry * jx;
-            xx += jx * jx;
-            xy += jx * jy;
-            xt += jx * jt;
-            yy += jy * jy;
-            yt += jy * jt;
-            tt += jt * jt;
-            gx += jx * residual;
-            gy += jy * residual;
-            gt += jt * residual;
-            score += sample.value;
-            squares += residual * residual;
+        let turn = (cos * per_metre, sin * per_metre);
+        let shift = (pose.x_m * per_metre - 0.5, pose.y_m * per_metre - 0.5);
+        let (mut batch, mut sums) = (Batch::default(), Sums::default());
+        let mut rest = [Point::default(); BATCH];
+        for points in points.chunks(BATCH) {
+            let whole = points.try_into().unwrap_or_else(|_| {
+                rest[..points.len()].copy_from_slice(points);
+                &rest
+            });
+            batch.place(whole, turn, shift);
+            batch.read(read, points.len());
+            sums.add(&batch);
         }
-        Self {
-            hessian: Matrix3::new(xx, xy, xt, xy, yy, yt, xt, yt, tt),
-            gradient: Vector3::new(gx, gy, gt),
-            score,
-            squares,
-        }
+        sums.in_metres(per_metre, points.len())
     }
 }
 
@@ -219,7 +208,7 @@ pub fn widened(covariance: Covariance, axis: Vector3<f64>, sigma_m: f64) -> Cova
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::room;
+    use crate::{bilinear, room};
     use proptest::prelude::*;
 
     fn solver() -> GaussNewton {

@@ -1,7 +1,9 @@
-use crate::field::{ScoreField, ScoreRead, nearest};
+use crate::Window;
+use crate::bounds::NodeBounds;
+use crate::correlative::{REACH_MAX, end_cells, farthest_m, mean_score, node_bound, sample};
+use crate::field::{ScoreField, ScoreRead};
 use crate::gauss_newton::{Fit, GaussNewton};
-use crate::{Window, upper_bound};
-use flockslam_evidence::Level;
+use flockslam_evidence::{CellIndex, Level, floor};
 use flockslam_geometry::{Point, Pose};
 use serde::{Deserialize, Serialize};
 use std::cmp::Ordering;
@@ -52,8 +54,9 @@ impl Default for CorrelativeSettings {
 #[derive(Clone, Debug, Default)]
 pub struct Correlative {
     sample: Vec<Point>,
-    turned: Vec<Point>,
-    turned_by: Option<i32>,
+    /// Cells that the sample ends in at the window's centre, heading by heading.
+    ends: Vec<CellIndex>,
+    bounds: NodeBounds,
     open: BinaryHeap<Node>,
 }
 
@@ -98,6 +101,8 @@ struct Lattice {
     window: Window,
     step_m: f64,
     step_rad: f64,
+    /// Headings on either side of the middle.
+    headings: i32,
     prior_xy: f64,
     prior_heading: f64,
 }
@@ -149,23 +154,25 @@ impl Correlative {
         points: &[Point],
         prediction: Pose,
     ) -> Option<(f64, Pose)> {
-        let stride = points.len().div_ceil(settings.points_max.max(1)).max(1);
-        self.sample.clear();
-        self.sample.extend(points.iter().step_by(stride));
-        self.turned_by = None;
+        let step_m = field.reader(Level::Full).cell_size_m();
+        sample(points, settings.points_max, f64::from(side(Level::Quarter)) * step_m, &mut self.sample);
         self.open.clear();
         if self.sample.is_empty() {
             return None;
         }
-        let step_m = field.reader(Level::Full).cell_size_m();
-        let window = Window { center: prediction, reach_m: settings.reach_m, reach_rad: settings.reach_rad };
+        let step_rad = self.heading_step(step_m);
         let lattice = Lattice {
-            window,
+            window: Window { center: prediction, reach_m: settings.reach_m, reach_rad: settings.reach_rad },
             step_m,
-            step_rad: self.heading_step(step_m),
+            step_rad,
+            headings: ((settings.reach_rad / step_rad).ceil() as i32).clamp(0, HEADINGS_MAX),
             prior_xy: settings.prior_xy,
             prior_heading: settings.prior_heading,
         };
+        self.ends.clear();
+        for heading in -lattice.headings..=lattice.headings {
+            self.ends.extend(end_cells(&self.sample, lattice.pose(heading, 0, 0), step_m));
+        }
         let floor_score = self.bound(field, &lattice, Level::Full, (0, 0, 0), -1.0)?;
         self.open_window(field, &lattice, floor_score);
         for _ in 0..NODES_MAX {
@@ -188,13 +195,20 @@ impl Correlative {
     }
 
     fn open_window<F: ScoreField>(&mut self, field: &F, lattice: &Lattice, floor_score: f64) {
-        let headings = ((lattice.window.reach_rad / lattice.step_rad).ceil() as i32).clamp(0, HEADINGS_MAX);
-        let wide = side(Level::Quarter);
-        let reach = ((lattice.window.reach_m / (f64::from(wide) * lattice.step_m)).ceil() as i32).max(1);
-        for heading in -headings..=headings {
-            for (y, x) in (-reach..reach).flat_map(|y| (-reach..reach).map(move |x| (y, x))) {
-                self.push(field, lattice, Level::Quarter, (heading, wide * x, wide * y), floor_score);
-            }
+        let (center, wide) = (lattice.window.center, side(Level::Quarter));
+        let wide_m = f64::from(wide) * lattice.step_m;
+        let reach = ((lattice.window.reach_m / wide_m).ceil() as i32).clamp(1, REACH_MAX);
+        let radius = (farthest_m(&self.sample) / wide_m).ceil() as i32 + 1;
+        let middle = CellIndex::new(floor(center.x_m / wide_m), floor(center.y_m / wide_m));
+        self.bounds.lay_out(&mut field.reader(Level::Quarter), middle, radius, reach);
+        for (heading, ends) in (-lattice.headings..).zip(self.ends.chunks_exact(self.sample.len())) {
+            self.bounds.sum(ends, Level::Quarter as u32);
+            let (level, step) = (Level::Quarter, |place: i32| wide * place);
+            self.open.extend(self.bounds.above(floor_score).filter_map(|(bound, x, y)| {
+                let (x, y) = (step(x), step(y));
+                let bound = bound - lattice.pull(heading, x, y, wide);
+                (bound > floor_score).then_some(Node { bound, level, heading, x, y })
+            }));
         }
     }
 
@@ -214,36 +228,23 @@ impl Correlative {
 
     /// The most that a pose of the node can reach; `None` when that is not above `floor_score`.
     fn bound<F: ScoreField>(
-        &mut self,
+        &self,
         field: &F,
         lattice: &Lattice,
         level: Level,
         (heading, x, y): (i32, i32, i32),
         floor_score: f64,
     ) -> Option<f64> {
-        let corner = lattice.pose(heading, x, y);
-        self.turn(heading, corner.heading_rad);
         let pull = lattice.pull(heading, x, y, side(level));
+        let first = (heading + lattice.headings) as usize * self.sample.len();
+        let ends = &self.ends[first..first + self.sample.len()];
         let mut read = field.reader(level);
-        let per_metre = 1.0 / read.cell_size_m();
-        let (dx, dy) = (corner.x_m, corner.y_m);
         if level > Level::Full {
-            return upper_bound(&mut read, per_metre, &self.turned, (dx, dy), floor_score + pull)
+            return node_bound(&mut read, ends, (x, y), level as u32, floor_score + pull)
                 .map(|score| score - pull);
         }
-        let score = |p: &Point| nearest(&mut read, per_metre, p.x_m + dx, p.y_m + dy);
-        let bound = self.turned.iter().map(score).sum::<f64>() / self.turned.len() as f64 - pull;
+        let bound = mean_score(&mut read, ends, (x, y)) - pull;
         (bound > floor_score).then_some(bound)
-    }
-
-    fn turn(&mut self, heading: i32, heading_rad: f64) {
-        if self.turned_by == Some(heading) {
-            return;
-        }
-        self.turned_by = Some(heading);
-        let turn = Pose::new(0.0, 0.0, heading_rad);
-        self.turned.clear();
-        self.turned.extend(self.sample.iter().map(|point| turn.apply(*point)));
     }
 }
 
@@ -258,7 +259,7 @@ fn finer(level: Level) -> Option<Level> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::room;
+    use crate::{nearest, room};
 
     fn score_at(points: &[Point], field: &impl ScoreField, pose: Pose) -> f64 {
         let mut read = field.reader(Level::Full);

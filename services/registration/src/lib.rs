@@ -1,5 +1,7 @@
 //! Strategies that fit a scan to a map, shared by scan-matcher (grids) and sync-manager (clouds of points).
 
+mod batch;
+mod bounds;
 pub mod cloud;
 #[cfg(test)]
 mod consistency;
@@ -13,7 +15,6 @@ mod room;
 mod sampling;
 mod shape;
 
-use correlative::upper_bound;
 pub use correlative::{CorrelativeSearch, Window};
 pub use field::{GridField, Sample, ScoreField, ScoreRead, bilinear, nearest};
 pub use gauss_newton::{Fit, GaussNewton, widened};

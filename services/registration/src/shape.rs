@@ -13,14 +13,18 @@ const AHEAD_MAX: usize = 40;
 pub fn least_held(points: &[Point]) -> Option<(f64, Vector2<f64>)> {
     let (mut xx, mut xy, mut yy, mut count) = (0.0, 0.0, 0.0, 0u32);
     for (i, from) in points.iter().enumerate() {
-        let far = points[i + 1..].iter().take(AHEAD_MAX).find(|to| to.distance_m(*from) >= CHORD_MIN_M);
-        let Some(to) = far.filter(|to| to.distance_m(*from) <= CHORD_MAX_M) else { continue };
-        let length = to.distance_m(*from);
-        let (nx, ny) = ((from.y_m - to.y_m) / length, (to.x_m - from.x_m) / length);
-        xx += nx * nx;
-        xy += nx * ny;
-        yy += ny * ny;
-        count += 1;
+        let ahead = points[i + 1..].iter().take(AHEAD_MAX);
+        let mut chords =
+            ahead.map(|to| (to.x_m - from.x_m, to.y_m - from.y_m)).map(|(x, y)| (x, y, x * x + y * y));
+        let Some((x, y, square)) = chords.find(|chord| chord.2 >= CHORD_MIN_M * CHORD_MIN_M) else {
+            continue;
+        };
+        if square <= CHORD_MAX_M * CHORD_MAX_M {
+            xx += y * y / square;
+            xy -= x * y / square;
+            yy += x * x / square;
+            count += 1;
+        }
     }
     if count == 0 {
         return None;

@@ -1,5 +1,6 @@
 //! A scan and a grid become a pose.
 
+mod contradiction;
 mod matcher;
 mod motion;
 pub mod process;

@@ -1,3 +1,4 @@
+use crate::contradiction::contradicted;
 use crate::motion::{Motion, Prediction};
 use crate::settings::{Settings, Strategy};
 use flockslam_evidence::{Tile, TileGrid};
@@ -15,6 +16,8 @@ const POINTS_MIN: usize = 5;
 const WEAK_DIRECTION: f64 = 1.0;
 /// A wide search that found nothing is repeated only after this much motion, metres and radians.
 const SEARCH_AGAIN: (f64, f64) = (0.1, 0.1);
+/// A fit below this share of the running mean, with at least this share of its points in free space, is in the wrong place.
+const CONTRADICTED: (f64, f64) = (0.5, 0.1);
 /// Wheels are not believed when the velocity so far leads to a fit that scores better by this, 0 … 1.
 const JUMPED: f64 = 0.05;
 /// Standard deviations assumed of the prediction where the scan determines nothing.
@@ -31,6 +34,10 @@ pub struct ScanMatcher {
     matched: u64,
     /// Scans in a row whose fit was not believed.
     lost: u32,
+    /// Number of the chain of submaps.
+    chain: u32,
+    /// Nothing but driving connects the chain with the map.
+    detached: bool,
     /// Where a wide search found nothing.
     searched: Option<Pose>,
     generation: u64,
@@ -63,6 +70,8 @@ impl ScanMatcher {
             last_score: 0.0,
             matched: 0,
             lost: 0,
+            chain: 0,
+            detached: false,
             searched: None,
             generation: 0,
             active_submap: 0,
@@ -105,10 +114,15 @@ impl ScanMatcher {
             estimate.quality = Quality::Tracking as u32;
         } else {
             let field = GridField::new(grid, self.settings.unknown_score);
-            let prediction = self.settled(&field, prediction, scan);
+            let (prediction, fit) = self.settled(&field, prediction, scan);
             estimate.twist = prediction.twist;
-            let found = self.match_scan(&field, &prediction, scan);
+            let mut found = self.match_scan(&field, &prediction, fit, scan);
+            found.quality = self.believed(grid, &found);
+            self.count(found.score, found.quality);
             self.fill(&mut estimate, &found);
+            if self.lost > self.settings.rescue.lost_scans_max {
+                self.begin_chain(&mut estimate);
+            }
         }
         let lost = estimate.quality == Quality::Lost as u32;
         self.motion.advance(scan, estimate.odom_from_base, estimate.covariance, lost);
@@ -129,6 +143,9 @@ impl ScanMatcher {
     pub fn corrected(&mut self, layout: &LayoutHeader) {
         self.map_from_odom = layout.map_from_odom;
         self.layout_revision = layout.revision;
+        if layout.chain == self.chain {
+            self.detached = layout.attached == 0;
+        }
     }
 
     /// Continues, after a restart, from the last pose that was published.
@@ -140,6 +157,7 @@ impl ScanMatcher {
         self.generation = last.generation;
         self.active_submap = last.submap;
         self.inserted = Some(last.odom_from_base);
+        self.chain = last.chain;
         (self.mean_score, self.last_score) = (last.score, last.score);
     }
 
@@ -167,31 +185,40 @@ impl ScanMatcher {
             || prediction.covariance.xx.max(prediction.covariance.yy) > variance
     }
 
-    /// Decides between wheels and velocity where they contradict each other: whichever leads to the better fit.
+    /// Decides between wheels and velocity where they contradict each other: whichever leads to the better fit, which is
+    /// given along.
     fn settled<F: ScoreField>(
         &mut self,
         field: &F,
         prediction: Prediction,
         scan: ScanView<'_>,
-    ) -> Prediction {
-        let Some(steady) = prediction.steady else { return prediction };
+    ) -> (Prediction, Option<Fit>) {
+        let Some(steady) = prediction.steady else { return (prediction, None) };
         let by_wheels = self.refine(field, prediction.pose, prediction.pose);
         self.take_points(scan, steady.twist);
         let by_velocity = self.refine(field, steady.pose, steady.pose);
         if by_velocity.score > by_wheels.score + JUMPED {
-            return Prediction { pose: steady.pose, twist: steady.twist, ..prediction };
+            let prediction = Prediction { pose: steady.pose, twist: steady.twist, ..prediction };
+            return (prediction, Some(by_velocity));
         }
         self.take_points(scan, prediction.twist);
-        prediction
+        (prediction, Some(by_wheels))
     }
 
-    fn match_scan<F: ScoreField>(&mut self, field: &F, prediction: &Prediction, scan: ScanView<'_>) -> Match {
+    /// Matches the points that were taken; `fit` is that near the prediction, when it was made already.
+    fn match_scan<F: ScoreField>(
+        &mut self,
+        field: &F,
+        prediction: &Prediction,
+        fit: Option<Fit>,
+        scan: ScanView<'_>,
+    ) -> Match {
         let (fit, rescued) = match self.settings.strategy {
             Strategy::MonteCarlo | Strategy::HillClimbing => {
                 (self.sampled(field, prediction.pose, scan), false)
             }
             Strategy::GaussNewton | Strategy::Correlative | Strategy::Ndt => {
-                let fit = self.track(field, prediction.pose, scan.odometry().is_some());
+                let fit = self.track(field, prediction.pose, fit, scan.odometry().is_some());
                 self.rescue(field, prediction.pose, fit)
             }
         };
@@ -208,7 +235,6 @@ impl ScanMatcher {
             quality => quality,
         };
         let fit = kept;
-        self.count(&fit, quality);
         Match { pose: fit.pose, covariance, score: fit.score, quality, rescued }
     }
 
@@ -221,12 +247,18 @@ impl ScanMatcher {
     }
 
     /// The fit near the prediction; a scan without odometry is looked for before.
-    fn track<F: ScoreField>(&mut self, field: &F, prediction: Pose, has_odometry: bool) -> Fit {
+    fn track<F: ScoreField>(
+        &mut self,
+        field: &F,
+        prediction: Pose,
+        fit: Option<Fit>,
+        has_odometry: bool,
+    ) -> Fit {
         if self.settings.strategy == Strategy::Correlative {
             let Settings { correlative, gauss_newton, .. } = &self.settings;
             return self.correlative.fit(correlative, gauss_newton, field, &self.points, prediction);
         }
-        let fit = self.refine(field, prediction, prediction);
+        let fit = fit.unwrap_or_else(|| self.refine(field, prediction, prediction));
         if has_odometry {
             return fit;
         }
@@ -289,8 +321,8 @@ impl ScanMatcher {
         Fit::at(field, points, pose)
     }
 
-    fn count(&mut self, fit: &Fit, quality: Quality) {
-        self.last_score = fit.score;
+    fn count(&mut self, score: f64, quality: Quality) {
+        self.last_score = score;
         if quality == Quality::Lost {
             self.lost += 1;
             return;
@@ -298,7 +330,7 @@ impl ScanMatcher {
         self.lost = 0;
         self.matched += 1;
         let rate = self.settings.rescue.mean_rate.max(1.0 / self.matched as f64);
-        self.mean_score += rate * (fit.score - self.mean_score);
+        self.mean_score += rate * (score - self.mean_score);
     }
 
     fn judge(&self, fit: &Fit, prediction: Pose) -> Quality {
@@ -307,13 +339,36 @@ impl ScanMatcher {
         let jumps = fit.pose.distance_m(prediction) > rescue.jump_m
             || fit.pose.turn_rad(prediction) > rescue.jump_rad;
         let believed = share >= if jumps { rescue.below } else { rescue.lost_below };
-        if !believed && self.lost < rescue.lost_scans_max {
+        if !believed && rescue.lost_scans_max > 0 {
             Quality::Lost
         } else if share < self.settings.gate.score_share || fit.weakest_direction() < WEAK_DIRECTION {
             Quality::Degraded
         } else {
             Quality::Tracking
         }
+    }
+
+    /// A poor fit whose points end in free space is not believed: there the robot is somewhere else. One whose points end
+    /// where nothing is known is a new place.
+    fn believed<H: Deref<Target = Tile>>(&self, grid: &TileGrid<H>, found: &Match) -> Quality {
+        let is_poor = found.score < CONTRADICTED.0 * self.mean_score;
+        let watches = self.settings.rescue.lost_scans_max > 0 && found.quality != Quality::Lost;
+        if watches && is_poor && contradicted(grid, &self.points, found.pose) >= CONTRADICTED.1 {
+            Quality::Lost
+        } else {
+            found.quality
+        }
+    }
+
+    /// A robot that stays lost maps anew from where it believes to be; the map so far is left as it is, and a closure may
+    /// connect the two.
+    fn begin_chain(&mut self, estimate: &mut PoseEstimate) {
+        self.chain += 1;
+        self.detached = true;
+        (self.matched, self.lost, self.mean_score, self.last_score) = (0, 0, 0.0, 0.0);
+        (self.inserted, self.searched) = (None, None);
+        estimate.chain = self.chain;
+        estimate.quality = Quality::Degraded as u32;
     }
 
     fn enters_map(&self, estimate: &PoseEstimate) -> bool {
@@ -341,6 +396,7 @@ impl ScanMatcher {
             layout_revision: self.layout_revision,
             flags: if scan.odometry().is_some() { PoseFlags::HAS_ODOMETRY } else { 0 },
             drop_reason: verdict.reason,
+            chain: self.chain,
             ..PoseEstimate::default()
         }
     }
@@ -348,7 +404,8 @@ impl ScanMatcher {
     /// Takes a match over into the prediction; from a fit that is not believed only its score.
     fn fill(&self, estimate: &mut PoseEstimate, found: &Match) {
         estimate.score = found.score;
-        estimate.quality = found.quality as u32;
+        let guessed = self.detached && found.quality == Quality::Tracking;
+        estimate.quality = if guessed { Quality::Degraded } else { found.quality } as u32;
         if found.quality == Quality::Lost {
             return;
         }

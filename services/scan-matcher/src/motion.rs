@@ -95,8 +95,7 @@ impl Motion {
             (Some(before), Some(now)) => (before.to(now), Twist::from_motion(before.to(now), step_s)),
             _ => (unchanged, self.velocity),
         };
-        let surprises =
-            motion.distance_m(unchanged) > SURPRISE.0 || motion.turn_rad(unchanged) > SURPRISE.1;
+        let surprises = motion.distance_m(unchanged) > SURPRISE.0 || motion.turn_rad(unchanged) > SURPRISE.1;
         let steady = surprises.then(|| Steady { pose: self.pose * unchanged, twist: self.velocity });
         let (travel, turn) = (motion.x_m.hypot(motion.y_m), motion.heading_rad.abs());
         let mut covariance = self.covariance;

@@ -13,8 +13,13 @@ use std::time::Duration;
 
 /// Live: a verdict that is later than this after its scan is not waited for; the scan is processed.
 const VERDICT_DEADLINE_NS: u64 = 20_000_000;
+/// Live: so long after a scan its verdict, expected any moment, is looked for without sleeping: waking up takes longer.
+const VERDICT_POLL_NS: u64 = 300_000;
 /// Live: an inserted scan that is not in the grid after this is not waited for.
 const COMMIT_DEADLINE_NS: u64 = 100_000_000;
+/// Live: accepted scans that the grid may lack. Scans that come in a burst see about the same, and the map of before shows
+/// it; what lies two insertions back could be missed.
+const LAG_LIVE: usize = 1;
 
 /// Reason of scans that never reached the matcher.
 pub const LOST: &str = "lost";
@@ -39,8 +44,8 @@ struct Matcher {
     /// sync-manager has finished with all submaps below this.
     finished_submaps: u32,
     grid: GridReader,
-    /// Sequence of the accepted scan whose commit is awaited, and since when.
-    awaited: Option<(u64, u64)>,
+    /// Sequences of the accepted scans whose commits are awaited, and since when, oldest first.
+    awaited: VecDeque<(u64, u64)>,
     poses: Publisher<PoseEstimate>,
     journal: JournalWriter,
     bells: [BellRinger; 3],
@@ -72,7 +77,7 @@ impl Matcher {
             waiting_layouts: VecDeque::new(),
             finished_submaps: 0,
             grid,
-            awaited: None,
+            awaited: VecDeque::with_capacity(2 + LAG_LIVE),
             poses: bus.publisher()?,
             journal: JournalWriter::open(&context.journal_dir)?,
             bells: [
@@ -115,17 +120,19 @@ impl Matcher {
         }
     }
 
-    /// Whether the grid that the next scan needs is there: the last accepted scan in it, and in replay sync-manager not
-    /// more than one submap behind.
+    /// Whether the grid that the next scan needs is there: in replay all accepted scans in it, and sync-manager not more
+    /// than one submap behind.
     fn grid_is_ready(&mut self, context: &mut StageContext) -> bool {
-        let Some((sequence, since_ns)) = self.awaited else { return self.layouts_are_ready(context.mode) };
-        if self.grid.committed().is_some_and(|commit| commit.id.sequence >= sequence) {
-            self.awaited = None;
-            return self.layouts_are_ready(context.mode);
+        let committed = self.grid.committed().map(|commit| commit.id.sequence);
+        while self.awaited.front().is_some_and(|(sequence, _)| committed >= Some(*sequence)) {
+            self.awaited.pop_front();
         }
-        let late = context.mode == Mode::Live && monotonic_ns().saturating_sub(since_ns) > COMMIT_DEADLINE_NS;
+        let lag = if context.mode == Mode::Live && committed.is_some() { LAG_LIVE } else { 0 };
+        let oldest = self.awaited.front().filter(|_| self.awaited.len() > lag);
+        let Some((_, since_ns)) = oldest else { return self.layouts_are_ready(context.mode) };
+        let late = context.mode == Mode::Live && monotonic_ns().saturating_sub(*since_ns) > COMMIT_DEADLINE_NS;
         if late {
-            self.awaited = None;
+            self.awaited.pop_front();
             context.dropped(DropReason::Deadline.name());
         }
         late
@@ -167,6 +174,14 @@ impl Matcher {
         }
     }
 
+    /// Whether the verdict on the oldest scan should come any moment.
+    fn verdict_is_near(&self, mode: Mode) -> bool {
+        let young = |scan: &ScanSample| {
+            monotonic_ns().saturating_sub(scan.header().times.monotonic_ns) < VERDICT_POLL_NS
+        };
+        mode == Mode::Live && self.scans.front().is_some_and(young)
+    }
+
     fn process(
         &mut self,
         sample: &ScanSample,
@@ -190,15 +205,15 @@ impl Matcher {
             context.dropped("not-journaled");
         }
         self.poses.send(&pose)?;
+        context.handled(header.id.sequence, started_ns, header.times.monotonic_ns);
         let accepted = pose.has(PoseFlags::INSERT);
         if accepted {
-            self.awaited = Some((header.id.sequence, monotonic_ns()));
+            self.awaited.push_back((header.id.sequence, monotonic_ns()));
         }
         if accepted || header.id.sequence.is_multiple_of(self.quiet_scans) {
             self.ring();
         }
         context.report.report.scan_address = scan.ranges().as_ptr() as u64;
-        context.handled(header.id.sequence, started_ns, header.times.monotonic_ns);
         self.acknowledger.finished(header.id.sequence + 1)
     }
 
@@ -210,9 +225,12 @@ impl Matcher {
 impl Actor for Matcher {
     fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
         self.drain(context)?;
-        let mut any = false;
+        let (mut any, mut expects_verdict) = (false, false);
         while !self.scans.is_empty() && self.grid_is_ready(context) {
-            let Some(verdict) = self.verdict(context) else { break };
+            let Some(verdict) = self.verdict(context) else {
+                expects_verdict = self.verdict_is_near(context.mode);
+                break;
+            };
             let Some(sample) = self.scans.pop() else { break };
             self.process(&sample, &verdict, context)?;
             any = true;
@@ -223,7 +241,11 @@ impl Actor for Matcher {
         if !any && self.stream.reached(self.acknowledger.done(), context.mode) {
             self.ring();
         }
-        Ok(any)
+        if expects_verdict {
+            // The filter may wait for this very processor.
+            std::thread::yield_now();
+        }
+        Ok(any || expects_verdict)
     }
 
     fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError> {

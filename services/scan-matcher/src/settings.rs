@@ -78,7 +78,8 @@ pub struct Rescue {
     pub jump_m: f64,
     /// The same for its heading, radians.
     pub jump_rad: f64,
-    /// Scans in a row that are not believed before the fit is taken nevertheless and mapping goes on from there.
+    /// After this many scans in a row that are not believed the robot is taken to be somewhere else: the map is left as it is and
+    /// a new chain of submaps begins, which a closure may attach; 0 = every fit is believed.
     pub lost_scans_max: u32,
 }
 

@@ -39,13 +39,16 @@ const REFRESH: Duration = Duration::from_millis(100);
 pub fn run(context: &mut StageContext, actor: &mut impl Actor, bell: &Listener) -> Result<(), StageError> {
     let mut refreshed_ns = 0;
     while !context.stop.is_set() {
+        let idle = !actor.advance(context)?;
+        // Behind the work: a scan that has just arrived does not wait for the housekeeping.
         let now_ns = flockslam_telemetry::monotonic_ns();
         if now_ns.saturating_sub(refreshed_ns) >= REFRESH.as_nanos() as u64 {
             refreshed_ns = now_ns;
             context.alive();
             actor.refresh(context)?;
         }
-        if !actor.advance(context)? {
+        context.report.write_sometimes(now_ns, idle);
+        if idle {
             bell.wait(actor.patience().min(REFRESH))?;
         }
     }

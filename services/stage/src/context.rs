@@ -183,7 +183,6 @@ impl StageContext {
         if let Err(error) = self.heartbeat.beat(now_ns, self.metrics.handled_count()) {
             tracing::warn!(%error, "no heartbeat");
         }
-        self.report.write_sometimes(now_ns);
     }
 }
 

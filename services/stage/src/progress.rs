@@ -10,7 +10,8 @@ const PATIENCE_NS: u64 = 2_000_000_000;
 /// that flow control costs little.
 pub struct Acknowledger {
     publisher: Publisher<Progress>,
-    source: BellRinger,
+    /// Who waits for credit; nobody does live.
+    source: Option<BellRinger>,
     message: Progress,
     step: u64,
     sent: u64,
@@ -25,7 +26,10 @@ impl Acknowledger {
     pub fn open(context: &StageContext, done: u64) -> Result<Self, StageError> {
         Ok(Self {
             publisher: context.bus.publisher()?,
-            source: context.bus.ringer(Stage::LidarIngest.name())?,
+            source: match context.mode {
+                Mode::Exact => Some(context.bus.ringer(Stage::LidarIngest.name())?),
+                Mode::Live => None,
+            },
             message: Progress { stage: context.stage as u32, replica: context.replica, done },
             step: (context.capacity.window as u64 / 8).max(1),
             sent: done,
@@ -52,7 +56,7 @@ impl Acknowledger {
         // What it knows already is no reason to wake the source: an idle set shall sleep.
         if self.rung < self.sent {
             self.rung = self.sent;
-            self.source.ring();
+            self.source.iter().for_each(BellRinger::ring);
         }
         Ok(())
     }

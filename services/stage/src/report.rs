@@ -1,3 +1,4 @@
+use crate::MemoryUse;
 use flockslam_telemetry::LatencyHistogram;
 use std::collections::BTreeMap;
 use std::fs;
@@ -12,6 +13,10 @@ pub struct ProcessReport {
     pub cpu_s: f64,
     /// Greatest resident memory, bytes.
     pub peak_rss_bytes: u64,
+    /// Greatest private memory, bytes: see [`MemoryUse`].
+    pub peak_private_bytes: u64,
+    /// Greatest size of mapped pages of the executable and its libraries, bytes.
+    pub file_bytes: u64,
     /// Scans handled.
     pub handled: u64,
     /// Scans or messages dropped, by reason.
@@ -44,6 +49,7 @@ impl ProcessReport {
 pub struct ReportWriter {
     path: PathBuf,
     written_ns: u64,
+    memory: MemoryUse,
     /// The report so far.
     pub report: ProcessReport,
 }
@@ -58,6 +64,8 @@ impl ReportWriter {
             pid,
             cpu_s: 0.0,
             peak_rss_bytes: 0,
+            peak_private_bytes: 0,
+            file_bytes: 0,
             handled: 0,
             dropped: BTreeMap::new(),
             counters: BTreeMap::new(),
@@ -66,7 +74,12 @@ impl ReportWriter {
             latency: LatencyHistogram::default(),
             since_capture: LatencyHistogram::default(),
         };
-        Self { path: status_dir.join(format!("{name}.{pid}.report")), written_ns: 0, report }
+        Self {
+            path: status_dir.join(format!("{name}.{pid}.report")),
+            written_ns: 0,
+            memory: MemoryUse::default(),
+            report,
+        }
     }
 
     /// Records a handled scan.
@@ -89,9 +102,11 @@ impl ReportWriter {
         self.report.counters.insert(name.to_owned(), value);
     }
 
-    /// Writes the report when the last one is old enough.
-    pub fn write_sometimes(&mut self, now_ns: u64) {
-        if now_ns.saturating_sub(self.written_ns) >= PERIOD_NS {
+    /// Writes the report when the last one is old enough. Looking at all memory takes as long as matching a scan, so a moment
+    /// without work is chosen for it (`idle`), unless there is none for seconds.
+    pub fn write_sometimes(&mut self, now_ns: u64, idle: bool) {
+        let period_ns = if idle { PERIOD_NS } else { 5 * PERIOD_NS };
+        if now_ns.saturating_sub(self.written_ns) >= period_ns {
             self.written_ns = now_ns;
             self.write();
         }
@@ -99,13 +114,17 @@ impl ReportWriter {
 
     /// Writes the report. A failure is told, not fatal: a report is not the map.
     pub fn write(&mut self) {
-        let usage = own_usage();
-        (self.report.cpu_s, self.report.peak_rss_bytes) = usage;
+        self.memory = self.memory.max(MemoryUse::of_this_process());
+        let report = &mut self.report;
+        report.cpu_s = own_cpu_s();
+        report.peak_rss_bytes = self.memory.peak_rss_bytes;
+        report.peak_private_bytes = self.memory.private_bytes;
+        report.file_bytes = self.memory.file_bytes;
         let written = serde_json::to_vec(&self.report).map_err(|e| e.to_string()).and_then(|json| {
             let parts: [&[u8]; 3] =
                 [self.report.latency.as_bytes(), self.report.since_capture.as_bytes(), &json];
             let durability = flockslam_journal::Durability::Process;
-            flockslam_journal::replace_file(&self.path, &parts.concat(), durability)
+            flockslam_journal::replace_file_by_parts(&self.path, &parts, durability)
                 .map_err(|e| e.to_string())
         });
         if let Err(error) = written {
@@ -140,13 +159,10 @@ fn decode(bytes: &[u8]) -> Option<ProcessReport> {
     Some(report)
 }
 
-/// Processor time (seconds) and greatest resident memory (bytes) of this process.
-fn own_usage() -> (f64, u64) {
+/// Processor time of this process, seconds.
+fn own_cpu_s() -> f64 {
     let cpu = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
-    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-    let kilobytes = peak.and_then(|text| text.trim().trim_end_matches("kB").trim().parse::<u64>().ok());
-    (cpu.tv_sec as f64 + cpu.tv_nsec as f64 * 1e-9, kilobytes.unwrap_or(0) * 1024)
+    cpu.tv_sec as f64 + cpu.tv_nsec as f64 * 1e-9
 }
 
 #[cfg(test)]
@@ -169,7 +185,8 @@ mod tests {
             (reports[0].handled, reports[0].dropped["deadline"], reports[0].counters["tiles"]),
             (1, 2, 7)
         );
-        assert!(reports[0].peak_rss_bytes > 0 && reports[0].since_capture().max_ns() >= 49_000);
+        assert!(reports[0].peak_rss_bytes >= reports[0].peak_private_bytes);
+        assert!(reports[0].peak_private_bytes > 0 && reports[0].since_capture().max_ns() >= 49_000);
         assert!(read_reports(directory.path(), "scan-matcher").is_empty());
     }
 }

@@ -1,10 +1,11 @@
 //! What sync-manager leaves at the end of a run, as files in the set's directory.
 
 use crate::StageError;
-use flockslam_evidence::Cell;
+use flockslam_evidence::{Cell, FusedMap, TILE_SIDE};
 use flockslam_geometry::{Point, Pose};
-use flockslam_journal::{Durability, replace_file};
+use flockslam_journal::{Durability, replace_file, replace_file_by_parts};
 use std::fs;
+use std::io::Read;
 use std::path::Path;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
@@ -22,10 +23,14 @@ pub struct StampedPose {
 pub const FINAL_TRAJECTORY: &str = "final.poses";
 /// Trajectory as it was published at the time.
 pub const ONLINE_TRAJECTORY: &str = "online.poses";
+/// Refined trajectory: as the final one, every scan.
+pub const REFINED_TRAJECTORY: &str = "refined.poses";
 /// Exact trajectory of a simulated robot.
 pub const TRUE_TRAJECTORY: &str = "truth.poses";
 /// The fused map.
 pub const FUSED_MAP: &str = "fused.map";
+/// Where the submaps lie, as JSON.
+pub const LAYOUT: &str = "layout.json";
 /// What happened, as JSON.
 pub const SUMMARY: &str = "summary.json";
 
@@ -44,12 +49,36 @@ pub struct Summary {
     pub rescued: u64,
     /// Submaps.
     pub submaps: u64,
+    /// Of those, submaps whose evidence is no longer in the map: newer ones know all that they knew.
+    #[serde(default)]
+    pub submaps_retired: u64,
+    /// Bytes of all stored submaps.
+    #[serde(default)]
+    pub submap_bytes: u64,
+    /// Area that the stored submaps know, each counted for itself, m².
+    #[serde(default)]
+    pub submap_area_m2: f64,
+    /// Chains of submaps: more than one when the robot was lost and mapped anew.
+    #[serde(default)]
+    pub chains: u64,
+    /// Scans of chains that no closure connects with the map.
+    #[serde(default)]
+    pub detached_scans: u64,
     /// Searches for loop closures.
     pub closures_tried: u64,
     /// Closures that passed all checks.
     pub closures_accepted: u64,
     /// Of those, closures that do not act in the final layout.
     pub closures_revoked: u64,
+}
+
+/// Where a stored submap lies in the final map.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct LayoutRow {
+    /// Number of the submap.
+    pub number: u32,
+    /// Takes the coordinates of its cells to the map: metres, metres, radians.
+    pub map_from_odom: [f64; 3],
 }
 
 /// A fused map: evidence on a rectangle of cells.
@@ -65,6 +94,35 @@ pub struct StoredMap {
     pub origin: Point,
     /// Evidence, row by row, the lowest y first.
     pub cells: Vec<Cell>,
+}
+
+impl StoredMap {
+    /// A map without cells.
+    pub fn empty() -> Self {
+        Self { width: 0, height: 0, cell_size_m: 1.0, origin: Point::default(), cells: Vec::new() }
+    }
+
+    /// The rectangle of a map that has evidence.
+    pub fn of(map: &FusedMap) -> Self {
+        let Some((low, high)) = map.bounds() else { return Self::empty() };
+        let cell_size_m = map.cell_size_m();
+        let (width, height) = ((high.x - low.x + 1) as usize, (high.y - low.y + 1) as usize);
+        let mut cells = vec![Cell::UNKNOWN; width * height];
+        let side = TILE_SIDE as i32;
+        for (key, tile) in map.tiles() {
+            let corner = key.cell(0);
+            let (left, right) = ((low.x - corner.x).max(0), (high.x - corner.x + 1).clamp(0, side));
+            let (bottom, top) = ((low.y - corner.y).max(0), (high.y - corner.y + 1).clamp(0, side));
+            for y in bottom..top {
+                let from = (y * side + left) as usize;
+                let to = (corner.y + y - low.y) as usize * width + (corner.x + left - low.x) as usize;
+                let count = (right - left).max(0) as usize;
+                cells[to..to + count].copy_from_slice(&tile[from..from + count]);
+            }
+        }
+        let origin = Point::new(f64::from(low.x) * cell_size_m, f64::from(low.y) * cell_size_m);
+        Self { width, height, cell_size_m, origin, cells }
+    }
 }
 
 #[repr(C)]
@@ -107,8 +165,8 @@ pub fn write_map(directory: &Path, map: &StoredMap) -> Result<(), StageError> {
         cell_size_m: map.cell_size_m,
         origin: map.origin,
     };
-    let bytes = [head.as_bytes(), map.cells.as_bytes()].concat();
-    Ok(replace_file(&directory.join(FUSED_MAP), &bytes, Durability::Process)?)
+    let parts = [head.as_bytes(), map.cells.as_bytes()];
+    Ok(replace_file_by_parts(&directory.join(FUSED_MAP), &parts, Durability::Process)?)
 }
 
 /// Reads the fused map from a set's results.
@@ -117,20 +175,25 @@ pub fn write_map(directory: &Path, map: &StoredMap) -> Result<(), StageError> {
 /// When there is none, or it is not whole.
 pub fn read_map(directory: &Path) -> Result<StoredMap, StageError> {
     let path = directory.join(FUSED_MAP);
-    let bytes = fs::read(&path).map_err(|e| StageError::file(&path, e))?;
     let broken = || StageError::file(&path, "is not a whole map");
-    let (head, rest) = MapHead::read_from_prefix(&bytes).map_err(|_| broken())?;
+    let mut file = fs::File::open(&path).map_err(|e| StageError::file(&path, e))?;
+    let mut head = [0; size_of::<MapHead>()];
+    file.read_exact(&mut head).map_err(|_| broken())?;
+    let head = MapHead::read_from_bytes(&head).map_err(|_| broken())?;
     let count = head.width.checked_mul(head.height).ok_or_else(broken)?;
-    if Some(rest.len() as u64) != count.checked_mul(size_of::<Cell>() as u64) {
+    let bytes =
+        count.checked_mul(size_of::<Cell>() as u64).and_then(|b| b.checked_add(size_of::<MapHead>() as u64));
+    if file.metadata().ok().map(|data| data.len()) != bytes {
         return Err(broken());
     }
-    let cells = rest.chunks_exact(size_of::<Cell>()).map(Cell::read_from_bytes).collect::<Result<_, _>>();
+    let mut cells = vec![Cell::default(); count as usize];
+    file.read_exact(cells.as_mut_bytes()).map_err(|_| broken())?;
     Ok(StoredMap {
         width: head.width as usize,
         height: head.height as usize,
         cell_size_m: head.cell_size_m,
         origin: head.origin,
-        cells: cells.map_err(|_| broken())?,
+        cells,
     })
 }
 
@@ -142,6 +205,26 @@ pub fn write_summary(directory: &Path, summary: &Summary) -> Result<(), StageErr
     let path = directory.join(SUMMARY);
     let json = serde_json::to_vec_pretty(summary).map_err(|e| StageError::file(&path, e))?;
     Ok(replace_file(&path, &json, Durability::Process)?)
+}
+
+/// Writes where the submaps of the map lie.
+///
+/// # Errors
+/// When the disk refuses.
+pub fn write_layout(directory: &Path, layout: &[LayoutRow]) -> Result<(), StageError> {
+    let path = directory.join(LAYOUT);
+    let json = serde_json::to_vec_pretty(layout).map_err(|e| StageError::file(&path, e))?;
+    Ok(replace_file(&path, &json, Durability::Process)?)
+}
+
+/// Reads where the submaps of the map lie.
+///
+/// # Errors
+/// When it is not known.
+pub fn read_layout(directory: &Path) -> Result<Vec<LayoutRow>, StageError> {
+    let path = directory.join(LAYOUT);
+    let json = fs::read(&path).map_err(|e| StageError::file(&path, e))?;
+    serde_json::from_slice(&json).map_err(|e| StageError::file(&path, e))
 }
 
 /// Reads the summary from a set's results.

@@ -55,12 +55,19 @@ impl SubmapStore {
         })
     }
 
+    /// Bytes of all stored submaps.
+    pub fn bytes(&self) -> u64 {
+        let size = |number| fs::metadata(self.file(number)).map_or(0, |file| file.len());
+        (0..self.count()).map(size).sum()
+    }
+
     /// How many submaps there are: they are numbered from 0 without gaps.
     pub fn count(&self) -> u32 {
         (0..).find(|number| !self.file(*number).exists()).expect("a directory is finite")
     }
 
-    fn file(&self, number: u32) -> PathBuf {
+    /// The file of the submap of this number.
+    pub fn file(&self, number: u32) -> PathBuf {
         self.directory.join(format!("{number:06}.{ENDING}"))
     }
 }

@@ -56,7 +56,16 @@ mod tests {
         let node = |k: usize| {
             let travel_m = k as f64;
             let pose = Placement::new(travel_m, 0.0, 0.0);
-            Node { scan: k, odom: pose, chain: pose, travel_m, doubt_m: travel_m }
+            Node {
+                scan: k,
+                sequence: k as u64,
+                odom: pose,
+                chain: pose,
+                start: pose,
+                travel_m,
+                doubt_m: travel_m,
+                strand: 0,
+            }
         };
         (0..100).map(node).collect()
     }

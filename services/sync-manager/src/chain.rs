@@ -6,6 +6,7 @@ use crate::symmetric::{Symmetric, in_frame, loosened};
 use flockslam_registration::cloud::{
     AlignSettings, Aligner, Alignment, MomentGrid, Placement, PooledField, Searcher, Window,
 };
+use std::ops::Range;
 
 /// Information that one unit of an alignment's normalised sum is worth, 1/m²: a wall seen by all points fixes
 /// its distance to about 7 mm.
@@ -31,6 +32,8 @@ const RUNNER_UP: f64 = 0.9;
 const RESCUE_POINTS: usize = 150;
 /// A node without a match is as doubtful as this much travel, metres.
 const DOUBT_M: f64 = 8.0;
+/// The doubt where another strand begins, metres: more than any path is long.
+pub const BROKEN_M: f64 = 1e6;
 /// The nodes that are matched to must lie within this of each other, metres, so that all points fit on the
 /// grid's torus.
 const WINDOW_MAX_M: f64 = 10.0;
@@ -40,15 +43,43 @@ const WINDOW_MAX_M: f64 = 10.0;
 pub struct Node {
     /// Its number in the store of scans.
     pub scan: usize,
+    /// Sequence of its scan: its name, which it keeps when other nodes are taken out.
+    pub sequence: u64,
     /// Pose from the front end, continuous.
     pub odom: Placement,
     /// Pose from matching each node to the ones before it; never corrected by a loop.
     pub chain: Placement,
+    /// Where a solver starts from: the chain, or, where the layout has settled, the solution.
+    pub start: Placement,
     /// Length of the path up to here, metres.
     pub travel_m: f64,
     /// The same, and more where a node could not be matched: what the size of a search window grows with,
     /// metres.
     pub doubt_m: f64,
+    /// Chain of submaps that it belongs to, counted from 0: how strands lie to each other is known from closures alone.
+    pub strand: u32,
+}
+
+/// A scan that becomes a node.
+#[derive(Clone, Copy, Debug)]
+pub struct NewNode {
+    /// Sequence of the scan.
+    pub sequence: u64,
+    /// Its number in the store of scans.
+    pub scan: usize,
+    /// Pose from the front end.
+    pub odom: Placement,
+    /// Its chain of submaps.
+    pub strand: u32,
+}
+
+impl NewNode {
+    /// The node at its place in the chain, at the beginning of the path.
+    fn at(self, chain: Placement, start_from_chain: Placement) -> Node {
+        let NewNode { sequence, scan, odom, strand } = self;
+        let start = start_from_chain.compose(chain);
+        Node { scan, sequence, odom, chain, start, travel_m: 0.0, doubt_m: 0.0, strand }
+    }
 }
 
 /// How a new node was connected to the ones before it.
@@ -57,6 +88,7 @@ enum Link {
     Matched(Alignment),
     Rescued(Alignment),
     Predicted,
+    Broken,
 }
 
 /// The nodes in order, each matched again to the few before it.
@@ -70,6 +102,8 @@ pub struct Chain {
     grid: MomentGrid,
     /// First node whose points are in the grid.
     first: usize,
+    /// Takes chain poses to where the solver starts.
+    start_from_chain: Placement,
     aligner: Aligner,
     searcher: Searcher,
     window: usize,
@@ -84,6 +118,7 @@ impl Chain {
             edges: Vec::new(),
             grid: MomentGrid::default(),
             first: 0,
+            start_from_chain: Placement::IDENTITY,
             aligner: Aligner::new(AlignSettings::default()),
             searcher: Searcher::default(),
             window: settings.chain_nodes.max(1),
@@ -106,30 +141,74 @@ impl Chain {
         self.unmatched
     }
 
-    /// Adds a node at the front end's pose `odom` with the points of `scan`.
-    pub fn extend(&mut self, odom: Placement, scan: usize, scans: &ScanStore) {
+    /// Adds a node: the next in time, with the points of its scan.
+    pub fn extend(&mut self, new: NewNode, scans: &ScanStore) {
         let node = match self.nodes.last() {
-            None => Node { scan, odom, chain: odom, travel_m: 0.0, doubt_m: 0.0 },
-            Some(&last) => self.matched(last, odom, scan, scans),
+            None => new.at(new.odom, self.start_from_chain),
+            Some(&last) => self.matched(last, new, scans),
         };
         self.nodes.push(node);
         self.slide(scans);
     }
 
-    fn matched(&mut self, last: Node, odom: Placement, scan: usize, scans: &ScanStore) -> Node {
-        let motion = last.odom.to(odom);
+    /// Takes out the nodes of `range`, which must lie behind the first node and before the window that new nodes are matched
+    /// to, and connects those around them as they lie in the solution `poses`, known so well. Solvers start from this solution
+    /// from now on.
+    pub fn take_out(&mut self, range: Range<usize>, poses: &[Placement], known: Symmetric) {
+        assert!(range.start > 0 && range.end < self.first, "nodes in use stay");
+        let (before, after) = (range.start - 1, range.end);
+        let bridge = poses[before].to(poses[after]);
+        self.start_from_chain = poses[after].compose(self.nodes[after].chain.inverse());
+        for (node, pose) in self.nodes.iter_mut().zip(poses).take(range.start) {
+            node.start = *pose;
+        }
+        for node in &mut self.nodes[after..] {
+            node.start = self.start_from_chain.compose(node.chain);
+        }
+        self.nodes.drain(range.clone());
+        self.edges.drain(range.clone());
+        let edge = &mut self.edges[before];
+        (edge.motion, edge.information) = (bridge, known);
+        for (number, edge) in self.edges.iter_mut().enumerate().skip(before) {
+            (edge.from, edge.to) = (number, number + 1);
+        }
+        self.first -= range.len();
+    }
+
+    /// Renames the scans of all nodes.
+    pub fn rename_scans(&mut self, renamed: &[usize]) {
+        self.nodes.iter_mut().for_each(|node| node.scan = renamed[node.scan]);
+    }
+
+    fn matched(&mut self, last: Node, new: NewNode, scans: &ScanStore) -> Node {
+        let motion = last.odom.to(new.odom);
         let guess = last.chain.compose(motion);
-        let link = self.link(&guess, scan, scans);
+        let link = if new.strand == last.strand {
+            self.link(&guess, new.scan, scans)
+        } else {
+            self.withdraw_all(scans);
+            Link::Broken
+        };
         let (chain, doubt_m) = match link {
             Link::Matched(found) | Link::Rescued(found) => (found.placement, 0.0),
             Link::Predicted => (guess, DOUBT_M),
+            Link::Broken => (guess, BROKEN_M),
         };
         self.unmatched += usize::from(matches!(link, Link::Predicted));
         let to = self.nodes.len();
         let information = in_frame(&information(&link, &motion), &last.chain);
         self.edges.push(Edge { from: to - 1, to, motion: last.chain.to(chain), information });
         let way_m = chain.distance_m(&last.chain);
-        Node { scan, odom, chain, travel_m: last.travel_m + way_m, doubt_m: last.doubt_m + way_m + doubt_m }
+        let (travel_m, doubt_m) = (last.travel_m + way_m, last.doubt_m + way_m + doubt_m);
+        Node { travel_m, doubt_m, ..new.at(chain, self.start_from_chain) }
+    }
+
+    /// Empties the window: nothing before here is to be matched to.
+    fn withdraw_all(&mut self, scans: &ScanStore) {
+        for node in &self.nodes[self.first..] {
+            self.grid.withdraw(&node.chain, scans.points(node.scan));
+        }
+        self.first = self.nodes.len();
     }
 
     fn link(&mut self, guess: &Placement, scan: usize, scans: &ScanStore) -> Link {
@@ -201,6 +280,8 @@ fn information(link: &Link, motion: &Placement) -> Symmetric {
             loosened(&sum, 0.03, 0.01).unwrap_or(diagonal(0.5, 0.3))
         }
         Link::Predicted => diagonal(0.3 + 0.5 * way, 0.2 + 0.5 * turn),
+        // Just enough that the graph hangs together.
+        Link::Broken => diagonal(1e3, 1e2),
     }
 }
 

@@ -1,5 +1,5 @@
 use crate::agreement::WIDE_M;
-use crate::chain::{Node, POINT_INFORMATION};
+use crate::chain::{BROKEN_M, Node, POINT_INFORMATION};
 use crate::edge::Edge;
 use crate::fields::FieldCache;
 use crate::polar::Polar;
@@ -21,6 +21,12 @@ const REFINE_POINTS: usize = 600;
 /// A segment may lie this much farther away than the window and still be searched: both see the same place,
 /// metres.
 const SIGHT_M: f64 = 4.0;
+/// Where to look in a segment when nothing is known: wherever both see the same place, at any heading.
+const ANYWHERE: Window = Window { reach_m: 14.0, turn_rad: std::f64::consts::PI };
+/// Squares that such a search looks at before it takes what it has found.
+const ANYWHERE_SUMS_MAX: u64 = 150_000;
+/// Most segments that one query is looked for in so.
+const ANYWHERE_MAX: usize = 200;
 /// A runner-up must lie at least this far away from the best match to count.
 const APART: Window = Window { reach_m: 0.6, turn_rad: 0.2 };
 /// Score of a runner-up, as a share of the best, at which a match is ambiguous.
@@ -59,6 +65,7 @@ pub struct ClosureFinder {
     settings: ClosureSettings,
     fields: FieldCache,
     searcher: Searcher,
+    searcher_anywhere: Searcher,
     aligner: Aligner,
     grid: MomentGrid,
     counts: SearchCounts,
@@ -84,6 +91,7 @@ impl ClosureFinder {
             settings: settings.clone(),
             fields: FieldCache::default(),
             searcher: Searcher::default(),
+            searcher_anywhere: Searcher::bounded(ANYWHERE_SUMS_MAX),
             aligner: Aligner::new(align),
             grid: MomentGrid::default(),
             counts: SearchCounts::default(),
@@ -103,8 +111,7 @@ impl ClosureFinder {
     /// Looks for the surroundings of node `query` in older segments; `distances_m` are its distances along
     /// the graph to all nodes.
     pub fn find(&mut self, world: &World<'_>, query: usize, distances_m: &[f64]) -> Vec<Closure> {
-        let end = (query + QUERY_NODES + 1).min(world.nodes.len());
-        let points = cloud(world.nodes, world.scans, query.saturating_sub(QUERY_NODES)..end, query);
+        let points = cloud(world.nodes, world.scans, surroundings(world.nodes, query), query);
         if points.len() < 30 {
             return Vec::new();
         }
@@ -124,6 +131,9 @@ impl ClosureFinder {
         };
         let mut near = Vec::new();
         for (number, segment) in world.segments.iter().enumerate().filter(|(_, s)| old(s)) {
+            if distances_m[segment.anchor] >= BROKEN_M {
+                continue;
+            }
             let window = window(distances_m[segment.anchor]);
             let nodes = segment.nodes.clone();
             let apart_m = nodes.map(|i| world.poses[i].distance_m(&at)).fold(f64::INFINITY, f64::min);
@@ -133,7 +143,25 @@ impl ClosureFinder {
         }
         near.sort_by(|a, b| a.0.total_cmp(&b.0));
         near.truncate(self.settings.segments_per_query);
-        near.into_iter().map(|(_, number, window)| (number, window)).collect()
+        let mut candidates: Vec<_> = near.into_iter().map(|(_, number, window)| (number, window)).collect();
+        candidates.extend(self.anywhere(world, query, distances_m));
+        candidates
+    }
+
+    /// Segments that only closures could connect with the query, each to be searched all over. The next query begins with
+    /// those that this one has no budget for.
+    fn anywhere(&self, world: &World<'_>, query: usize, distances_m: &[f64]) -> Vec<(usize, Window)> {
+        let strand = world.nodes[query].strand;
+        let broken =
+            |s: &Segment| distances_m[s.anchor] >= BROKEN_M && world.nodes[s.anchor].strand != strand;
+        let mut far: Vec<usize> =
+            (0..world.segments.len()).filter(|&number| broken(&world.segments[number])).collect();
+        if !far.is_empty() {
+            let first = (self.counts.searches % far.len() as u64) as usize;
+            far.rotate_left(first);
+            far.truncate(ANYWHERE_MAX);
+        }
+        far.into_iter().map(|number| (number, ANYWHERE)).collect()
     }
 
     fn try_segment(
@@ -145,7 +173,11 @@ impl ClosureFinder {
         window: Window,
     ) -> Option<Closure> {
         let segment = &world.segments[number];
-        let guess = world.poses[segment.anchor].to(world.poses[query]);
+        let guess = if window == ANYWHERE {
+            Placement::IDENTITY
+        } else {
+            world.poses[segment.anchor].to(world.poses[query])
+        };
         let found = self.search(world, points, number, guess, window)?;
         let (nodes, scans) = (world.nodes, world.scans);
         let anchor = nodes[segment.anchor].chain;
@@ -172,15 +204,17 @@ impl ClosureFinder {
     ) -> Option<Found> {
         let segment = &world.segments[number];
         let make = || PooledField::new(&segment.cloud(world.nodes, world.scans));
-        let field = self.fields.get(number, make);
-        let few = picked(points, SEARCH_POINTS);
+        let field = self.fields.get(world.nodes[segment.anchor].sequence, make);
+        let anywhere = window == ANYWHERE;
+        let few = picked(points, if anywhere { SEARCH_POINTS / 2 } else { SEARCH_POINTS });
+        let searcher = if anywhere { &mut self.searcher_anywhere } else { &mut self.searcher };
         self.counts.searches += 1;
-        let found = self.searcher.best(field, &few, guess, window, self.settings.score_min, None)?;
+        let found = searcher.best(field, &few, guess, window, self.settings.score_min, None)?;
         self.counts.matches += 1;
         if window.reach_m > WIDE_M {
             let exclude = Some((found.placement, APART));
-            let second = self.searcher.best(field, &few, guess, window, RUNNER_UP * found.score, exclude);
-            if second.is_some() {
+            let second = searcher.best(field, &few, guess, window, RUNNER_UP * found.score, exclude);
+            if second.is_some() || searcher.gave_up() {
                 return None;
             }
         }
@@ -196,6 +230,14 @@ impl ClosureFinder {
             && refined.placement.turn_rad(&found.placement) <= REFINED_MAX.1
             && middle - gap >= DEGENERATE * (middle + gap)
     }
+}
+
+/// A query's node and its neighbours on the strand.
+fn surroundings(nodes: &[Node], query: usize) -> std::ops::Range<usize> {
+    let same = |i: &usize| nodes[*i].strand == nodes[query].strand;
+    let start = (query.saturating_sub(QUERY_NODES)..=query).find(same).unwrap_or(query);
+    let last = (query..(query + QUERY_NODES + 1).min(nodes.len())).rev().find(same).unwrap_or(query);
+    start..last + 1
 }
 
 /// Where to look after `distance_m` along the graph.

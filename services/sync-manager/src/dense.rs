@@ -3,6 +3,7 @@ use crate::edge::Edge;
 use crate::robust::{RobustSettings, solve};
 use crate::scans::ScanStore;
 use crate::segment::{Segment, load, unload};
+use crate::strands::Strands;
 use crate::symmetric::{in_frame, loosened};
 use flockslam_registration::cloud::{AlignSettings, Aligner, MomentGrid, Placement};
 
@@ -30,6 +31,8 @@ pub struct DensePass<'a> {
     pub segments: &'a [Segment],
     /// The chain's edges.
     pub chain: &'a [Edge],
+    /// Which strands are connected: only among those does nearness mean anything.
+    pub strands: &'a Strands,
 }
 
 impl DensePass<'_> {
@@ -54,6 +57,7 @@ impl DensePass<'_> {
     /// For each segment the nodes to match to it.
     fn pairs(&self, poses: &[Placement]) -> Vec<Vec<usize>> {
         let mut pairs = vec![Vec::new(); self.segments.len()];
+        let part = |node: usize| self.strands.part(self.nodes[node].strand);
         for (node, at) in poses.iter().enumerate() {
             let mut near: Vec<(f64, usize)> = Vec::new();
             for (number, segment) in self.segments.iter().enumerate() {
@@ -61,6 +65,9 @@ impl DensePass<'_> {
                 if segment.nodes.contains(&node)
                     || (segment.nodes.end..segment.nodes.end + segment.nodes.len()).contains(&node)
                 {
+                    continue;
+                }
+                if part(node) != part(segment.anchor) {
                     continue;
                 }
                 // Nodes of a segment lie within its length of the anchor.

@@ -7,13 +7,13 @@ const FIELDS_MAX: usize = 48;
 #[derive(Default)]
 pub struct FieldCache {
     /// (segment, use that was its last, field).
-    held: Vec<(usize, u64, PooledField)>,
+    held: Vec<(u64, u64, PooledField)>,
     uses: u64,
 }
 
 impl FieldCache {
-    /// The field of a segment, made by `make` when it is not held.
-    pub fn get(&mut self, segment: usize, make: impl FnOnce() -> PooledField) -> &PooledField {
+    /// The field of the segment whose anchor has this sequence, made by `make` when it is not held.
+    pub fn get(&mut self, segment: u64, make: impl FnOnce() -> PooledField) -> &PooledField {
         self.uses += 1;
         let slot = match self.held.iter().position(|held| held.0 == segment) {
             Some(slot) => slot,
@@ -44,13 +44,13 @@ mod tests {
     fn drops_what_was_used_longest_ago() {
         let mut cache = FieldCache::default();
         let mut made = Vec::new();
-        for segment in (0..FIELDS_MAX + 3).flat_map(|k| [0, k]).chain([0, 1]) {
+        for segment in (0..FIELDS_MAX as u64 + 3).flat_map(|k| [0, k]).chain([0, 1]) {
             cache.get(segment, || {
                 made.push(segment);
                 PooledField::new(&[(0.0, 0.0)])
             });
         }
-        let mut expected: Vec<usize> = (0..FIELDS_MAX + 3).collect();
+        let mut expected: Vec<u64> = (0..FIELDS_MAX as u64 + 3).collect();
         expected.push(1);
         assert_eq!(made, expected);
         assert_eq!(cache.held.len(), FIELDS_MAX);

@@ -1,39 +1,83 @@
-use crate::PlacedSubmap;
-use flockslam_evidence::{CellIndex, FusedMap, Submap};
-use flockslam_geometry::Point;
-use flockslam_stage::results::StoredMap;
+//! The fused map's way to and from the store of submaps.
+
+use crate::fusion::Fusion;
+use crate::{PlacedSubmap, Settings};
+use flockslam_stage::results::{StoredMap, Summary};
 use flockslam_stage::{StageError, SubmapStore};
 
-/// The fused map of a layout: the sum over the stored submaps at their poses, on the rectangle that has evidence.
-///
-/// # Errors
-/// When a submap cannot be read, or lies absurdly far from the others.
-pub fn fuse(store: &SubmapStore, layout: &[PlacedSubmap]) -> Result<StoredMap, StageError> {
-    let mut fused: Option<FusedMap> = None;
-    // The last scans may carry the number of a submap that nothing was inserted in.
-    for placed in layout.iter().filter(|placed| placed.number < store.count()) {
-        let submap: Submap = store.load(placed.number)?;
-        let map = fused.get_or_insert_with(|| FusedMap::new(submap.cell_size_m));
-        let map_from_submap = placed.map_from_odom * submap.odom_from_submap;
-        map.add(&submap, map_from_submap).map_err(|far| StageError::file("the fused map", far))?;
+/// Hands stored submaps to the fusion as it asks for them.
+pub struct Fuser {
+    fusion: Fusion,
+    store: SubmapStore,
+    known_area_m2: f64,
+}
+
+impl Fuser {
+    /// A fused map of nothing, from this store.
+    pub fn new(store: SubmapStore, settings: &Settings) -> Self {
+        Self { fusion: Fusion::new(settings.retire_covered_by), store, known_area_m2: 0.0 }
     }
-    Ok(fused.map_or_else(empty, |map| crop(&map)))
-}
 
-fn empty() -> StoredMap {
-    StoredMap { width: 0, height: 0, cell_size_m: 1.0, origin: Point::default(), cells: Vec::new() }
-}
+    /// Goes a few steps towards a layout, of which the first `closed` submaps are stored.
+    ///
+    /// # Errors
+    /// When the store fails.
+    pub fn follow(&mut self, layout: &[PlacedSubmap], closed: u32) -> Result<(), StageError> {
+        for step in self.fusion.steps(layout, closed) {
+            let submap = self.store.load(step.number())?;
+            if let Err(far) = self.fusion.take(step, submap) {
+                tracing::warn!(%far, number = step.number(), "a submap is not in the fused map");
+            }
+        }
+        for number in self.fusion.covered() {
+            let emptied = self.fusion.retire(self.store.load(number)?);
+            self.store.save(&emptied)?;
+        }
+        Ok(())
+    }
 
-fn crop(map: &FusedMap) -> StoredMap {
-    let Some((low, high)) = map.bounds() else { return empty() };
-    let cell_size_m = map.cell_size_m();
-    let (width, height) = ((high.x - low.x + 1) as usize, (high.y - low.y + 1) as usize);
-    let rows = (low.y..=high.y).flat_map(|y| (low.x..=high.x).map(move |x| CellIndex::new(x, y)));
-    StoredMap {
-        width,
-        height,
-        cell_size_m,
-        origin: Point::new(f64::from(low.x) * cell_size_m, f64::from(low.y) * cell_size_m),
-        cells: rows.map(|index| map.cell(index)).collect(),
+    /// The fused map of the final layout: the sum over the stored submaps at their poses, on the rectangle that has evidence.
+    ///
+    /// # Errors
+    /// When the store fails, or a submap lies absurdly far from the others.
+    pub fn finish(&mut self, layout: &[PlacedSubmap]) -> Result<StoredMap, StageError> {
+        // The last scans may carry the number of a submap that nothing was inserted in.
+        let closed = self.store.count();
+        self.take_all(layout, closed)?;
+        if !self.fusion.holds_all(layout, closed) {
+            // A submap was not the one that came in, and the map began anew on the way.
+            self.take_all(layout, closed)?;
+        }
+        self.empty_retired()?;
+        Ok(self.fusion.map().map_or_else(StoredMap::empty, StoredMap::of))
+    }
+
+    /// Tells of the submaps, once the map is finished.
+    pub fn report(&self, summary: &mut Summary) {
+        summary.submaps_retired = self.fusion.retired().count() as u64;
+        summary.submap_bytes = self.store.bytes();
+        summary.submap_area_m2 = self.known_area_m2;
+    }
+
+    fn take_all(&mut self, layout: &[PlacedSubmap], closed: u32) -> Result<(), StageError> {
+        self.known_area_m2 = 0.0;
+        for step in self.fusion.last_steps(layout, closed) {
+            let submap = self.store.load(step.number())?;
+            self.known_area_m2 += submap.known_area_m2();
+            self.fusion.take(step, submap).map_err(|far| StageError::file("the fused map", far))?;
+        }
+        Ok(())
+    }
+
+    /// The mapper may have stored a submap once more after it retired, with the cells that it has cleared.
+    fn empty_retired(&self) -> Result<(), StageError> {
+        for number in self.fusion.retired() {
+            let mut submap = self.store.load(number)?;
+            if !submap.tiles.is_empty() {
+                submap.tiles.clear();
+                self.store.save(&submap)?;
+            }
+        }
+        Ok(())
     }
 }

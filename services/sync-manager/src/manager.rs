@@ -1,21 +1,33 @@
 use crate::agreement::eligible;
-use crate::chain::Chain;
+use crate::chain::{Chain, NewNode};
 use crate::closure::{Closure, ClosureFinder, QUERY_NODES, World, graph_distances};
 use crate::dense::DensePass;
 use crate::edge::Edge;
 use crate::place::{KeptScan, Placer};
+use crate::refine::Refinement;
 use crate::robust::{RobustSettings, solve};
 use crate::scans::ScanStore;
 use crate::segment::Segment;
 use crate::settings::Settings;
-use crate::solution::{ClosureCounts, PlacedScan, PlacedSubmap, Solution};
+use crate::solution::{ClosureCounts, PlacedScan, PlacedSubmap, SettledScan, Solution};
+use crate::strands::{self, Strands};
 use crate::trajectory::{Between, Record, filled};
 use flockslam_geometry::Pose;
 use flockslam_messages::{LayoutHeader, PoseEstimate, PoseFlags, ScanView, SubmapClosed};
 use flockslam_registration::cloud::Placement;
+use settle::SettledSubmap;
+use std::collections::BTreeMap;
+
+mod settle;
 
 /// A scan this close to the last one kept tells nothing new, metres and radians.
 const REST: (f64, f64) = (0.01, 0.005);
+/// Searches after one closed submap beyond the usual ones while the newest strand is not connected with the map.
+const ADRIFT_SEARCHES: u64 = 200;
+
+/// Edges that the graph may be solved for after each closed submap: a larger graph is solved less often, with the same work
+/// for each metre.
+const SOLVED_PER_SUBMAP: u64 = 6000;
 
 /// A scan whose points were kept.
 #[derive(Clone, Copy, Debug)]
@@ -48,6 +60,18 @@ pub struct SyncManager {
     /// Travel at which the next search for loops is due, metres.
     next_search_m: f64,
     revision: u32,
+    /// Segments before this one stay for good.
+    next_settled: usize,
+    /// Scans that have settled and wait to be taken.
+    settled: Vec<SettledScan>,
+    settled_submaps: BTreeMap<u32, SettledSubmap>,
+    settled_closures: u64,
+    /// Scans in the store that nothing refers to any more.
+    gone_scans: usize,
+    /// Closures were found that the solution does not know.
+    unsolved: bool,
+    /// Edges that may be solved for.
+    solve_credit: u64,
 }
 
 impl SyncManager {
@@ -66,6 +90,13 @@ impl SyncManager {
             in_force: Vec::new(),
             poses: Vec::new(),
             revision: 0,
+            next_settled: 0,
+            settled: Vec::new(),
+            settled_submaps: BTreeMap::new(),
+            settled_closures: 0,
+            gone_scans: 0,
+            unsolved: false,
+            solve_credit: 0,
         }
     }
 
@@ -78,14 +109,15 @@ impl SyncManager {
     /// scan may be given, and is then placed by its own points at the end.
     pub fn node(&mut self, scan: ScanView<'_>, pose: &PoseEstimate) {
         let Some(record) = self.records.iter().rposition(|r| r.id == pose.id) else { return };
-        let odom = self.records[record].odom;
-        let is_node = pose.has(PoseFlags::INSERT) && self.is_due(&odom);
+        let Record { odom, strand, .. } = self.records[record];
+        let is_node = pose.has(PoseFlags::INSERT) && self.is_due(&odom, strand);
         if !is_node && self.rests(&odom) {
             return;
         }
         let scan = self.scans.keep(scan, pose.twist.into(), &self.settings);
         if is_node {
-            self.chain.extend(odom, scan, &self.scans);
+            let sequence = pose.id.sequence;
+            self.chain.extend(NewNode { sequence, scan, odom, strand }, &self.scans);
         }
         if let Some(node) = self.chain.nodes().len().checked_sub(1) {
             self.kept.push(Kept { record, scan, node, is_node });
@@ -101,9 +133,10 @@ impl SyncManager {
     }
 
     /// Whether the robot has moved enough for a new node.
-    fn is_due(&self, odom: &Placement) -> bool {
+    fn is_due(&self, odom: &Placement, strand: u32) -> bool {
         self.chain.nodes().last().is_none_or(|last| {
-            last.odom.distance_m(odom) >= self.settings.node_distance_m
+            last.strand != strand
+                || last.odom.distance_m(odom) >= self.settings.node_distance_m
                 || last.odom.turn_rad(odom) >= self.settings.node_turn_rad
         })
     }
@@ -115,13 +148,46 @@ impl SyncManager {
         let known = self.nodes_up_to(notice.last.sequence);
         self.close_loops(known, self.settings.closure.searches_per_submap);
         self.revision += 1;
+        let strands = self.strands(known);
+        let map_from_odom = self.correction(known);
+        self.settle(known);
         LayoutHeader {
-            map_from_odom: self.correction(known),
+            map_from_odom,
             epoch: notice.last.epoch,
             submap: notice.number,
             revision: self.revision,
             closures: self.in_force.iter().filter(|&&acts| acts).count() as u32,
+            chain: strands.newest(),
+            attached: u32::from(strands.is_attached(strands.newest())),
         }
+    }
+
+    /// How closures in force connect the strands of the first `known` nodes.
+    fn strands(&self, known: usize) -> Strands {
+        let acting = self.closures.iter().zip(&self.in_force).filter(|(_, acts)| **acts);
+        Strands::new(&self.chain.nodes()[..known], acting.map(|(c, _)| (c.edge.from, c.edge.to)))
+    }
+
+    /// Where the mapper's submaps lie in the present solution, by number: each as the node in its middle says. Those that nothing
+    /// but driving connects with the map are left out.
+    pub fn layout(&self) -> Vec<PlacedSubmap> {
+        let strands = self.strands(self.poses.len());
+        let nodes: Vec<(u32, usize)> = self
+            .kept
+            .iter()
+            .filter(|k| k.is_node && k.node < self.poses.len())
+            .filter(|k| strands.is_attached(self.records[k.record].strand))
+            .map(|k| (self.records[k.record].submap, k.node))
+            .collect();
+        let place = |group: &[(u32, usize)]| {
+            let (number, node) = group[group.len() / 2];
+            let map_from_odom = self.poses[node].compose(self.chain.nodes()[node].odom.inverse()).pose();
+            (number, map_from_odom)
+        };
+        let mut submaps: BTreeMap<u32, Pose> =
+            self.settled_layout().map(|(number, at)| (number, at.pose())).collect();
+        submaps.extend(nodes.chunk_by(|a, b| a.0 == b.0).map(place));
+        placed(submaps)
     }
 
     /// Number of nodes whose scans are not newer than `sequence`.
@@ -152,11 +218,20 @@ impl SyncManager {
         let before = self.closures.len();
         let limit = self.finder.counts().searches.saturating_add(searches as u64);
         for query in self.due_queries(known) {
-            if self.finder.counts().searches < limit {
+            // A strand that hangs in the air is looked for everywhere: that is worth more.
+            let strand = self.chain.nodes()[query].strand;
+            let adrift = if self.strands(known).is_attached(strand) { 0 } else { ADRIFT_SEARCHES };
+            if self.finder.counts().searches < limit.saturating_add(adrift) {
                 self.search(query, known);
             }
         }
-        if self.closures.len() > before {
+        self.unsolved |= self.closures.len() > before;
+        let cost = (known + self.closures.len()) as u64;
+        self.solve_credit = (self.solve_credit + SOLVED_PER_SUBMAP).min(cost.max(SOLVED_PER_SUBMAP));
+        let is_last = searches == usize::MAX;
+        if self.unsolved && (self.solve_credit >= cost || is_last) {
+            self.solve_credit = self.solve_credit.saturating_sub(cost);
+            self.unsolved = false;
             self.solve(known);
         }
     }
@@ -215,7 +290,7 @@ impl SyncManager {
             rounds: 25,
             warm_up: 6,
         };
-        let mut poses: Vec<Placement> = self.chain.nodes()[..known].iter().map(|n| n.chain).collect();
+        let mut poses = strands::start(&self.chain.nodes()[..known], &edges[trusted..]);
         let weights = solve(known, &edges, trusted, &settings, &mut poses);
         self.poses = poses;
         let mut acting = weights[trusted..].iter().map(|&w| w > 0.5);
@@ -231,6 +306,28 @@ impl SyncManager {
         }
         self.close_loops(known, usize::MAX);
         self.refine();
+        self.placed()
+    }
+
+    /// The same with all scans matched once more, to the map that they make together; after [`Self::finish`]. It takes a
+    /// multiple of the time.
+    pub fn refined(&mut self) -> Solution {
+        let nodes = self.chain.nodes();
+        if !nodes.is_empty() {
+            let strands = self.strands(nodes.len());
+            let in_map: Vec<bool> = nodes.iter().map(|node| strands.is_attached(node.strand)).collect();
+            let refinement =
+                Refinement { nodes, scans: &self.scans, chain: self.chain.edges(), in_map: &in_map };
+            refinement.run(self.finder.scratch(), &mut self.poses);
+        }
+        self.placed()
+    }
+
+    /// Every kept scan placed among the nodes at their present poses.
+    fn placed(&mut self) -> Solution {
+        if self.chain.nodes().is_empty() {
+            return self.solution(&filled(&self.records, &[], Between::FrontEnd));
+        }
         let kept = self.expected();
         let placer = Placer {
             nodes: self.chain.nodes(),
@@ -249,7 +346,9 @@ impl SyncManager {
         let nodes = self.placed_nodes();
         let guesses = filled(&self.records, &nodes, Between::FrontEnd);
         let straight = |record: usize, node: usize| match (nodes.get(node), nodes.get(node + 1)) {
-            (Some(&(start, from)), Some(&(end, to))) => {
+            (Some(&(start, from)), Some(&(end, to)))
+                if self.records[start].strand == self.records[end].strand =>
+            {
                 from.interpolate(&to, (record - start) as f64 / (end - start) as f64)
             }
             _ => guesses[record],
@@ -271,19 +370,29 @@ impl SyncManager {
         if !rest.is_empty() {
             segments.push(Segment::new(rest));
         }
-        let pass = DensePass { nodes, scans: &self.scans, segments: &segments, chain: self.chain.edges() };
+        let strands = self.strands(nodes.len());
+        let pass = DensePass {
+            nodes,
+            scans: &self.scans,
+            segments: &segments,
+            chain: self.chain.edges(),
+            strands: &strands,
+        };
         for _ in 0..self.settings.dense_passes {
             pass.run(self.finder.scratch(), &mut self.poses);
         }
     }
 
     fn placed_nodes(&self) -> Vec<(usize, Placement)> {
-        self.kept.iter().filter(|k| k.is_node).map(|k| (k.record, self.poses[k.node])).collect()
+        let solved = self.kept.iter().filter(|k| k.is_node && k.node < self.poses.len());
+        solved.map(|k| (k.record, self.poses[k.node])).collect()
     }
 
-    /// The solution with these poses for all records, turned so that the first is where the front end put it.
+    /// The solution with these poses for all records, turned so that the first of the map is where the front end put it.
     fn solution(&self, poses: &[Placement]) -> Solution {
-        let gauge = match (self.records.first(), poses.first()) {
+        let strands = self.strands(self.chain.nodes().len());
+        let begin = self.records.iter().position(|r| strands.is_attached(r.strand)).unwrap_or(0);
+        let gauge = match (self.records.get(begin), poses.get(begin)) {
             (Some(record), Some(pose)) => record.odom.compose(pose.inverse()),
             _ => Placement::IDENTITY,
         };
@@ -293,38 +402,53 @@ impl SyncManager {
             stamp_ns: record.stamp_ns,
             map_from_base: pose.pose(),
         };
+        let mut submaps: BTreeMap<u32, Pose> =
+            self.settled_layout().map(|(number, at)| (number, gauge.compose(at).pose())).collect();
+        submaps.extend(self.place_submaps(&poses, &strands));
+        let anchors = self.chain.nodes().iter().zip(&self.poses);
         Solution {
             trajectory: self.records.iter().zip(&poses).map(place).collect(),
-            submaps: self.place_submaps(&poses),
-            closures: self.counts(),
+            anchors: anchors.map(|(node, at)| (node.sequence, gauge.compose(*at).pose())).collect(),
+            submaps: placed(submaps),
+            closures: self.counts(&strands),
         }
     }
 
-    /// Each submap of the mapper goes where the median of its scans' corrections takes the one in its middle.
-    fn place_submaps(&self, poses: &[Placement]) -> Vec<PlacedSubmap> {
+    /// Each submap of the mapper that is part of the map goes where the median of its scans' corrections takes the one in
+    /// its middle.
+    fn place_submaps(&self, poses: &[Placement], strands: &Strands) -> Vec<(u32, Pose)> {
         let mut submaps = Vec::new();
-        let scans: Vec<(&Record, &Placement)> = self.records.iter().zip(poses).collect();
+        let certain =
+            |(record, _): &(&Record, &Placement)| !record.lost && strands.is_attached(record.strand);
+        let scans: Vec<(&Record, &Placement)> = self.records.iter().zip(poses).filter(certain).collect();
         for group in scans.chunk_by(|a, b| a.0.submap == b.0.submap) {
             let middle = group[group.len() / 2].0;
             let carried = |(record, pose): &(&Record, &Placement)| pose.compose(record.odom.to(middle.odom));
             let carried: Vec<Placement> = group.iter().map(carried).collect();
             let map_from_odom = median(&carried).compose(middle.odom.inverse()).pose();
-            submaps.push(PlacedSubmap { number: middle.submap, map_from_odom });
+            submaps.push((middle.submap, map_from_odom));
         }
         submaps
     }
 
-    fn counts(&self) -> ClosureCounts {
+    fn counts(&self, strands: &Strands) -> ClosureCounts {
         let counts = self.finder.counts();
         ClosureCounts {
             searches: counts.searches,
             matches: counts.matches,
-            accepted: self.closures.len() as u64,
+            accepted: self.closures.len() as u64 + self.settled_closures,
             revoked: self.in_force.iter().filter(|&&acts| !acts).count() as u64,
             nodes: self.chain.nodes().len() as u64,
             unmatched: self.chain.unmatched() as u64,
+            strands: strands.count() as u64,
+            detached_scans: self.records.iter().filter(|r| !strands.is_attached(r.strand)).count() as u64,
         }
     }
+}
+
+fn placed(submaps: BTreeMap<u32, Pose>) -> Vec<PlacedSubmap> {
+    let place = |(number, map_from_odom)| PlacedSubmap { number, map_from_odom };
+    submaps.into_iter().map(place).collect()
 }
 
 /// The median of poses that lie close together, coordinate by coordinate.

@@ -39,11 +39,11 @@ impl Placer<'_> {
     /// Places `kept`, which are in order. `grid` is lent empty and given back so.
     pub fn place_all(&self, kept: &[KeptScan], grid: &mut MomentGrid) -> Vec<Placement> {
         let aligner = Aligner::new(AlignSettings { iterations: 6, ..AlignSettings::default() });
-        let mut held = 0..0;
+        let Some(first) = kept.first().map(|scan| self.around(scan.node).start) else { return Vec::new() };
+        let mut held = first..first;
         let mut placed = Vec::with_capacity(kept.len());
         for scan in kept {
-            let end = (scan.node + self.reach + 1).min(self.nodes.len());
-            self.slide(&mut held, scan.node.saturating_sub(self.reach)..end, grid);
+            self.slide(&mut held, self.around(scan.node), grid);
             // A node must not be matched to itself: it would stay where it is.
             if scan.is_node {
                 grid.withdraw(&self.poses[scan.node], self.scans.points(scan.scan));
@@ -53,8 +53,17 @@ impl Placer<'_> {
                 grid.add(&self.poses[scan.node], self.scans.points(scan.scan));
             }
         }
-        self.slide(&mut held, self.nodes.len()..self.nodes.len(), grid);
+        let end = held.end;
+        self.slide(&mut held, end..end, grid);
         placed
+    }
+
+    /// The nodes that a scan behind `node` is matched to: none of another strand.
+    fn around(&self, node: usize) -> Range<usize> {
+        let strand = self.nodes[node].strand;
+        let first = self.nodes.partition_point(|node| node.strand < strand);
+        let end = self.nodes.partition_point(|node| node.strand <= strand);
+        node.saturating_sub(self.reach).max(first)..(node + self.reach + 1).min(end)
     }
 
     /// Moves the range of nodes in the grid forward.

@@ -1,18 +1,24 @@
 //! The shell of sync-manager: joins poses, accepted scans and closed submaps, publishes corrections, and at the end
 //! stores the final trajectory and the fused map.
 
-use crate::{Settings, SyncManager};
+use crate::fuse::Fuser;
+use crate::{PlacedScan, Settings, Solution, SyncManager};
 use flockslam_bus::{BellRinger, Publisher, ScanSample, Subscriber};
+use flockslam_geometry::Pose;
 use flockslam_messages::{
     Control, ControlKind, DropReason, LayoutHeader, PoseEstimate, PoseFlags, ScanView, Stage, SubmapClosed,
 };
-use flockslam_stage::results::{self, StampedPose, Summary};
+use flockslam_stage::results::{self, LayoutRow, StampedPose, Summary};
 use flockslam_stage::{
     Acknowledger, Actor, JournalReader, Mode, PendingScans, PoseQueue, StageContext, StageError, StreamEnd,
     SubmapStore, run,
 };
 use flockslam_telemetry::monotonic_ns;
 use std::collections::BTreeMap;
+use std::path::Path;
+use trajectories::Trajectories;
+
+mod trajectories;
 
 /// Runs the stage until it is asked to stop.
 ///
@@ -28,7 +34,10 @@ struct SyncProcess {
     logic: SyncManager,
     /// Scans are handed to the logic, which places them anew.
     optimises: bool,
+    /// All scans are matched once more at the end.
+    refines: bool,
     store: SubmapStore,
+    fuser: Fuser,
     scans: PendingScans,
     poses: PoseQueue,
     submaps: Subscriber<SubmapClosed>,
@@ -42,7 +51,7 @@ struct SyncProcess {
     supervisor: BellRinger,
     acknowledger: Acknowledger,
     stream: StreamEnd,
-    online: Vec<StampedPose>,
+    trajectories: Trajectories,
     summary: Summary,
     finished: bool,
 }
@@ -52,6 +61,8 @@ impl SyncProcess {
         let bus = &context.bus;
         let mut process = Self {
             optimises: settings.enabled,
+            refines: settings.refine,
+            fuser: Fuser::new(SubmapStore::new(&context.submap_dir), &settings),
             logic: SyncManager::new(settings),
             store: SubmapStore::new(&context.submap_dir),
             scans: PendingScans::new(bus.scan_subscriber()?, context.capacity.window, 0),
@@ -65,7 +76,7 @@ impl SyncProcess {
             supervisor: bus.ringer(flockslam_bus::SUPERVISOR_BELL)?,
             acknowledger: Acknowledger::open(context, 0)?,
             stream: StreamEnd::open(context)?,
-            online: Vec::new(),
+            trajectories: Trajectories::create(&context.result_dir)?,
             summary: Summary::default(),
             finished: false,
         };
@@ -84,7 +95,7 @@ impl SyncProcess {
                 self.conclude(&notice)?;
             }
             let scan = record.scan.as_ref().and_then(|scan| scan.view().ok());
-            self.take_in(&record.pose, scan);
+            self.take_in(&record.pose, scan)?;
             next = record.pose.id.sequence + 1;
         }
         self.poses = PoseQueue::new(context.bus.subscriber()?, next);
@@ -92,9 +103,9 @@ impl SyncProcess {
         self.acknowledger.finished(next)
     }
 
-    fn take_in(&mut self, pose: &PoseEstimate, scan: Option<ScanView<'_>>) {
+    fn take_in(&mut self, pose: &PoseEstimate, scan: Option<ScanView<'_>>) -> Result<(), StageError> {
         self.logic.pose(pose);
-        self.online.push(StampedPose { stamp_ns: pose.times.sensor_ns, pose: pose.map_from_base() });
+        self.trajectories.published(pose)?;
         let count = |flag, counter: &mut u64| *counter += u64::from(pose.has(flag));
         self.summary.scans += 1;
         count(PoseFlags::MATCHED, &mut self.summary.matched);
@@ -108,15 +119,17 @@ impl SyncProcess {
         if let Some(scan) = scan.filter(|_| self.optimises && pose.has(PoseFlags::MATCHED)) {
             self.logic.node(scan, pose);
         }
+        Ok(())
     }
 
     /// Hands a closed submap to the logic and publishes the correction.
     fn conclude(&mut self, notice: &SubmapClosed) -> Result<(), StageError> {
         let layout = self.logic.submap_closed(notice);
+        self.trajectories.settled(&self.logic.take_settled())?;
         self.next_submap = notice.number + 1;
         self.layouts.send(&layout)?;
         self.matcher.ring();
-        Ok(())
+        self.fuser.follow(&self.logic.layout(), self.next_submap)
     }
 
     fn drain(&mut self) -> Result<(), StageError> {
@@ -146,7 +159,7 @@ impl SyncProcess {
         if let Some(scan) = &scan {
             context.report.report.scan_address = scan.ranges().as_ptr() as u64;
         }
-        self.take_in(pose, scan);
+        self.take_in(pose, scan)?;
         context.handled(pose.id.sequence, started_ns, pose.times.monotonic_ns);
         self.acknowledger.finished(pose.id.sequence + 1)?;
         Ok(true)
@@ -158,22 +171,37 @@ impl SyncProcess {
             self.conclude(&self.store.notice(&submap)?)?;
         }
         let solution = self.logic.finish();
-        let rows: Vec<_> = solution
-            .trajectory
-            .iter()
-            .map(|scan| StampedPose { stamp_ns: scan.stamp_ns, pose: scan.map_from_base })
-            .collect();
         let directory = &context.result_dir;
-        results::write_trajectory(directory, results::FINAL_TRAJECTORY, &rows)?;
-        results::write_trajectory(directory, results::ONLINE_TRAJECTORY, &self.online)?;
-        results::write_map(directory, &crate::fuse::fuse(&self.store, &solution.submaps)?)?;
+        self.trajectories.finish(&solution)?;
+        results::write_map(directory, &self.fuser.finish(&solution.submaps)?)?;
+        if self.refines {
+            self.refine(directory, &solution)?;
+        }
         self.summary.submaps = solution.submaps.len() as u64;
+        self.fuser.report(&mut self.summary);
+        self.summary.chains = solution.closures.strands;
+        self.summary.detached_scans = solution.closures.detached_scans;
         self.summary.closures_tried = solution.closures.searches;
         self.summary.closures_accepted = solution.closures.accepted;
         self.summary.closures_revoked = solution.closures.revoked;
         results::write_summary(directory, &self.summary)?;
         self.finished = true;
         self.repeat_the_end()
+    }
+
+    /// Stores the refined trajectory, and where the submaps are to be found that it does without.
+    fn refine(&mut self, directory: &Path, solution: &Solution) -> Result<(), StageError> {
+        let numbers = |pose: Pose| [pose.x_m, pose.y_m, pose.heading_rad];
+        let layout: Vec<_> = solution
+            .submaps
+            .iter()
+            .map(|placed| LayoutRow { number: placed.number, map_from_odom: numbers(placed.map_from_odom) })
+            .collect();
+        results::write_layout(directory, &layout)?;
+        let refined = self.logic.refined().trajectory;
+        let row = |scan: &PlacedScan| StampedPose { stamp_ns: scan.stamp_ns, pose: scan.map_from_base };
+        let rows: Vec<_> = refined.iter().map(row).collect();
+        results::write_trajectory(directory, results::REFINED_TRAJECTORY, &rows)
     }
 
     fn repeat_the_end(&self) -> Result<(), StageError> {

@@ -88,6 +88,31 @@ impl ScanStore {
         }
     }
 
+    /// Number of scans kept.
+    pub fn len(&self) -> usize {
+        self.ends.len()
+    }
+
+    /// Drops the scans that are not `wanted`, and gives the new numbers of the others (of those dropped, any).
+    pub fn retain(&mut self, wanted: &[bool]) -> Vec<usize> {
+        let (mut renamed, mut ends) = (Vec::with_capacity(wanted.len()), Vec::new());
+        let (mut start, mut filled) = (0, 0);
+        for (&end, wanted) in self.ends.iter().zip(wanted) {
+            renamed.push(ends.len());
+            if *wanted {
+                // Points only move forward, over those that have gone.
+                self.points.copy_within(start..end, filled);
+                filled += end - start;
+                ends.push(filled);
+            }
+            start = end;
+        }
+        self.points.truncate(filled);
+        self.points.shrink_to_fit();
+        self.ends = ends;
+        renamed
+    }
+
     /// The points of a scan.
     pub fn points(&self, scan: usize) -> &[PackedPoint] {
         let start = if scan == 0 { 0 } else { self.ends[scan - 1] };
@@ -108,7 +133,12 @@ mod tests {
         let mut store = ScanStore::default();
         assert_eq!(store.keep(scan.view().unwrap(), Velocity::default(), &Settings::default()), 0);
         let metres: Vec<_> = store.points(0).iter().map(|p| (p.x_m(), p.y_m())).collect();
-        assert_eq!(metres, [(1.5, 0.0), (-1.4, 0.0)]);
+        let expected = [(1.5, 0.0), (-1.4, 0.0)];
+        assert_eq!(metres.len(), 2);
+        assert!(
+            metres.iter().zip(expected).all(|(a, b)| (a.0 - b.0).abs() < 1e-9 && a.1 == b.1),
+            "{metres:?}"
+        );
     }
 
     #[test]
@@ -122,6 +152,19 @@ mod tests {
         let mut store = ScanStore::default();
         store.keep(scan.view().unwrap(), velocity, &settings);
         assert_eq!(store.points(0).len(), 1, "all three beams hit the same point");
+    }
+
+    #[test]
+    fn scans_that_are_not_wanted_go_and_the_others_stay_as_they_are() {
+        let mut store = ScanStore::default();
+        for range in [2.0, 3.0, 4.0, 5.0] {
+            let scan = ScanBuffer::from_ranges(&[range, range + 0.1, range], 0.0, 0.3);
+            store.keep(scan.view().unwrap(), Velocity::default(), &Settings::default());
+        }
+        let (second, fourth) = (store.points(1).to_vec(), store.points(3).to_vec());
+        let renamed = store.retain(&[false, true, false, true]);
+        assert_eq!((renamed[1], renamed[3], store.len()), (0, 1, 2));
+        assert_eq!((store.points(0), store.points(1)), (&second[..], &fourth[..]));
     }
 
     #[test]

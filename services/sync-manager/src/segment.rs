@@ -34,7 +34,8 @@ impl Segment {
         let mut segments = Vec::new();
         let mut start = from;
         for end in from..nodes.len() {
-            if nodes[end].travel_m - nodes[start].travel_m >= length_m || end - start >= NODES_MAX {
+            let breaks = nodes[end].strand != nodes[start].strand;
+            if breaks || nodes[end].travel_m - nodes[start].travel_m >= length_m || end - start >= NODES_MAX {
                 segments.push(Segment::new(start..end));
                 start = end;
             }
@@ -123,14 +124,18 @@ mod tests {
     fn segments_follow_each_other_without_gap() {
         let node = |k: usize| Node {
             scan: k,
+            sequence: k as u64,
             odom: Placement::IDENTITY,
+            start: Placement::IDENTITY,
             chain: Placement::new(0.3 * k as f64, 0.0, 0.0),
             travel_m: 0.3 * k as f64,
             doubt_m: 0.0,
+            strand: u32::from(k >= 30),
         };
         let nodes: Vec<_> = (0..60).map(node).collect();
         let segments = Segment::cut(&nodes, 4, 5.0);
         assert_eq!(segments.len(), 3);
+        assert!(segments.iter().any(|s| s.nodes.end == 30), "no segment spans two strands");
         assert!(
             segments[0].nodes.start == 4 && segments.windows(2).all(|w| w[0].nodes.end == w[1].nodes.start)
         );

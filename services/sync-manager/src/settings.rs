@@ -21,10 +21,18 @@ pub struct Settings {
     pub segment_length_m: f64,
     /// How loops are closed.
     pub closure: ClosureSettings,
+    /// How many stretches through the same place, in the same direction, stay in the graph: later ones are settled relative to
+    /// them, which keeps memory and work bounded in a building that is known; 0 = all stay.
+    pub visits_kept: usize,
     /// How often the whole layout is measured again at the end.
     pub dense_passes: usize,
     /// Each scan is placed at the end against the nodes up to this many before and after it.
     pub final_nodes: usize,
+    /// A submap retires from the fused map when so many newer ones know all that it knows (98 % of it); 0 = never.
+    pub retire_covered_by: usize,
+    /// Whether all scans are matched once more at the end, to the map that they make together, and entered into submaps anew at the
+    /// poses found: what `flockslam map --refine` does. Nothing is settled or retires in such a run.
+    pub refine: bool,
 }
 
 impl Default for Settings {
@@ -38,8 +46,11 @@ impl Default for Settings {
             chain_nodes: 20,
             segment_length_m: 5.0,
             closure: ClosureSettings::default(),
+            visits_kept: 4,
             dense_passes: 1,
             final_nodes: 3,
+            retire_covered_by: 8,
+            refine: false,
         }
     }
 }

@@ -4,12 +4,43 @@ use flockslam_messages::ScanId;
 /// What the back end concludes at the end of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Solution {
-    /// A pose for every scan whose pose was published, in that order.
+    /// A pose for every scan whose pose was published and that has not settled, in that order.
     pub trajectory: Vec<PlacedScan>,
+    /// Poses of the nodes of the graph by their sequence, in rising order: what scans that have settled are relative to.
+    pub anchors: Vec<(u64, Pose)>,
     /// Where each of the mapper's submaps belongs, by number.
     pub submaps: Vec<PlacedSubmap>,
     /// What became of the loops.
     pub closures: ClosureCounts,
+}
+
+/// A scan whose pose relative to a node will not be measured again.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SettledScan {
+    /// The scan.
+    pub id: ScanId,
+    /// Its sensor stamp, nanoseconds.
+    pub stamp_ns: i64,
+    /// Sequence of the node.
+    pub anchor: u64,
+    /// The robot's pose, seen from the node.
+    pub anchor_from_base: Pose,
+}
+
+impl Solution {
+    /// The final pose of a scan that has settled.
+    ///
+    /// # Panics
+    /// When its anchor is not a node of the solution: nodes that scans have settled at stay.
+    pub fn settled(&self, scan: &SettledScan) -> PlacedScan {
+        let anchor = self.anchors.binary_search_by_key(&scan.anchor, |anchor| anchor.0);
+        let map_from_anchor = self.anchors[anchor.expect("anchors stay")].1;
+        PlacedScan {
+            id: scan.id,
+            stamp_ns: scan.stamp_ns,
+            map_from_base: map_from_anchor * scan.anchor_from_base,
+        }
+    }
 }
 
 /// The final pose of a scan.
@@ -23,7 +54,7 @@ pub struct PlacedScan {
     pub map_from_base: Pose,
 }
 
-/// Where a submap of the mapper belongs.
+/// Where a submap of the mapper belongs. Submaps that nothing but driving connects with the map have no place in it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlacedSubmap {
     /// Its number.
@@ -47,4 +78,8 @@ pub struct ClosureCounts {
     pub nodes: u64,
     /// Nodes whose match to the nodes before them was not believed.
     pub unmatched: u64,
+    /// Chains of submaps: more than one when the robot was lost.
+    pub strands: u64,
+    /// Scans of chains that no closure connects with the map.
+    pub detached_scans: u64,
 }

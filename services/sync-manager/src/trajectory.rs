@@ -1,4 +1,4 @@
-use flockslam_messages::{PoseEstimate, PoseFlags, ScanId};
+use flockslam_messages::{PoseEstimate, PoseFlags, Quality, ScanId};
 use flockslam_registration::cloud::Placement;
 
 /// A published pose, as kept for the final trajectory.
@@ -14,6 +14,10 @@ pub struct Record {
     pub wheels: Option<Placement>,
     /// Submap that the scan entered, if it was inserted.
     pub submap: u32,
+    /// Chain of submaps that it belongs to.
+    pub strand: u32,
+    /// The front end did not believe its fit.
+    pub lost: bool,
 }
 
 impl Record {
@@ -25,6 +29,8 @@ impl Record {
             odom: pose.odom_from_base.into(),
             wheels: pose.has(PoseFlags::HAS_ODOMETRY).then(|| pose.odometry.into()),
             submap: pose.submap,
+            strand: pose.chain,
+            lost: pose.quality == Quality::Lost as u32,
         }
     }
 }
@@ -50,7 +56,8 @@ impl Between {
 /// Poses for all records from the known ones, given as (record, pose) in ascending order of records.
 ///
 /// Between two known records the motion that is trusted there is laid on both, and the two results are blended by the share
-/// of the way.
+/// of the way. Where another strand begins nothing is blended: scans that were lost before it belong to it, the others to the
+/// strand before.
 pub fn filled(records: &[Record], known: &[(usize, Placement)], between: Between) -> Vec<Placement> {
     let Some(&(first, _)) = known.first() else {
         return records.iter().map(|r| r.odom).collect();
@@ -61,8 +68,13 @@ pub fn filled(records: &[Record], known: &[(usize, Placement)], between: Between
     let mut poses: Vec<Placement> = (0..first).map(|i| carried(known[0], i)).collect();
     for pair in known.windows(2) {
         let (start, end) = (pair[0].0, pair[1].0);
-        let shares = shares_of_way(&records[start..=end]);
         poses.push(pair[0].1);
+        if records[start].strand != records[end].strand {
+            let after = |r: &Record| r.lost || r.strand == records[end].strand;
+            poses.extend((start + 1..end).map(|i| carried(pair[usize::from(after(&records[i]))], i)));
+            continue;
+        }
+        let shares = shares_of_way(&records[start..=end]);
         for i in start + 1..end {
             let (forward, backward) = (carried(pair[0], i), carried(pair[1], i));
             poses.push(forward.interpolate(&backward, shares[i - start]));
@@ -97,6 +109,8 @@ mod tests {
             odom: Placement::new(i as f64, 0.0, 0.0),
             wheels: None,
             submap: 0,
+            strand: 0,
+            lost: false,
         };
         let records: Vec<_> = (0..12).map(record).collect();
         let known = [(1, Placement::new(1.0, 0.0, 0.0)), (9, Placement::new(9.0, 0.8, 0.0))];
@@ -110,5 +124,23 @@ mod tests {
             );
         }
         assert_eq!(filled(&records, &[], Between::FrontEnd)[3], records[3].odom);
+    }
+
+    #[test]
+    fn lost_scans_belong_to_the_strand_that_begins_after_them() {
+        let record = |i: usize| Record {
+            id: ScanId { sequence: i as u64, ..ScanId::default() },
+            stamp_ns: i as i64,
+            odom: Placement::new(i as f64, 0.0, 0.0),
+            wheels: None,
+            submap: 0,
+            strand: u32::from(i >= 6),
+            lost: (3..6).contains(&i),
+        };
+        let records: Vec<_> = (0..10).map(record).collect();
+        let known = [(1, Placement::new(1.0, 0.0, 0.0)), (6, Placement::new(6.0, 50.0, 0.0))];
+        let poses = filled(&records, &known, Between::FrontEnd);
+        let sides: Vec<bool> = poses.iter().map(|pose| pose.y_m > 25.0).collect();
+        assert_eq!(sides, (0..10).map(|i| i >= 3).collect::<Vec<_>>());
     }
 }

@@ -147,6 +147,17 @@ fn replay(
     odom: &[Pose],
     settings: Settings,
 ) -> (Vec<LayoutHeader>, Solution) {
+    replay_chains(building, truth, odom, |_| 0, settings)
+}
+
+/// The same, with scan i in chain `chain(i)` of submaps.
+fn replay_chains(
+    building: &Building,
+    truth: &[Pose],
+    odom: &[Pose],
+    chain: impl Fn(usize) -> u32,
+    settings: Settings,
+) -> (Vec<LayoutHeader>, Solution) {
     let mut manager = SyncManager::new(settings);
     let mut noise = Noise(7);
     let mut headers = Vec::new();
@@ -154,6 +165,7 @@ fn replay(
         let id = ScanId { sequence: i as u64, ..ScanId::default() };
         let mut pose =
             PoseEstimate { id, odom_from_base: *odom, submap: i as u32 / 60, ..PoseEstimate::default() };
+        pose.chain = chain(i);
         pose.times.sensor_ns = i as i64 * 100_000_000;
         pose.flags = if i % 2 == 0 { PoseFlags::MATCHED | PoseFlags::INSERT } else { PoseFlags::MATCHED };
         manager.pose(&pose);
@@ -201,6 +213,105 @@ fn a_drifting_front_end_is_straightened_by_its_loops() {
         let middle = (placed.number as usize * 60 + 30).min(odom.len() - 1);
         assert!((placed.map_from_odom * odom[middle]).distance_m(truth[middle]) < 0.05, "{placed:?}");
     }
+}
+
+#[test]
+fn a_robot_that_was_carried_away_is_found_by_its_own_past() {
+    let (building, truth) = (Building::ring(), laps(2));
+    let carried = truth.len() / 2 + 40;
+    let elsewhere = Pose::new(30.0, -20.0, 2.2);
+    let odom: Vec<Pose> =
+        truth.iter().enumerate().map(|(i, at)| if i < carried { *at } else { elsewhere * *at }).collect();
+    let chain = |i: usize| u32::from(i >= carried);
+    let (headers, solution) = replay_chains(&building, &truth, &odom, chain, Settings::default());
+    assert_eq!((solution.closures.strands, solution.closures.detached_scans), (2, 0));
+    let worst = worst_error_m(&solution, &truth);
+    assert!(worst < 0.05, "{worst} {:?}", solution.closures);
+    let last = headers[headers.len() - 1];
+    assert_eq!((last.chain, last.attached), (1, 1), "found while driving");
+    assert!((last.map_from_odom * elsewhere).distance_m(Pose::IDENTITY) < 0.3, "{last:?}");
+    assert!(headers.iter().any(|header| (header.chain, header.attached) == (1, 0)));
+    let all = headers.len() as u32;
+    assert!(solution.submaps.iter().map(|placed| placed.number).eq(0..=all), "all submaps are in the map");
+}
+
+#[test]
+fn a_place_never_seen_before_stays_apart() {
+    let (building, truth) = (Building::ring(), laps(1));
+    let other = Building::endless();
+    let mut odom = truth.clone();
+    let far = path(&[(0.0, 0.0), (30.0, 0.0)]);
+    let place = |at: &Pose| Pose::new(5.0, 5.0, 1.0) * *at;
+    odom.extend(far.iter().map(place));
+    let both = Building(
+        building
+            .0
+            .iter()
+            .copied()
+            .chain(other.0.iter().map(|(a, b)| {
+                let away = |p: &Point| Point::new(p.x_m + 500.0, p.y_m);
+                (away(a), away(b))
+            }))
+            .collect(),
+    );
+    let mut all = truth.clone();
+    all.extend(far.iter().map(|at| Pose::new(at.x_m + 500.0, at.y_m, at.heading_rad)));
+    let begun = truth.len();
+    let (_, solution) = replay_chains(&both, &all, &odom, |i| u32::from(i >= begun), Settings::default());
+    assert_eq!((solution.closures.strands, solution.trajectory.len()), (2, all.len()));
+    assert_eq!(solution.closures.detached_scans, far.len() as u64, "{:?}", solution.closures);
+    let highest = solution.submaps.iter().map(|placed| placed.number).max();
+    assert!(highest.is_some_and(|number| number as usize <= begun / 60), "its submaps are not in the map");
+}
+
+#[test]
+fn what_is_known_well_settles_and_memory_stays_where_it_is() {
+    let (building, truth) = (Building::ring(), laps(12));
+    let odom = drifting(&truth, 0.002, 1.005);
+    let settings = Settings { visits_kept: 2, ..Settings::default() };
+    let mut manager = SyncManager::new(settings);
+    let mut noise = Noise(7);
+    let (mut settled, mut held) = (Vec::new(), Vec::new());
+    for (i, (at, odom)) in truth.iter().zip(&odom).enumerate() {
+        let pose = inserted(i, *odom);
+        manager.pose(&pose);
+        manager.node(building.scan(*at, &mut noise).view().unwrap(), &pose);
+        if i % 60 == 59 {
+            let (last, number) = (pose.id, i as u32 / 60);
+            manager.submap_closed(&SubmapClosed { last, number, ..SubmapClosed::default() });
+            settled.extend(manager.take_settled());
+            held.push(manager.held());
+        }
+    }
+    let solution = manager.finish();
+    assert!(settled.len() > truth.len() / 3, "{} of {}", settled.len(), truth.len());
+    let (late, end) = (held[3 * held.len() / 4], held[held.len() - 1]);
+    assert!(10 * end.0 < 11 * late.0 && 10 * end.1 < 11 * late.1 && 2 * end.2 < 3 * late.2, "{held:?}");
+    let mut placed: Vec<_> = settled.iter().map(|scan| solution.settled(scan)).collect();
+    placed.extend(&solution.trajectory);
+    placed.sort_by_key(|placed| placed.id.sequence);
+    assert!(placed.iter().enumerate().all(|(i, placed)| placed.id.sequence == i as u64), "each scan once");
+    let worst = placed
+        .iter()
+        .zip(&truth)
+        .map(|(placed, at)| placed.map_from_base.distance_m(*at))
+        .fold(0.0, f64::max);
+    assert!(worst < 0.08, "{worst}");
+    let all = truth.len().div_ceil(60) as u32;
+    assert!(solution.submaps.iter().map(|placed| placed.number).eq(0..all));
+    for placed in &solution.submaps {
+        let middle = (placed.number as usize * 60 + 30).min(odom.len() - 1);
+        assert!((placed.map_from_odom * odom[middle]).distance_m(truth[middle]) < 0.1, "{placed:?}");
+    }
+}
+
+/// The published pose of scan i, which enters the map.
+fn inserted(i: usize, odom_from_base: Pose) -> PoseEstimate {
+    let id = ScanId { sequence: i as u64, ..ScanId::default() };
+    let mut pose = PoseEstimate { id, odom_from_base, submap: i as u32 / 60, ..PoseEstimate::default() };
+    pose.times.sensor_ns = i as i64 * 100_000_000;
+    pose.flags = PoseFlags::MATCHED | PoseFlags::INSERT;
+    pose
 }
 
 #[test]

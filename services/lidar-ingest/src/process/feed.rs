@@ -1,10 +1,10 @@
 use super::pipe::{Pipe, Piped};
+use super::truth::TruthWriter;
 use super::{Source, Task, world_file};
 use crate::carmen::{CarmenReader, Tally};
 use crate::experiment::Experiment;
 use crate::simulation::{Simulation, World};
 use flockslam_messages::ScanBuffer;
-use flockslam_stage::results::{self, StampedPose};
 use flockslam_stage::{StageContext, StageError};
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -19,7 +19,7 @@ pub struct Feed {
 enum Kind {
     Log(Box<CarmenReader<BufReader<File>>>),
     Pipe(Pipe),
-    Simulation { simulation: Box<Simulation>, truth: Vec<StampedPose> },
+    Simulation { simulation: Box<Simulation>, truth: TruthWriter },
 }
 
 /// What a feed gave.
@@ -47,12 +47,12 @@ impl Feed {
             }
             Source::Pipe => (Kind::Pipe(Pipe::start(context, task.settings.clone())?), 0),
             Source::Simulation => {
-                let world =
-                    task.world.as_deref().map_or_else(|| Ok(World::floor_plan()), world_file::read)?;
+                let built_in = || Ok(World::built_in(task.simulation.world));
+                let world = task.world.as_deref().map_or_else(built_in, world_file::read)?;
                 let simulation = Simulation::new(&task.simulation, world);
                 let simulation = Box::new(simulation.map_err(|e| StageError::Source(e.to_string()))?);
                 let total = simulation.scans() as u64;
-                (Kind::Simulation { simulation, truth: Vec::new() }, total)
+                (Kind::Simulation { simulation, truth: TruthWriter::create(&context.result_dir)? }, total)
             }
         };
         Ok(Self { kind, experiment: Experiment::new(&task.settings, expected) })
@@ -94,7 +94,7 @@ impl Feed {
             },
             Kind::Simulation { simulation, truth } => match simulation.next_scan(scan) {
                 Some(pose) => {
-                    truth.push(StampedPose { stamp_ns: scan.header.times.sensor_ns, pose });
+                    truth.push(scan.header.times.sensor_ns, pose)?;
                     Fed::Scan
                 }
                 None => Fed::End,
@@ -116,9 +116,11 @@ impl Feed {
     }
 
     /// Stores the simulation's exact trajectory beside the results.
-    pub fn store_truth(&self, result_dir: &Path) -> Result<(), StageError> {
-        let Kind::Simulation { truth, .. } = &self.kind else { return Ok(()) };
-        results::write_trajectory(result_dir, results::TRUE_TRAJECTORY, truth)
+    pub fn store_truth(&mut self) -> Result<(), StageError> {
+        match &mut self.kind {
+            Kind::Simulation { truth, .. } => truth.finish(),
+            _ => Ok(()),
+        }
     }
 }
 

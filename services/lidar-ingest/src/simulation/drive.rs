@@ -1,5 +1,9 @@
 use super::Settings;
+use super::tour::Tour;
+use crate::random::Random;
 use flockslam_geometry::{Point, Pose, Twist, wrap_angle};
+use std::collections::VecDeque;
+use std::f64::consts::PI;
 
 /// The robot steers towards the point of its way this far ahead, metres.
 const LOOK_AHEAD_M: f64 = 0.5;
@@ -9,54 +13,120 @@ const ACCELERATION: (f64, f64) = (0.8, 3.0);
 const TURN_ON_SPOT_RAD: f64 = 1.0;
 /// How strongly it turns towards its way on the spot, 1/s.
 const TURN_GAIN: f64 = 2.0;
+/// Who is carried away is put down at least this far off, metres, where the world is large enough.
+const CARRIED_M: f64 = 5.0;
+/// Legs that may be planned before one must lead away from the start.
+const LEGS_TO_LEAVE: usize = 1000;
 
-/// The robot's exact motion: a constant twist within each tick.
+/// The robot's exact motion, one turn of the lidar after another: a constant twist within each tick.
 #[derive(Clone, Debug)]
 pub(super) struct Drive {
+    settings: Settings,
     tick_s: f64,
-    poses: Vec<Pose>,
-    twists: Vec<Twist>,
+    tour: Tour,
+    /// What is planned and not yet driven; its first point is steered towards.
+    way: VecDeque<Point>,
+    pose: Pose,
+    twist: Twist,
+    turn: Turn,
+}
+
+/// The motion during one turn of the lidar.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Turn {
+    tick_s: f64,
+    /// `world_from_base` at the beginning of each tick, and the body's velocity during it.
+    ticks: Vec<(Pose, Twist)>,
+    end: Pose,
 }
 
 impl Drive {
-    /// Drives along `path` for so many ticks (pure pursuit: Coulter 1992), and stands still at its end.
-    pub(super) fn along(path: &[Point], settings: &Settings, tick_s: f64, ticks: usize) -> Self {
-        let ahead = path.iter().find(|point| point.distance_m(path[0]) > LOOK_AHEAD_M).unwrap_or(&path[0]);
-        let heading_rad = (ahead.y_m - path[0].y_m).atan2(ahead.x_m - path[0].x_m);
-        let mut pose = Pose::new(path[0].x_m, path[0].y_m, heading_rad);
-        let (mut target, mut twist) = (0, Twist::default());
-        let (mut poses, mut twists) = (Vec::with_capacity(ticks + 1), Vec::with_capacity(ticks));
-        for _ in 0..ticks {
-            while target + 1 < path.len() && path[target].distance_m(pose.position()) < LOOK_AHEAD_M {
-                target += 1;
+    /// Stands at the beginning of a tour.
+    pub(super) fn new(mut tour: Tour, settings: &Settings, tick_s: f64) -> Self {
+        let mut way = VecDeque::new();
+        let mut ahead = None;
+        for _ in 0..LEGS_TO_LEAVE {
+            way.extend(tour.next_leg());
+            let leaves = |point: &&Point| point.distance_m(way[0]) > LOOK_AHEAD_M;
+            ahead = way.iter().find(leaves).copied();
+            if ahead.is_some() {
+                break;
             }
-            let arrived = target + 1 == path.len() && path[target].distance_m(pose.position()) < 0.1;
-            let wanted = if arrived { Twist::default() } else { pursue(pose, path[target], settings) };
-            twist = approach(twist, wanted, tick_s);
-            poses.push(pose);
-            twists.push(twist);
-            pose = pose * twist.motion_after(tick_s);
         }
-        poses.push(pose);
-        Self { tick_s, poses, twists }
+        let (start, ahead) = (way[0], ahead.unwrap_or(way[0]));
+        let heading_rad = (ahead.y_m - start.y_m).atan2(ahead.x_m - start.x_m);
+        Self {
+            settings: settings.clone(),
+            tick_s,
+            tour,
+            way,
+            pose: Pose::new(start.x_m, start.y_m, heading_rad),
+            twist: Twist::default(),
+            turn: Turn::default(),
+        }
     }
 
-    /// `world_from_base` at the beginning of a tick.
-    pub(super) fn pose(&self, tick: usize) -> Pose {
-        self.poses[tick]
+    /// Drives on for so many ticks (pure pursuit: Coulter 1992).
+    pub(super) fn advance(&mut self, ticks: usize) -> &Turn {
+        self.turn.tick_s = self.tick_s;
+        self.turn.ticks.clear();
+        for _ in 0..ticks {
+            let wanted = pursue(self.pose, self.target(), &self.settings);
+            self.twist = approach(self.twist, wanted, self.tick_s);
+            self.turn.ticks.push((self.pose, self.twist));
+            self.pose = self.pose * self.twist.motion_after(self.tick_s);
+        }
+        self.turn.end = self.pose;
+        &self.turn
     }
 
-    /// `world_from_base` so many seconds after the beginning of a tick.
-    pub(super) fn pose_after(&self, tick: usize, seconds: f64) -> Pose {
+    /// The next point of the way that is not reached yet.
+    fn target(&mut self) -> Point {
+        loop {
+            // Short legs follow each other; each call of `next_leg` gives at least one point.
+            while self.way.len() < 2 {
+                self.way.extend(self.tour.next_leg());
+            }
+            if self.way[0].distance_m(self.pose.position()) >= LOOK_AHEAD_M {
+                return self.way[0];
+            }
+            self.way.pop_front();
+        }
+    }
+
+    /// Puts the robot down, at rest, at another free place with another heading; it goes on with its tour from there.
+    pub(super) fn carry_away(&mut self, random: &mut Random) {
+        let place = self.tour.random_place(self.pose.position(), CARRIED_M, random);
+        self.pose = Pose::new(place.x_m, place.y_m, random.between(-PI, PI));
+        self.twist = Twist::default();
+        self.way.clear();
+        self.way.extend(self.tour.leg_from(place));
+    }
+}
+
+impl Turn {
+    /// `world_from_base` at its beginning.
+    pub(super) fn start(&self) -> Pose {
+        self.ticks[0].0
+    }
+
+    /// `world_from_base` at its end.
+    pub(super) fn end(&self) -> Pose {
+        self.end
+    }
+
+    /// `world_from_base` so many seconds after its beginning.
+    pub(super) fn pose_after(&self, seconds: f64) -> Pose {
         let ticks = seconds / self.tick_s;
-        let whole = (ticks as usize).min(self.twists.len() - 1 - tick);
+        let whole = (ticks as usize).min(self.ticks.len() - 1);
         let rest_s = (ticks - whole as f64) * self.tick_s;
-        self.poses[tick + whole] * self.twists[tick + whole].motion_after(rest_s)
+        let (pose, twist) = self.ticks[whole];
+        pose * twist.motion_after(rest_s)
     }
 
-    /// The body's velocity during a tick.
-    pub(super) fn twist(&self, tick: usize) -> Twist {
-        self.twists[tick]
+    /// The body's velocity during each tick.
+    pub(super) fn twists(&self) -> impl Iterator<Item = Twist> {
+        self.ticks.iter().map(|(_, twist)| *twist)
     }
 
     /// How long a tick lasts, seconds.

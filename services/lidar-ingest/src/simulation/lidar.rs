@@ -1,4 +1,4 @@
-use super::drive::Drive;
+use super::drive::Turn;
 use super::{Settings, World};
 use crate::random::Random;
 use flockslam_geometry::{Point, Pose};
@@ -42,8 +42,8 @@ impl Lidar {
         }
     }
 
-    /// Takes a scan whose first beam leaves at the beginning of `tick`. Its name, times and odometry are left to the caller.
-    pub(super) fn take(&mut self, world: &World, drive: &Drive, tick: usize, scan: &mut ScanBuffer) {
+    /// Takes a scan during a turn. Its name, times and odometry are left to the caller.
+    pub(super) fn take(&mut self, world: &World, turn: &Turn, scan: &mut ScanBuffer) {
         scan.header = ScanHeader {
             base_from_laser: self.mount,
             angle_min_rad: self.angle_min_rad,
@@ -54,7 +54,7 @@ impl Lidar {
             beam_count: self.settings.beams,
             ..ScanHeader::default()
         };
-        self.cast_all(world, drive, tick);
+        self.cast_all(world, turn);
         scan.numbers.clear();
         for beam in 0..self.ranges_m.len() {
             let range = self.measure(beam);
@@ -62,11 +62,11 @@ impl Lidar {
         }
     }
 
-    fn cast_all(&mut self, world: &World, drive: &Drive, tick: usize) {
+    fn cast_all(&mut self, world: &World, turn: &Turn) {
         self.ranges_m.clear();
         for beam in 0..self.settings.beams {
             let seconds = f64::from(beam) * f64::from(self.time_increment_s);
-            let laser = drive.pose_after(tick, seconds) * self.mount;
+            let laser = turn.pose_after(seconds) * self.mount;
             let direction_rad =
                 laser.heading_rad + self.angle_min_rad + f64::from(beam) * self.angle_increment_rad;
             let (sin, cos) = direction_rad.sin_cos();

@@ -1,20 +1,25 @@
-//! A simulated building: a robot drives through it, and its lidar, its wheels and the exact truth are known.
+//! A simulated world: a robot drives through it, and its lidar, its wheels and the exact truth are known.
 //!
-//! The world is made of line segments (a built-in floor plan) or of the pixels of a map image. A planner finds a smooth
-//! tour that comes back to places seen before; the lidar casts every beam from where the robot is at that very instant, so
-//! scans are distorted by motion as real ones are. Everything follows from the settings and their seed.
+//! The world is made of line segments (a built-in one, see [`WorldName`]) or of the pixels of a map image. A planner finds a
+//! smooth tour that comes back to places seen before; the lidar casts every beam from where the robot is at that very
+//! instant, so scans are distorted by motion as real ones are. Everything follows from the settings and their seed, and is
+//! made scan by scan: a drive of any length takes the same memory.
 
+mod built_in;
+mod drawing;
 mod drive;
 mod floor_plan;
 mod image;
+mod index;
 mod lidar;
 mod planner;
 mod settings;
+mod tour;
 mod wheels;
 mod world;
 
 pub use image::{ImageWorld, SimulationError};
-pub use settings::Settings;
+pub use settings::{Settings, WorldName};
 pub use world::World;
 
 use crate::random::Random;
@@ -22,6 +27,7 @@ use drive::Drive;
 use flockslam_geometry::Pose;
 use flockslam_messages::{ScanBuffer, ScanId, Times};
 use lidar::Lidar;
+use wheels::Wheels;
 
 /// Steps of the robot's motion in one turn of the lidar.
 const TICKS_PER_SCAN: usize = 10;
@@ -31,10 +37,13 @@ const TICKS_PER_SCAN: usize = 10;
 pub struct Simulation {
     world: World,
     drive: Drive,
+    wheels: Wheels,
     lidar: Lidar,
-    /// Dead reckoning of the wheels at each scan.
-    odometry: Vec<Pose>,
-    period_ns: i64,
+    /// When the robot is carried away, seconds, the last first.
+    kidnaps_s: Vec<f64>,
+    kidnapper: Random,
+    period_s: f64,
+    scans: usize,
     next: usize,
 }
 
@@ -45,34 +54,47 @@ impl Simulation {
     /// When a setting is out of its range or the world has no room for the robot to drive in.
     pub fn new(settings: &Settings, world: World) -> Result<Self, SimulationError> {
         settings.check().map_err(SimulationError::Setting)?;
-        let scans = (settings.duration_s * settings.scan_rate_hz).round().max(1.0) as usize;
         let period_s = 1.0 / settings.scan_rate_hz;
-        let tick_s = period_s / TICKS_PER_SCAN as f64;
-        let tour =
-            world.tour(settings.speed_m_s * settings.duration_s, &mut Random::new(settings.seed, "tour"))?;
-        // One turn more, for the beams of the last scan.
-        let drive = Drive::along(&tour, settings, tick_s, (scans + 1) * TICKS_PER_SCAN);
-        let odometry = wheels::dead_reckoning(&drive, settings, TICKS_PER_SCAN, scans);
-        let lidar = Lidar::new(settings, period_s);
-        Ok(Self { world, drive, lidar, odometry, period_ns: (period_s * 1e9).round() as i64, next: 0 })
+        let tour = world.tour(Random::new(settings.seed, "tour"))?;
+        let mut kidnaps_s = settings.kidnap_at_s.clone();
+        kidnaps_s.sort_by(|a, b| b.total_cmp(a));
+        Ok(Self {
+            world,
+            drive: Drive::new(tour, settings, period_s / TICKS_PER_SCAN as f64),
+            wheels: Wheels::new(settings),
+            lidar: Lidar::new(settings, period_s),
+            kidnaps_s,
+            kidnapper: Random::new(settings.seed, "kidnapper"),
+            period_s,
+            scans: (settings.duration_s * settings.scan_rate_hz).round().max(1.0) as usize,
+            next: 0,
+        })
     }
 
     /// How many scans the whole drive has.
     pub fn scans(&self) -> usize {
-        self.odometry.len()
+        self.scans
     }
 
     /// Takes the next scan into `scan`, whose memory is used again. Returns the exact pose `world_from_base` at its stamp,
     /// or `None` when the drive is over.
     pub fn next_scan(&mut self, scan: &mut ScanBuffer) -> Option<Pose> {
-        let odometry = *self.odometry.get(self.next)?;
-        let tick = self.next * TICKS_PER_SCAN;
-        self.lidar.take(&self.world, &self.drive, tick, scan);
+        if self.next == self.scans {
+            return None;
+        }
+        let now_s = self.next as f64 * self.period_s;
+        while self.kidnaps_s.pop_if(|at_s| *at_s <= now_s).is_some() {
+            self.drive.carry_away(&mut self.kidnapper);
+        }
+        let turn = self.drive.advance(TICKS_PER_SCAN);
+        self.lidar.take(&self.world, turn, scan);
         scan.header.id = ScanId { sequence: self.next as u64, ..ScanId::default() };
-        scan.header.times = Times { sensor_ns: self.next as i64 * self.period_ns, ..Times::default() };
-        (scan.header.odometry, scan.header.has_odometry) = (odometry, 1);
+        let sensor_ns = self.next as i64 * (self.period_s * 1e9).round() as i64;
+        scan.header.times = Times { sensor_ns, ..Times::default() };
+        (scan.header.odometry, scan.header.has_odometry) = (self.wheels.pose(), 1);
+        self.wheels.advance(turn);
         self.next += 1;
-        Some(self.drive.pose(tick))
+        Some(turn.start())
     }
 }
 

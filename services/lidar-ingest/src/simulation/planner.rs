@@ -78,6 +78,14 @@ impl PlanningGrid {
         largest.into_iter().map(|cell| self.centre(cell)).collect()
     }
 
+    /// Centres of the cells that can be reached from a point; none when the robot does not fit there.
+    pub(super) fn room_around(&self, point: Point) -> Vec<Point> {
+        let mut seen = vec![false; self.toll.len()];
+        let start = self.cell_at(point);
+        let room = start.map_or_else(Vec::new, |start| self.flood(start, &mut seen));
+        room.into_iter().map(|cell| self.centre(cell)).collect()
+    }
+
     fn flood(&self, start: usize, seen: &mut [bool]) -> Vec<usize> {
         let (mut room, mut next) = (vec![start], 0);
         seen[start] = true;

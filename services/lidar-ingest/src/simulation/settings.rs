@@ -1,11 +1,31 @@
 use serde::{Deserialize, Serialize};
 
-/// Section `[simulation]`: the simulated building, its robot and its lidar.
+/// The built-in worlds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum WorldName {
+    /// A floor of 30 × 20 m: two corridors and two halls around a block, nine rooms.
+    #[default]
+    Office,
+    /// Four parallel corridors of 60 m with identical rooms at regular spacing.
+    Hotel,
+    /// Nine parallel aisles of 32 m between identical racks.
+    Warehouse,
+    /// Outdoors, 130 × 80 m: a path between two buildings and a car park, for tens of metres along nothing or a tree.
+    Yard,
+}
+
+/// Section `[simulation]`: the simulated world, its robot and its lidar.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// Seed of everything random.
     pub seed: u64,
+    /// What the robot drives through: `office` – A floor of 30 × 20 m: two corridors and two halls around a block, nine
+    /// rooms; `hotel` – Four parallel corridors of 60 m with identical rooms at regular spacing; `warehouse` – Nine
+    /// parallel aisles of 32 m between identical racks; `yard` – Outdoors: for tens of metres along nothing or a tree. A
+    /// map given with `--world` takes its place.
+    pub world: WorldName,
     /// How long the robot drives, seconds.
     pub duration_s: f64,
     /// Fastest driving, m/s.
@@ -38,12 +58,19 @@ pub struct Settings {
     pub odometry_walk: [f64; 2],
     /// How often, over the whole drive, a wheel slips for about a second.
     pub wheel_slips: u32,
+    /// When the robot is carried away, unnoticed by its wheels, and put down at another free place with another heading:
+    /// seconds since the start, at most 100 times.
+    pub kidnap_at_s: Vec<f64>,
 }
+
+/// Kidnaps in one drive.
+const KIDNAPS_MAX: usize = 100;
 
 impl Default for Settings {
     fn default() -> Self {
         Self {
             seed: 1,
+            world: WorldName::Office,
             duration_s: 250.0,
             speed_m_s: 0.8,
             turn_rad_s: 1.0,
@@ -60,6 +87,7 @@ impl Default for Settings {
             odometry_scale_error: 0.02,
             odometry_walk: [0.01, 0.5],
             wheel_slips: 4,
+            kidnap_at_s: Vec::new(),
         }
     }
 }
@@ -95,6 +123,11 @@ impl Settings {
             (share(self.odometry_scale_error), "odometry_scale_error must be between 0 and 1"),
             (self.odometry_walk.iter().all(|value| error(*value)), "odometry_walk must be between 0 and 10"),
             (self.wheel_slips <= 10_000, "wheel_slips must be at most 10000"),
+            (self.kidnap_at_s.len() <= KIDNAPS_MAX, "kidnap_at_s must have at most 100 times"),
+            (
+                self.kidnap_at_s.iter().all(|at_s| (0.0..=100_000.0).contains(at_s)),
+                "kidnap_at_s must be between 0 and 100000",
+            ),
         ];
         rules.into_iter().find(|(kept, _)| !kept).map_or(Ok(()), |(_, rule)| Err(rule))
     }

@@ -22,7 +22,7 @@ fn ideal(settings: Settings) -> Settings {
 }
 
 fn run(settings: &Settings) -> Vec<(ScanBuffer, Pose)> {
-    Simulation::new(settings, World::floor_plan()).unwrap().collect()
+    Simulation::new(settings, World::built_in(settings.world)).unwrap().collect()
 }
 
 /// Bounded motion, clear of walls, everywhere at least twice.
@@ -52,6 +52,67 @@ fn the_demo_drives_through_the_whole_building() {
     }
     let (first, last) = (&scans[0].1, &scans[scans.len() - 200..]);
     assert!(last.iter().any(|(_, truth)| truth.distance_m(*first) < 3.0), "the drive does not come back");
+}
+
+/// Every other world has a round that is clear of walls, passes all its way points, and comes back to places seen before
+/// – at the latest when it begins anew.
+#[test]
+fn the_worlds_have_rounds_that_close() {
+    for (world, round_s) in
+        [(WorldName::Hotel, 760.0), (WorldName::Warehouse, 1100.0), (WorldName::Yard, 500.0)]
+    {
+        let settings = Settings { world, duration_s: round_s, beams: 8, ..Settings::default() };
+        let truth: Vec<Pose> = run(&settings).iter().map(|(_, truth)| *truth).collect();
+        let World::FloorPlan(plan) = World::built_in(world) else { unreachable!() };
+        let nearest_m =
+            truth.iter().step_by(7).map(|at| plan.distance_m(at.position())).fold(f64::INFINITY, f64::min);
+        let driven_m: f64 = truth.windows(2).map(|pair| pair[0].distance_m(pair[1])).sum();
+        let passed = |point: &Point| truth.iter().any(|at| at.position().distance_m(*point) < 0.6);
+        let missed: Vec<_> = plan.way_points().iter().filter(|point| !passed(point)).collect();
+        let back = truth[truth.len() / 2..].iter().any(|at| at.distance_m(truth[0]) < 1.0);
+        eprintln!("{world:?}: {driven_m:.0} m driven, nearest wall {nearest_m:.2} m");
+        assert!(
+            nearest_m > 0.25 && missed.is_empty() && back,
+            "{world:?}: {nearest_m} m, {missed:?}, {back}"
+        );
+    }
+}
+
+/// Neither the wheels nor the beams notice that the robot is carried away; only the truth jumps.
+#[test]
+fn a_kidnap_moves_the_truth_only() {
+    let free = Settings { duration_s: 60.0, ..ideal(Settings::default()) };
+    let carried = Settings { kidnap_at_s: vec![40.0, 20.0], ..free.clone() };
+    let (free, carried) = (run(&free), run(&carried));
+    assert_eq!(free[..200], carried[..200]);
+    let World::FloorPlan(plan) = World::floor_plan() else { unreachable!() };
+    for (i, pair) in carried.windows(2).enumerate() {
+        let (moved_m, turned) = (pair[0].1.distance_m(pair[1].1), pair[0].1.turn_rad(pair[1].1));
+        let (before, after) = (pair[0].0.header.odometry, pair[1].0.header.odometry);
+        assert!(before.distance_m(after) < 0.1 && before.turn_rad(after) < 0.11, "scan {}", i + 1);
+        match i + 1 {
+            200 | 400 => assert!(moved_m > 5.0 && plan.distance_m(pair[1].1.position()) > 0.25),
+            _ => assert!(moved_m < 0.1 && turned < 0.11, "scan {}: {moved_m} m", i + 1),
+        }
+    }
+    // It goes on driving from there.
+    assert!(carried[400].1.distance_m(carried[599].1) > 1.0);
+    let wrong = Settings { kidnap_at_s: vec![1.0; 101], ..Settings::default() };
+    assert!(Simulation::new(&wrong, World::floor_plan()).is_err());
+}
+
+/// A picture's tour goes on from wherever the robot is put, and a patrol of hours never comes to an end.
+#[test]
+fn a_patrol_goes_on_for_hours() {
+    let settings = Settings { duration_s: 28_800.0, scan_rate_hz: 1.0, beams: 1, ..Settings::default() };
+    let mut drive = Simulation::new(&settings, World::floor_plan()).unwrap();
+    assert_eq!(drive.scans(), 28_800);
+    let (mut scan, mut driven_m, mut last) = (ScanBuffer::default(), 0.0, None::<Pose>);
+    while let Some(truth) = drive.next_scan(&mut scan) {
+        driven_m += last.map_or(0.0, |last| last.distance_m(truth));
+        last = Some(truth);
+    }
+    assert!(driven_m > 15_000.0, "{driven_m} m");
 }
 
 /// Each beam of an ideal lidar ends on a wall, seen from where the robot is at that beam's time.
@@ -168,6 +229,9 @@ fn a_picture_can_be_driven_through() {
         assert!(nearest > 0.15, "too near to a wall at {truth:?}: {nearest}");
     }
     assert!(scans.iter().any(|(_, truth)| truth.distance_m(scans[0].1) > 3.0));
+    let carried = Settings { kidnap_at_s: vec![10.0, 30.0], ..settings.clone() };
+    let places: Vec<_> = Simulation::new(&carried, world).unwrap().map(|(_, truth)| truth).collect();
+    assert!(places[99].distance_m(places[100]) > 5.0 && places[299].distance_m(places[300]) > 5.0);
     let walled = World::Image(ImageWorld::from_grey(20, 20, 0.05, &[0; 400]).unwrap());
     assert_eq!(Simulation::new(&settings, walled).unwrap_err(), SimulationError::NoRoom);
 }

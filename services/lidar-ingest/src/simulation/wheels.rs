@@ -1,7 +1,8 @@
 use super::Settings;
-use super::drive::Drive;
+use super::drive::Turn;
 use crate::random::Random;
 use flockslam_geometry::{Pose, Twist};
+use std::collections::VecDeque;
 
 /// How long a wheel slips, seconds.
 const SLIP_S: (f64, f64) = (0.5, 1.5);
@@ -12,6 +13,19 @@ const SLIP_DISTANCE: f64 = 0.6;
 /// Standing still nothing slips, m/s.
 const MOVING_M_S: f64 = 0.05;
 
+/// Dead reckoning: the true motion with constant scale errors, a random walk and slips. It begins at the identity.
+#[derive(Clone, Debug)]
+pub(super) struct Wheels {
+    random: Random,
+    /// Of distances and of turns.
+    scale: [f64; 2],
+    /// Slips that are not over yet, in the order of their starts.
+    slips: VecDeque<Slip>,
+    walk: [f64; 2],
+    ticks: usize,
+    odom_from_base: Pose,
+}
+
 /// A time in which the wheels turn without moving the robot as they should.
 #[derive(Clone, Copy, Debug)]
 struct Slip {
@@ -21,33 +35,39 @@ struct Slip {
     distance: f64,
 }
 
-/// `odom_from_base` at each scan: the true motion with constant scale errors, a random walk and slips. It begins at the
-/// identity.
-pub(super) fn dead_reckoning(
-    drive: &Drive,
-    settings: &Settings,
-    ticks_per_scan: usize,
-    scans: usize,
-) -> Vec<Pose> {
-    let mut random = Random::new(settings.seed, "wheels");
-    let scale = [0; 2].map(|_| 1.0 + settings.odometry_scale_error * random.normal());
-    let slips = draw_slips(settings, &mut random);
-    let mut pose = Pose::IDENTITY;
-    let mut poses = Vec::with_capacity(scans);
-    for scan in 0..scans {
-        poses.push(pose);
-        for tick in scan * ticks_per_scan..(scan + 1) * ticks_per_scan {
-            let felt = feel(drive.twist(tick), scale, slips.iter().find(|slip| slip.covers(tick, drive)));
-            pose = pose * felt.motion_after(drive.tick_s());
-        }
-        let driven_m = drive.pose(scan * ticks_per_scan).distance_m(drive.pose((scan + 1) * ticks_per_scan));
-        pose = pose * walk(driven_m, settings, &mut random);
+impl Wheels {
+    pub(super) fn new(settings: &Settings) -> Self {
+        let mut random = Random::new(settings.seed, "wheels");
+        let scale = [0; 2].map(|_| 1.0 + settings.odometry_scale_error * random.normal());
+        let slips = draw_slips(settings, &mut random);
+        Self { random, scale, slips, walk: settings.odometry_walk, ticks: 0, odom_from_base: Pose::IDENTITY }
     }
-    poses
+
+    /// `odom_from_base` now.
+    pub(super) fn pose(&self) -> Pose {
+        self.odom_from_base
+    }
+
+    /// Feels a motion.
+    pub(super) fn advance(&mut self, turn: &Turn) {
+        for twist in turn.twists() {
+            let time_s = self.ticks as f64 * turn.tick_s();
+            while self.slips.front().is_some_and(|slip| slip.end_s <= time_s) {
+                self.slips.pop_front();
+            }
+            let begun = self.slips.iter().take_while(|slip| slip.start_s <= time_s);
+            let slip = begun.copied().find(|slip| time_s < slip.end_s);
+            let felt = feel(twist, self.scale, slip);
+            self.odom_from_base = self.odom_from_base * felt.motion_after(turn.tick_s());
+            self.ticks += 1;
+        }
+        let driven_m = turn.start().distance_m(turn.end());
+        self.odom_from_base = self.odom_from_base * random_step(driven_m, self.walk, &mut self.random);
+    }
 }
 
 /// One slip at a random time of each of as many equal parts of the drive.
-fn draw_slips(settings: &Settings, random: &mut Random) -> Vec<Slip> {
+fn draw_slips(settings: &Settings, random: &mut Random) -> VecDeque<Slip> {
     let part_s = settings.duration_s / f64::from(settings.wheel_slips.max(1));
     let draw = |i| {
         let start_s = (f64::from(i) + random.share()) * part_s;
@@ -62,14 +82,8 @@ fn draw_slips(settings: &Settings, random: &mut Random) -> Vec<Slip> {
     (0..settings.wheel_slips).map(draw).collect()
 }
 
-impl Slip {
-    fn covers(&self, tick: usize, drive: &Drive) -> bool {
-        (self.start_s..self.end_s).contains(&(tick as f64 * drive.tick_s()))
-    }
-}
-
 /// What the wheels feel of a motion.
-fn feel(twist: Twist, scale: [f64; 2], slip: Option<&Slip>) -> Twist {
+fn feel(twist: Twist, scale: [f64; 2], slip: Option<Slip>) -> Twist {
     let scaled = Twist { x_m_s: twist.x_m_s * scale[0], y_m_s: 0.0, turn_rad_s: twist.turn_rad_s * scale[1] };
     match slip {
         Some(slip) if twist.x_m_s > MOVING_M_S => Twist {
@@ -81,9 +95,8 @@ fn feel(twist: Twist, scale: [f64; 2], slip: Option<&Slip>) -> Twist {
     }
 }
 
-/// A random step whose variance grows with the distance.
-fn walk(driven_m: f64, settings: &Settings, random: &mut Random) -> Pose {
-    let [sigma_m, sigma_deg] = settings.odometry_walk;
+/// A random step whose variance grows with the distance: metres and degrees over one metre.
+fn random_step(driven_m: f64, [sigma_m, sigma_deg]: [f64; 2], random: &mut Random) -> Pose {
     let root = driven_m.sqrt();
     let mut step = |sigma: f64| sigma * root * random.normal();
     Pose::new(step(sigma_m), step(sigma_m), step(sigma_deg.to_radians()))

@@ -1,4 +1,5 @@
 use super::{PackedPoint, Placement};
+use zerocopy::FromZeros;
 
 /// Units in a metre of the fixed-point coordinates: a quarter of a millimetre each.
 const UNITS_PER_M: f64 = 4000.0;
@@ -6,11 +7,15 @@ const UNITS_PER_M: f64 = 4000.0;
 const CELL_UNITS: i32 = 400;
 /// Cells along a side of the torus, a power of two: 51.2 m.
 const SIDE: i32 = 512;
+/// Cells along the sides of a block. A block is stored in one piece, so that memory is touched only near points.
+const BLOCK: (i32, i32) = (16, 8);
+/// Columns and rows of cells whose lines are remembered side by side, powers of two: 25.6 × 12.8 m.
+const REMEMBERED: (i32, i32) = (256, 128);
 /// Fewest points from which a line is fitted.
 const LINE_POINTS_MIN: i32 = 3;
 
 /// Zeroth, first and second moments of the points in a cell, about the cell's centre, in units.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, FromZeros)]
 struct Moments {
     count: i32,
     x: i32,
@@ -35,10 +40,11 @@ pub struct Line {
     pub flatness: f64,
 }
 
-/// A fitted line is remembered until the grid changes.
-#[derive(Clone, Copy, Default)]
+/// A fitted line is remembered until the grid changes, or that of a cell further away takes its place.
+#[derive(Clone, Copy, Default, FromZeros)]
 struct Remembered {
     version: u32,
+    cell: u32,
     flatness: f32,
     x_m: f32,
     y_m: f32,
@@ -59,8 +65,13 @@ pub struct MomentGrid {
 
 impl Default for MomentGrid {
     fn default() -> Self {
-        let cells = (SIDE * SIDE) as usize;
-        Self { cells: vec![Moments::default(); cells], lines: vec![Remembered::default(); cells], version: 1 }
+        // Zeroed memory takes no room before it is written to; most of it never is.
+        let no_memory = "there is memory for a few megabytes";
+        Self {
+            cells: Moments::new_vec_zeroed((SIDE * SIDE) as usize).expect(no_memory),
+            lines: Remembered::new_vec_zeroed((REMEMBERED.0 * REMEMBERED.1) as usize).expect(no_memory),
+            version: 1,
+        }
     }
 }
 
@@ -137,8 +148,9 @@ impl MomentGrid {
     }
 
     fn line_of(&mut self, column: i32, row: i32) -> Line {
-        let slot = index(column, row);
-        if self.lines[slot].version != self.version {
+        let slot = ((row & (REMEMBERED.1 - 1)) * REMEMBERED.0 + (column & (REMEMBERED.0 - 1))) as usize;
+        let cell = index(column, row) as u32;
+        if (self.lines[slot].version, self.lines[slot].cell) != (self.version, cell) {
             self.lines[slot] = self.fit(column, row);
         }
         let line = self.lines[slot];
@@ -170,8 +182,9 @@ impl MomentGrid {
                 syy += i64::from(cell.yy) + 2 * oy * y + count * oy * oy;
             }
         }
-        let own = &self.cells[index(column, row)];
-        let mut line = Remembered { version: self.version, ..Remembered::default() };
+        let cell = index(column, row);
+        let own = &self.cells[cell];
+        let mut line = Remembered { version: self.version, cell: cell as u32, ..Remembered::default() };
         if n < i64::from(LINE_POINTS_MIN) || own.count == 0 {
             return line;
         }
@@ -209,7 +222,9 @@ fn center_m(cell: i32) -> f64 {
 
 #[inline]
 fn index(column: i32, row: i32) -> usize {
-    ((row & (SIDE - 1)) * SIDE + (column & (SIDE - 1))) as usize
+    let (column, row) = (column & (SIDE - 1), row & (SIDE - 1));
+    let block = row / BLOCK.1 * (SIDE / BLOCK.0) + column / BLOCK.0;
+    (block * BLOCK.0 * BLOCK.1 + row % BLOCK.1 * BLOCK.0 + column % BLOCK.0) as usize
 }
 
 #[cfg(test)]
@@ -236,6 +251,29 @@ mod tests {
             assert!((line.normal_x / line.normal_y + 0.5).abs() < 0.02 && line.flatness > 0.95, "{line:?}");
         }
         assert!(grid.line_near(0.0, 4.0).is_none());
+    }
+
+    #[test]
+    fn every_cell_of_the_torus_has_a_place_of_its_own() {
+        let mut taken = vec![false; (SIDE * SIDE) as usize];
+        for (row, column) in (-3..SIDE - 3).flat_map(|row| (5..SIDE + 5).map(move |column| (row, column))) {
+            assert!(!std::mem::replace(&mut taken[index(column, row)], true), "{column} {row}");
+        }
+    }
+
+    #[test]
+    fn cells_that_share_a_place_for_lines_do_not_take_each_others() {
+        let mut grid = MomentGrid::default();
+        let apart_m = f64::from(REMEMBERED.0) * MomentGrid::CELL_M;
+        let turned = Placement::new(apart_m, 0.0, 0.3);
+        grid.add(&Placement::IDENTITY, &wall());
+        grid.add(&turned, &wall());
+        let near = grid.line_near(0.03, 2.015).unwrap();
+        for x in [-0.5, 0.03, 1.111, 2.5] {
+            let (x_m, y_m) = turned.apply(x, 2.0 + 0.5 * x);
+            grid.line_near(x_m, y_m).unwrap();
+            assert_eq!(grid.line_near(0.03, 2.015).unwrap(), near);
+        }
     }
 
     proptest! {

@@ -25,6 +25,8 @@ pub struct Searcher {
     headings: Vec<f64>,
     cells: Vec<(i16, i16)>,
     open: Vec<Branch>,
+    sums_max: Option<u64>,
+    gave_up: bool,
 }
 
 /// A square of translations at one heading, with the bound on its sum.
@@ -43,6 +45,17 @@ fn top_level(reach: i32) -> usize {
 }
 
 impl Searcher {
+    /// A searcher that gives up after looking at this many squares: in a corridor, where a cloud fits nearly as well all
+    /// along, an exact search looks at almost every pose.
+    pub fn bounded(sums_max: u64) -> Self {
+        Self { sums_max: Some(sums_max), ..Self::default() }
+    }
+
+    /// Whether the last search ended before it had looked everywhere.
+    pub fn gave_up(&self) -> bool {
+        self.gave_up
+    }
+
     /// Looks for the cloud `points` (metres, its own frame) in `field` around `guess`, and gives the best
     /// pose if its score reaches `score_min`. `exclude` takes out the neighbourhood of a pose: what is left
     /// is its runner-up.
@@ -66,6 +79,7 @@ impl Searcher {
             reach,
             best: Branch { bound: ((score_min * full).ceil() as u32).max(1) - 1, ..Branch::default() },
             excluded: None,
+            sums_left: self.sums_max.unwrap_or(u64::MAX),
         };
         search.excluded =
             exclude.map(|(around, apart)| Excluded { around, apart, guess, headings: &self.headings });
@@ -83,6 +97,7 @@ impl Searcher {
             }
             found |= search.descend(level, *branch);
         }
+        self.gave_up = search.sums_left == 0;
         let Branch { bound, heading, dx, dy } = search.best;
         found.then(|| Found {
             placement: shifted(guess, self.headings[heading as usize], dx, dy),
@@ -139,6 +154,7 @@ struct Descent<'a> {
     reach: i32,
     best: Branch,
     excluded: Option<Excluded<'a>>,
+    sums_left: u64,
 }
 
 impl Descent<'_> {
@@ -146,17 +162,25 @@ impl Descent<'_> {
         &self.cells[heading as usize * self.count..(heading as usize + 1) * self.count]
     }
 
-    fn open_squares(&self, level: usize, heading: u32, open: &mut Vec<Branch>) {
+    fn open_squares(&mut self, level: usize, heading: u32, open: &mut Vec<Branch>) {
         let stride = 1 << level;
-        let cells = self.cells_at(heading);
         for dy in (-self.reach..=self.reach).step_by(stride) {
             for dx in (-self.reach..=self.reach).step_by(stride) {
-                let bound = self.field.sum(level, cells, dx, dy, self.best.bound + 1);
+                let bound = self.sum(level, heading, dx, dy);
                 if bound > self.best.bound {
                     open.push(Branch { bound, heading, dx, dy });
                 }
             }
         }
+    }
+
+    /// Bound of a square; 0, which no search follows, when the work allowed is done.
+    fn sum(&mut self, level: usize, heading: u32, dx: i32, dy: i32) -> u32 {
+        if self.sums_left == 0 {
+            return 0;
+        }
+        self.sums_left -= 1;
+        self.field.sum(level, self.cells_at(heading), dx, dy, self.best.bound + 1)
     }
 
     /// Searches a square; true when it holds a new best.
@@ -172,10 +196,8 @@ impl Descent<'_> {
         let mut children = [Branch::default(); 4];
         for (i, child) in children.iter_mut().enumerate() {
             let (dx, dy) = (branch.dx + half * (i as i32 & 1), branch.dy + half * (i as i32 >> 1));
-            let cells = self.cells_at(branch.heading);
             let inside = dx <= self.reach && dy <= self.reach;
-            let bound =
-                if inside { self.field.sum(level - 1, cells, dx, dy, self.best.bound + 1) } else { 0 };
+            let bound = if inside { self.sum(level - 1, branch.heading, dx, dy) } else { 0 };
             *child = Branch { bound, heading: branch.heading, dx, dy };
         }
         children.sort_by_key(|branch| std::cmp::Reverse(branch.bound));

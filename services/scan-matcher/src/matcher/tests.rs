@@ -49,6 +49,7 @@ impl FrontEnd {
         if estimate.has(PoseFlags::INSERT) {
             let insertion = self.mapper.insert(view, &estimate, &[]);
             let (generation, active_submap) = (insertion.generation, insertion.active_submap);
+            insertion.retired.iter().for_each(|key| drop(self.grid.remove(*key)));
             let changed = insertion.changed.to_vec();
             for key in changed {
                 let mut tile = Tile::unknown(0);
@@ -170,6 +171,41 @@ fn wheels_that_jump_are_seen_through_a_kick_is_rescued_and_nonsense_never_enters
     assert_eq!((lost.quality, lost.has(PoseFlags::INSERT)), (Quality::Lost as u32, false));
     let found = front_end.step(&look(32, truth(32), Some(truth(32) * slip)), true);
     assert!(found.odom_from_base.distance_m(truth(32)) < 0.03 && found.quality == Quality::Tracking as u32);
+}
+
+#[test]
+fn a_robot_that_stays_lost_begins_a_new_chain_and_leaves_the_map_alone() {
+    let mut front_end = FrontEnd::new(Settings::default());
+    for i in 0..30 {
+        front_end.step(&look(i, truth(i), Some(truth(i))), true);
+    }
+    let generation = front_end.mapper.generation();
+    // Carried to the other end of the room, while the wheels notice nothing.
+    let carried = |i: u64| Pose::new(4.3, -1.0, 2.5) * truth(i);
+    let mut lost = 0;
+    let mut estimates = (30..).map(|i| front_end.step(&look(i, carried(i), Some(truth(i))), true));
+    let begun = estimates.by_ref().take(40).find(|estimate| {
+        lost += u32::from(estimate.quality == Quality::Lost as u32);
+        estimate.chain == 1
+    });
+    let begun = begun.expect("a new chain");
+    drop(estimates);
+    assert!(lost >= 5 && begun.has(PoseFlags::INSERT) && !begun.has(PoseFlags::MATCHED), "{lost} {begun:?}");
+    assert_eq!(begun.quality, Quality::Degraded as u32);
+    assert_eq!(front_end.mapper.generation(), generation + 1, "nothing was inserted while lost");
+    let first = begun.id.sequence;
+    for i in first + 1..first + 30 {
+        let estimate = front_end.step(&look(i, carried(i), Some(truth(i))), true);
+        let moved = carried(first).to(carried(i));
+        let seen = begun.odom_from_base.to(estimate.odom_from_base);
+        assert!(seen.distance_m(moved) < 0.05, "{i} {estimate:?}");
+        assert_eq!((estimate.chain, estimate.quality), (1, Quality::Degraded as u32), "its place is a guess");
+    }
+    let attached = LayoutHeader { chain: 1, attached: 1, ..LayoutHeader::default() };
+    front_end.matcher.corrected(&attached);
+    let i = first + 30;
+    let estimate = front_end.step(&look(i, carried(i), Some(truth(i))), true);
+    assert_eq!(estimate.quality, Quality::Tracking as u32);
 }
 
 #[test]

@@ -1,0 +1,150 @@
+use crate::levels::CellLevels;
+use crate::range_coder::{BinaryCoder, Likelihood};
+use crate::{TILE_CELLS, TILE_SIDE};
+
+/// Cells of a row that are said to be empty with one bit.
+const CHUNK: usize = 8;
+/// Kinds of cells that are told apart in contexts: unknown, free by level, occupied.
+const CLASSES: usize = 32;
+/// Places that five bits can tell apart.
+const PLACES: usize = 32;
+
+/// Places of a cell's weights among their levels, for "occupied" and for "free".
+pub type Symbol = [u8; 2];
+
+/// What is learned about the cells of a submap while they are coded, tile by tile: each is foreseen by its neighbours to the
+/// left and below.
+pub struct CellModel {
+    /// Bits of a place, for "occupied" and for "free".
+    bits: [u32; 2],
+    block_is_empty: [Likelihood; 4],
+    chunk_is_empty: [Likelihood; 4],
+    first_guess: Box<[Likelihood; CLASSES * CLASSES]>,
+    second_guess: Box<[Likelihood; CLASSES * CLASSES]>,
+    is_occupied: [Likelihood; 4],
+    occupied: [Likelihood; PLACES],
+    free_if_occupied: [Likelihood; PLACES],
+    free: Box<[[Likelihood; PLACES]; CLASSES]>,
+}
+
+impl CellModel {
+    /// A model of cells with these levels that has seen none yet.
+    pub fn new(levels: &CellLevels) -> Self {
+        let pairs = || Box::new([Likelihood::default(); CLASSES * CLASSES]);
+        let bits = |count: usize| usize::BITS - count.leading_zeros();
+        Self {
+            bits: [bits(levels.occupied.weights().len()), bits(levels.free.weights().len())],
+            block_is_empty: Default::default(),
+            chunk_is_empty: Default::default(),
+            first_guess: pairs(),
+            second_guess: pairs(),
+            is_occupied: Default::default(),
+            occupied: [Likelihood::default(); PLACES],
+            free_if_occupied: [Likelihood::default(); PLACES],
+            free: Box::new([[Likelihood::default(); PLACES]; CLASSES]),
+        }
+    }
+
+    /// Writes the cells of a tile, or fills them with what is read.
+    pub fn code(&mut self, coder: &mut impl BinaryCoder, cells: &mut [Symbol; TILE_CELLS]) {
+        let mut below = [[0; 2]; TILE_SIDE];
+        let mut empty_below = [true; TILE_SIDE / CHUNK];
+        for rows in cells.chunks_mut(TILE_SIDE * CHUNK) {
+            let empty = self.code_blocks(coder, rows, empty_below);
+            for row in rows.as_chunks_mut::<TILE_SIDE>().0 {
+                for (chunk, _) in empty.iter().enumerate().filter(|(_, empty)| !**empty) {
+                    self.code_chunk(coder, row, &below, chunk * CHUNK);
+                }
+                below = *row;
+            }
+            empty_below = empty;
+        }
+    }
+
+    /// Which blocks of 8 × 8 cells in a row of blocks are empty; these are then emptied.
+    fn code_blocks(
+        &mut self,
+        coder: &mut impl BinaryCoder,
+        rows: &mut [Symbol],
+        below: [bool; TILE_SIDE / CHUNK],
+    ) -> [bool; TILE_SIDE / CHUNK] {
+        let mut empty = [true; TILE_SIDE / CHUNK];
+        for block in 0..empty.len() {
+            let places = block * CHUNK..(block + 1) * CHUNK;
+            let is_empty = rows.chunks(TILE_SIDE).all(|row| is_empty(&row[places.clone()]));
+            let context = usize::from(below[block]) + 2 * usize::from(block == 0 || empty[block - 1]);
+            empty[block] = coder.code(&mut self.block_is_empty[context], is_empty);
+            if empty[block] {
+                rows.chunks_mut(TILE_SIDE).for_each(|row| row[places.clone()].fill([0; 2]));
+            }
+        }
+        empty
+    }
+
+    fn code_chunk(
+        &mut self,
+        coder: &mut impl BinaryCoder,
+        row: &mut [Symbol; TILE_SIDE],
+        below: &[Symbol; TILE_SIDE],
+        start: usize,
+    ) {
+        let end = start + CHUNK;
+        let before = if start > 0 { row[start - 1] } else { [0; 2] };
+        let context = usize::from(is_empty(&below[start..end])) + 2 * usize::from(before == [0; 2]);
+        if coder.code(&mut self.chunk_is_empty[context], is_empty(&row[start..end])) {
+            row[start..end].fill([0; 2]);
+            return;
+        }
+        let mut left = before;
+        let mut corner = if start > 0 { below[start - 1] } else { [0; 2] };
+        for (cell, below) in row[start..end].iter_mut().zip(&below[start..end]) {
+            // Where the row below did not change from the left, this one is likely to be like it.
+            let (first, second) = if corner == left { (*below, left) } else { (left, *below) };
+            *cell = self.code_cell(coder, first, second, *cell);
+            (left, corner) = (*cell, *below);
+        }
+    }
+
+    #[inline]
+    fn code_cell(
+        &mut self,
+        coder: &mut impl BinaryCoder,
+        first: Symbol,
+        second: Symbol,
+        cell: Symbol,
+    ) -> Symbol {
+        let context = class(first) * CLASSES + class(second);
+        if coder.code(&mut self.first_guess[context], cell == first) {
+            return first;
+        }
+        if second != first && coder.code(&mut self.second_guess[context], cell == second) {
+            return second;
+        }
+        let near = usize::from(first[0] > 0) + 2 * usize::from(second[0] > 0);
+        let [occupied_bits, free_bits] = self.bits;
+        if coder.code(&mut self.is_occupied[near], cell[0] > 0) {
+            let occupied = code_place(coder, &mut self.occupied, occupied_bits, cell[0]);
+            [occupied, code_place(coder, &mut self.free_if_occupied, free_bits, cell[1])]
+        } else {
+            [0, code_place(coder, &mut self.free[class(first)], free_bits, cell[1])]
+        }
+    }
+}
+
+fn is_empty(cells: &[Symbol]) -> bool {
+    cells.iter().all(|cell| *cell == [0; 2])
+}
+
+fn class(cell: Symbol) -> usize {
+    if cell[0] > 0 { CLASSES - 1 } else { usize::from(cell[1]).min(CLASSES - 2) }
+}
+
+/// So many bits, the highest first, each in the context of those before it.
+#[inline]
+fn code_place(coder: &mut impl BinaryCoder, tree: &mut [Likelihood; PLACES], bits: u32, place: u8) -> u8 {
+    let mut node = 1;
+    for bit in (0..bits).rev() {
+        node = 2 * node + usize::from(coder.code(&mut tree[node], place >> bit & 1 == 1));
+    }
+    (node - (1 << bits)) as u8
+}

@@ -1,0 +1,55 @@
+use flockslam_geometry::Pose;
+use flockslam_stage::StageError;
+use flockslam_stage::results::{StampedPose, TRUE_TRAJECTORY};
+use std::fs::{File, rename};
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+use zerocopy::IntoBytes;
+
+/// The exact trajectory of a simulated robot, written pose by pose: a drive of any length takes no more memory.
+#[derive(Debug)]
+pub struct TruthWriter {
+    file: BufWriter<File>,
+    growing: PathBuf,
+    whole: PathBuf,
+}
+
+impl TruthWriter {
+    /// Begins the trajectory anew, under a name that says that it is not whole yet.
+    pub fn create(result_dir: &Path) -> Result<Self, StageError> {
+        let whole = result_dir.join(TRUE_TRAJECTORY);
+        let growing = whole.with_extension("growing");
+        let file = File::create(&growing).map_err(|e| StageError::file(&growing, e))?;
+        Ok(Self { file: BufWriter::new(file), growing, whole })
+    }
+
+    /// Appends a pose.
+    pub fn push(&mut self, stamp_ns: i64, pose: Pose) -> Result<(), StageError> {
+        let row = StampedPose { stamp_ns, pose };
+        self.file.write_all(row.as_bytes()).map_err(|e| StageError::file(&self.growing, e))
+    }
+
+    /// The drive is over: gives the trajectory its name.
+    pub fn finish(&mut self) -> Result<(), StageError> {
+        let finished = self.file.flush().and_then(|()| rename(&self.growing, &self.whole));
+        finished.map_err(|e| StageError::file(&self.whole, e))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockslam_stage::results::read_trajectory;
+
+    #[test]
+    fn a_trajectory_has_its_name_once_it_is_whole() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut truth = TruthWriter::create(directory.path()).unwrap();
+        let pose = |i: i64| Pose::new(i as f64, 1.0, 0.5);
+        (0..1000).for_each(|i| truth.push(i, pose(i)).unwrap());
+        assert!(read_trajectory(directory.path(), TRUE_TRAJECTORY).is_err());
+        truth.finish().unwrap();
+        let rows = read_trajectory(directory.path(), TRUE_TRAJECTORY).unwrap();
+        assert_eq!((rows.len(), rows[999].stamp_ns, rows[999].pose), (1000, 999, pose(999)));
+    }
+}

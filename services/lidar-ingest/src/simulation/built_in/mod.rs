@@ -1,0 +1,11 @@
+//! The worlds that come with the program. Each is fixed: what varies in it is drawn from a seed of its own.
+
+mod hotel;
+mod office;
+mod warehouse;
+mod yard;
+
+pub(super) use hotel::hotel;
+pub(super) use office::office;
+pub(super) use warehouse::warehouse;
+pub(super) use yard::yard;

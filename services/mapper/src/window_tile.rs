@@ -1,0 +1,150 @@
+use crate::score::Scores;
+use flockslam_evidence::{Cell, CrossedCells, PackedCell, TILE_CELLS, TILE_SIDE, Tile};
+
+/// Cells whose sums are changed together.
+const GROUP: usize = 8;
+
+/// A tile of the window.
+#[derive(Debug)]
+pub(crate) struct WindowTile {
+    /// What readers see: the evidence of the whole window, capped, and its scores.
+    pub(crate) published: Tile,
+    /// Evidence of the whole window, not capped.
+    pub(crate) sums: [Cell; TILE_CELLS],
+    /// Evidence of the active submap; capped as it will be when the submap is closed.
+    pub(crate) active: [PackedCell; TILE_CELLS],
+    /// Cells that the present scan has observed, one bit each, row by row.
+    observed: [u64; TILE_SIDE],
+    /// Cells that its rays cross.
+    pub(crate) crossed: CrossedCells,
+    /// Scan that crossed the tile last.
+    pub(crate) crossed_by: u32,
+    /// Scan that changed the tile last.
+    pub(crate) changed_by: u32,
+    /// Whether the tile is in the list of the active submap.
+    pub(crate) in_active: bool,
+}
+
+impl WindowTile {
+    pub(crate) fn new(unknown_score: u16) -> Box<Self> {
+        Box::new(Self {
+            published: *Tile::unknown(unknown_score),
+            sums: [Cell::UNKNOWN; TILE_CELLS],
+            active: [PackedCell::UNKNOWN; TILE_CELLS],
+            observed: [0; TILE_SIDE],
+            crossed: CrossedCells::default(),
+            crossed_by: 0,
+            changed_by: 0,
+            in_active: false,
+        })
+    }
+
+    /// Forgets what the last scan observed.
+    pub(crate) fn begin_scan(&mut self) {
+        self.observed = [0; TILE_SIDE];
+    }
+
+    /// Whether any cell has evidence.
+    pub(crate) fn is_known(&self) -> bool {
+        self.sums.iter().any(|sum| !sum.is_unknown())
+    }
+
+    /// Adds evidence to a cell; false when the scan has observed it before.
+    pub(crate) fn observe(&mut self, offset: usize, evidence: Cell, scores: &mut Scores) -> bool {
+        let (row, bit) = (&mut self.observed[offset / TILE_SIDE], 1 << (offset % TILE_SIDE));
+        if *row & bit != 0 {
+            return false;
+        }
+        *row |= bit;
+        let before = self.active[offset].unpack();
+        self.active[offset] = before.combine(evidence).pack();
+        let after = self.active[offset].unpack();
+        let added = Cell { occupied: after.occupied - before.occupied, free: after.free - before.free };
+        self.set_sum(offset, self.sums[offset].combine(added), scores);
+        true
+    }
+
+    /// Adds the same evidence to all crossed cells that were not observed otherwise; false when there are none.
+    pub(crate) fn observe_crossed(&mut self, evidence: Cell, scores: &mut Scores) -> bool {
+        let evidence = evidence.pack();
+        let mut any = false;
+        for (row, crossed) in self.crossed.take().into_iter().enumerate() {
+            let fresh = crossed & !self.observed[row];
+            if fresh != 0 {
+                any = true;
+                self.observed[row] |= fresh;
+                self.observe_row(row, fresh, evidence, scores);
+            }
+        }
+        any
+    }
+
+    fn observe_row(&mut self, row: usize, cells: u64, evidence: PackedCell, scores: &mut Scores) {
+        for (group, cells) in cells.to_le_bytes().into_iter().enumerate() {
+            if cells != 0 {
+                let first = row * TILE_SIDE + group * GROUP;
+                let occupied = self.add_to_group(first, cells, evidence);
+                if occupied || scores.tells_free() {
+                    self.score_group(first, cells, scores);
+                }
+            }
+        }
+    }
+
+    /// Adds evidence to those of eight cells whose bits are set: all eight at once, without a branch. True when one of
+    /// the eight has evidence for "occupied".
+    #[inline]
+    fn add_to_group(&mut self, first: usize, cells: u8, evidence: PackedCell) -> bool {
+        let added = masked(cells, evidence);
+        let active = &mut self.active[first..first + GROUP];
+        let published = &mut self.published.cells[first..first + GROUP];
+        let sums = &mut self.sums[first..first + GROUP];
+        let mut occupied = 0;
+        for (((active, published), sum), added) in active.iter_mut().zip(published).zip(sums).zip(added) {
+            let before = *active;
+            active.occupied = before.occupied.saturating_add(added[0]);
+            active.free = before.free.saturating_add(added[1]);
+            let (more_occupied, more_free) = (
+                active.occupied.wrapping_sub(before.occupied),
+                active.free.wrapping_sub(before.free),
+            );
+            // The published form is the sum capped, and a capped sum of capped numbers is the same.
+            published.occupied = published.occupied.saturating_add(more_occupied);
+            published.free = published.free.saturating_add(more_free);
+            sum.occupied = sum.occupied.wrapping_add(u32::from(more_occupied));
+            sum.free = sum.free.wrapping_add(u32::from(more_free));
+            occupied |= published.occupied;
+        }
+        occupied != 0
+    }
+
+    fn score_group(&mut self, first: usize, cells: u8, scores: &mut Scores) {
+        for cell in 0..GROUP {
+            let sum = self.sums[first + cell];
+            if cells >> cell & 1 == 1 && (sum.occupied > 0 || scores.tells_free()) {
+                self.published.set_score(first + cell, scores.of(sum));
+            }
+        }
+    }
+
+    /// Replaces the sum of a cell, and what is published of it.
+    pub(crate) fn set_sum(&mut self, offset: usize, sum: Cell, scores: &mut Scores) {
+        let had_occupied = self.sums[offset].occupied > 0;
+        self.sums[offset] = sum;
+        self.published.cells[offset] = sum.pack();
+        if had_occupied || sum.occupied > 0 || scores.tells_free() {
+            self.published.set_score(offset, scores.of(sum));
+        }
+    }
+}
+
+/// The evidence for each of eight cells whose bit is set, nothing for the others.
+#[inline]
+fn masked(cells: u8, evidence: PackedCell) -> [[u16; 2]; GROUP] {
+    let mut added = [[0; 2]; GROUP];
+    for (cell, added) in added.iter_mut().enumerate() {
+        let mask = 0u16.wrapping_sub(u16::from(cells >> cell & 1));
+        *added = [evidence.occupied & mask, evidence.free & mask];
+    }
+    added
+}

@@ -1,0 +1,141 @@
+//! The sums of Gauss–Newton over many points, several points at a time: each step of the arithmetic runs over a whole
+//! batch, so that the processor's wide instructions can be used on every machine, with the same bits.
+
+use crate::field::ScoreRead;
+use crate::gauss_newton::NormalEquations;
+use flockslam_evidence::CellIndex;
+use flockslam_geometry::Point;
+use nalgebra::{Matrix3, Vector3};
+
+/// Points in a batch.
+pub(crate) const BATCH: usize = 16;
+/// Partial sums that are added to at once.
+const LANES: usize = 2;
+/// Adding this rounds a number to a whole one, which then stands in the low bits (1.5 · 2⁵²).
+const ROUNDER: f64 = 6_755_399_441_055_744.0;
+/// The full score in the field's own units.
+const FULL: f64 = u16::MAX as f64;
+
+type Row<T> = [T; BATCH];
+
+/// Where the points of a batch end, and the scores around each; lengths are sides of a cell.
+#[derive(Default)]
+pub(crate) struct Batch {
+    /// Points turned into the field's directions.
+    x: Row<f64>,
+    y: Row<f64>,
+    /// Column and row of the block's first cell, in the low bits.
+    column: Row<u64>,
+    row: Row<u64>,
+    /// Way from the centre of the block's first cell, 0 … 1.
+    along: Row<f64>,
+    up: Row<f64>,
+    /// Scores of the cells (0, 0), (1, 0), (0, 1), (1, 1) of the block.
+    blocks: [Row<i32>; 4],
+}
+
+impl Batch {
+    /// Turns the points by `turn` (cosine and sine, per metre of a cell's side) and finds their blocks after a shift.
+    #[inline]
+    pub(crate) fn place(&mut self, points: &Row<Point>, turn: (f64, f64), shift: (f64, f64)) {
+        for (k, point) in points.iter().enumerate() {
+            self.x[k] = turn.0 * point.x_m - turn.1 * point.y_m;
+            self.y[k] = turn.1 * point.x_m + turn.0 * point.y_m;
+        }
+        split(&self.x, shift.0, &mut self.column, &mut self.along);
+        split(&self.y, shift.1, &mut self.row, &mut self.up);
+    }
+
+    /// Reads the blocks of the first `count` points; the others count as a perfect fit that tells nothing.
+    #[inline]
+    pub(crate) fn read(&mut self, read: &mut impl ScoreRead, count: usize) {
+        for k in 0..BATCH {
+            let block = if k < count {
+                read.block(CellIndex::new(self.column[k] as i32, self.row[k] as i32))
+            } else {
+                [u16::MAX; 4]
+            };
+            for (row, score) in self.blocks.iter_mut().zip(block) {
+                row[k] = i32::from(score);
+            }
+        }
+    }
+}
+
+/// Splits numbers after a shift into their greatest whole numbers not above and the rests. (A number that is whole may
+/// come apart as one less and a rest of 1; interpolation gives the same for both.)
+#[inline]
+fn split(numbers: &Row<f64>, shift: f64, whole: &mut Row<u64>, rest: &mut Row<f64>) {
+    for k in 0..BATCH {
+        let number = numbers[k] + shift;
+        let rounded = (number - 0.5) + ROUNDER;
+        whole[k] = rounded.to_bits();
+        rest[k] = number - (rounded - ROUNDER);
+    }
+}
+
+/// Sums over batches, in sides of a cell and units of the score.
+#[derive(Default)]
+pub(crate) struct Sums {
+    xx: [f64; LANES],
+    xy: [f64; LANES],
+    xt: [f64; LANES],
+    yy: [f64; LANES],
+    yt: [f64; LANES],
+    tt: [f64; LANES],
+    xr: [f64; LANES],
+    yr: [f64; LANES],
+    tr: [f64; LANES],
+    r: [f64; LANES],
+    rr: [f64; LANES],
+}
+
+impl Sums {
+    /// Adds the points of a batch: bilinear interpolation M with its true derivative J, residual r = 1 - M.
+    #[inline]
+    pub(crate) fn add(&mut self, batch: &Batch) {
+        let [m00, m10, m01, m11] = &batch.blocks;
+        for first in (0..BATCH).step_by(LANES) {
+            for lane in 0..LANES {
+                let k = first + lane;
+                let (a, b) = (batch.along[k], batch.up[k]);
+                let low = f64::from(m10[k].wrapping_sub(m00[k]));
+                let high = f64::from(m11[k].wrapping_sub(m01[k]));
+                let (bottom, top) = (f64::from(m00[k]) + a * low, f64::from(m01[k]) + a * high);
+                let (x, y) = (low + b * (high - low), top - bottom);
+                let r = FULL - (bottom + b * y);
+                let t = batch.x[k] * y - batch.y[k] * x;
+                self.xx[lane] += x * x;
+                self.xy[lane] += x * y;
+                self.xt[lane] += x * t;
+                self.yy[lane] += y * y;
+                self.yt[lane] += y * t;
+                self.tt[lane] += t * t;
+                self.xr[lane] += x * r;
+                self.yr[lane] += y * r;
+                self.tr[lane] += t * r;
+                self.r[lane] += r;
+                self.rr[lane] += r * r;
+            }
+        }
+    }
+
+    /// The equations in metres and shares of the full score, over this many points.
+    pub(crate) fn in_metres(&self, per_metre: f64, points: usize) -> NormalEquations {
+        let sum = |lanes: [f64; LANES]| lanes.into_iter().sum::<f64>();
+        let (one, length) = (1.0 / FULL, per_metre / FULL);
+        let [xx, xy, yy] = [self.xx, self.xy, self.yy].map(|s| length * length * sum(s));
+        let [xt, yt] = [self.xt, self.yt].map(|s| length * one * sum(s));
+        let tt = one * one * sum(self.tt);
+        NormalEquations {
+            hessian: Matrix3::new(xx, xy, xt, xy, yy, yt, xt, yt, tt),
+            gradient: Vector3::new(
+                length * one * sum(self.xr),
+                length * one * sum(self.yr),
+                one * one * sum(self.tr),
+            ),
+            score: points as f64 - one * sum(self.r),
+            squares: one * one * sum(self.rr),
+        }
+    }
+}

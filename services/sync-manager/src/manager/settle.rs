@@ -1,0 +1,180 @@
+//! What keeps the back end bounded: a stretch through a place that is known well is not kept. Its scans get their poses once
+//! and for all, relative to a node that stays, and its nodes leave the graph.
+
+use super::{Kept, SyncManager};
+use crate::place::Placer;
+use crate::solution::SettledScan;
+use crate::symmetric::Symmetric;
+use crate::trajectory::{Between, filled};
+use flockslam_registration::cloud::Placement;
+use std::ops::Range;
+
+/// What lies back less than this is never settled, metres of travel: loops that it may close are still looked for.
+const HORIZON_M: f64 = 60.0;
+/// Stretches are of the same place and direction when their middles are closer than this, metres and radians: half of what the
+/// middles of successive ones are apart, so that each visit counts once.
+const SAME: (f64, f64) = (2.6, 0.6);
+/// How well the ends of a stretch that was taken out are known to each other (information): 5 cm and 0.01 rad each.
+const BRIDGE: Symmetric = [400.0, 0.0, 0.0, 400.0, 0.0, 1e4];
+/// Share of the kept points that may belong to scans that have left before they are cleared away.
+const WASTE: f64 = 0.25;
+
+/// Where a submap of the mapper lies whose scans have settled: relative to the node with this sequence.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SettledSubmap {
+    pub(super) anchor: u64,
+    pub(super) anchor_from_odom: Placement,
+}
+
+impl SyncManager {
+    /// Settles the stretches that have passed the horizon through places that enough older ones cover.
+    pub(super) fn settle(&mut self, known: usize) {
+        if self.settings.visits_kept == 0 {
+            return;
+        }
+        let Some(newest_m) = known.checked_sub(1).map(|last| self.chain.nodes()[last].travel_m) else {
+            return;
+        };
+        while let Some(segment) = self.segments.get(self.next_settled) {
+            let nodes = segment.nodes.clone();
+            if newest_m - self.chain.nodes()[nodes.end - 1].travel_m < HORIZON_M {
+                break;
+            }
+            match self.host(self.next_settled) {
+                Some(host) => self.settle_segment(self.next_settled, host),
+                None => self.next_settled += 1,
+            }
+        }
+        if self.gone_scans as f64 > WASTE * self.scans.len() as f64 {
+            self.clear_away();
+        }
+    }
+
+    /// The node that a stretch is settled at: the nearest of those older stretches that cover its place, if there are enough.
+    fn host(&self, number: usize) -> Option<usize> {
+        let segment = &self.segments[number];
+        let strands = self.strands(self.poses.len());
+        let part = |node: usize| strands.part(self.chain.nodes()[node].strand);
+        let middle = self.poses[segment.anchor];
+        let same = |older: &&crate::segment::Segment| {
+            let at = &self.poses[older.anchor];
+            at.distance_m(&middle) < SAME.0
+                && at.turn_rad(&middle) < SAME.1
+                && part(older.anchor) == part(segment.anchor)
+        };
+        let covering: Vec<usize> = self.segments[..number].iter().filter(same).map(|s| s.anchor).collect();
+        let away_m = |node: &usize| self.poses[*node].distance_m(&middle);
+        let nearest = covering.iter().min_by(|a, b| away_m(a).total_cmp(&away_m(b)));
+        nearest.copied().filter(|_| covering.len() >= self.settings.visits_kept)
+    }
+
+    /// Gives the scans of a segment their poses relative to the node `host`, and takes its nodes out of the graph.
+    fn settle_segment(&mut self, number: usize, host: usize) {
+        let nodes = self.segments[number].nodes.clone();
+        let kept = self.kept_of(&nodes);
+        let records = self.kept[kept.start].record..self.kept[kept.end].record;
+        let poses = self.placed_records(&kept, &records);
+        let (anchor, host_pose) = (self.chain.nodes()[host].sequence, self.poses[host]);
+        for (record, pose) in self.records[records.clone()].iter().zip(&poses) {
+            let anchor_from_base = host_pose.to(*pose);
+            self.settled.push(SettledScan {
+                id: record.id,
+                stamp_ns: record.stamp_ns,
+                anchor,
+                anchor_from_base: anchor_from_base.pose(),
+            });
+            if !record.lost {
+                let anchor_from_odom = anchor_from_base.compose(record.odom.inverse());
+                self.settled_submaps.insert(record.submap, SettledSubmap { anchor, anchor_from_odom });
+            }
+        }
+        self.remove(number, &nodes, &kept, &records);
+    }
+
+    /// The kept scans from the first of these nodes up to the node behind the last.
+    fn kept_of(&self, nodes: &Range<usize>) -> Range<usize> {
+        let at = |node: usize| self.kept.partition_point(|k| k.node < node);
+        at(nodes.start)..at(nodes.end)
+    }
+
+    /// Final poses of these records, whose kept scans these are; the next kept scan behind them is a node.
+    fn placed_records(&mut self, kept: &Range<usize>, records: &Range<usize>) -> Vec<Placement> {
+        let scans: Vec<_> = self.expected()[kept.clone()].to_vec();
+        let placer = Placer {
+            nodes: self.chain.nodes(),
+            scans: &self.scans,
+            poses: &self.poses,
+            reach: self.settings.final_nodes,
+        };
+        let placed = placer.place_all(&scans, self.finder.scratch());
+        let first = records.start;
+        let mut pairs: Vec<_> =
+            self.kept[kept.clone()].iter().zip(placed).map(|(k, pose)| (k.record - first, pose)).collect();
+        let next: &Kept = &self.kept[kept.end];
+        pairs.push((next.record - first, self.poses[next.node]));
+        let mut poses = filled(&self.records[first..=next.record], &pairs, Between::Wheels);
+        poses.truncate(records.len());
+        poses
+    }
+
+    fn remove(&mut self, number: usize, nodes: &Range<usize>, kept: &Range<usize>, records: &Range<usize>) {
+        self.chain.take_out(nodes.clone(), &self.poses, BRIDGE);
+        self.poses.drain(nodes.clone());
+        self.gone_scans += kept.len();
+        self.kept.drain(kept.clone());
+        self.records.drain(records.clone());
+        for later in &mut self.kept[kept.start..] {
+            later.record -= records.len();
+            later.node -= nodes.len();
+        }
+        self.segments.remove(number);
+        for later in &mut self.segments[number..] {
+            later.nodes = later.nodes.start - nodes.len()..later.nodes.end - nodes.len();
+            later.anchor -= nodes.len();
+        }
+        let stays = |node: usize| !nodes.contains(&node);
+        let renamed = |node: usize| if node < nodes.start { node } else { node - nodes.len() };
+        let acts = std::mem::take(&mut self.in_force);
+        let closures = std::mem::take(&mut self.closures);
+        for (mut closure, acts) in closures.into_iter().zip(acts) {
+            let edge = &mut closure.edge;
+            if stays(edge.from) && stays(edge.to) {
+                (edge.from, edge.to) = (renamed(edge.from), renamed(edge.to));
+                self.closures.push(closure);
+                self.in_force.push(acts);
+            } else {
+                self.settled_closures += 1;
+            }
+        }
+    }
+
+    /// Frees the memory of scans that have left.
+    fn clear_away(&mut self) {
+        let mut wanted = vec![false; self.scans.len()];
+        self.kept.iter().for_each(|k| wanted[k.scan] = true);
+        let renamed = self.scans.retain(&wanted);
+        self.kept.iter_mut().for_each(|k| k.scan = renamed[k.scan]);
+        self.chain.rename_scans(&renamed);
+        self.gone_scans = 0;
+    }
+
+    /// Scans that have settled since the last call, in order: whoever takes them keeps them.
+    pub fn take_settled(&mut self) -> Vec<SettledScan> {
+        std::mem::take(&mut self.settled)
+    }
+
+    /// Where submaps lie whose scans have all settled, in the present solution.
+    pub(super) fn settled_layout(&self) -> impl Iterator<Item = (u32, Placement)> + '_ {
+        let (nodes, strands) = (self.chain.nodes(), self.strands(self.poses.len()));
+        self.settled_submaps.iter().filter_map(move |(number, settled)| {
+            let node = nodes.partition_point(|node| node.sequence < settled.anchor);
+            let attached = strands.is_attached(nodes[node].strand);
+            attached.then(|| (*number, self.poses[node].compose(settled.anchor_from_odom)))
+        })
+    }
+
+    /// Nodes, records and scans that are held in memory.
+    pub fn held(&self) -> (usize, usize, usize) {
+        (self.chain.nodes().len(), self.records.len(), self.scans.len())
+    }
+}

@@ -1,0 +1,162 @@
+use crate::{SettledScan, Solution};
+use flockslam_geometry::Pose;
+use flockslam_messages::{PoseEstimate, ScanId};
+use flockslam_stage::StageError;
+use flockslam_stage::results::{self, StampedPose};
+use std::fs::File;
+use std::io::{BufReader, BufWriter, Read, Write};
+use std::path::{Path, PathBuf};
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
+
+/// What grows with every scan and is needed at the end alone: it is kept in files, not in memory.
+pub struct Trajectories {
+    directory: PathBuf,
+    online: RowFile<StampedPose>,
+    settled: RowFile<SettledRow>,
+}
+
+/// A settled scan as it is stored.
+#[repr(C)]
+#[derive(Clone, Copy, FromBytes, IntoBytes, Immutable, KnownLayout)]
+struct SettledRow {
+    sequence: u64,
+    stamp_ns: i64,
+    anchor: u64,
+    anchor_from_base: Pose,
+}
+
+impl Trajectories {
+    /// Empty ones, in a directory that exists.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn create(directory: &Path) -> Result<Self, StageError> {
+        Ok(Self {
+            directory: directory.to_owned(),
+            online: RowFile::create(directory.join("online.rows"))?,
+            settled: RowFile::create(directory.join("settled.rows"))?,
+        })
+    }
+
+    /// Adds a pose as it was published.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub fn published(&mut self, pose: &PoseEstimate) -> Result<(), StageError> {
+        self.online.push(&StampedPose { stamp_ns: pose.times.sensor_ns, pose: pose.map_from_base() })
+    }
+
+    /// Keeps scans that have settled, in the order of their sequences.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub fn settled(&mut self, scans: &[SettledScan]) -> Result<(), StageError> {
+        scans.iter().try_for_each(|scan| {
+            let SettledScan { id, stamp_ns, anchor, anchor_from_base } = *scan;
+            self.settled.push(&SettledRow { sequence: id.sequence, stamp_ns, anchor, anchor_from_base })
+        })
+    }
+
+    /// Writes the published trajectory, and the final one in the order of the scans.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub fn finish(&mut self, solution: &Solution) -> Result<(), StageError> {
+        results::write_trajectory(&self.directory, results::ONLINE_TRAJECTORY, &self.online.read()?)?;
+        let row = |placed: &crate::PlacedScan| StampedPose {
+            stamp_ns: placed.stamp_ns,
+            pose: placed.map_from_base,
+        };
+        let mut live = solution.trajectory.iter().peekable();
+        let mut rows = Vec::new();
+        for settled in self.settled.read()? {
+            while let Some(placed) = live.next_if(|placed| placed.id.sequence < settled.sequence) {
+                rows.push(row(placed));
+            }
+            rows.push(row(&solution.settled(&settled.scan())));
+        }
+        rows.extend(live.map(row));
+        results::write_trajectory(&self.directory, results::FINAL_TRAJECTORY, &rows)
+    }
+}
+
+impl SettledRow {
+    fn scan(&self) -> SettledScan {
+        let id = ScanId { sequence: self.sequence, ..ScanId::default() };
+        let Self { stamp_ns, anchor, anchor_from_base, .. } = *self;
+        SettledScan { id, stamp_ns, anchor, anchor_from_base }
+    }
+}
+
+/// Rows of one kind, appended to a file.
+struct RowFile<T> {
+    path: PathBuf,
+    file: BufWriter<File>,
+    rows: std::marker::PhantomData<T>,
+}
+
+impl<T: FromBytes + IntoBytes + Immutable> RowFile<T> {
+    fn create(path: PathBuf) -> Result<Self, StageError> {
+        let file = File::create(&path).map_err(|e| StageError::file(&path, e))?;
+        Ok(Self { file: BufWriter::new(file), path, rows: std::marker::PhantomData })
+    }
+
+    fn push(&mut self, row: &T) -> Result<(), StageError> {
+        self.file.write_all(row.as_bytes()).map_err(|e| StageError::file(&self.path, e))
+    }
+
+    fn read(&mut self) -> Result<Vec<T>, StageError> {
+        let wrong = |e| StageError::file(&self.path, e);
+        self.file.flush().map_err(wrong)?;
+        let file = File::open(&self.path).map_err(wrong)?;
+        let rows = file.metadata().map_err(wrong)?.len() as usize / size_of::<T>();
+        let mut file = BufReader::new(file);
+        let mut row = vec![0; size_of::<T>()];
+        let mut read = || {
+            file.read_exact(&mut row)?;
+            T::read_from_bytes(&row).map_err(|_| std::io::Error::other("a torn row"))
+        };
+        (0..rows).map(|_| read().map_err(wrong)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::PlacedScan;
+
+    #[test]
+    fn settled_scans_take_their_places_among_the_others() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut trajectories = Trajectories::create(directory.path()).unwrap();
+        let id = |sequence| ScanId { sequence, ..ScanId::default() };
+        for sequence in 0..5 {
+            let mut pose = PoseEstimate { id: id(sequence), ..PoseEstimate::default() };
+            pose.times.sensor_ns = sequence as i64;
+            trajectories.published(&pose).unwrap();
+        }
+        let settle = |sequence: u64| SettledScan {
+            id: id(sequence),
+            stamp_ns: sequence as i64,
+            anchor: 0,
+            anchor_from_base: Pose::new(sequence as f64, 0.0, 0.0),
+        };
+        trajectories.settled(&[settle(1), settle(3)]).unwrap();
+        let place = |sequence: u64| PlacedScan {
+            id: id(sequence),
+            stamp_ns: sequence as i64,
+            map_from_base: Pose::new(sequence as f64, 2.0, 0.0),
+        };
+        let solution = Solution {
+            trajectory: vec![place(0), place(2), place(4)],
+            anchors: vec![(0, Pose::new(0.0, 2.0, 0.0))],
+            ..Solution::default()
+        };
+        trajectories.finish(&solution).unwrap();
+        let read = |name| results::read_trajectory(directory.path(), name).unwrap();
+        let last = read(results::FINAL_TRAJECTORY);
+        assert!(last.iter().enumerate().all(|(i, row)| row.stamp_ns == i as i64));
+        assert!(last.iter().enumerate().all(|(i, row)| row.pose == Pose::new(i as f64, 2.0, 0.0)));
+        assert_eq!((last.len(), read(results::ONLINE_TRAJECTORY).len()), (5, 5));
+    }
+}

@@ -1,0 +1,87 @@
+use super::Table;
+use super::runs::set;
+use flockslam_messages::Stage;
+use flockslam_stage::read_reports;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+/// Length of the run, hours of simulated time.
+const HOURS: u64 = 8;
+const SCANS_PER_HOUR: u64 = 36_000;
+
+/// What the set had used when so many scans had been handled.
+#[derive(Clone, Copy, Default)]
+struct Sample {
+    scans: u64,
+    cpu_s: f64,
+    private_bytes: u64,
+    shared_bytes: u64,
+}
+
+/// Eight hours in the same building: is anything growing?
+pub fn text() -> String {
+    let introduction = format!(
+        "{HOURS} hours of driving through the same building (`flockslam demo --set simulation.duration_s={}`, default settings), at full speed, watched from outside every half second:\n\n",
+        HOURS * 3600
+    );
+    match watch() {
+        Ok(samples) => introduction + &table(&samples).to_string(),
+        Err(reason) => format!("{introduction}Not measured: {reason}.\n"),
+    }
+}
+
+fn watch() -> Result<Vec<Sample>, String> {
+    let out = tempfile::tempdir().map_err(|error| error.to_string())?;
+    let robot = format!("long-{}", std::process::id());
+    let mut command = Command::new(env!("CARGO_BIN_EXE_flockslam"));
+    command.args(["demo", "--robot", &robot, "--out"]).arg(out.path());
+    command.args(set(&[&format!("simulation.duration_s={}", HOURS * 3600)]));
+    let mut child =
+        command.stdin(Stdio::null()).stdout(Stdio::null()).spawn().map_err(|error| error.to_string())?;
+    let directory = Path::new("/dev/shm").join(format!("flockslam-{robot}"));
+    let mut samples = Vec::new();
+    loop {
+        std::thread::sleep(Duration::from_millis(500));
+        if let Some(status) = child.try_wait().map_err(|error| error.to_string())? {
+            return if status.success() { Ok(samples) } else { Err(format!("it ended with {status}")) };
+        }
+        samples.push(look(&directory));
+    }
+}
+
+/// What the stages last wrote about themselves; at most a second old each.
+fn look(directory: &Path) -> Sample {
+    let mut sample = Sample { scans: u64::MAX, ..Sample::default() };
+    for stage in Stage::ALL {
+        let reports = read_reports(&directory.join("status"), stage.name());
+        sample.scans = sample.scans.min(reports.iter().map(|report| report.handled).sum());
+        sample.cpu_s += reports.iter().map(|report| report.cpu_s).sum::<f64>();
+        sample.private_bytes += reports.iter().map(|report| report.peak_private_bytes).max().unwrap_or(0);
+    }
+    sample.shared_bytes =
+        flockslam_bus::RuntimeDir::open(directory).map_or(0, |runtime| runtime.occupied_bytes());
+    sample
+}
+
+fn table(samples: &[Sample]) -> Table {
+    let mut table =
+        Table::new(["hour", "CPU per scan ms", "private memory of the stages MB", "shared memory MB"]);
+    let mut before = Sample::default();
+    for hour in 1..=HOURS {
+        // Reports of stages are up to a second apart: the last hour ends where the last of them does.
+        let end =
+            samples.iter().rfind(|sample| sample.scans <= hour * SCANS_PER_HOUR).copied().unwrap_or_default();
+        let scans = end.scans.saturating_sub(before.scans);
+        let cpu_ms = (end.cpu_s - before.cpu_s) * 1e3 / scans.max(1) as f64;
+        let megabytes = |bytes: u64| format!("{:.1}", bytes as f64 * 1e-6);
+        table.row([
+            hour.to_string(),
+            format!("{cpu_ms:.3}"),
+            megabytes(end.private_bytes),
+            megabytes(end.shared_bytes),
+        ]);
+        before = end;
+    }
+    table
+}

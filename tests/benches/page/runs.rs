@@ -1,0 +1,227 @@
+use flockslam::evaluation::{
+    Relation, RelationsReport, TruthReport, evaluate_relations, evaluate_truth, parse_relations, parse_tum,
+};
+use flockslam::outputs::{Report, TrajectoryPoint};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::rc::Rc;
+
+/// What a run is measured against: a log with relations, or the simulation with its exact truth.
+#[derive(Clone, Debug)]
+pub struct Subject {
+    /// How the tables call it.
+    pub name: String,
+    /// The CARMEN log and its relations; `None` for the simulation.
+    pub log: Option<(PathBuf, PathBuf)>,
+    /// Options of every run of it.
+    pub options: Vec<String>,
+}
+
+/// A trajectory's errors.
+#[derive(Clone, Copy, Debug)]
+pub enum Errors {
+    /// Over relations.
+    Relations(RelationsReport),
+    /// Against exact truth.
+    Truth(TruthReport),
+}
+
+/// One run of the executable, measured.
+#[derive(Debug)]
+pub struct Measured {
+    /// Its report.
+    pub report: Report,
+    /// Errors of `trajectory.tum`.
+    pub last: Errors,
+    /// Errors of `trajectory_online.tum`.
+    pub online: Errors,
+    /// Errors of `trajectory_refined.tum`, when there is one.
+    pub refined: Option<Errors>,
+}
+
+/// A run, or in one line why there is none.
+pub type Outcome = Result<Rc<Measured>, String>;
+
+/// Runs the executable and keeps what came out, so that sections can share runs.
+#[derive(Debug, Default)]
+pub struct Runs {
+    done: BTreeMap<Vec<String>, Outcome>,
+    relations: BTreeMap<PathBuf, Rc<Vec<Relation>>>,
+}
+
+impl Errors {
+    /// Mean translational error over all relations, or ATE, metres.
+    pub fn translation_m(&self) -> f64 {
+        match self {
+            Self::Relations(report) => report.all.translation_m.map_or(f64::NAN, |spread| spread.mean),
+            Self::Truth(report) => report.absolute.translation_m.map_or(f64::NAN, |spread| spread.rmse),
+        }
+    }
+
+    /// Mean rotational error over all relations, or of absolute poses, degrees.
+    pub fn rotation_deg(&self) -> f64 {
+        match self {
+            Self::Relations(report) => report.all.rotation_deg.map_or(f64::NAN, |spread| spread.mean),
+            Self::Truth(report) => report.absolute.rotation_deg.map_or(f64::NAN, |spread| spread.mean),
+        }
+    }
+
+    /// Largest translational error, metres.
+    pub fn max_m(&self) -> f64 {
+        let group = match self {
+            Self::Relations(report) => report.all.translation_m,
+            Self::Truth(report) => report.absolute.translation_m,
+        };
+        group.map_or(f64::NAN, |spread| spread.max)
+    }
+
+    /// Mean over short relations, metres; of the simulation: error per metre of the way.
+    pub fn short_m(&self) -> f64 {
+        let group = match self {
+            Self::Relations(report) => report.short.translation_m,
+            Self::Truth(report) => report.per_metre.translation_m,
+        };
+        group.map_or(f64::NAN, |spread| spread.mean)
+    }
+
+    /// Mean over loops, metres; there are none in the simulation.
+    pub fn loop_m(&self) -> f64 {
+        match self {
+            Self::Relations(report) => report.loops.translation_m.map_or(f64::NAN, |spread| spread.mean),
+            Self::Truth(_) => f64::NAN,
+        }
+    }
+
+    /// Relations or true poses without an estimated pose.
+    pub fn missing(&self) -> usize {
+        match self {
+            Self::Relations(report) => report.all.missing,
+            Self::Truth(report) => report.missing,
+        }
+    }
+}
+
+impl Measured {
+    /// Processor time of the whole set for a scan, milliseconds.
+    pub fn cpu_ms_per_scan(&self) -> f64 {
+        self.report.cpu_s * 1e3 / self.report.scans.max(1) as f64
+    }
+}
+
+impl Runs {
+    /// The run of a subject with these options; it is run once only.
+    pub fn of(&mut self, subject: &Subject, options: &[String]) -> Outcome {
+        let arguments = subject.arguments(options);
+        if let Some(known) = self.done.get(&arguments) {
+            return known.clone();
+        }
+        let outcome = self.run(subject, &arguments);
+        self.done.insert(arguments, outcome.clone());
+        outcome
+    }
+
+    /// As [`Runs::of`], but run again: for times.
+    pub fn again(&mut self, subject: &Subject, options: &[String]) -> Outcome {
+        self.run(subject, &subject.arguments(options))
+    }
+
+    fn run(&mut self, subject: &Subject, arguments: &[String]) -> Outcome {
+        let out = tempfile::tempdir().map_err(|error| error.to_string())?;
+        execute(arguments, out.path())?;
+        let outcome = self.measure(subject, out.path())?;
+        eprintln!(
+            "  {:.1} s, error {:.4} m: flockslam {}",
+            outcome.report.wall_s,
+            outcome.last.translation_m(),
+            arguments.join(" ")
+        );
+        Ok(Rc::new(outcome))
+    }
+
+    fn measure(&mut self, subject: &Subject, out: &Path) -> Result<Measured, String> {
+        let report =
+            serde_json::from_slice(&read(&out.join("report.json"))?).map_err(|error| error.to_string())?;
+        let relations = match &subject.log {
+            Some((_, path)) => Some(self.relations(path)?),
+            None => None,
+        };
+        let errors = |name: &str| match &relations {
+            Some(relations) => Ok(Errors::Relations(evaluate_relations(&trajectory(out, name)?, relations))),
+            None => evaluate_truth(&trajectory(out, name)?, &trajectory(out, "truth.tum")?)
+                .map(Errors::Truth)
+                .map_err(|error| error.to_string()),
+        };
+        let refined = out
+            .join("trajectory_refined.tum")
+            .exists()
+            .then(|| errors("trajectory_refined.tum"))
+            .transpose()?;
+        Ok(Measured {
+            report,
+            last: errors("trajectory.tum")?,
+            online: errors("trajectory_online.tum")?,
+            refined,
+        })
+    }
+
+    fn relations(&mut self, path: &Path) -> Result<Rc<Vec<Relation>>, String> {
+        if let Some(known) = self.relations.get(path) {
+            return Ok(Rc::clone(known));
+        }
+        let name = path.display().to_string();
+        let parsed = Rc::new(parse_relations(&name, &read(path)?).map_err(|error| error.to_string())?);
+        self.relations.insert(path.to_owned(), Rc::clone(&parsed));
+        Ok(parsed)
+    }
+}
+
+impl Subject {
+    /// The command line of a run, without `--out`.
+    pub fn arguments(&self, options: &[String]) -> Vec<String> {
+        let command = match &self.log {
+            Some((log, _)) => vec!["map".to_owned(), log.display().to_string()],
+            None => vec!["demo".to_owned()],
+        };
+        command.into_iter().chain(self.options.iter().chain(options).cloned()).collect()
+    }
+}
+
+/// Runs the executable with these arguments, its outputs going to `out`.
+pub fn execute(arguments: &[String], out: &Path) -> Result<(), String> {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_flockslam"));
+    command
+        .args(arguments)
+        .arg("--out")
+        .arg(out)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped());
+    let output = command.output().map_err(|error| error.to_string())?;
+    if output.status.success() {
+        return Ok(());
+    }
+    let said = String::from_utf8_lossy(&output.stderr);
+    let reason = said.trim().lines().last().unwrap_or("no reason given").to_owned();
+    eprintln!("  FAILED: flockslam {}: {reason}", arguments.join(" "));
+    Err(reason)
+}
+
+/// Whether a command of the executable knows an option.
+pub fn has_option(command: &str, option: &str) -> bool {
+    let output = Command::new(env!("CARGO_BIN_EXE_flockslam")).args([command, "--help"]).output();
+    output.is_ok_and(|output| String::from_utf8_lossy(&output.stdout).contains(option))
+}
+
+/// `--set KEY=VALUE` for each of these.
+pub fn set(assignments: &[&str]) -> Vec<String> {
+    assignments.iter().flat_map(|assignment| ["--set".to_owned(), (*assignment).to_owned()]).collect()
+}
+
+fn trajectory(out: &Path, name: &str) -> Result<Vec<TrajectoryPoint>, String> {
+    parse_tum(name, &read(&out.join(name))?).map_err(|error| error.to_string())
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, String> {
+    std::fs::read(path).map_err(|error| format!("{}: {error}", path.display()))
+}
