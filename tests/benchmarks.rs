@@ -16,7 +16,9 @@ fn sections_are_measured_and_others_kept() {
     generate(
         &Plan { only, headings_rad: vec![0.0], patient: false, data: None, simulated_s: 10.0 },
         &mut page,
-    );
+        |_| Ok::<(), String>(()),
+    )
+    .unwrap();
     let text = page.render();
     assert!(text.contains("## Robustness\n\nas it was\n"), "{text}");
     assert!(text.contains("## Strategies\n\nNot measured yet.\n"), "{text}");

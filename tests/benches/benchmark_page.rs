@@ -43,8 +43,10 @@ fn write_page(arguments: &[String]) -> Result<PathBuf, String> {
         }
     }
     let mut page = Page::parse(&std::fs::read_to_string(&path).unwrap_or_default());
-    generate(&Plan { only, ..Plan::full(quick) }, &mut page);
-    std::fs::write(&path, page.render()).map_err(|error| format!("{}: {error}", path.display()))?;
+    // Kept after every section: minutes have gone into the others when one fails.
+    let keep = |page: &Page| std::fs::write(&path, page.render());
+    generate(&Plan { only, ..Plan::full(quick) }, &mut page, keep)
+        .map_err(|error| format!("{}: {error}", path.display()))?;
     Ok(path)
 }
 

@@ -13,7 +13,7 @@ const FIRST_SEED: u64 = 20_260;
 
 /// The normalised error squared of the last pose of one drive; each ends at another place, since each takes 2.5 s longer than the one before.
 pub fn nees_of_run(run: u64) -> f64 {
-    let world = if run % 2 == 0 { WorldName::Office } else { WorldName::Hotel };
+    let world = if run.is_multiple_of(2) { WorldName::Office } else { WorldName::Hotel };
     let settings = Settings {
         seed: FIRST_SEED + run,
         duration_s: 20.0 + 2.5 * run as f64,

@@ -40,8 +40,7 @@ impl Scores {
         let counted =
             Cell { occupied: sum.occupied.min(self.occupied_cap), free: sum.free.min(self.free_cap) };
         // Multiplicative hashing (Knuth, volume 3, 6.4); the high bits are the well mixed ones.
-        let mixed =
-            counted.occupied.wrapping_mul(0x9E37_79B1) ^ counted.free.wrapping_mul(0x85EB_CA77);
+        let mixed = counted.occupied.wrapping_mul(0x9E37_79B1) ^ counted.free.wrapping_mul(0x85EB_CA77);
         let place = &mut self.known[(mixed >> (u32::BITS - PLACES.trailing_zeros())) as usize];
         if place.0 != counted {
             *place = (counted, score(self.read_out, counted));

@@ -179,7 +179,13 @@ fn tile_at(
 }
 
 /// Lists a tile as changed by the scan, and as one of the active submap's.
-fn note(key: TileKey, tile: &mut WindowTile, scan: u32, active: &mut Vec<TileKey>, changed: &mut Vec<TileKey>) {
+fn note(
+    key: TileKey,
+    tile: &mut WindowTile,
+    scan: u32,
+    active: &mut Vec<TileKey>,
+    changed: &mut Vec<TileKey>,
+) {
     if tile.changed_by != scan {
         tile.changed_by = scan;
         changed.push(key);

@@ -104,10 +104,8 @@ impl WindowTile {
             let before = *active;
             active.occupied = before.occupied.saturating_add(added[0]);
             active.free = before.free.saturating_add(added[1]);
-            let (more_occupied, more_free) = (
-                active.occupied.wrapping_sub(before.occupied),
-                active.free.wrapping_sub(before.free),
-            );
+            let (more_occupied, more_free) =
+                (active.occupied.wrapping_sub(before.occupied), active.free.wrapping_sub(before.free));
             // The published form is the sum capped, and a capped sum of capped numbers is the same.
             published.occupied = published.occupied.saturating_add(more_occupied);
             published.free = published.free.saturating_add(more_free);

@@ -247,7 +247,8 @@ impl Run {
 
     fn report(&mut self, scans: usize) {
         let count = scans as f64;
-        let each = [&self.match_us, &self.insert_us, &self.publish_us].map(|times| times.iter().sum::<f64>() / count);
+        let each = [&self.match_us, &self.insert_us, &self.publish_us]
+            .map(|times| times.iter().sum::<f64>() / count);
         eprintln!(
             "a scan {:.1} µs = match {:.1} + insertion {:.1} + publication {:.1}; 64 MiB copied in {:.2} ms",
             each.iter().sum::<f64>(),

@@ -130,7 +130,8 @@ impl Matcher {
         let lag = if context.mode == Mode::Live && committed.is_some() { LAG_LIVE } else { 0 };
         let oldest = self.awaited.front().filter(|_| self.awaited.len() > lag);
         let Some((_, since_ns)) = oldest else { return self.layouts_are_ready(context.mode) };
-        let late = context.mode == Mode::Live && monotonic_ns().saturating_sub(*since_ns) > COMMIT_DEADLINE_NS;
+        let late =
+            context.mode == Mode::Live && monotonic_ns().saturating_sub(*since_ns) > COMMIT_DEADLINE_NS;
         if late {
             self.awaited.pop_front();
             context.dropped(DropReason::Deadline.name());

@@ -199,10 +199,10 @@ fn first_seconds(log: &Path, part: &Path, seconds: f64) -> std::io::Result<()> {
         let is_scan = text.starts_with("FLASER ") || text.starts_with("ROBOTLASER1 ");
         // The logger's stamp is the last field but for the host before it; both clocks run alike.
         let stamp_s = text.split_ascii_whitespace().rev().nth(2).and_then(|field| field.parse::<f64>().ok());
-        if let (true, Some(stamp_s)) = (is_scan, stamp_s) {
-            if stamp_s > *first_s.get_or_insert(stamp_s) + seconds {
-                break;
-            }
+        if let (true, Some(stamp_s)) = (is_scan, stamp_s)
+            && stamp_s > *first_s.get_or_insert(stamp_s) + seconds
+        {
+            break;
         }
         output.write_all(&line)?;
         output.write_all(b"\n")?;

@@ -64,8 +64,8 @@ impl Plan {
     }
 }
 
-/// Measures the sections of the plan and puts them into the page.
-pub fn generate(plan: &Plan, page: &mut Page) {
+/// Measures the sections of the plan and puts them into the page; `keep` gets the page after each.
+pub fn generate<E>(plan: &Plan, page: &mut Page, keep: impl Fn(&Page) -> Result<(), E>) -> Result<(), E> {
     let mut bench = Bench::new(plan.clone());
     for (name, heading) in SECTIONS.iter().filter(|(name, _)| plan.wants(name)) {
         eprintln!("== {heading}");
@@ -82,7 +82,9 @@ pub fn generate(plan: &Plan, page: &mut Page) {
             other => unreachable!("{other} is not a section"),
         };
         page.set(name, &body);
+        keep(page)?;
     }
+    Ok(())
 }
 
 /// What the sections share.

@@ -13,19 +13,19 @@ struct Drive {
 const DRIVES: [Drive; 3] = [
     Drive {
         what: "hotel: parallel corridors with identical rooms, 1 km and more",
-        settings: &["simulation.world=hotel", "simulation.duration_s=2000"],
+        settings: &["simulation.world=hotel", "simulation.duration_s=1290"],
         seeds: 2,
         asked: "ATE < 0.05 m, no false closure",
     },
     Drive {
         what: "warehouse: parallel aisles between identical racks, 1 km and more",
-        settings: &["simulation.world=warehouse", "simulation.duration_s=2000"],
+        settings: &["simulation.world=warehouse", "simulation.duration_s=1290"],
         seeds: 2,
         asked: "ATE < 0.05 m, no false closure",
     },
     Drive {
         what: "yard: outdoors, most beams return nothing",
-        settings: &["simulation.world=yard", "simulation.duration_s=500"],
+        settings: &["simulation.world=yard", "simulation.duration_s=520"],
         seeds: 2,
         asked: "tracked, or reported as degraded",
     },
