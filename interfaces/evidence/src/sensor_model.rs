@@ -116,8 +116,14 @@ mod tests {
         }
     }
 
+    /// Ends in as many cells: of neighbouring beams that end in one cell, the first alone leaves a ray.
     fn points() -> impl Strategy<Value = Vec<Point>> {
-        proptest::collection::vec((-10.0..10.0f64, -10.0..10.0f64).prop_map(|(x, y)| Point::new(x, y)), 1..60)
+        let points = proptest::collection::vec((-10.0..10.0f64, -10.0..10.0f64), 1..60);
+        points.prop_map(|points| {
+            let cell = |(x, y): (f64, f64)| ((x / 0.05).floor() as i32, (y / 0.05).floor() as i32);
+            let by_cell: BTreeMap<_, _> = points.into_iter().map(|point| (cell(point), point)).collect();
+            by_cell.into_values().map(|(x, y)| Point::new(x, y)).collect()
+        })
     }
 
     proptest! {

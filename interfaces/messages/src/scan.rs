@@ -261,8 +261,8 @@ mod tests {
             (0..view.len()).filter(|&i| view.valid_range_m(i).is_some() && view.is_isolated(i)).collect();
         assert_eq!(isolated, [2, 7]);
         // A wall seen along its surface: neighbours differ much, but not more than such a wall explains.
-        let grazing: Vec<f32> = (0..20).map(|i| 0.5 / (0.1 + 0.01 * i as f32).sin()).collect();
-        let scan = ScanBuffer::from_ranges(&grazing, 0.1, 0.01);
+        let grazing: Vec<f32> = (0..20).map(|i| 1.0 / (0.2 + 0.01 * i as f32).sin()).collect();
+        let scan = ScanBuffer::from_ranges(&grazing, 0.2, 0.01);
         assert!((0..20).all(|i| !scan.view().unwrap().is_isolated(i)));
         let lone = ScanBuffer::from_ranges(&[5.0], 0.0, 0.0);
         assert!(lone.view().unwrap().is_isolated(0));

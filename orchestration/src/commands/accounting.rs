@@ -6,7 +6,7 @@ use flockslam_stage::MemoryUse;
 use std::time::{Duration, Instant};
 
 /// How often the set's directory is looked through for the peak of shared memory.
-const PERIOD: Duration = Duration::from_millis(250);
+const PERIOD: Duration = Duration::from_millis(2000);
 /// `/proc` counts processor time in these parts of a second on every Linux.
 const TICKS_PER_S: f64 = 100.0;
 

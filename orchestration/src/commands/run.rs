@@ -108,7 +108,7 @@ fn watch(
     let (mut done, mut advanced) = (0, Instant::now());
     loop {
         // A set that is idle is looked at less often.
-        let limit_ms = if advanced.elapsed() < Duration::from_secs(1) { 20 } else { 100 };
+        let limit_ms = if advanced.elapsed() < Duration::from_secs(1) { 20 } else { 200 };
         let event = set.watch(Duration::from_millis(limit_ms));
         shared_memory.look_sometimes(set.runtime());
         match event {

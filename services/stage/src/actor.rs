@@ -31,13 +31,17 @@ pub trait Actor {
 }
 
 const REFRESH: Duration = Duration::from_millis(100);
+/// After so long without work, nanoseconds …
+const RESTING_NS: u64 = 1_000_000_000;
+/// … it looks only so often.
+const RESTING: Duration = Duration::from_millis(300);
 
 /// Runs a stage until it is asked to stop: work while there is work, sleep on the bell while there is none.
 ///
 /// # Errors
 /// What the actor could not go on from.
 pub fn run(context: &mut StageContext, actor: &mut impl Actor, bell: &Listener) -> Result<(), StageError> {
-    let mut refreshed_ns = 0;
+    let (mut refreshed_ns, mut worked_ns) = (0, 0);
     while !context.stop.is_set() {
         let idle = !actor.advance(context)?;
         // Behind the work: a scan that has just arrived does not wait for the housekeeping.
@@ -48,9 +52,14 @@ pub fn run(context: &mut StageContext, actor: &mut impl Actor, bell: &Listener) 
             actor.refresh(context)?;
         }
         context.report.write_sometimes(now_ns, idle);
-        if idle {
-            bell.wait(actor.patience().min(REFRESH))?;
+        if !idle {
+            worked_ns = now_ns;
+            continue;
         }
+        let patience = actor.patience();
+        // A stage that has had nothing to do for a while is called by its bell when there is.
+        let rests = now_ns.saturating_sub(worked_ns) > RESTING_NS && patience >= REFRESH;
+        bell.wait(if rests { RESTING } else { patience.min(REFRESH) })?;
     }
     actor.close(context)?;
     context.report.write();

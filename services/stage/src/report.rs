@@ -49,6 +49,8 @@ impl ProcessReport {
 pub struct ReportWriter {
     path: PathBuf,
     written_ns: u64,
+    /// Scans handled when it was written.
+    written_handled: u64,
     memory: MemoryUse,
     /// The report so far.
     pub report: ProcessReport,
@@ -77,6 +79,7 @@ impl ReportWriter {
         Self {
             path: status_dir.join(format!("{name}.{pid}.report")),
             written_ns: 0,
+            written_handled: 0,
             memory: MemoryUse::default(),
             report,
         }
@@ -103,11 +106,17 @@ impl ReportWriter {
     }
 
     /// Writes the report when the last one is old enough. Looking at all memory takes as long as matching a scan, so a moment
-    /// without work is chosen for it (`idle`), unless there is none for seconds.
+    /// without work is chosen for it (`idle`), unless there is none for seconds. A stage that has nothing to do hardly ever looks.
     pub fn write_sometimes(&mut self, now_ns: u64, idle: bool) {
-        let period_ns = if idle { PERIOD_NS } else { 5 * PERIOD_NS };
+        let rests = self.report.handled == self.written_handled;
+        let period_ns = match (idle, rests) {
+            (true, true) => 20 * PERIOD_NS,
+            (true, false) => PERIOD_NS,
+            (false, _) => 5 * PERIOD_NS,
+        };
         if now_ns.saturating_sub(self.written_ns) >= period_ns {
             self.written_ns = now_ns;
+            self.written_handled = self.report.handled;
             self.write();
         }
     }
