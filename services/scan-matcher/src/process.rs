@@ -49,6 +49,9 @@ struct Matcher {
     poses: Publisher<PoseEstimate>,
     journal: JournalWriter,
     bells: [BellRinger; 3],
+    /// The chain of submaps, and the sequence of the accepted scan that it began with.
+    chain: u32,
+    chain_began: u64,
     /// Sequence of the scan that comes next when none is lost.
     expected: u64,
     /// The others are woken once in so many poses that they only have to count.
@@ -85,6 +88,8 @@ impl Matcher {
                 bus.ringer(Stage::DynamicCleaner.name())?,
                 bus.ringer(Stage::SyncManager.name())?,
             ],
+            chain: last.as_ref().map_or(0, |pose| pose.chain),
+            chain_began: 0,
             expected: next,
             quiet_scans: (context.capacity.window as u64 / 8).max(1),
             acknowledger: Acknowledger::open(context, next)?,
@@ -127,7 +132,9 @@ impl Matcher {
         while self.awaited.front().is_some_and(|(sequence, _)| committed >= Some(*sequence)) {
             self.awaited.pop_front();
         }
-        let lag = if context.mode == Mode::Live && committed.is_some() { LAG_LIVE } else { 0 };
+        // The grid of another chain is none at all.
+        let may_lag = context.mode == Mode::Live && committed >= Some(self.chain_began);
+        let lag = if may_lag { LAG_LIVE } else { 0 };
         let oldest = self.awaited.front().filter(|_| self.awaited.len() > lag);
         let Some((_, since_ns)) = oldest else { return self.layouts_are_ready(context.mode) };
         let late =
@@ -210,6 +217,9 @@ impl Matcher {
         let accepted = pose.has(PoseFlags::INSERT);
         if accepted {
             self.awaited.push_back((header.id.sequence, monotonic_ns()));
+            if pose.chain != self.chain {
+                (self.chain, self.chain_began) = (pose.chain, header.id.sequence);
+            }
         }
         if accepted || header.id.sequence.is_multiple_of(self.quiet_scans) {
             self.ring();
