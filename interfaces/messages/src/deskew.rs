@@ -14,8 +14,7 @@ pub struct Deskew {
 impl Deskew {
     /// For a scan taken while the robot moved with `twist` (its own velocity, in `base_link`).
     pub fn new(scan: ScanView<'_>, twist: Twist) -> Self {
-        let takes_time = !scan.is_empty() && scan.time_s(scan.len() - 1) != 0.0;
-        Self::of_header(scan.header(), twist, takes_time)
+        Self::of_header(scan.header(), twist, scan.takes_time())
     }
 
     fn of_header(header: &ScanHeader, twist: Twist, takes_time: bool) -> Self {

@@ -153,6 +153,11 @@ impl<'a> ScanView<'a> {
         }
     }
 
+    /// Whether the beams left one after the other, and not all at once.
+    pub fn takes_time(&self) -> bool {
+        !self.is_empty() && self.time_s(self.len() - 1) != 0.0
+    }
+
     /// The range of beam `i` when it is a real return: finite and within the sensor's limits.
     pub fn valid_range_m(&self, i: usize) -> Option<f64> {
         let range = self.numbers[i];

@@ -50,6 +50,11 @@ const TURN_MIN_RAD: f64 = 2e-5;
 /// says: the variance is this much greater (measured: mean NEES of 3 in simulated rooms, see `consistency.rs`).
 const SHARED_ERROR: f64 = 1.9;
 
+/// Variance of a point's residual as it counts in a fit, from the mean squared residual.
+pub(crate) fn shared_variance(noise: f64) -> f64 {
+    SHARED_ERROR * noise.max(1e-6)
+}
+
 impl GaussNewton {
     /// Fits `points` (metres, frame of the robot) to a field, from coarse to fine, starting at `start`.
     ///
@@ -146,7 +151,7 @@ impl Fit {
     /// determine get the prior's standard deviations (metres, radians).
     pub fn covariance(&self, prior_xy_m: f64, prior_heading_rad: f64) -> Covariance {
         let prior = Vector3::new(prior_xy_m.powi(-2), prior_xy_m.powi(-2), prior_heading_rad.powi(-2));
-        let variance = SHARED_ERROR * self.noise.max(1e-6);
+        let variance = shared_variance(self.noise);
         let precision = self.information / variance + Matrix3::from_diagonal(&prior);
         let Some(factor) = precision.cholesky() else {
             return Covariance::diagonal(prior_xy_m, prior_heading_rad);
@@ -190,6 +195,12 @@ impl Fit {
         );
         Fit::at(field, points, pose)
     }
+}
+
+/// `covariance` with an error of `sigma_m` of the position added in every direction.
+pub fn roughened(covariance: Covariance, sigma_m: f64) -> Covariance {
+    let variance = sigma_m * sigma_m;
+    Covariance { xx: covariance.xx + variance, yy: covariance.yy + variance, ..covariance }
 }
 
 /// `covariance` with an error of `sigma_m` added along `axis` (metres, metres, radians per metre).

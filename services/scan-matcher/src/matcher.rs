@@ -1,11 +1,12 @@
 use crate::contradiction::contradicted;
 use crate::motion::{Motion, Prediction};
 use crate::settings::{Settings, Strategy};
-use flockslam_evidence::{Tile, TileGrid};
+use flockslam_evidence::{Level, Tile, TileGrid};
 use flockslam_geometry::{Covariance, Point, Pose, Twist};
 use flockslam_messages::{Commit, Deskew, LayoutHeader, PoseEstimate, PoseFlags, Quality, ScanView, Verdict};
 use flockslam_registration::{
-    Correlative, CorrelativeSearch, Fit, GridField, Ndt, ScoreField, Window, beam_weight, least_held, widened,
+    Correlative, CorrelativeSearch, Fit, GridField, Moving, Ndt, ScoreField, ScoreRead, Sweep, TwistSigma,
+    Window, beam_weight, least_held, roughened, widened,
 };
 use nalgebra::Vector3;
 use std::ops::Deref;
@@ -20,6 +21,14 @@ const SEARCH_AGAIN: (f64, f64) = (0.1, 0.1);
 const CONTRADICTED: (f64, f64) = (0.5, 0.1);
 /// Wheels are not believed when the velocity so far leads to a fit that scores better by this, 0 … 1.
 const JUMPED: f64 = 0.05;
+/// How far the velocity during a scan may be from that of the wheels before it: a robot that speeds up by 1 m/s² and turns in
+/// by 5 rad/s² within a tenth of a second.
+const TWIST_SIGMA: TwistSigma = TwistSigma { x_m_s: 0.1, y_m_s: 0.05, turn_rad_s: 0.5 };
+/// Steps at most to pose and velocity together.
+const SWEEP_STEPS: usize = 8;
+/// Where in its cell a wall is, is known to this share of the cell (standard deviation). All points of a wall along the grid
+/// share that error, so it does not shrink with their number.
+const CELL_ERROR: f64 = 0.1;
 /// Standard deviations assumed of the prediction where the scan determines nothing.
 const PRIOR_SIGMA: (f64, f64) = (0.3, 0.15);
 
@@ -45,6 +54,8 @@ pub struct ScanMatcher {
     map_from_odom: Pose,
     layout_revision: u32,
     points: Vec<Point>,
+    /// Seconds after the stamp at which each point was measured.
+    times_s: Vec<f64>,
     weights: Vec<f64>,
     search: CorrelativeSearch,
     correlative: Correlative,
@@ -54,6 +65,8 @@ pub struct ScanMatcher {
 /// A matched pose.
 struct Match {
     pose: Pose,
+    /// Velocity by which the scan was straightened, in the robot's own frame.
+    twist: Twist,
     covariance: Covariance,
     score: f64,
     quality: Quality,
@@ -78,6 +91,7 @@ impl ScanMatcher {
             map_from_odom: Pose::IDENTITY,
             layout_revision: 0,
             points: Vec::new(),
+            times_s: Vec::new(),
             weights: Vec::new(),
             search: CorrelativeSearch::default(),
             correlative: Correlative::default(),
@@ -115,7 +129,6 @@ impl ScanMatcher {
         } else {
             let field = GridField::new(grid, self.settings.unknown_score);
             let (prediction, fit) = self.settled(&field, prediction, scan);
-            estimate.twist = prediction.twist;
             let mut found = self.match_scan(&field, &prediction, fit, scan);
             found.quality = self.believed(grid, &found);
             self.count(found.score, found.quality);
@@ -166,11 +179,13 @@ impl ScanMatcher {
         let limits = self.settings.range_min_m..=self.settings.range_max_m;
         let skips = self.settings.skip_isolated;
         self.points.clear();
+        self.times_s.clear();
         let stride = scan.len().div_ceil(self.settings.beams_max.max(1)).max(1);
         for beam in (0..scan.len()).step_by(stride) {
             let Some(range) = scan.valid_range_m(beam) else { continue };
             if limits.contains(&range) && !(skips && scan.is_isolated(beam)) {
                 self.points.push(deskew.end_in_base(scan, beam, range));
+                self.times_s.push(scan.time_s(beam));
             }
         }
     }
@@ -222,20 +237,48 @@ impl ScanMatcher {
                 self.rescue(field, prediction.pose, fit)
             }
         };
+        let (mut fit, twist, mut covariance) = if self.settings.fits_velocity && scan.takes_time() {
+            let (now, covariance) = self.straighten(field, prediction, fit, scan);
+            (Fit::at(field, &self.points, now.pose), now.twist, covariance)
+        } else {
+            (fit, prediction.twist, fit.covariance(PRIOR_SIGMA.0, PRIOR_SIGMA.1))
+        };
+        covariance = roughened(covariance, CELL_ERROR * field.reader(Level::Full).cell_size_m());
         let free = if rescued { None } else { self.free_axis(prediction.pose) };
-        let degenerate = free.is_some();
-        let mut covariance = fit.covariance(PRIOR_SIGMA.0, PRIOR_SIGMA.1);
-        let mut kept = fit;
         if let Some(axis) = free {
             covariance = widened(covariance, axis, PRIOR_SIGMA.0);
-            kept = fit.remapped(field, &self.points, prediction.pose, axis);
+            fit = fit.remapped(field, &self.points, prediction.pose, axis);
         }
-        let quality = match self.judge(&kept, prediction.pose) {
-            Quality::Tracking if degenerate => Quality::Degraded,
+        let quality = match self.judge(&fit, prediction.pose) {
+            Quality::Tracking if free.is_some() => Quality::Degraded,
             quality => quality,
         };
-        let fit = kept;
-        Match { pose: fit.pose, covariance, score: fit.score, quality, rescued }
+        Match { pose: fit.pose, twist, covariance, score: fit.score, quality, rescued }
+    }
+
+    /// Fits pose and velocity of a scan that takes time together, starting at a fit of its pose alone; leaves the points
+    /// straightened by the velocity that was found.
+    fn straighten<F: ScoreField>(
+        &mut self,
+        field: &F,
+        prediction: &Prediction,
+        fit: Fit,
+        scan: ScanView<'_>,
+    ) -> (Moving, Covariance) {
+        let predicted = Moving { pose: prediction.pose, twist: prediction.twist };
+        let mut now = Moving { pose: fit.pose, twist: prediction.twist };
+        for _ in 0..SWEEP_STEPS {
+            let sweep = Sweep { points: &self.points, times_s: &self.times_s };
+            let next = sweep.step(field, &self.settings.gauss_newton, now, predicted, TWIST_SIGMA);
+            self.take_points(scan, next.twist);
+            let settled = next.is_near(now);
+            now = next;
+            if settled {
+                break;
+            }
+        }
+        let sweep = Sweep { points: &self.points, times_s: &self.times_s };
+        (now, sweep.covariance(field, now.pose, TWIST_SIGMA, PRIOR_SIGMA))
     }
 
     /// Direction in the grid's frame that the scan's surfaces leave open.
@@ -404,6 +447,7 @@ impl ScanMatcher {
     /// Takes a match over into the prediction; from a fit that is not believed only its score.
     fn fill(&self, estimate: &mut PoseEstimate, found: &Match) {
         estimate.score = found.score;
+        estimate.twist = found.twist;
         let guessed = self.detached && found.quality == Quality::Tracking;
         estimate.quality = if guessed { Quality::Degraded } else { found.quality } as u32;
         if found.quality == Quality::Lost {

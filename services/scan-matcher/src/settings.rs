@@ -26,6 +26,9 @@ pub struct Settings {
     pub rescue: Rescue,
     /// When a scan enters the map and when the filter is overruled.
     pub gate: Gate,
+    /// Whether the velocity during a scan whose beams leave one after the other is fitted together with its pose; otherwise it
+    /// is that of the wheels before the scan.
+    pub fits_velocity: bool,
     /// Shorter ranges are not matched, metres.
     pub range_min_m: f64,
     /// Longer ranges are not matched, metres.
@@ -116,6 +119,7 @@ impl Default for Settings {
             degenerate_below: 0.0,
             rescue: Rescue::default(),
             gate: Gate::default(),
+            fits_velocity: true,
             range_min_m: 0.4,
             range_max_m: 30.0,
             skip_isolated: true,
@@ -156,6 +160,7 @@ impl Settings {
             strategy: Strategy::HillClimbing,
             gate: Gate { travel_m: 0.0, turn_rad: 0.0, ..Gate::default() },
             rescue: Rescue { lost_scans_max: 0, ..Rescue::default() },
+            fits_velocity: false,
             range_min_m: 0.0,
             skip_isolated: false,
             unknown_score: 0.5,
