@@ -1,0 +1,242 @@
+//! A scan that takes time, fitted together with the velocity of the robot during it (continuous-time registration as in
+//! CT-ICP, Dellenbach et al. 2022, with a constant velocity within the scan).
+
+use crate::field::{ScoreField, ScoreRead, bilinear};
+use crate::gauss_newton::{GaussNewton, shared_variance};
+use flockslam_evidence::Level;
+use flockslam_geometry::{Covariance, Point, Pose, Twist, wrap_angle};
+use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
+
+/// How far the velocity during a scan may be from the one that the wheels gave before it: standard deviations.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TwistSigma {
+    /// Along x, m/s.
+    pub x_m_s: f64,
+    /// Along y, m/s.
+    pub y_m_s: f64,
+    /// Turning, rad/s.
+    pub turn_rad_s: f64,
+}
+
+/// A scan straightened by a velocity: where its beams end, in the robot's frame at the stamp, and how long after the
+/// stamp each left.
+#[derive(Clone, Copy, Debug)]
+pub struct Sweep<'a> {
+    /// Metres.
+    pub points: &'a [Point],
+    /// Seconds, one for each point.
+    pub times_s: &'a [f64],
+}
+
+/// Pose and velocity of a robot that took a scan.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Moving {
+    /// Frame of the field from the robot at the stamp.
+    pub pose: Pose,
+    /// Velocity during the scan, in the robot's own frame.
+    pub twist: Twist,
+}
+
+impl Moving {
+    /// Whether two states differ by nothing that can be seen in a scan: 0.1 mm and 1 mm/s, 0.02 mrad and 0.2 mrad/s.
+    pub fn is_near(self, other: Moving) -> bool {
+        let (a, b) = (self.twist, other.twist);
+        self.pose.distance_m(other.pose) < 1e-4
+            && self.pose.turn_rad(other.pose) < 2e-5
+            && (a.x_m_s - b.x_m_s).abs().max((a.y_m_s - b.y_m_s).abs()) < 1e-3
+            && (a.turn_rad_s - b.turn_rad_s).abs() < 2e-4
+    }
+}
+
+/// The linearised problem in pose and velocity, both along the axes of the field.
+struct System {
+    hessian: Matrix6<f64>,
+    gradient: Vector6<f64>,
+    noise: f64,
+    points: f64,
+}
+
+impl Sweep<'_> {
+    /// One step of Gauss–Newton on pose and velocity from `now`, pulled towards `predicted` as `solver` and `sigma` weigh it.
+    /// The scan is to be straightened anew with the velocity that comes back.
+    pub fn step<F: ScoreField>(
+        &self,
+        field: &F,
+        solver: &GaussNewton,
+        now: Moving,
+        predicted: Moving,
+        sigma: TwistSigma,
+    ) -> Moving {
+        let mut system = System::of(field, *self, now.pose);
+        let (pull_xy, pull_heading) = (system.points * solver.prior_xy, system.points * solver.prior_heading);
+        let variance = shared_variance(system.noise);
+        let pull_twist = variance * sigma.precision(now.pose);
+        let [vx, vy] = in_field(now.pose, predicted.twist, now.twist);
+        let missed = Vector6::new(
+            predicted.pose.x_m - now.pose.x_m,
+            predicted.pose.y_m - now.pose.y_m,
+            wrap_angle(predicted.pose.heading_rad - now.pose.heading_rad),
+            vx,
+            vy,
+            predicted.twist.turn_rad_s - now.twist.turn_rad_s,
+        );
+        let pull = weights([pull_xy, pull_xy, pull_heading], pull_twist);
+        system.hessian += pull;
+        system.gradient += pull * missed;
+        let Some(factor) = system.hessian.cholesky() else { return now };
+        let step = factor.solve(&system.gradient);
+        let (sin, cos) = now.pose.heading_rad.sin_cos();
+        Moving {
+            pose: Pose::new(now.pose.x_m + step[0], now.pose.y_m + step[1], now.pose.heading_rad + step[2]),
+            twist: Twist {
+                x_m_s: now.twist.x_m_s + cos * step[3] + sin * step[4],
+                y_m_s: now.twist.y_m_s - sin * step[3] + cos * step[4],
+                turn_rad_s: now.twist.turn_rad_s + step[5],
+            },
+        }
+    }
+
+    /// Covariance of the pose with the velocity left free within `sigma`; directions that the points do not determine get
+    /// the prior's standard deviations (metres, radians).
+    pub fn covariance<F: ScoreField>(
+        &self,
+        field: &F,
+        pose: Pose,
+        sigma: TwistSigma,
+        prior: (f64, f64),
+    ) -> Covariance {
+        let system = System::of(field, *self, pose);
+        let [xy, heading] = [prior.0, prior.1].map(|sigma: f64| sigma.powi(-2));
+        let precision = system.hessian / shared_variance(system.noise)
+            + weights([xy, xy, heading], sigma.precision(pose));
+        let Some(factor) = precision.cholesky() else { return Covariance::diagonal(prior.0, prior.1) };
+        let c = factor.inverse();
+        Covariance {
+            xx: c[(0, 0)],
+            xy: c[(0, 1)],
+            xt: c[(0, 2)],
+            yy: c[(1, 1)],
+            yt: c[(1, 2)],
+            tt: c[(2, 2)],
+        }
+    }
+}
+
+impl TwistSigma {
+    /// Inverse covariance along the axes of the field, of a robot at `pose`.
+    fn precision(&self, pose: Pose) -> Matrix3<f64> {
+        let (sin, cos) = pose.heading_rad.sin_cos();
+        let turned = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
+        let own = Vector3::new(self.x_m_s.powi(-2), self.y_m_s.powi(-2), self.turn_rad_s.powi(-2));
+        turned * Matrix3::from_diagonal(&own) * turned.transpose()
+    }
+}
+
+/// Weights of the pose, each for itself, and of the velocity.
+fn weights(pose: [f64; 3], twist: Matrix3<f64>) -> Matrix6<f64> {
+    let mut all = Matrix6::zeros();
+    all.fixed_view_mut::<3, 3>(0, 0).set_diagonal(&Vector3::from(pose));
+    all.fixed_view_mut::<3, 3>(3, 3).copy_from(&twist);
+    all
+}
+
+/// Difference of two velocities of the robot along the axes of the field, m/s.
+fn in_field(pose: Pose, to: Twist, from: Twist) -> [f64; 2] {
+    let (sin, cos) = pose.heading_rad.sin_cos();
+    let (x, y) = (to.x_m_s - from.x_m_s, to.y_m_s - from.y_m_s);
+    [cos * x - sin * y, sin * x + cos * y]
+}
+
+impl System {
+    /// A velocity moves the end of a beam by its time as much as a shift and a turn of the pose do.
+    fn of<F: ScoreField>(field: &F, sweep: Sweep<'_>, pose: Pose) -> Self {
+        assert_eq!(sweep.points.len(), sweep.times_s.len());
+        let mut read = field.reader(Level::Full);
+        let per_metre = 1.0 / read.cell_size_m();
+        let (sin, cos) = pose.heading_rad.sin_cos();
+        let mut blocks = [Matrix3::zeros(); 3];
+        let mut gradients = [Vector3::zeros(); 2];
+        let mut squares = 0.0;
+        for (point, time_s) in sweep.points.iter().zip(sweep.times_s) {
+            let (x, y) = (cos * point.x_m - sin * point.y_m, sin * point.x_m + cos * point.y_m);
+            let sample = bilinear(&mut read, per_metre, x + pose.x_m, y + pose.y_m);
+            let slope = Vector3::new(sample.slope_x, sample.slope_y, x * sample.slope_y - y * sample.slope_x);
+            let (outer, residual) = (slope * slope.transpose(), 1.0 - sample.value);
+            blocks[0] += outer;
+            blocks[1] += outer * *time_s;
+            blocks[2] += outer * (time_s * time_s);
+            gradients[0] += slope * residual;
+            gradients[1] += slope * (residual * time_s);
+            squares += residual * residual;
+        }
+        let mut hessian = Matrix6::zeros();
+        hessian.fixed_view_mut::<3, 3>(0, 0).copy_from(&blocks[0]);
+        hessian.fixed_view_mut::<3, 3>(0, 3).copy_from(&blocks[1]);
+        hessian.fixed_view_mut::<3, 3>(3, 0).copy_from(&blocks[1]);
+        hessian.fixed_view_mut::<3, 3>(3, 3).copy_from(&blocks[2]);
+        let mut gradient = Vector6::zeros();
+        gradient.fixed_rows_mut::<3>(0).copy_from(&gradients[0]);
+        gradient.fixed_rows_mut::<3>(3).copy_from(&gradients[1]);
+        let points = sweep.points.len().max(1) as f64;
+        Self { hessian, gradient, noise: squares / points, points }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::room;
+
+    const SIGMA: TwistSigma = TwistSigma { x_m_s: 0.1, y_m_s: 0.05, turn_rad_s: 0.5 };
+    const PERIOD_S: f64 = 0.1;
+
+    /// The room seen while moving, each beam from where the robot was by then, straightened by `assumed`.
+    fn sweep(truth: Moving, assumed: Twist) -> (Vec<Point>, Vec<f64>) {
+        let at_once = room::scan(truth.pose);
+        let step_s = PERIOD_S / at_once.len() as f64;
+        let seen = |(i, point): (usize, &Point)| {
+            let time_s = i as f64 * step_s;
+            let then = truth.twist.motion_after(time_s).inverse().apply(*point);
+            (assumed.motion_after(time_s).apply(then), time_s)
+        };
+        at_once.iter().enumerate().map(seen).unzip()
+    }
+
+    #[test]
+    fn pose_and_velocity_are_found_when_the_wheels_are_wrong() {
+        let grid = room::grid(&room::ROOM);
+        let field = room::field(&grid);
+        let start = Pose::new(0.3, -0.2, 0.4);
+        for (forward, turn) in [(0.5, 0.0), (0.6, 0.4), (0.45, -0.5)] {
+            let wheels = Twist { x_m_s: 0.5, ..Twist::default() };
+            let truth = Moving { pose: start, twist: Twist { x_m_s: forward, turn_rad_s: turn, ..wheels } };
+            let predicted = Moving { pose: start, twist: wheels };
+            let mut now = predicted;
+            for _ in 0..12 {
+                let (points, times_s) = sweep(truth, now.twist);
+                let sweep = Sweep { points: &points, times_s: &times_s };
+                now = sweep.step(&field, &GaussNewton::default(), now, predicted, SIGMA);
+            }
+            // Scores of whole cells place a wall to about a centimetre.
+            assert!(now.pose.distance_m(truth.pose) < 0.02, "{now:?}");
+            assert!(now.pose.turn_rad(truth.pose) < 0.006, "{now:?}");
+            assert!((now.twist.turn_rad_s - turn).abs() < 0.12, "{now:?}");
+        }
+    }
+
+    #[test]
+    fn a_velocity_that_is_not_known_makes_the_pose_less_certain() {
+        let grid = room::grid(&room::ROOM);
+        let field = room::field(&grid);
+        let still = Moving { pose: Pose::new(0.3, -0.2, 0.4), twist: Twist::default() };
+        let (points, times_s) = sweep(still, still.twist);
+        let sweep = Sweep { points: &points, times_s: &times_s };
+        let known = TwistSigma { x_m_s: 1e-4, y_m_s: 1e-4, turn_rad_s: 1e-4 };
+        let prior = (0.3, 0.15);
+        let fit = crate::Fit::at(&field, &points, still.pose).covariance(prior.0, prior.1);
+        let tight = sweep.covariance(&field, still.pose, known, prior);
+        let loose = sweep.covariance(&field, still.pose, SIGMA, prior);
+        assert!((tight.xx - fit.xx).abs() < 0.01 * fit.xx && (tight.tt - fit.tt).abs() < 0.01 * fit.tt);
+        assert!(loose.xx > 1.2 * fit.xx && loose.yy > 1.2 * fit.yy && loose.tt > 1.5 * fit.tt);
+    }
+}
