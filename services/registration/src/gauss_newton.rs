@@ -2,7 +2,7 @@ use crate::batch::{BATCH, Batch, Sums};
 use crate::field::{ScoreField, ScoreRead};
 use flockslam_evidence::Level;
 use flockslam_geometry::{Covariance, Point, Pose, wrap_angle};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`GaussNewton`].
@@ -177,24 +177,6 @@ impl Fit {
         let (mean, half) = (0.5 * (xx + yy), 0.5 * (xx - yy));
         (mean - half.hypot(xy)).max(0.0) / self.points.max(1) as f64
     }
-
-    /// The same fit with the prediction kept along `axis` (metres, metres, radians per metre; solution remapping, Zhang et
-    /// al. 2016): what the points do not determine is left to the wheels.
-    pub fn remapped<F: ScoreField>(
-        &self,
-        field: &F,
-        points: &[Point],
-        prediction: Pose,
-        axis: Vector3<f64>,
-    ) -> Fit {
-        let missed = axis.x * (prediction.x_m - self.pose.x_m) + axis.y * (prediction.y_m - self.pose.y_m);
-        let pose = Pose::new(
-            self.pose.x_m + missed * axis.x,
-            self.pose.y_m + missed * axis.y,
-            self.pose.heading_rad + missed * axis.z,
-        );
-        Fit::at(field, points, pose)
-    }
 }
 
 /// `covariance` with an error of `sigma_m` of the position added in every direction.
@@ -203,16 +185,14 @@ pub fn roughened(covariance: Covariance, sigma_m: f64) -> Covariance {
     Covariance { xx: covariance.xx + variance, yy: covariance.yy + variance, ..covariance }
 }
 
-/// `covariance` with an error of `sigma_m` added along `axis` (metres, metres, radians per metre).
-pub fn widened(covariance: Covariance, axis: Vector3<f64>, sigma_m: f64) -> Covariance {
+/// `covariance` with an error of `sigma_m` of the position added along the unit vector `axis`.
+pub fn widened(covariance: Covariance, axis: Vector2<f64>, sigma_m: f64) -> Covariance {
     let variance = sigma_m * sigma_m;
     Covariance {
         xx: covariance.xx + variance * axis.x * axis.x,
         xy: covariance.xy + variance * axis.x * axis.y,
-        xt: covariance.xt + variance * axis.x * axis.z,
         yy: covariance.yy + variance * axis.y * axis.y,
-        yt: covariance.yt + variance * axis.y * axis.z,
-        tt: covariance.tt + variance * axis.z * axis.z,
+        ..covariance
     }
 }
 

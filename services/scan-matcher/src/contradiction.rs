@@ -16,6 +16,22 @@ pub(crate) fn contradicted<H: Deref<Target = Tile>>(grid: &TileGrid<H>, points: 
     points.iter().filter(ends_in_free).count() as f64 / points.len().max(1) as f64
 }
 
+/// Share of the points, seen from `pose`, that end where nothing is known.
+pub(crate) fn in_the_unknown<H: Deref<Target = Tile>>(
+    grid: &TileGrid<H>,
+    points: &[Point],
+    pose: Pose,
+) -> f64 {
+    let is_unknown = |point: &&Point| {
+        let cell = grid.cell_at(pose.apply(**point));
+        grid.tile(cell.tile()).is_none_or(|tile| {
+            let cell = tile.cells[cell.offset()];
+            cell.free == 0 && cell.occupied == 0
+        })
+    };
+    points.iter().filter(is_unknown).count() as f64 / points.len().max(1) as f64
+}
+
 fn is_free(tile: &Tile, offset: usize) -> bool {
     let block = (offset / TILE_SIDE / 4) * (TILE_SIDE / 4) + offset % TILE_SIDE / 4;
     f64::from(tile.cells[offset].free) >= FREE_NAT * WEIGHT_SCALE && tile.score_quarter[block] == 0
@@ -37,5 +53,6 @@ mod tests {
         let points = [(2.0, 1.0), (0.3, 0.1), (2.0, 2.0), (2.0, -2.0)].map(|(x, y)| Point::new(x, y));
         assert_eq!(contradicted(&grid, &points, Pose::IDENTITY), 0.25);
         assert_eq!(contradicted(&grid, &[], Pose::IDENTITY), 0.0);
+        assert_eq!(in_the_unknown(&grid, &points, Pose::IDENTITY), 0.5);
     }
 }

@@ -1,4 +1,4 @@
-use crate::contradiction::contradicted;
+use crate::contradiction::{contradicted, in_the_unknown};
 use crate::motion::{Motion, Prediction};
 use crate::settings::{Settings, Strategy};
 use flockslam_evidence::{Level, Tile, TileGrid};
@@ -8,17 +8,21 @@ use flockslam_registration::{
     Correlative, CorrelativeSearch, Fit, GridField, Moving, Ndt, ScoreField, ScoreRead, Sweep, TwistSigma,
     Window, beam_weight, least_held, roughened, widened,
 };
-use nalgebra::Vector3;
+use nalgebra::Vector2;
 use std::ops::Deref;
 
 /// Fewer points than this fix no pose.
 const POINTS_MIN: usize = 5;
+/// Fewer points than this do not tell one place from another: no wide search, and no proof that the robot is lost.
+const TELLING_POINTS: usize = 30;
 /// A fit whose weakest direction is below this (per m² and point) slides along it.
 const WEAK_DIRECTION: f64 = 1.0;
 /// A wide search that found nothing is repeated only after this much motion, metres and radians.
 const SEARCH_AGAIN: (f64, f64) = (0.1, 0.1);
 /// A fit below this share of the running mean, with at least this share of its points in free space, is in the wrong place.
 const CONTRADICTED: (f64, f64) = (0.5, 0.1);
+/// A scan of which this share ends where nothing is known shows a new place.
+const NEW_PLACE: f64 = 0.7;
 /// Wheels are not believed when the velocity so far leads to a fit that scores better by this, 0 … 1.
 const JUMPED: f64 = 0.05;
 /// How far the velocity during a scan may be from that of the wheels before it: a robot that speeds up by 1 m/s² and turns in
@@ -29,6 +33,8 @@ const SWEEP_STEPS: usize = 8;
 /// Where in its cell a wall is, is known to this share of the cell (standard deviation). All points of a wall along the grid
 /// share that error, so it does not shrink with their number.
 const CELL_ERROR: f64 = 0.1;
+/// Least share of surfaces (mean squared cosine) that a direction is taken to be held by.
+const HELD_MIN: f64 = 1e-5;
 /// Standard deviations assumed of the prediction where the scan determines nothing.
 const PRIOR_SIGMA: (f64, f64) = (0.3, 0.15);
 
@@ -129,8 +135,8 @@ impl ScanMatcher {
         } else {
             let field = GridField::new(grid, self.settings.unknown_score);
             let (prediction, fit) = self.settled(&field, prediction, scan);
-            let mut found = self.match_scan(&field, &prediction, fit, scan);
-            found.quality = self.believed(grid, &found);
+            let found = self.match_scan(&field, &prediction, fit, scan);
+            let found = self.believed(grid, found, &prediction);
             self.count(found.score, found.quality);
             self.fill(&mut estimate, &found);
             if self.lost > self.settings.rescue.lost_scans_max {
@@ -244,13 +250,13 @@ impl ScanMatcher {
             (fit, prediction.twist, fit.covariance(PRIOR_SIGMA.0, PRIOR_SIGMA.1))
         };
         covariance = roughened(covariance, CELL_ERROR * field.reader(Level::Full).cell_size_m());
-        let free = if rescued { None } else { self.free_axis(prediction.pose) };
-        if let Some(axis) = free {
-            covariance = widened(covariance, axis, PRIOR_SIGMA.0);
-            fit = fit.remapped(field, &self.points, prediction.pose, axis);
+        covariance = self.loosened(covariance, fit.pose);
+        let fused = (!rescued).then(|| prediction.fused(fit.pose, covariance)).flatten();
+        if let Some((pose, posterior)) = fused {
+            (fit, covariance) = (Fit::at(field, &self.points, pose), posterior);
         }
         let quality = match self.judge(&fit, prediction.pose) {
-            Quality::Tracking if free.is_some() => Quality::Degraded,
+            Quality::Tracking if fused.is_some() => Quality::Degraded,
             quality => quality,
         };
         Match { pose: fit.pose, twist, covariance, score: fit.score, quality, rescued }
@@ -281,12 +287,20 @@ impl ScanMatcher {
         (now, sweep.covariance(field, now.pose, TWIST_SIGMA, PRIOR_SIGMA))
     }
 
-    /// Direction in the grid's frame that the scan's surfaces leave open.
-    fn free_axis(&self, prediction: Pose) -> Option<Vector3<f64>> {
-        let (held, axis) = least_held(&self.points)?;
-        let (sin, cos) = prediction.heading_rad.sin_cos();
-        (held < self.settings.degenerate_below)
-            .then(|| Vector3::new(cos * axis.x - sin * axis.y, sin * axis.x + cos * axis.y, 0.0))
+    /// A fit's covariance, widened along the direction that the scan's surfaces leave open: single cells along a bare wall
+    /// have slopes, which hold nothing.
+    fn loosened(&self, covariance: Covariance, pose: Pose) -> Covariance {
+        let Some((held, axis)) = least_held(&self.points) else { return covariance };
+        let (sin, cos) = pose.heading_rad.sin_cos();
+        let axis = Vector2::new(cos * axis.x - sin * axis.y, sin * axis.x + cos * axis.y);
+        let along = |axis: Vector2<f64>| {
+            let Covariance { xx, xy, yy, .. } = covariance;
+            axis.x * axis.x * xx + 2.0 * axis.x * axis.y * xy + axis.y * axis.y * yy
+        };
+        let across = along(Vector2::new(-axis.y, axis.x));
+        let seen = (held - self.settings.degenerate_below).max(HELD_MIN);
+        let missing = across * (1.0 - held) / seen - along(axis);
+        if missing > 0.0 { widened(covariance, axis, missing.sqrt()) } else { covariance }
     }
 
     /// The fit near the prediction; a scan without odometry is looked for before.
@@ -323,7 +337,7 @@ impl ScanMatcher {
     /// A wide search when the fit scores badly; true beside its result when that is better.
     fn rescue<F: ScoreField>(&mut self, field: &F, prediction: Pose, fit: Fit) -> (Fit, bool) {
         let rescue = self.settings.rescue.clone();
-        if fit.score >= rescue.below * self.mean_score {
+        if fit.score >= rescue.below * self.mean_score || self.points.len() < TELLING_POINTS {
             self.searched = None;
             return (fit, false);
         }
@@ -367,7 +381,7 @@ impl ScanMatcher {
     fn count(&mut self, score: f64, quality: Quality) {
         self.last_score = score;
         if quality == Quality::Lost {
-            self.lost += 1;
+            self.lost += u32::from(self.points.len() >= TELLING_POINTS);
             return;
         }
         self.lost = 0;
@@ -392,15 +406,27 @@ impl ScanMatcher {
     }
 
     /// A poor fit whose points end in free space is not believed: there the robot is somewhere else. One whose points end
-    /// where nothing is known is a new place.
-    fn believed<H: Deref<Target = Tile>>(&self, grid: &TileGrid<H>, found: &Match) -> Quality {
+    /// where nothing is known is a new place, and the wheels say where it is.
+    fn believed<H: Deref<Target = Tile>>(
+        &self,
+        grid: &TileGrid<H>,
+        found: Match,
+        prediction: &Prediction,
+    ) -> Match {
         let is_poor = found.score < CONTRADICTED.0 * self.mean_score;
-        let watches = self.settings.rescue.lost_scans_max > 0 && found.quality != Quality::Lost;
-        if watches && is_poor && contradicted(grid, &self.points, found.pose) >= CONTRADICTED.1 {
-            Quality::Lost
-        } else {
-            found.quality
+        if self.settings.rescue.lost_scans_max == 0 || !is_poor {
+            return found;
         }
+        if contradicted(grid, &self.points, found.pose) >= CONTRADICTED.1 {
+            return Match { quality: Quality::Lost, ..found };
+        }
+        let is_new = found.quality == Quality::Lost
+            && in_the_unknown(grid, &self.points, prediction.pose) >= NEW_PLACE;
+        if is_new {
+            let Prediction { pose, twist, covariance, .. } = *prediction;
+            return Match { pose, twist, covariance, quality: Quality::Degraded, ..found };
+        }
+        found
     }
 
     /// A robot that stays lost maps anew from where it believes to be; the map so far is left as it is, and a closure may

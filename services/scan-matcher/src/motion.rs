@@ -1,5 +1,6 @@
-use flockslam_geometry::{Covariance, Pose, Twist};
+use flockslam_geometry::{Covariance, Pose, Twist, wrap_angle};
 use flockslam_messages::ScanView;
+use nalgebra::{Matrix3, Vector3};
 
 /// Seconds between scans assumed before the first two stamps are known, and for steps that are no step.
 const PERIOD_START_S: f64 = 0.1;
@@ -14,6 +15,11 @@ const DRIFT_HEADING: f64 = 0.01;
 
 /// Wheels that differ by more than this from the velocity so far, metres and radians within one scan, may have jumped.
 const SURPRISE: (f64, f64) = (0.15, 0.15);
+
+/// What comes on top of that in each step, standard deviations in metres and radians: of wheels, and of the velocity so far
+/// when there are none.
+const STEP_SIGMA: (f64, f64) = (0.01, 0.005);
+const STEP_SIGMA_BLIND: (f64, f64) = (0.15, 0.1);
 
 /// Share of the velocity that is left after each scan that was not believed.
 const KEPT_WHEN_LOST: f64 = 0.5;
@@ -54,6 +60,34 @@ pub(crate) struct Prediction {
 pub(crate) struct Steady {
     pub(crate) pose: Pose,
     pub(crate) twist: Twist,
+}
+
+fn matrix(c: Covariance) -> Matrix3<f64> {
+    Matrix3::new(c.xx, c.xy, c.xt, c.xy, c.yy, c.yt, c.xt, c.yt, c.tt)
+}
+
+impl Prediction {
+    /// A fit that tells less than the prediction in some direction, brought together with it (the update of a Kalman filter):
+    /// pose and covariance. `None` where the scan tells more in all directions: wheels that slip shall not pull then.
+    pub(crate) fn fused(&self, fit: Pose, covariance: Covariance) -> Option<(Pose, Covariance)> {
+        let of_fit = matrix(covariance);
+        let of_motion = matrix(self.covariance);
+        let holds_in_all_directions = (of_motion - of_fit).cholesky().is_some();
+        if holds_in_all_directions {
+            return None;
+        }
+        let gain = of_fit * (of_fit + of_motion).try_inverse()?;
+        let missed = Vector3::new(
+            self.pose.x_m - fit.x_m,
+            self.pose.y_m - fit.y_m,
+            wrap_angle(self.pose.heading_rad - fit.heading_rad),
+        );
+        let shift = gain * missed;
+        let left = of_fit - gain * of_fit;
+        let pose = Pose::new(fit.x_m + shift.x, fit.y_m + shift.y, fit.heading_rad + shift.z);
+        let [xy, xt, yt] = [(0, 1), (0, 2), (1, 2)].map(|(i, j)| 0.5 * (left[(i, j)] + left[(j, i)]));
+        Some((pose, Covariance { xx: left[(0, 0)], xy, xt, yy: left[(1, 1)], yt, tt: left[(2, 2)] }))
+    }
 }
 
 impl Motion {
@@ -99,10 +133,11 @@ impl Motion {
         let steady = surprises.then(|| Steady { pose: self.pose * unchanged, twist: self.velocity });
         let (travel, turn) = (motion.x_m.hypot(motion.y_m), motion.heading_rad.abs());
         let mut covariance = self.covariance;
-        let position = DRIFT_XY * travel + self.covariance.tt * travel * travel;
+        let (step_m, step_rad) = if scan.odometry().is_some() { STEP_SIGMA } else { STEP_SIGMA_BLIND };
+        let position = DRIFT_XY * travel + self.covariance.tt * travel * travel + step_m * step_m;
         covariance.xx += position;
         covariance.yy += position;
-        covariance.tt += DRIFT_HEADING * turn;
+        covariance.tt += DRIFT_HEADING * turn + step_rad * step_rad;
         Prediction { pose: self.pose * motion, twist, covariance, steady }
     }
 

@@ -19,8 +19,8 @@ pub struct Settings {
     pub ndt: NdtSettings,
     /// Search before each fit of a scan that carries no odometry (`gauss-newton` and `ndt`).
     pub no_odometry: CorrelativeSettings,
-    /// Along a direction that fewer surfaces of the scan face than this (mean squared cosine, 0 … ½) the prediction is kept:
-    /// bare corridors; 0 = never.
+    /// A direction that the surfaces of the scan face less than this (mean squared cosine, 0 … ½) is one that the scan tells nothing
+    /// about: along bare corridors and walls the wheels are followed. Noise alone makes about 0.005.
     pub degenerate_below: f64,
     /// What happens after a bad fit.
     pub rescue: Rescue,
@@ -116,7 +116,7 @@ impl Default for Settings {
                 reach_rad: 0.35,
                 ..CorrelativeSettings::default()
             },
-            degenerate_below: 0.0,
+            degenerate_below: 0.005,
             rescue: Rescue::default(),
             gate: Gate::default(),
             fits_velocity: true,

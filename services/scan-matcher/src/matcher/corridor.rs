@@ -45,8 +45,7 @@ fn truth(i: u64) -> Pose {
 #[test]
 fn along_a_corridor_the_wheels_are_followed_and_across_it_the_walls() {
     for strategy in [Strategy::GaussNewton] {
-        let mut front_end =
-            FrontEnd::new(Settings { strategy, degenerate_below: 0.05, ..Settings::default() });
+        let mut front_end = FrontEnd::new(Settings { strategy, ..Settings::default() });
         let (mut state, mut odometry, mut last) = (1, truth(0), truth(0));
         for i in 0..220 {
             if i > 0 {
@@ -61,9 +60,13 @@ fn along_a_corridor_the_wheels_are_followed_and_across_it_the_walls() {
             assert!(pose.turn_rad(truth(i)) < 0.01, "{strategy:?} {i}: {pose:?} for {:?}", truth(i));
             if in_corridor && i > 0 {
                 let slipped = (WHEELS - 1.0) * truth(i).x_m;
-                assert!((along - slipped).abs() < 0.05, "{strategy:?} {i}: {along} for {slipped}");
+                assert!((along - slipped).abs() < 0.1, "{strategy:?} {i}: {along} for {slipped}");
                 assert_eq!(estimate.quality, Quality::Degraded as u32, "{strategy:?} {i}");
-                assert!(estimate.covariance.xx > 0.01 && estimate.covariance.yy < 0.01);
+                assert!(
+                    estimate.covariance.xx > 0.002 && estimate.covariance.yy < 0.001,
+                    "{:?}",
+                    estimate.covariance
+                );
             }
             assert!(i == 0 || (last.distance_m(pose) - 0.1).abs() < 0.05, "{strategy:?} {i}: no jump");
             last = pose;
