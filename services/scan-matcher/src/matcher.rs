@@ -35,6 +35,8 @@ const SWEEP_STEPS: usize = 8;
 const CELL_ERROR: f64 = 0.1;
 /// Least share of surfaces (mean squared cosine) that a direction is taken to be held by.
 const HELD_MIN: f64 = 1e-5;
+/// Wheels that miss a fit by more than this are slipping: metres and radians.
+const SLIPPED: (f64, f64) = (0.1, 0.03);
 /// Standard deviations assumed of the prediction where the scan determines nothing.
 const PRIOR_SIGMA: (f64, f64) = (0.3, 0.15);
 
@@ -49,6 +51,8 @@ pub struct ScanMatcher {
     matched: u64,
     /// Scans in a row whose fit was not believed.
     lost: u32,
+    /// Whether the last fit was far from where the wheels had it.
+    slips: bool,
     /// Number of the chain of submaps.
     chain: u32,
     /// Nothing but driving connects the chain with the map.
@@ -89,6 +93,7 @@ impl ScanMatcher {
             last_score: 0.0,
             matched: 0,
             lost: 0,
+            slips: false,
             chain: 0,
             detached: false,
             searched: None,
@@ -138,6 +143,8 @@ impl ScanMatcher {
             let found = self.match_scan(&field, &prediction, fit, scan);
             let found = self.believed(grid, found, &prediction);
             self.count(found.score, found.quality);
+            self.slips = found.pose.distance_m(prediction.pose) > SLIPPED.0
+                || found.pose.turn_rad(prediction.pose) > SLIPPED.1;
             self.fill(&mut estimate, &found);
             if self.lost > self.settings.rescue.lost_scans_max {
                 self.begin_chain(&mut estimate);
@@ -202,6 +209,7 @@ impl ScanMatcher {
         let variance = gate.sigma_max_m * gate.sigma_max_m;
         self.matched < gate.start_scans
             || prediction.steady.is_some()
+            || self.slips
             || self.last_score < gate.score_share * self.mean_score
             || prediction.covariance.xx.max(prediction.covariance.yy) > variance
     }
