@@ -6,10 +6,15 @@ use flockslam_registration::cloud::Placement;
 pub const WIDE_M: f64 = 1.5;
 /// Others that a closure from a wide window needs.
 const PARTNERS_MIN: usize = 2;
-/// Travel over which closures that agree must extend for each metre that they would move the robot. What looks alike over a few
-/// metres, the ends of two aisles or the doors of two rooms, differs over more; and where places that look alike lie as far apart
-/// as the chain may have drifted, the place meant may never have been seen, so that no better match speaks against a false one.
-const EXTENT_PER_SHIFT: f64 = 5.0;
+/// Travel over which closures that agree must extend for each metre that they would move the robot, and for each metre of it that
+/// the usual drift does not account for: a share of the window.
+///
+/// What looks alike over a few metres, the ends of two aisles or the doors of two rooms, differs over more; and where places that
+/// look alike lie as far apart as the chain may have drifted, the place meant may never have been seen, so that no better match
+/// speaks against a false one.
+const EXTENT_PER_SHIFT: f64 = 2.0;
+const EXTENT_PER_SURPRISE: f64 = 5.0;
+const USUAL_SHARE: f64 = 0.25;
 /// Two closures are compared when the chain between them is no longer than this, both sides together, metres.
 const COMPARED_WITHIN_M: f64 = 20.0;
 /// Two closures agree when their cycle closes within this, plus a share of the chain in it, and this turn.
@@ -22,12 +27,14 @@ const CYCLE: (f64, f64, f64) = (0.2, 0.02, 0.05);
 /// In a long corridor with a door every few metres a single match is wrong easily, and what the chain knows
 /// after a hundred metres cannot contradict it.
 pub fn eligible(closures: &[Closure], nodes: &[Node]) -> Vec<bool> {
+    let neighbours = Neighbours::new(closures, nodes);
     let mut groups = Groups::new(closures, nodes);
-    let mut supported = vec![false; closures.len()];
-    for (i, a) in closures.iter().enumerate() {
+    let is_wide = |closure: &Closure| closure.reach_m > WIDE_M;
+    let mut eligible: Vec<bool> = closures.iter().map(|closure| !is_wide(closure)).collect();
+    for (i, a) in closures.iter().enumerate().filter(|(_, a)| is_wide(a)) {
         let (mut agreeing, mut disagreeing) = (0, 0);
-        for (k, b) in closures.iter().enumerate().filter(|(_, b)| b.edge != a.edge) {
-            match agree(a, b, nodes) {
+        for k in neighbours.of(a).filter(|k| closures[*k].edge != a.edge) {
+            match agree(a, &closures[k], nodes) {
                 Some(true) => {
                     agreeing += 1;
                     groups.join(i, k);
@@ -36,12 +43,41 @@ pub fn eligible(closures: &[Closure], nodes: &[Node]) -> Vec<bool> {
                 None => {}
             }
         }
-        supported[i] = agreeing >= PARTNERS_MIN && 2 * disagreeing <= agreeing + 1;
+        eligible[i] = agreeing >= PARTNERS_MIN && 2 * disagreeing <= agreeing + 1;
     }
-    let is_eligible = |(i, closure): (usize, &Closure)| {
-        closure.reach_m <= WIDE_M || supported[i] && groups.extent_m(i) >= EXTENT_PER_SHIFT * closure.shift_m
-    };
-    closures.iter().enumerate().map(is_eligible).collect()
+    for (i, closure) in closures.iter().enumerate().filter(|(_, closure)| is_wide(closure)) {
+        eligible[i] &= groups.extent_m(i) >= extent_needed_m(closure);
+    }
+    eligible
+}
+
+fn extent_needed_m(closure: &Closure) -> f64 {
+    let surprise_m = (closure.shift_m - USUAL_SHARE * closure.reach_m).max(0.0);
+    EXTENT_PER_SHIFT * closure.shift_m + EXTENT_PER_SURPRISE * surprise_m
+}
+
+/// Closures in the order of their queries: those that one is compared with lie side by side.
+struct Neighbours<'a> {
+    nodes: &'a [Node],
+    /// Doubt of the query and number of each closure.
+    order: Vec<(f64, usize)>,
+}
+
+impl<'a> Neighbours<'a> {
+    fn new(closures: &[Closure], nodes: &'a [Node]) -> Self {
+        let named = |(i, closure): (usize, &Closure)| (nodes[closure.edge.to].doubt_m, i);
+        let mut order: Vec<_> = closures.iter().enumerate().map(named).collect();
+        order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        Self { nodes, order }
+    }
+
+    /// Numbers of the closures whose queries are not too far from that of this one.
+    fn of(&self, closure: &Closure) -> impl Iterator<Item = usize> {
+        let at_m = self.nodes[closure.edge.to].doubt_m;
+        let from = self.order.partition_point(|(doubt_m, _)| *doubt_m < at_m - COMPARED_WITHIN_M);
+        let near = self.order[from..].iter();
+        near.take_while(move |(doubt_m, _)| *doubt_m <= at_m + COMPARED_WITHIN_M).map(|(_, i)| *i)
+    }
 }
 
 /// Closures that agree with each other, directly or over others, and the travel over which their queries extend.
@@ -61,8 +97,10 @@ impl Groups {
         }
     }
 
-    fn first(&self, mut closure: usize) -> usize {
+    fn first(&mut self, mut closure: usize) -> usize {
         while self.parent[closure] != closure {
+            // Shortens the way for the next who goes it.
+            self.parent[closure] = self.parent[self.parent[closure]];
             closure = self.parent[closure];
         }
         closure
@@ -76,8 +114,9 @@ impl Groups {
         self.extent[kept] = (self.extent[kept].0.min(low), self.extent[kept].1.max(high));
     }
 
-    fn extent_m(&self, closure: usize) -> f64 {
-        let (low, high) = self.extent[self.first(closure)];
+    fn extent_m(&mut self, closure: usize) -> f64 {
+        let first = self.first(closure);
+        let (low, high) = self.extent[first];
         high - low
     }
 }
@@ -145,10 +184,10 @@ mod tests {
     fn the_farther_matches_move_the_robot_the_longer_they_must_hold() {
         let nodes = nodes();
         let mut closures: Vec<_> = (0..8).map(|k| closure(10 + 2 * k, 80 + 2 * k, 0.0, 8.0)).collect();
-        closures.iter_mut().for_each(|closure| closure.shift_m = 3.0);
+        closures.iter_mut().for_each(|closure| closure.shift_m = 3.5);
         assert_eq!(eligible(&closures, &nodes), [false; 8]);
         // The first and the last are too far apart to be compared: those between connect them.
-        closures.push(Closure { shift_m: 3.0, ..closure(26, 96, 0.0, 8.0) });
+        closures.push(Closure { shift_m: 3.5, ..closure(26, 96, 0.0, 8.0) });
         assert_eq!(eligible(&closures, &nodes), [true; 9]);
     }
 
