@@ -5,7 +5,7 @@ mod support;
 
 use std::path::Path;
 use std::process::Command;
-use support::{Outputs, data_dir, flockslam, run_well, stderr};
+use support::{Outputs, benchmark_file, data_dir, evaluate_relations, run_well};
 
 struct Log {
     name: &'static str,
@@ -23,25 +23,13 @@ const LOGS: [Log; 3] = [
 
 impl Log {
     fn file(&self, data: &Path, extension: &str) -> std::path::PathBuf {
-        data.join(self.name).join(format!("{}.{extension}", self.name))
+        benchmark_file(data, self.name, extension)
     }
 
     fn map(&self, data: &Path, out: &Path, more: &[&str]) -> Outputs {
         let mut args = vec!["map".to_owned(), self.file(data, "clf").display().to_string()];
         args.extend(more.iter().map(|arg| (*arg).to_owned()));
         run_well(self.name, out, &args)
-    }
-
-    /// The figures of `flockslam evaluate` for the final trajectory.
-    fn evaluate(&self, data: &Path, outputs: &Outputs) -> serde_json::Value {
-        let json = outputs.directory.join("figures.json");
-        let mut command = flockslam();
-        command.arg("evaluate").arg("--relations").arg(self.file(data, "relations"));
-        command.arg("--trajectory").arg(outputs.directory.join("trajectory.tum")).arg("--json").arg(&json);
-        let output = command.output().unwrap();
-        assert!(output.status.success(), "{}", stderr(&output));
-        let figures: serde_json::Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
-        figures["relations"].clone()
     }
 
     /// Stamps of the log's scans as they stand in the file, in its order: the third field from the end.
@@ -64,7 +52,7 @@ fn one_configuration_maps_all_logs_accurately() {
     for log in &LOGS {
         let directory = tempfile::tempdir().unwrap();
         let outputs = log.map(&data, directory.path(), &[]);
-        let figures = log.evaluate(&data, &outputs);
+        let figures = evaluate_relations(&data, log.name, &outputs);
         let (mean, short, loops) =
             (mean_m(&figures["all"]), mean_m(&figures["short"]), mean_m(&figures["loop"]));
         println!(
@@ -127,7 +115,7 @@ fn the_profile_of_the_published_program_reproduces_its_error() {
     for log in &LOGS {
         let directory = tempfile::tempdir().unwrap();
         let outputs = log.map(&data, directory.path(), &["--profile", "vinyslam"]);
-        let short_m = mean_m(&log.evaluate(&data, &outputs)["short"]);
+        let short_m = mean_m(&evaluate_relations(&data, log.name, &outputs)["short"]);
         let ratio = short_m / log.published_m;
         println!(
             "{} as vinySLAM: short {short_m:.4} m, published {} m ({ratio:.2})",

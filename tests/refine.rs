@@ -62,6 +62,12 @@ fn a_refined_run_keeps_the_run_and_adds_to_it() {
     let again = run_well("again", &out("refined"), &args(&["--refine"]));
     assert_eq!(again.report.map_hash, refined.report.map_hash);
     assert_eq!(sum_of(&again, REFINED, |_| Some(Pose::IDENTITY)).0, count);
+
+    // And without: nothing is left that would belong to another run.
+    run_well("unrefined", &out("refined"), &args(&[]));
+    assert!(
+        !out("refined").join("submaps").exists() && !out("refined").join("trajectory_refined.tum").exists()
+    );
 }
 
 #[test]

@@ -6,7 +6,7 @@ mod support;
 use flockslam_geometry::Pose;
 use std::fmt::Write;
 use std::path::Path;
-use support::{Outputs, data_dir, flockslam, run_well, stderr};
+use support::{Outputs, benchmark_file, data_dir, evaluate_relations, run_well};
 
 struct Log {
     name: &'static str,
@@ -33,7 +33,7 @@ struct Errors {
 
 impl Log {
     fn file(&self, data: &Path, extension: &str) -> std::path::PathBuf {
-        data.join(self.name).join(format!("{}.{extension}", self.name))
+        benchmark_file(data, self.name, extension)
     }
 
     /// Maps a log with every scan processed.
@@ -49,14 +49,8 @@ impl Log {
     }
 
     fn errors(&self, data: &Path, outputs: &Outputs) -> Errors {
-        let json = outputs.directory.join("figures.json");
-        let mut command = flockslam();
-        command.arg("evaluate").arg("--relations").arg(self.file(data, "relations"));
-        command.arg("--trajectory").arg(outputs.directory.join("trajectory.tum")).arg("--json").arg(&json);
-        let output = command.output().unwrap();
-        assert!(output.status.success(), "{}", stderr(&output));
-        let figures: serde_json::Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
-        let all = &figures["relations"]["all"];
+        let figures = evaluate_relations(data, self.name, outputs);
+        let all = &figures["all"];
         let number = |kind: &str, figure: &str| all[kind][figure].as_f64().unwrap();
         Errors {
             mean_m: number("translation_m", "mean"),

@@ -39,8 +39,8 @@ pub struct SetSettings {
     pub window: usize,
     /// Greatest number of live tiles (3.2 × 3.2 m each with cells of 5 cm).
     pub live_tiles: usize,
-    /// Directory on disk for what is large and rarely read: closed submaps. Each set has a folder of its own in it, as long as it
-    /// runs. Without it everything lies in memory, in /dev/shm.
+    /// Directory on disk for what grows with the way driven and is rarely read: closed submaps, the journal, trajectories. Each set
+    /// has a folder of its own in it, as long as it runs. Without it everything lies in memory, in /dev/shm.
     pub spill_dir: Option<PathBuf>,
 }
 

@@ -32,6 +32,17 @@ pub fn keep_originals(store: &SubmapStore, layout: &[LayoutRow], to: &Path) -> R
     replace(&partial, &directory)
 }
 
+/// Removes what an earlier run left of both in `from`, and `from` itself when there is nothing else in it.
+///
+/// # Errors
+/// When something cannot be removed.
+pub fn forget(from: &Path) -> Result<(), StageError> {
+    [ORIGINALS, REFINED].iter().try_for_each(|epoch| remove(&from.join(epoch)))?;
+    // Whatever else is there is the user's.
+    let _ = fs::remove_dir(from);
+    Ok(())
+}
+
 /// Enters the accepted scans of a journal at refined poses into submaps in `to/epoch-2`, in place of what an earlier run left
 /// there, and gives their sum.
 ///

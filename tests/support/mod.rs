@@ -4,10 +4,12 @@
 // Every test executable uses its own part of this.
 #![allow(dead_code, unused_imports)]
 
+mod benchmark;
 mod log;
 mod outputs;
 mod running;
 
+pub use benchmark::{benchmark_file, evaluate_relations};
 pub use log::simulated_log;
 pub use outputs::{Outputs, truth_error_m};
 pub use running::{RunningSet, send};

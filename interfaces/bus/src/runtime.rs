@@ -113,7 +113,7 @@ impl RuntimeDir {
 
     /// Scans and poses since the start of the epoch.
     pub fn journal(&self) -> PathBuf {
-        self.path.join("journal")
+        self.spill.join("journal")
     }
 
     /// Where what is large and rarely read lies: the set's folder on disk, or the directory itself when there is none.
@@ -133,7 +133,7 @@ impl RuntimeDir {
 
     /// What sync-manager concluded: layout, trajectories, fused map.
     pub fn results(&self) -> PathBuf {
-        self.path.join("results")
+        self.spill.join("results")
     }
 
     /// The configuration of the set, as its stages read it.

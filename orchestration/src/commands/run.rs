@@ -24,6 +24,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
+const REFINED_TRAJECTORY: &str = "trajectory_refined.tum";
+
 /// What is to be run.
 pub struct Run {
     /// Where scans come from.
@@ -215,7 +217,7 @@ fn write_outputs(out: &Path, run: &Finished<'_>) -> Result<Outcome, CommandError
         write_trajectory(&out.join("trajectory.tum"), &last)?;
         write_trajectory(&out.join("trajectory_online.tum"), &online)?;
         if let Some(refined) = &refined {
-            write_trajectory(&out.join("trajectory_refined.tum"), refined)?;
+            write_trajectory(&out.join(REFINED_TRAJECTORY), refined)?;
         }
         write_map(out, &map)?;
         write_picture(
@@ -231,12 +233,22 @@ fn write_outputs(out: &Path, run: &Finished<'_>) -> Result<Outcome, CommandError
     Ok(Outcome { report, last, online, refined, truth })
 }
 
+fn remove_file(path: &Path) -> Result<(), StageError> {
+    match std::fs::remove_file(path) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(StageError::file(path, error)),
+        _ => Ok(()),
+    }
+}
+
 /// Makes the map of refined poses, when they were asked for: the map and the trajectory.
 fn refine(out: &Path, run: &Finished<'_>) -> Result<Option<(StoredMap, Vec<TrajectoryPoint>)>, StageError> {
+    let (runtime, submaps) = (run.set.runtime(), out.join("submaps"));
     if !run.configuration.sync_manager.refine {
+        // What an earlier run refined does not belong to this one.
+        epoch::forget(&submaps)?;
+        remove_file(&out.join(REFINED_TRAJECTORY))?;
         return Ok(None);
     }
-    let (runtime, submaps) = (run.set.runtime(), out.join("submaps"));
     let layout = results::read_layout(&runtime.results())?;
     let rows = results::read_trajectory(&runtime.results(), results::REFINED_TRAJECTORY)?;
     epoch::keep_originals(&SubmapStore::new(&runtime.submaps()), &layout, &submaps)?;

@@ -57,11 +57,12 @@ const EPOCH: u32 = 1;
 const LARGE_CREDIT: u64 = 2;
 
 /// Who is woken for each scan. Live, the matcher wakes up while the filter judges: one after the other they would take as
-/// long again as the matching itself.
+/// long again as the matching itself. The matcher comes first: the filter, once woken, may take this very processor, and its
+/// verdict is there sooner than the matcher is awake.
 fn first_stages(mode: Mode) -> &'static [Stage] {
     match mode {
         Mode::Exact => &[Stage::CorrelationFilter],
-        Mode::Live => &[Stage::CorrelationFilter, Stage::ScanMatcher],
+        Mode::Live => &[Stage::ScanMatcher, Stage::CorrelationFilter],
     }
 }
 

@@ -63,17 +63,18 @@ impl Mapper {
         }
     }
 
-    /// Continues after closed submaps of the same run (in order of their numbers), before the active one is replayed.
-    pub fn resume(&mut self, closed: Vec<Submap>, generation: u64) {
+    /// Continues after a closed submap of the same run: called for each in order of their numbers, before the active one is
+    /// replayed. `generation` is that of the grid with it.
+    pub fn resume(&mut self, closed: Submap, generation: u64) {
         self.generation = generation;
         self.window.begin_scan();
-        for submap in closed {
-            self.number = submap.number + 1;
-            self.enter_chain(submap.chain);
-            self.window.add_submap(&submap);
-            self.remember(submap);
-        }
+        self.number = closed.number + 1;
+        self.enter_chain(closed.chain);
+        self.window.add_submap(&closed);
+        self.remember(closed);
         self.window.end_scan();
+        // What has left the window again is stored as it is.
+        self.left_cleared.clear();
     }
 
     /// Inserts a scan at its pose, after taking out what `cleared` calls stale.
@@ -333,7 +334,7 @@ mod tests {
         let kept = mapper.closed.len();
         assert_eq!((kept, settings.window_submaps()), (2, Some(2)));
         let mut resumed = Mapper::new(settings);
-        resumed.resume(submaps.clone(), submaps.last().unwrap().last + 1);
+        submaps.iter().for_each(|submap| resumed.resume(submap.clone(), submap.last + 1));
         drive(&mut resumed, submaps.last().unwrap().last + 1..80);
         assert_eq!(window_of(&resumed), window_of(&mapper));
         assert_eq!(
@@ -383,7 +384,7 @@ mod tests {
         assert_eq!((last.chain, last.number), (1, closed.number + 1));
 
         let mut resumed = Mapper::new(Settings::default());
-        resumed.resume([before, vec![closed, last]].concat(), 41);
+        [before, vec![closed, last]].concat().into_iter().for_each(|submap| resumed.resume(submap, 41));
         assert_eq!(window_of(&resumed), window_of(&mapper));
     }
 

@@ -94,11 +94,13 @@ impl MapperProcess {
     /// Rebuilds the map that a predecessor had: its closed submaps from the store, the active one from the journal.
     fn recover(&mut self, context: &StageContext) -> Result<(), StageError> {
         let count = self.store.count();
-        let closed = (0..count).map(|number| self.store.load(number)).collect::<Result<Vec<_>, _>>()?;
-        let stored_to = closed.last().map_or(0, |submap| submap.last + 1);
-        let inserted = closed.iter().map(|submap| u64::from(submap.insertions)).sum();
-        self.logic.resume(closed, inserted);
-        self.applied = stored_to;
+        let mut inserted = 0;
+        for number in 0..count {
+            let submap = self.store.load(number)?;
+            inserted += u64::from(submap.insertions);
+            self.applied = submap.last + 1;
+            self.logic.resume(submap, inserted);
+        }
         self.catch_up(context)?;
         for number in 0..count {
             let submap = self.store.load(number)?;

@@ -38,6 +38,12 @@ impl BlockCholesky {
         Self { position, starts, rows, diagonal: vec![[0.0; 9]; nodes], below }
     }
 
+    /// Work of a solution, products of blocks.
+    pub fn work(&self) -> u64 {
+        let column = |pair: &[usize]| ((pair[1] - pair[0] + 1) * (pair[1] - pair[0] + 2) / 2) as u64;
+        self.starts.windows(2).map(column).sum()
+    }
+
     /// Sets the matrix to zero.
     pub fn clear(&mut self) {
         self.diagonal.fill([0.0; 9]);

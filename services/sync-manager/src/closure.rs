@@ -49,6 +49,8 @@ pub struct Closure {
     pub edge: Edge,
     /// Reach of the window in which it was found, metres.
     pub reach_m: f64,
+    /// How far from where it was expected it was found, metres; 0 when nothing was known.
+    pub shift_m: f64,
 }
 
 /// What has been looked at so far.
@@ -191,7 +193,9 @@ impl ClosureFinder {
         if !free_space_agrees(world, query, points, segment, nearest, &refined.placement, at) {
             return None;
         }
-        closure(query, nearest, &at(nearest), &refined, window)
+        let edge = edge(query, nearest, &at(nearest), &refined)?;
+        let shift_m = if window == ANYWHERE { 0.0 } else { refined.placement.distance_m(&guess) };
+        Some(Closure { edge, reach_m: window.reach_m, shift_m })
     }
 
     fn search(
@@ -285,17 +289,10 @@ fn intruding(polar: &Polar, at: &Placement, points: impl Iterator<Item = (f64, f
     f64::from(through) / f64::from(looked.max(1))
 }
 
-fn closure(
-    query: usize,
-    nearest: usize,
-    at: &Placement,
-    refined: &Alignment,
-    window: Window,
-) -> Option<Closure> {
+fn edge(query: usize, nearest: usize, at: &Placement, refined: &Alignment) -> Option<Edge> {
     let information = loosened(&refined.information.map(|v| v * POINT_INFORMATION), SLACK.0, SLACK.1)?;
     let motion = at.to(refined.placement);
-    let edge = Edge { from: nearest, to: query, motion, information: in_frame(&information, at) };
-    Some(Closure { edge, reach_m: window.reach_m })
+    Some(Edge { from: nearest, to: query, motion, information: in_frame(&information, at) })
 }
 
 /// Distances along the graph from `from` to every node, metres: along the chain, and across loops in force.

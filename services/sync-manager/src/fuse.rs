@@ -18,22 +18,23 @@ impl Fuser {
         Self { fusion: Fusion::new(settings.retire_covered_by), store, known_area_m2: 0.0 }
     }
 
-    /// Goes a few steps towards a layout, of which the first `closed` submaps are stored.
+    /// Goes a few steps towards a layout, of which the first `closed` submaps are stored; gives those that have retired now.
     ///
     /// # Errors
     /// When the store fails.
-    pub fn follow(&mut self, layout: &[PlacedSubmap], closed: u32) -> Result<(), StageError> {
+    pub fn follow(&mut self, layout: &[PlacedSubmap], closed: u32) -> Result<Vec<u32>, StageError> {
         for step in self.fusion.steps(layout, closed) {
             let submap = self.store.load(step.number())?;
             if let Err(far) = self.fusion.take(step, submap) {
                 tracing::warn!(%far, number = step.number(), "a submap is not in the fused map");
             }
         }
-        for number in self.fusion.covered() {
-            let emptied = self.fusion.retire(self.store.load(number)?);
+        let covered = self.fusion.covered();
+        for number in &covered {
+            let emptied = self.fusion.retire(self.store.load(*number)?);
             self.store.save(&emptied)?;
         }
-        Ok(())
+        Ok(covered)
     }
 
     /// The fused map of the final layout: the sum over the stored submaps at their poses, on the rectangle that has evidence.
@@ -50,6 +51,12 @@ impl Fuser {
         }
         self.empty_retired()?;
         Ok(self.fusion.map().map_or_else(StoredMap::empty, StoredMap::of))
+    }
+
+    /// Number of submaps that have been in the map or are in it: those of the final layout and those that have retired.
+    pub fn known(&self, layout: &[PlacedSubmap]) -> u64 {
+        let placed = |number: &u32| layout.binary_search_by_key(number, |placed| placed.number).is_ok();
+        (layout.len() + self.fusion.retired().filter(|number| !placed(number)).count()) as u64
     }
 
     /// Tells of the submaps, once the map is finished.

@@ -8,6 +8,7 @@ pub struct PoseGraph<'a> {
     edges: &'a [Edge],
     matrix: BlockCholesky,
     vector: Vec<[f64; 3]>,
+    steps: u64,
 }
 
 impl<'a> PoseGraph<'a> {
@@ -17,12 +18,23 @@ impl<'a> PoseGraph<'a> {
         let inner = edges.iter().filter(|e| e.from > 0 && e.to > 0);
         let links: Vec<_> = inner.map(|e| (e.from - 1, e.to - 1)).collect();
         let unknowns = nodes.saturating_sub(1);
-        Self { edges, matrix: BlockCholesky::new(unknowns, &links), vector: vec![[0.0; 3]; unknowns] }
+        Self {
+            edges,
+            matrix: BlockCholesky::new(unknowns, &links),
+            vector: vec![[0.0; 3]; unknowns],
+            steps: 0,
+        }
+    }
+
+    /// Work of all steps so far, products of 3 × 3 blocks.
+    pub fn work(&self) -> u64 {
+        self.steps * self.matrix.work()
     }
 
     /// One Gauss–Newton step with these weights on the edges; gives the largest change of a coordinate
     /// (metres or radians). Poses stay as they are when the system cannot be solved.
     pub fn step(&mut self, weights: &[f64], poses: &mut [Placement]) -> f64 {
+        self.steps += 1;
         self.matrix.clear();
         self.vector.fill([0.0; 3]);
         for (edge, &weight) in self.edges.iter().zip(weights) {

@@ -16,7 +16,7 @@ use flockslam_geometry::Pose;
 use flockslam_messages::{LayoutHeader, PoseEstimate, PoseFlags, ScanView, SubmapClosed};
 use flockslam_registration::cloud::Placement;
 use settle::SettledSubmap;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 mod settle;
 
@@ -25,9 +25,9 @@ const REST: (f64, f64) = (0.01, 0.005);
 /// Searches after one closed submap beyond the usual ones while the newest strand is not connected with the map.
 const ADRIFT_SEARCHES: u64 = 200;
 
-/// Edges that the graph may be solved for after each closed submap: a larger graph is solved less often, with the same work
-/// for each metre.
-const SOLVED_PER_SUBMAP: u64 = 6000;
+/// Work on solving the graph after each closed submap, products of 3 × 3 blocks: a graph that takes more is solved less often, with
+/// the same work for each metre.
+const SOLVING_PER_SUBMAP: u64 = 1_000_000;
 
 /// A scan whose points were kept.
 #[derive(Clone, Copy, Debug)]
@@ -65,13 +65,15 @@ pub struct SyncManager {
     /// Scans that have settled and wait to be taken.
     settled: Vec<SettledScan>,
     settled_submaps: BTreeMap<u32, SettledSubmap>,
+    retired_submaps: BTreeSet<u32>,
     settled_closures: u64,
     /// Scans in the store that nothing refers to any more.
     gone_scans: usize,
     /// Closures were found that the solution does not know.
     unsolved: bool,
-    /// Edges that may be solved for.
-    solve_credit: u64,
+    /// Work on solving that may be done, and what the last solution took.
+    solving_credit: u64,
+    solving_cost: u64,
 }
 
 impl SyncManager {
@@ -93,10 +95,12 @@ impl SyncManager {
             next_settled: 0,
             settled: Vec::new(),
             settled_submaps: BTreeMap::new(),
+            retired_submaps: BTreeSet::new(),
             settled_closures: 0,
             gone_scans: 0,
             unsolved: false,
-            solve_credit: 0,
+            solving_credit: 0,
+            solving_cost: 0,
         }
     }
 
@@ -159,6 +163,14 @@ impl SyncManager {
             closures: self.in_force.iter().filter(|&&acts| acts).count() as u32,
             chain: strands.newest(),
             attached: u32::from(strands.is_attached(strands.newest())),
+        }
+    }
+
+    /// Takes note of submaps that have left the map for good: where they lie is not told any more.
+    pub fn submaps_retired(&mut self, numbers: &[u32]) {
+        for number in numbers {
+            self.settled_submaps.remove(number);
+            self.retired_submaps.insert(*number);
         }
     }
 
@@ -226,13 +238,13 @@ impl SyncManager {
             }
         }
         self.unsolved |= self.closures.len() > before;
-        let cost = (known + self.closures.len()) as u64;
-        self.solve_credit = (self.solve_credit + SOLVED_PER_SUBMAP).min(cost.max(SOLVED_PER_SUBMAP));
+        let cost = self.solving_cost;
+        self.solving_credit = (self.solving_credit + SOLVING_PER_SUBMAP).min(cost.max(SOLVING_PER_SUBMAP));
         let is_last = searches == usize::MAX;
-        if self.unsolved && (self.solve_credit >= cost || is_last) {
-            self.solve_credit = self.solve_credit.saturating_sub(cost);
-            self.unsolved = false;
+        if self.unsolved && (self.solving_credit >= cost || is_last) {
             self.solve(known);
+            self.solving_credit = self.solving_credit.saturating_sub(self.solving_cost);
+            self.unsolved = false;
         }
     }
 
@@ -291,9 +303,9 @@ impl SyncManager {
             warm_up: 6,
         };
         let mut poses = strands::start(&self.chain.nodes()[..known], &edges[trusted..]);
-        let weights = solve(known, &edges, trusted, &settings, &mut poses);
-        self.poses = poses;
-        let mut acting = weights[trusted..].iter().map(|&w| w > 0.5);
+        let solved = solve(known, &edges, trusted, &settings, &mut poses);
+        (self.poses, self.solving_cost) = (poses, solved.work);
+        let mut acting = solved.weights[trusted..].iter().map(|&w| w > 0.5);
         self.in_force = eligible.iter().map(|&eligible| eligible && acting.next() == Some(true)).collect();
     }
 
@@ -328,7 +340,7 @@ impl SyncManager {
         if self.chain.nodes().is_empty() {
             return self.solution(&filled(&self.records, &[], Between::FrontEnd));
         }
-        let kept = self.expected();
+        let kept = expected(&self.records, &self.kept, &self.placed_nodes());
         let placer = Placer {
             nodes: self.chain.nodes(),
             scans: &self.scans,
@@ -338,28 +350,6 @@ impl SyncManager {
         let placed = placer.place_all(&kept, self.finder.scratch());
         let pairs: Vec<_> = self.kept.iter().zip(placed).map(|(k, pose)| (k.record, pose)).collect();
         self.solution(&filled(&self.records, &pairs, Between::Wheels))
-    }
-
-    /// Where each kept scan is expected in the layout: by the front end's path between the nodes around it,
-    /// and, should that have jumped, straight between them.
-    fn expected(&self) -> Vec<KeptScan> {
-        let nodes = self.placed_nodes();
-        let guesses = filled(&self.records, &nodes, Between::FrontEnd);
-        let straight = |record: usize, node: usize| match (nodes.get(node), nodes.get(node + 1)) {
-            (Some(&(start, from)), Some(&(end, to)))
-                if self.records[start].strand == self.records[end].strand =>
-            {
-                from.interpolate(&to, (record - start) as f64 / (end - start) as f64)
-            }
-            _ => guesses[record],
-        };
-        let expect = |k: &Kept| KeptScan {
-            scan: k.scan,
-            guesses: [guesses[k.record], straight(k.record, k.node)],
-            node: k.node,
-            is_node: k.is_node,
-        };
-        self.kept.iter().map(expect).collect()
     }
 
     /// The dense pass, over all nodes.
@@ -444,6 +434,31 @@ impl SyncManager {
             detached_scans: self.records.iter().filter(|r| !strands.is_attached(r.strand)).count() as u64,
         }
     }
+}
+
+/// Where each kept scan is expected in the layout: by the front end's path between the nodes around it, and, should that have
+/// jumped, straight between them. Given are a stretch of records, scans kept of it, and its nodes as (record, pose).
+fn expected(records: &[Record], kept: &[Kept], nodes: &[(usize, Placement)]) -> Vec<KeptScan> {
+    let (Some(first), Some(from)) = (kept.first(), nodes.first()) else { return Vec::new() };
+    // The first scan kept is the first node.
+    let (first_record, first_node) = (first.record - from.0, first.node);
+    let guesses = filled(records, nodes, Between::FrontEnd);
+    let straight = |record: usize, node: usize| match (nodes.get(node), nodes.get(node + 1)) {
+        (Some(&(start, from)), Some(&(end, to))) if records[start].strand == records[end].strand => {
+            from.interpolate(&to, (record - start) as f64 / (end - start) as f64)
+        }
+        _ => guesses[record],
+    };
+    let expect = |k: &Kept| {
+        let record = k.record - first_record;
+        KeptScan {
+            scan: k.scan,
+            guesses: [guesses[record], straight(record, k.node - first_node)],
+            node: k.node,
+            is_node: k.is_node,
+        }
+    };
+    kept.iter().map(expect).collect()
 }
 
 fn placed(submaps: BTreeMap<u32, Pose>) -> Vec<PlacedSubmap> {

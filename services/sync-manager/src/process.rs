@@ -129,7 +129,9 @@ impl SyncProcess {
         self.next_submap = notice.number + 1;
         self.layouts.send(&layout)?;
         self.matcher.ring();
-        self.fuser.follow(&self.logic.layout(), self.next_submap)
+        let retired = self.fuser.follow(&self.logic.layout(), self.next_submap)?;
+        self.logic.submaps_retired(&retired);
+        Ok(())
     }
 
     fn drain(&mut self) -> Result<(), StageError> {
@@ -177,7 +179,7 @@ impl SyncProcess {
         if self.refines {
             self.refine(directory, &solution)?;
         }
-        self.summary.submaps = solution.submaps.len() as u64;
+        self.summary.submaps = self.fuser.known(&solution.submaps);
         self.fuser.report(&mut self.summary);
         self.summary.chains = solution.closures.strands;
         self.summary.detached_scans = solution.closures.detached_scans;

@@ -15,16 +15,24 @@ pub struct RobustSettings {
     pub warm_up: usize,
 }
 
+/// What solving a graph gave.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Solved {
+    /// A weight for each edge, 0 for loops that do not act.
+    pub weights: Vec<f64>,
+    /// Work that it took, products of 3 × 3 blocks.
+    pub work: u64,
+}
+
 /// Solves a pose graph by graduated non-convexity with truncated least squares (Yang et al. 2020, eq. 14):
-/// the edges from number `trusted` on are loops that may be wrong. Poses are the start in, the solution out;
-/// the result is a weight for each edge, 0 for loops that do not act.
+/// the edges from number `trusted` on are loops that may be wrong. Poses are the start in, the solution out.
 pub fn solve(
     nodes: usize,
     edges: &[Edge],
     trusted: usize,
     settings: &RobustSettings,
     poses: &mut [Placement],
-) -> Vec<f64> {
+) -> Solved {
     let mut graph = PoseGraph::new(nodes, edges);
     let mut weights = vec![1.0; edges.len()];
     for _ in 0..settings.warm_up {
@@ -58,7 +66,7 @@ pub fn solve(
             break;
         }
     }
-    weights
+    Solved { weights, work: graph.work() }
 }
 
 /// The weight of an error under the surrogate of the truncated cost.
@@ -108,12 +116,13 @@ mod tests {
         for k in (45..160).step_by(30) {
             edges.push(edge(k - 38, k, Placement::IDENTITY, 0.03, 0.01));
         }
-        let weights = solve(161, &edges, 160, &SETTINGS, &mut poses);
+        let Solved { weights, work } = solve(161, &edges, 160, &SETTINGS, &mut poses);
         for (edge, weight) in edges.iter().zip(&weights) {
             assert_eq!(*weight, if edge.to - edge.from == 38 { 0.0 } else { 1.0 }, "{edge:?}");
         }
         let worst = truth.iter().zip(&poses).map(|(a, b)| a.distance_m(b)).fold(0.0, f64::max);
         assert!(worst < 0.6, "{worst}");
+        assert!(work > 161, "{work}");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 
 /// The sections of the page in their order: the name by which `--only` knows them, and the heading.
-pub const SECTIONS: [(&str, &str); 9] = [
+pub const SECTIONS: [(&str, &str); 10] = [
     ("machine", "Machine"),
     ("accuracy", "Accuracy"),
     ("strategies", "Strategies"),
@@ -11,6 +11,7 @@ pub const SECTIONS: [(&str, &str); 9] = [
     ("separation", "Cost of process separation"),
     ("small-computer", "Estimate for a Raspberry Pi 3B+"),
     ("worlds", "Simulated worlds"),
+    ("long-run", "Long run"),
 ];
 
 const INTRODUCTION: &str = "# Benchmarks\n\n\

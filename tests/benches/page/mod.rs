@@ -60,7 +60,8 @@ impl Plan {
     }
 
     fn wants(&self, section: &str) -> bool {
-        self.only.is_empty() || self.only.iter().any(|name| name == section)
+        let named = self.only.iter().any(|name| name == section);
+        named || self.only.is_empty() && (self.patient || section != "long-run")
     }
 }
 
@@ -79,6 +80,7 @@ pub fn generate<E>(plan: &Plan, page: &mut Page, keep: impl Fn(&Page) -> Result<
             "separation" => separation::section(&mut bench),
             "small-computer" => small_computer::section(&mut bench),
             "worlds" => worlds::section(&mut bench),
+            "long-run" => long_run::section(),
             other => unreachable!("{other} is not a section"),
         };
         page.set(name, &body);

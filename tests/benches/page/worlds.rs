@@ -1,5 +1,5 @@
 use super::runs::{Errors, Outcome};
-use super::{Bench, Subject, Table, figure, greatest, long_run, mean, nees, simulated};
+use super::{Bench, Subject, Table, figure, greatest, mean, nees, simulated};
 
 /// A world to drive through several times with different noise.
 struct Drive {
@@ -59,7 +59,7 @@ pub fn section(bench: &mut Bench) -> String {
     let text = format!(
         "`flockslam demo` with `simulation.world`, filter off, against exact truth; means over the seeds of the drive. A false closure would show as an error of metres.\n\n{table}"
     );
-    if bench.plan.patient { text + "\n" + &consistency() + "\n" + &long_run::text() } else { text }
+    if bench.plan.patient { text + "\n" + &consistency() } else { text }
 }
 
 /// How far poses are off against what their covariance says.

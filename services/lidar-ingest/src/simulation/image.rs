@@ -1,3 +1,4 @@
+use super::axis::Axis;
 use super::planner::PlanningGrid;
 use flockslam_geometry::Point;
 
@@ -94,33 +95,6 @@ impl ImageWorld {
             solid[y * width + x] = true;
         }
         PlanningGrid::new(width, height, self.resolution_m * pixels_per_cell as f64, solid)
-    }
-}
-
-/// A walk along one axis of the pixels.
-struct Axis {
-    cell: i64,
-    step: i64,
-    /// Distance along the beam to the next border of this axis, and from border to border, metres.
-    next_m: f64,
-    every_m: f64,
-}
-
-impl Axis {
-    /// `position` in pixels, `rate` in pixels per metre of the beam.
-    fn new(position: f64, rate: f64) -> Self {
-        let cell = position.floor();
-        let border = if rate > 0.0 { cell + 1.0 } else { cell };
-        let next_m = if rate == 0.0 { f64::INFINITY } else { (border - position) / rate };
-        Self { cell: cell as i64, step: if rate > 0.0 { 1 } else { -1 }, next_m, every_m: 1.0 / rate.abs() }
-    }
-
-    /// Crosses the next border; returns its distance along the beam, metres.
-    fn advance(&mut self) -> f64 {
-        let crossed_m = self.next_m;
-        self.cell += self.step;
-        self.next_m += self.every_m;
-        crossed_m
     }
 }
 

@@ -1,3 +1,4 @@
+use super::axis::Axis;
 use flockslam_geometry::Point;
 
 /// Side of a square, metres.
@@ -108,38 +109,6 @@ impl Segment {
         let u = cross(offset, direction) * inverse;
         // A parallel beam gives an infinite or undefined u, and no hit.
         if (0.0..=1.0).contains(&u) && t >= 0.0 { t } else { f64::INFINITY }
-    }
-}
-
-/// A walk along one axis of the squares.
-struct Axis {
-    cell: i64,
-    step: i64,
-    /// Distance along the beam to the next border of this axis, and from border to border, metres.
-    next_m: f64,
-    every_m: f64,
-}
-
-impl Axis {
-    /// `position` in squares, `rate` in squares per metre of the beam.
-    fn new(position: f64, rate: f64) -> Self {
-        let cell = position.floor();
-        let border = if rate > 0.0 { cell + 1.0 } else { cell };
-        let next_m = if rate == 0.0 { f64::INFINITY } else { (border - position) / rate };
-        Self { cell: cell as i64, step: if rate > 0.0 { 1 } else { -1 }, next_m, every_m: 1.0 / rate.abs() }
-    }
-
-    /// Crosses the next border; returns its distance along the beam, metres.
-    fn advance(&mut self) -> f64 {
-        let crossed_m = self.next_m;
-        self.cell += self.step;
-        self.next_m += self.every_m;
-        crossed_m
-    }
-
-    /// Whether the walk is outside and goes on outward.
-    fn leaves(&self, count: usize) -> bool {
-        if self.step > 0 { self.cell >= count as i64 } else { self.cell < 0 }
     }
 }
 

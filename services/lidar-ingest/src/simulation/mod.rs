@@ -5,6 +5,7 @@
 //! instant, so scans are distorted by motion as real ones are. Everything follows from the settings and their seed, and is
 //! made scan by scan: a drive of any length takes the same memory.
 
+mod axis;
 mod built_in;
 mod drawing;
 mod drive;

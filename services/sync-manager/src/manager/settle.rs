@@ -1,7 +1,7 @@
 //! What keeps the back end bounded: a stretch through a place that is known well is not kept. Its scans get their poses once
 //! and for all, relative to a node that stays, and its nodes leave the graph.
 
-use super::{Kept, SyncManager};
+use super::{SyncManager, expected};
 use crate::place::Placer;
 use crate::solution::SettledScan;
 use crate::symmetric::Symmetric;
@@ -83,7 +83,7 @@ impl SyncManager {
                 anchor,
                 anchor_from_base: anchor_from_base.pose(),
             });
-            if !record.lost {
+            if !record.lost && !self.retired_submaps.contains(&record.submap) {
                 let anchor_from_odom = anchor_from_base.compose(record.odom.inverse());
                 self.settled_submaps.insert(record.submap, SettledSubmap { anchor, anchor_from_odom });
             }
@@ -99,7 +99,11 @@ impl SyncManager {
 
     /// Final poses of these records, whose kept scans these are; the next kept scan behind them is a node.
     fn placed_records(&mut self, kept: &Range<usize>, records: &Range<usize>) -> Vec<Placement> {
-        let scans: Vec<_> = self.expected()[kept.clone()].to_vec();
+        let (first, next) = (records.start, self.kept[kept.end]);
+        let stretch = self.kept[kept.start..=kept.end].iter();
+        let nodes: Vec<_> =
+            stretch.filter(|k| k.is_node).map(|k| (k.record - first, self.poses[k.node])).collect();
+        let scans = expected(&self.records[first..=next.record], &self.kept[kept.clone()], &nodes);
         let placer = Placer {
             nodes: self.chain.nodes(),
             scans: &self.scans,
@@ -107,10 +111,8 @@ impl SyncManager {
             reach: self.settings.final_nodes,
         };
         let placed = placer.place_all(&scans, self.finder.scratch());
-        let first = records.start;
         let mut pairs: Vec<_> =
             self.kept[kept.clone()].iter().zip(placed).map(|(k, pose)| (k.record - first, pose)).collect();
-        let next: &Kept = &self.kept[kept.end];
         pairs.push((next.record - first, self.poses[next.node]));
         let mut poses = filled(&self.records[first..=next.record], &pairs, Between::Wheels);
         poses.truncate(records.len());
