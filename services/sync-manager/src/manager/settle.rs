@@ -112,7 +112,7 @@ impl SyncManager {
             self.kept[kept.clone()].iter().zip(placed).map(|(k, pose)| (k.record - first, pose)).collect();
         let next: &Kept = &self.kept[kept.end];
         pairs.push((next.record - first, self.poses[next.node]));
-        let mut poses = filled(&self.records[first..=next.record], &pairs, Between::Wheels);
+        let mut poses = filled(&self.records[first..=next.record], &pairs, Between::Measured);
         poses.truncate(records.len());
         poses
     }
