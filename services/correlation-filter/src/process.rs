@@ -41,7 +41,7 @@ impl Filter {
             Err(problem) => {
                 tracing::warn!(scan = %header.id, %problem, "unreadable scan");
                 let reason = DropReason::Empty as u32;
-                Verdict { id: header.id, times: header.times, coefficient: f64::NAN, keep: 0, reason }
+                Verdict { id: header.id, times: header.times, coefficient: 0.0, keep: 0, reason }
             }
         };
         self.verdicts.send(&verdict)?;

@@ -41,7 +41,11 @@ pub(crate) struct Curve<'a> {
 
 impl Way {
     /// The way that finds known poses best from the known ones around them.
-    pub fn chosen(records: &[Record], known: &[(usize, Placement)], by_wheels: impl Fn(usize) -> Placement) -> Self {
+    pub fn chosen(
+        records: &[Record],
+        known: &[(usize, Placement)],
+        by_wheels: impl Fn(usize) -> Placement,
+    ) -> Self {
         let curves = [Self::Evenly, Self::ByStamps].map(|way| (way, Curve::new(records, known, way)));
         let mut errors_m = [0.0; 3];
         for middle in (1..known.len().saturating_sub(1)).filter(|m| is_rehearsal(records, known, *m)) {
@@ -99,7 +103,11 @@ impl<'a> Curve<'a> {
         let beside = |k: Option<usize>, forward: bool| {
             let k = k.filter(|k| *k < self.known.len() && strand(*k) == strand(from))?;
             let (other, pose) = self.known[k];
-            let length = if forward { self.times[other] - self.times[end] } else { self.times[start] - self.times[other] };
+            let length = if forward {
+                self.times[other] - self.times[end]
+            } else {
+                self.times[start] - self.times[other]
+            };
             Some((length, coordinates(origin.to(pose))))
         };
         let (earlier, later) = (beside(before, false), beside(after, true));
@@ -108,7 +116,8 @@ impl<'a> Curve<'a> {
             let slope = motion[axis] / span;
             let tangent = |length: f64, other: f64| (other * span + slope * length) / (span + length);
             let left = earlier.map_or(slope, |(length, at)| tangent(length, -at[axis] / length));
-            let right = later.map_or(slope, |(length, at)| tangent(length, (at[axis] - motion[axis]) / length));
+            let right =
+                later.map_or(slope, |(length, at)| tangent(length, (at[axis] - motion[axis]) / length));
             *value = hermite(share, motion[axis], span * left, span * right);
         }
         origin.compose(Placement::new(bent[0], bent[1], bent[2]))
