@@ -138,8 +138,7 @@ mod tests {
     #[test]
     fn the_first_two_scans_are_dropped_and_eleven_in_a_row_never() {
         let mut filter = PublishedFilter::default();
-        let kept: Vec<usize> =
-            (0..33).filter(|_| judged(&mut filter, &room(0.0)).1.is_some()).collect();
+        let kept: Vec<usize> = (0..33).filter(|_| judged(&mut filter, &room(0.0)).1.is_some()).collect();
         assert_eq!(kept, [10, 21, 32]);
         let mut filter = PublishedFilter::default();
         assert_eq!(judged(&mut filter, &room(0.0)), (1.0, None));

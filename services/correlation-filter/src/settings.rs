@@ -50,12 +50,12 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             mode: Mode::Correlation,
-            window: 4,
-            profile_threshold: 0.8,
-            histogram_threshold: 0.8,
+            window: 3,
+            profile_threshold: 0.6,
+            histogram_threshold: 0.5,
             consecutive_drops_max: 2,
             unseen_travel_m: 0.12,
-            unseen_turn_rad: 0.12,
+            unseen_turn_rad: 0.15,
             rest_drops_max: 40,
             corridor_max: 0.6,
             shed_behind_scans: 16,

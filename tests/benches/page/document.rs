@@ -1,10 +1,11 @@
 use std::collections::BTreeMap;
 
 /// The sections of the page in their order: the name by which `--only` knows them, and the heading.
-pub const SECTIONS: [(&str, &str); 9] = [
+pub const SECTIONS: [(&str, &str); 10] = [
     ("machine", "Machine"),
     ("accuracy", "Accuracy"),
     ("strategies", "Strategies"),
+    ("filter", "Filter"),
     ("robustness", "Robustness"),
     ("cost", "Cost"),
     ("front-end", "Front end"),
