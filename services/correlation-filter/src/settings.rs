@@ -34,7 +34,7 @@ pub struct Settings {
     pub unseen_travel_m: f64,
     /// … or turned more than this, radians.
     pub unseen_turn_rad: f64,
-    /// The same bound while nothing changes: the robot stands still.
+    /// The same bound as `consecutive_drops_max` while nothing changes: the robot stands still.
     pub rest_drops_max: u32,
     /// A scan with a greater share of corridor pattern (0 … 1) is kept: in a corridor all scans look the same.
     pub corridor_max: f64,

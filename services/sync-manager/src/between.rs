@@ -163,3 +163,101 @@ fn stamps(records: &[Record]) -> Vec<f64> {
     }
     times
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trajectory::{Between, filled};
+    use flockslam_messages::ScanId;
+
+    /// Where a robot is that drives an arc at a speed that swings.
+    fn truth(time_s: f64) -> Placement {
+        let way_m = time_s - 0.3 * (0.8 * time_s).cos();
+        Placement::new(5.0 * (0.2 * way_m).sin(), 5.0 * (1.0 - (0.2 * way_m).cos()), 0.2 * way_m)
+    }
+
+    /// Records of scans at these times, stamped so, whose wheels are so late.
+    fn records(times_s: &[f64], stamps_s: &[f64], late_s: f64) -> Vec<Record> {
+        let record = |(i, (time_s, stamp_s)): (usize, (&f64, &f64))| Record {
+            id: ScanId { sequence: i as u64, ..ScanId::default() },
+            stamp_ns: (stamp_s * 1e9) as i64,
+            odom: truth(*time_s),
+            wheels: Some(truth(time_s - late_s)),
+            submap: 0,
+            strand: 0,
+            lost: false,
+        };
+        times_s.iter().zip(stamps_s).enumerate().map(record).collect()
+    }
+
+    /// The way chosen when every second record is known, and the greatest error of the others, metres.
+    fn measured(records: &[Record]) -> (Way, f64) {
+        let known: Vec<_> = records.iter().enumerate().step_by(2).map(|(i, r)| (i, r.odom)).collect();
+        let by_wheels = |middle: usize| {
+            let (before, after, i) = (known[middle - 1], known[middle + 1], known[middle].0);
+            let carried = |(from, pose): (usize, Placement)| {
+                pose.compose(records[from].wheels.unwrap().to(records[i].wheels.unwrap()))
+            };
+            carried(before).interpolate(&carried(after), 0.5)
+        };
+        let poses = filled(records, &known, Between::Measured);
+        let inner = 3..records.len() - 3;
+        let errors_m = inner.map(|i| poses[i].distance_m(&records[i].odom));
+        (Way::chosen(records, &known, by_wheels), errors_m.fold(0.0, f64::max))
+    }
+
+    /// Steps of 0.1 s, and some of them twice or three times as long.
+    fn uneven() -> Vec<f64> {
+        let step_s = |i: usize| [0.1, 0.1, 0.3, 0.1, 0.2, 0.1, 0.1][i % 7];
+        (0..120)
+            .scan(0.0, |now_s, i| {
+                *now_s += step_s(i);
+                Some(*now_s)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn wheels_that_are_right_are_believed() {
+        let times_s = uneven();
+        let even_s: Vec<f64> = (0..120).map(|i| f64::from(i) * 0.1).collect();
+        let (way, error_m) = measured(&records(&times_s, &even_s, 0.0));
+        assert_eq!(way, Way::Wheels);
+        assert!(error_m < 1e-6, "{error_m}");
+    }
+
+    #[test]
+    fn stamps_are_believed_where_the_wheels_are_late() {
+        let times_s = uneven();
+        let (way, error_m) = measured(&records(&times_s, &times_s, 0.15));
+        assert_eq!(way, Way::ByStamps);
+        assert!(error_m < 0.01, "{error_m}");
+    }
+
+    #[test]
+    fn the_order_is_believed_where_wheels_and_stamps_are_bad() {
+        let times_s: Vec<f64> = (0..120).map(|i| f64::from(i) * 0.1).collect();
+        let stamps_s: Vec<f64> =
+            (0..120_u32).map(|i| f64::from(i) * 0.1 + f64::from(i * i * 5 % 11) * 0.03).collect();
+        let (way, error_m) = measured(&records(&times_s, &stamps_s, 0.25));
+        assert_eq!(way, Way::Evenly);
+        assert!(error_m < 0.005, "{error_m}");
+    }
+
+    #[test]
+    fn a_long_stretch_is_left_to_the_wheels() {
+        let times_s: Vec<f64> = (0..60).map(|i| f64::from(i) * 0.1).collect();
+        let records = records(&times_s, &times_s, 0.0);
+        let known: Vec<_> = (0..60).step_by(10).map(|i| (i, records[i].odom)).collect();
+        let curve = Curve::new(&records, &known, Way::Evenly);
+        assert!((0..5).all(|k| !curve.spans(k)));
+        assert!(filled(&records, &known, Between::Measured)[35].distance_m(&records[35].odom) < 1e-6);
+    }
+
+    #[test]
+    fn stamps_always_step_forward() {
+        let times_s = [0.0, 0.1, 0.2, 0.15, 0.4, 90.0, 90.1];
+        let steps = stamps(&records(&times_s, &times_s, 0.0));
+        assert!(steps.windows(2).all(|pair| pair[1] > pair[0] && pair[1] - pair[0] < 0.4), "{steps:?}");
+    }
+}
