@@ -140,7 +140,8 @@ impl Configuration {
 
     /// What the stages need to know of it to start.
     pub fn stage_options(&self, mode: Mode) -> StageOptions {
-        StageOptions { mode, window: self.set.window, replicas: 2, live_tiles: self.set.live_tiles }
+        let replicas = self.correlation_filter.replicas.max(2);
+        StageOptions { mode, window: self.set.window, replicas, live_tiles: self.set.live_tiles }
     }
 
     fn check(&self) -> Result<(), ConfigurationError> {

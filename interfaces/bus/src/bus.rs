@@ -7,8 +7,8 @@ use crate::{
     SlicePublisher, SliceSubscriber, SliceTopic, Subscriber, Topic,
 };
 use flockslam_messages::{
-    Commit, Control, LayoutHeader, MarksHeader, PoseEstimate, Progress, ScanHeader, Stage, SubmapClosed,
-    TileMessage, Verdict,
+    Commit, Control, LayoutHeader, MarksHeader, PoseEstimate, Progress, ScanHeader, ScanTally, Stage,
+    SubmapClosed, TileMessage, Verdict,
 };
 use std::any::Any;
 
@@ -38,6 +38,7 @@ impl Bus {
         let bus = SharedBus::new("supervisor", capacity)?;
         let mut services = vec![
             create::<Verdict>(&bus)?,
+            create::<ScanTally>(&bus)?,
             create::<PoseEstimate>(&bus)?,
             create::<Commit>(&bus)?,
             create::<SubmapClosed>(&bus)?,

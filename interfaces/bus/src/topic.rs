@@ -1,7 +1,7 @@
 use crate::tile_port::LANES;
 use flockslam_messages::{
     ClearedCell, Commit, Control, Layout, LayoutHeader, MarksHeader, Message, PoseEstimate, Progress,
-    ScanHeader, SubmapClosed, TileMessage, Verdict,
+    ScanHeader, ScanTally, SubmapClosed, TileMessage, Verdict,
 };
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
@@ -78,6 +78,9 @@ pub trait SliceTopic: Message + core::fmt::Debug {
 
 impl Topic for Verdict {
     const NAME: &'static str = "verdict";
+}
+impl Topic for ScanTally {
+    const NAME: &'static str = "scan-tally";
 }
 impl Topic for PoseEstimate {
     const NAME: &'static str = "pose";

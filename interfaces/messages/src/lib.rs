@@ -13,6 +13,7 @@ mod message;
 mod pose;
 mod progress;
 mod scan;
+mod tally;
 mod verdict;
 
 pub use control::{Control, ControlKind};
@@ -25,4 +26,5 @@ pub use message::{Layout, Message};
 pub use pose::{PoseEstimate, PoseFlags, Quality};
 pub use progress::{Progress, Stage};
 pub use scan::{LARGE_SCAN_BEAMS, ScanBuffer, ScanHeader, ScanProblem, ScanSections, ScanView};
-pub use verdict::{DropReason, Verdict};
+pub use tally::{ScanTally, TALLY_BINS, TALLY_SECTORS};
+pub use verdict::{DropReason, KeepReason, Verdict};

@@ -21,5 +21,5 @@ pub use heartbeat::{Beat, Heartbeat, HeartbeatError, read_heartbeat};
 pub use latency::{LatencyHistogram, LatencyQuantiles};
 pub use logging::init_tracing;
 pub use scrape::{ScrapeError, scrape};
-pub use stage_metrics::StageMetrics;
+pub use stage_metrics::{KeptCounters, StageMetrics};
 pub use supervisor_metrics::SupervisorMetrics;

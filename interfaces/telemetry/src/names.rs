@@ -36,6 +36,8 @@ pub const SCANS_HANDLED: Metric =
 /// Counter of scans or messages that the stage has dropped, by `reason`.
 pub const DROPPED: Metric =
     Metric { name: "flockslam_dropped_total", help: "Scans or messages that the stage has dropped" };
+/// Counter of scans that the filter let pass, by `reason`.
+pub const KEPT: Metric = Metric { name: "flockslam_kept_total", help: "Scans that the filter let pass" };
 /// Gauge: sequence number of the last handled scan.
 pub const LAST_SCAN_SEQUENCE: Metric = Metric {
     name: "flockslam_last_scan_sequence",
@@ -58,9 +60,10 @@ pub const SHARED_MEMORY: Metric =
     Metric { name: "flockslam_shared_memory_bytes", help: "Shared memory of the whole process set" };
 
 /// All metrics, in the order of their names.
-pub const ALL: [Metric; 9] = [
+pub const ALL: [Metric; 10] = [
     DROPPED,
     HEARTBEAT,
+    KEPT,
     LAST_SCAN_SEQUENCE,
     SCAN_TO_OUTPUT,
     SCANS_HANDLED,

@@ -16,6 +16,18 @@ pub struct StageMetrics {
     dropped_by_reason: IntCounterVec,
     last_sequence: IntGauge,
     heartbeat: Gauge,
+    kept_by_reason: IntCounterVec,
+}
+
+/// Counters of what the filter let pass: one for each reason, in the order in which they were named.
+#[derive(Clone)]
+pub struct KeptCounters(Vec<IntCounter>);
+
+impl KeptCounters {
+    /// Counts a scan for the reason at this place.
+    pub fn count(&self, place: usize) {
+        self.0[place].inc();
+    }
 }
 
 impl StageMetrics {
@@ -37,6 +49,10 @@ impl StageMetrics {
             heartbeat: registered(&registry, Gauge::with_opts(opts(names::HEARTBEAT))),
             dropped: reasons.iter().map(|&r| (r, dropped_by_reason.with_label_values(&[r]))).collect(),
             dropped_by_reason,
+            kept_by_reason: registered(
+                &registry,
+                IntCounterVec::new(opts(names::KEPT), &[names::LABEL_REASON]),
+            ),
             registry,
         }
     }
@@ -56,6 +72,11 @@ impl StageMetrics {
             Some((_, counter)) => counter.inc(),
             None => self.dropped_by_reason.with_label_values(&[reason]).inc(),
         }
+    }
+
+    /// Counters of what is let pass, for a stage that has reasons for it.
+    pub fn kept(&self, reasons: &[&'static str]) -> KeptCounters {
+        KeptCounters(reasons.iter().map(|reason| self.kept_by_reason.with_label_values(&[reason])).collect())
     }
 
     /// Notes a sign of life at this CLOCK_MONOTONIC time, nanoseconds.

@@ -293,6 +293,14 @@ fn report(
         dropped.insert(LOST.to_owned(), lost);
     }
     let scans = summary.scans + lost;
+    let filter = read_reports(&status, Stage::CorrelationFilter.name());
+    let mut kept_by_reason = BTreeMap::new();
+    for (name, count) in filter.iter().flat_map(|report| &report.counters) {
+        if let Some(reason) = name.strip_prefix("kept/") {
+            *kept_by_reason.entry(reason.to_owned()).or_default() += count;
+        }
+    }
+    let share = |count: u64| count as f64 / scans.max(1) as f64;
     let wall_s = run.started.elapsed().as_secs_f64();
     let length = |pair: &[TrajectoryPoint]| pair[0].map_from_base.distance_m(pair[1].map_from_base);
     let mut report = Report {
@@ -301,7 +309,10 @@ fn report(
         configuration: serde_json::to_value(&run.configuration).map_err(CommandError::failed)?,
         scans,
         kept: summary.scans - summary.dropped.values().sum::<u64>(),
+        dropped_share: dropped.iter().map(|(reason, count)| (reason.clone(), share(*count))).collect(),
         dropped,
+        kept_by_reason,
+        overridden: summary.overridden,
         rejected: rejected.collect(),
         wall_s,
         scans_per_s: scans as f64 / wall_s,
@@ -309,7 +320,7 @@ fn report(
         stages: run
             .set
             .stages()
-            .map(|(stage, pids, restarts)| stage_report(&status, stage, pids, restarts))
+            .map(|(stage, pids, restarts)| stage_report(&status, stage, &pids, restarts))
             .collect(),
         shared_memory_bytes: run.shared_memory_bytes,
         map_hash,

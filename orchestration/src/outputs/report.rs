@@ -19,6 +19,12 @@ pub struct Report {
     pub kept: u64,
     /// Scans that got a predicted pose only: reason → count. Live, `lost` counts those that never reached the matcher.
     pub dropped: BTreeMap<String, u64>,
+    /// The same as shares of all scans.
+    pub dropped_share: BTreeMap<String, f64>,
+    /// Scans that the filter let pass: reason → count.
+    pub kept_by_reason: BTreeMap<String, u64>,
+    /// Scans that the filter would have dropped and the matcher processed nevertheless.
+    pub overridden: u64,
     /// Lines or scans of the source that could not be used: reason → count.
     pub rejected: BTreeMap<String, u64>,
     /// Wall-clock time of the run, seconds.

@@ -16,6 +16,8 @@ const BACK_OFF_MAX: Duration = Duration::from_secs(5);
 pub struct StageChild {
     /// Which stage.
     pub stage: Stage,
+    /// Which replica of it, from 0.
+    pub replica: u32,
     /// Processes so far; the last one is or was the present one.
     pub pids: Vec<u32>,
     process: Option<(Child, OwnedFd)>,
@@ -26,8 +28,16 @@ pub struct StageChild {
 
 impl StageChild {
     /// A stage that has not been started.
-    pub fn new(stage: Stage) -> Self {
-        Self { stage, pids: Vec::new(), process: None, started: Instant::now(), hasty_deaths: 0, due: None }
+    pub fn new(stage: Stage, replica: u32) -> Self {
+        Self {
+            stage,
+            replica,
+            pids: Vec::new(),
+            process: None,
+            started: Instant::now(),
+            hasty_deaths: 0,
+            due: None,
+        }
     }
 
     /// Starts a process of this executable as the stage, so many steps of niceness behind this one.
@@ -40,6 +50,7 @@ impl StageChild {
     ) -> std::io::Result<()> {
         let mut command = Command::new(executable);
         command.args(["stage", self.stage.name(), "--set-dir"]).arg(set_dir);
+        command.args(["--replica", &self.replica.to_string()]);
         command.arg("--parent").arg(std::process::id().to_string());
         command.stdin(if reads_stdin { Stdio::inherit() } else { Stdio::null() }).stdout(Stdio::null());
         let child = command.spawn()?;

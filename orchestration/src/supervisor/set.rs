@@ -103,7 +103,7 @@ impl ProcessSet {
         let bus = Bus::host(&runtime, set.options.capacity())?;
         set.write(&runtime.configuration())?;
         let mut started = Self {
-            children: Stage::ALL.map(StageChild::new).into(),
+            children: children(&set),
             progress: bus.subscriber()?,
             control: bus.subscriber()?,
             metrics: SupervisorMetrics::new(&Stage::ALL.map(Stage::name)),
@@ -145,8 +145,8 @@ impl ProcessSet {
     fn wait_until_ready(&mut self, children: &[usize]) -> Result<(), SetError> {
         let deadline = Instant::now() + READY_LIMIT;
         for at in children {
-            let stage = self.children[*at].stage;
-            let heartbeat = heartbeat_file(&self.runtime.status(), &format!("{}-0", stage.name()));
+            let StageChild { stage, replica, .. } = self.children[*at];
+            let heartbeat = heartbeat_file(&self.runtime.status(), &format!("{}-{replica}", stage.name()));
             while !matches!(read_heartbeat(&heartbeat), Ok(Some(_))) {
                 if let Some(status) = self.children[*at].reap() {
                     return Err(self.ended(stage, status));
@@ -272,9 +272,13 @@ impl ProcessSet {
         &self.metrics
     }
 
-    /// All stages: processes so far and restarts.
-    pub fn stages(&self) -> impl Iterator<Item = (Stage, &[u32], u64)> {
-        self.children.iter().map(|child| (child.stage, child.pids.as_slice(), child.restarts()))
+    /// All stages: processes so far, of all replicas, and restarts.
+    pub fn stages(&self) -> impl Iterator<Item = (Stage, Vec<u32>, u64)> {
+        Stage::ALL.into_iter().map(|stage| {
+            let replicas = || self.children.iter().filter(move |child| child.stage == stage);
+            let pids = replicas().flat_map(|child| &child.pids).copied().collect();
+            (stage, pids, replicas().map(StageChild::restarts).sum())
+        })
     }
 }
 
@@ -288,6 +292,16 @@ impl Drop for ProcessSet {
             });
         }
     }
+}
+
+/// One process for each stage, and further replicas where they are asked for.
+fn children(set: &SetFile) -> Vec<StageChild> {
+    let replicas = |stage| match stage {
+        Stage::CorrelationFilter => set.configuration.correlation_filter.replicas as u32,
+        _ => 1,
+    };
+    let of_stage = |stage| (0..replicas(stage)).map(move |replica| StageChild::new(stage, replica));
+    Stage::ALL.into_iter().flat_map(of_stage).collect()
 }
 
 /// Steps that a stage yields to the others of its set: live, a pose is awaited, and a loop closure can be a little later.

@@ -4,12 +4,14 @@
 //! named by FLOCKSLAM_DATA, else in `../shared/data`. Settings may be given as one JSON argument.
 
 use flockslam_correlation_filter::{CorrelationFilter, Settings};
-use flockslam_messages::ScanBuffer;
+use flockslam_geometry::Pose;
+use flockslam_messages::{DropReason, KeepReason, ScanBuffer};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Name of a log, degrees between its beams, and the range that means no return.
-const LOGS: [(&str, f64, f32); 3] = [("intel", 1.0, 80.0), ("fr079", 0.5, 80.0), ("aces", 1.0, 49.0)];
+const LOGS: [(&str, f64, f32); 3] = [("intel", 1.0, 49.5), ("fr079", 0.5, 49.5), ("aces", 1.0, 49.5)];
 
 fn main() {
     let settings = match std::env::args().nth(1) {
@@ -33,10 +35,14 @@ fn scans(log: &str, step_degrees: f64, no_return_m: f32) -> Vec<ScanBuffer> {
         .map(|line| {
             let mut words = line.split(' ');
             let count = words.next().and_then(|n| n.parse().ok()).expect("a number of beams");
-            let ranges: Vec<f32> = words.take(count).map(|r| r.parse().expect("a range")).collect();
+            let mut number = || words.next().and_then(|word| word.parse::<f64>().ok()).expect("a number");
+            let ranges: Vec<f32> = (0..count).map(|_| number() as f32).collect();
+            let _laser_pose = [number(), number(), number()];
             let step = step_degrees.to_radians();
             let mut scan = ScanBuffer::from_ranges(&ranges, -std::f64::consts::FRAC_PI_2, step);
             scan.header.range_max_m = no_return_m;
+            scan.header.odometry = Pose::new(number(), number(), number());
+            scan.header.has_odometry = 1;
             scan
         })
         .collect()
@@ -44,10 +50,23 @@ fn scans(log: &str, step_degrees: f64, no_return_m: f32) -> Vec<ScanBuffer> {
 
 fn measure(name: &str, settings: &Settings, scans: &[ScanBuffer]) {
     let mut filter = CorrelationFilter::new(settings.clone());
+    let mut reasons = BTreeMap::new();
     let start = Instant::now();
-    let keep = |scan: &ScanBuffer| filter.handle(scan.view().expect("a scan that fits its header")).keep;
-    let kept: u32 = scans.iter().map(keep).sum();
+    for scan in scans {
+        let verdict = filter.handle(scan.view().expect("a scan that fits its header"));
+        *reasons.entry(verdict.reason).or_insert(0_u32) += 1;
+    }
     let each_us = start.elapsed().as_secs_f64() * 1e6 / scans.len() as f64;
-    let dropped = 100.0 * (1.0 - f64::from(kept) / scans.len() as f64);
-    println!("{name}: {dropped:.1} % of {} scans dropped, {each_us:.2} µs each", scans.len());
+    let share = |count: u32| 100.0 * f64::from(count) / scans.len() as f64;
+    let named = |reason: u32| {
+        DropReason::from_number(reason)
+            .map(DropReason::name)
+            .or(KeepReason::from_number(reason).map(KeepReason::name))
+    };
+    let dropped: u32 =
+        reasons.iter().filter(|(r, _)| DropReason::from_number(**r).is_some()).map(|(_, n)| n).sum();
+    println!("{name}: {:.1} % of {} scans dropped, {each_us:.2} µs each", share(dropped), scans.len());
+    for (reason, count) in reasons {
+        println!("    {:12} {:5.1} %", named(reason).unwrap_or("?"), share(count));
+    }
 }

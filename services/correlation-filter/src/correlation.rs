@@ -2,14 +2,16 @@
 const COMMON_MIN: usize = 4;
 
 /// Pearson's coefficient `cov(X,Y) / (σ_X σ_Y)` (An. Filatov 2021, chapter 4) over the places where both are numbers;
-/// always within −1 … 1. Where it is not defined: 1 when both are the same constant, 0 otherwise.
+/// always within −1 … 1. Where it is not defined: 1 when both are the same constant, 0 otherwise; 0 as well when less than half of the
+/// numbers have a partner.
 pub(crate) fn correlation(x: &[f32], y: &[f32]) -> f64 {
     let common = || {
         let pairs = x.iter().zip(y).map(|(x, y)| (f64::from(*x), f64::from(*y)));
         pairs.filter(|(x, y)| x.is_finite() && y.is_finite())
     };
+    let numbers = |v: &[f32]| v.iter().filter(|v| v.is_finite()).count();
     let (count, sum_x, sum_y) = common().fold((0, 0.0, 0.0), |(n, sx, sy), (x, y)| (n + 1, sx + x, sy + y));
-    if count < COMMON_MIN.min(x.len()) {
+    if count < COMMON_MIN.min(x.len()) || 2 * count < numbers(x).max(numbers(y)) {
         return 0.0;
     }
     let (mean_x, mean_y) = (sum_x / count as f64, sum_y / count as f64);

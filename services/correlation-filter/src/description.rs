@@ -1,84 +1,107 @@
-use flockslam_messages::ScanView;
-use std::f64::consts::{PI, TAU};
+use crate::tally::UNITS_PER_M;
+use flockslam_messages::{ScanTally, TALLY_BINS, TALLY_SECTORS};
 
-/// Sectors of the full circle: 6° each, so half a circle has the 30 of the source.
-pub(crate) const SECTORS: usize = 60;
-/// Bins of the histogram of ranges.
-pub(crate) const BINS: usize = 30;
-/// Ranges from here on share the last bin; indoors nearly all are below.
-const HISTOGRAM_RANGE_M: f64 = 12.0;
+/// Fewer common sectors than this do not show that nothing has changed.
+const COMMON_MIN: usize = 4;
 
 /// A scan in few numbers that do not depend on how many beams it has.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Description {
-    /// Mean valid range in each sector of the laser frame, metres; NaN in a sector without any.
-    pub profile_m: [f32; SECTORS],
+    /// Mean valid range in each sector, metres; NaN in a sector without any.
+    pub profile_m: [f32; TALLY_SECTORS],
     /// Share of the valid ranges in each bin.
-    pub histogram: [f32; BINS],
-    /// Number of valid ranges.
-    pub valid: u32,
+    pub histogram: [f32; TALLY_BINS],
+    /// How much the scan looks like one taken along a corridor, 0 … 1: `|Σ sgn(r_i − r_{i+1}) · front · left| / N` over
+    /// neighbouring valid beams, where `front` and `left` are ±1 in the robot's frame (An. Filatov 2021, chapter 4).
+    /// Between two parallel walls ranges grow towards front and back on both sides, so all terms have one sign.
+    pub corridor: f64,
 }
 
 impl Description {
-    /// Of all valid beams: a dropout changes its own sector and no other.
-    pub fn of(scan: ScanView<'_>) -> Self {
-        let (mut sums, mut counts, mut bins) = ([0.0_f64; SECTORS], [0_u32; SECTORS], [0_u32; BINS]);
-        let per_metre = BINS as f64 / HISTOGRAM_RANGE_M;
-        let mut valid = 0;
-        for beam in 0..scan.len() {
-            let Some(range_m) = scan.valid_range_m(beam) else { continue };
-            let sector = sector_of(scan.angle_rad(beam));
-            sums[sector] += range_m;
-            counts[sector] += 1;
-            bins[((range_m * per_metre) as usize).min(BINS - 1)] += 1;
-            valid += 1;
-        }
+    /// What the beams of a whole scan add up to. A dropout changes its own sector and no other.
+    pub fn of(tally: &ScanTally) -> Self {
         // An empty sector divides zero by zero, which is the NaN that marks it.
-        let profile_m = std::array::from_fn(|i| (sums[i] / f64::from(counts[i])) as f32);
-        let histogram = bins.map(|count| count as f32 / valid.max(1) as f32);
-        Self { profile_m, histogram, valid }
+        let mean =
+            |i: usize| tally.range_sums[i] as f64 / f64::from(tally.counts[i]) / f64::from(UNITS_PER_M);
+        let valid = tally.valid().max(1) as f32;
+        Self {
+            profile_m: std::array::from_fn(|i| mean(i) as f32),
+            histogram: tally.bins.map(|count| count as f32 / valid),
+            corridor: tally.corridor.unsigned_abs() as f64 / tally.pairs.max(1) as f64,
+        }
     }
-}
 
-/// An angle that is not finite falls into sector 0.
-fn sector_of(angle_rad: f64) -> usize {
-    let turn = (angle_rad + PI) * (1.0 / TAU);
-    let share = turn - turn.floor();
-    ((share * SECTORS as f64) as usize).min(SECTORS - 1)
+    /// The change of mean range that four of five sectors do not exceed, metres; infinite where too little is common.
+    pub fn change_m(&self, old: &Self) -> f32 {
+        let mut changes = [f32::INFINITY; TALLY_SECTORS];
+        let pairs = self.profile_m.iter().zip(&old.profile_m);
+        let common = pairs.map(|(a, b)| (a - b).abs()).filter(|change| change.is_finite());
+        let count = changes.iter_mut().zip(common).map(|(place, change)| *place = change).count();
+        if count < COMMON_MIN {
+            return f32::INFINITY;
+        }
+        *changes[..count].select_nth_unstable_by(4 * count / 5, f32::total_cmp).1
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tally::tally;
     use flockslam_messages::ScanBuffer;
 
-    #[test]
-    fn sectors_go_round_the_circle() {
-        assert_eq!(sector_of(-PI), 0);
-        assert_eq!(sector_of(0.01), SECTORS / 2);
-        assert_eq!(sector_of(PI - 1e-9), SECTORS - 1);
-        assert_eq!(sector_of(0.01 + 3.0 * TAU), SECTORS / 2);
-        assert!([f64::NAN, f64::INFINITY, -1e300, 1e300].map(sector_of).into_iter().all(|s| s < SECTORS));
+    fn describe(scan: &ScanBuffer) -> Description {
+        Description::of(&tally(scan.view().unwrap(), 0..usize::MAX))
     }
 
     #[test]
     fn a_dropout_changes_its_own_sector_only() {
         let mut ranges: Vec<f32> = (0..180_u8).map(|i| 1.0 + f32::from(i) * 0.01).collect();
-        let describe =
-            |ranges: &[f32]| Description::of(ScanBuffer::from_ranges(ranges, -1.55, 0.0174).view().unwrap());
-        let before = describe(&ranges);
+        let of = |ranges: &[f32]| describe(&ScanBuffer::from_ranges(ranges, -1.55, 0.0174));
+        let before = of(&ranges);
         ranges[90] = f32::INFINITY;
-        let after = describe(&ranges);
-        let changed =
-            (0..SECTORS).filter(|i| before.profile_m[*i].to_bits() != after.profile_m[*i].to_bits()).count();
-        assert_eq!((changed, before.valid, after.valid), (1, 180, 179));
+        let after = of(&ranges);
+        let changed = (0..TALLY_SECTORS)
+            .filter(|i| before.profile_m[*i].to_bits() != after.profile_m[*i].to_bits())
+            .count();
+        assert_eq!(changed, 1);
         assert!((after.histogram.iter().sum::<f32>() - 1.0).abs() < 1e-5);
+        assert!(after.change_m(&before) < 1e-6);
+    }
+
+    #[test]
+    fn a_change_of_a_quarter_of_the_sectors_is_seen() {
+        let mut ranges = [2.0_f32; 360];
+        let of = |ranges: &[f32]| describe(&ScanBuffer::from_ranges(ranges, -3.14, 0.01745));
+        let before = of(&ranges);
+        ranges[..90].fill(2.1);
+        assert!((of(&ranges).change_m(&before) - 0.1).abs() < 2e-3);
+        assert_eq!(before.change_m(&of(&[1.0])), f32::INFINITY);
     }
 
     #[test]
     fn a_scan_without_returns_is_described() {
-        let empty = Description::of(ScanBuffer::from_ranges(&[], 0.0, 0.1).view().unwrap());
-        assert!(empty.valid == 0 && empty.profile_m.iter().all(|m| m.is_nan()));
+        let empty = describe(&ScanBuffer::from_ranges(&[], 0.0, 0.1));
+        assert!(empty.corridor == 0.0 && empty.profile_m.iter().all(|m| m.is_nan()));
         assert!(empty.histogram.iter().all(|share| *share == 0.0));
+    }
+
+    /// Ranges from a point between two walls at y = ±1.5 m, seen by 360 beams over the circle.
+    fn between_walls(heading_rad: f64) -> ScanBuffer {
+        let step = std::f64::consts::TAU / 360.0;
+        let range = |i: i32| {
+            let angle = f64::from(i) * step - std::f64::consts::PI + heading_rad;
+            (1.5 / angle.sin().abs()).min(60.0) as f32
+        };
+        ScanBuffer::from_ranges(&(0..360).map(range).collect::<Vec<_>>(), -std::f64::consts::PI, step)
+    }
+
+    #[test]
+    fn a_corridor_is_recognised_along_its_axis_however_the_lidar_is_mounted() {
+        assert!(describe(&between_walls(0.0)).corridor > 0.9);
+        let mut turned = between_walls(0.7);
+        turned.header.base_from_laser.heading_rad = 0.7;
+        assert!(describe(&turned).corridor > 0.9);
+        assert_eq!(describe(&ScanBuffer::from_ranges(&[2.0; 360], -3.1, 0.017)).corridor, 0.0);
     }
 }

@@ -2,11 +2,14 @@
 //! dropped before anything costly touches it (An. Filatov, LETI 2021, chapter 4).
 
 mod correlation;
-mod corridor;
 mod description;
 mod filter;
+mod lidar;
 pub mod process;
+mod seed_exact;
 mod settings;
+mod tally;
 
 pub use filter::CorrelationFilter;
 pub use settings::{Mode, Settings};
+pub use tally::tally;

@@ -1,10 +1,23 @@
 //! The shell of correlation-filter: scans in, verdicts out.
+//!
+//! Replica 0 judges. The others describe their parts of large scans and send it what those add up to.
+
+mod shares;
+
+pub use shares::tally_part;
 
 use crate::{CorrelationFilter, Settings};
-use flockslam_bus::{BellRinger, Publisher, ScanSample, ScanSubscriber};
-use flockslam_messages::{DropReason, Stage, Verdict};
-use flockslam_stage::{Acknowledger, Actor, StageContext, StageError, run};
-use flockslam_telemetry::monotonic_ns;
+use flockslam_bus::{BellRinger, Publisher, ScanSample, ScanSubscriber, Subscriber};
+use flockslam_messages::{DropReason, KeepReason, Progress, ScanTally, Stage, Verdict};
+use flockslam_stage::{Acknowledger, Actor, Mode, StageContext, StageError, run};
+use flockslam_telemetry::{KeptCounters, monotonic_ns};
+use shares::{Shares, is_shared};
+use std::time::Duration;
+
+/// A part that another replica has not sent after this is described here: the same numbers, only later.
+const SHARE_DEADLINE_NS: u64 = 50_000_000;
+/// Counts parts that had to be described here.
+const SHARE_LATE: &str = "share-late";
 
 /// Runs the stage until it is asked to stop.
 ///
@@ -12,63 +25,246 @@ use flockslam_telemetry::monotonic_ns;
 /// When the bus fails.
 pub fn run_stage(context: &mut StageContext, settings: Settings) -> Result<(), StageError> {
     let bell = context.bus.listener(Stage::CorrelationFilter.name())?;
+    let describer = Describer::open(context, &settings)?;
+    if context.replica > 0 {
+        return run(context, &mut Helper { describer }, &bell);
+    }
     let mut actor = Filter {
-        logic: CorrelationFilter::new(settings),
-        scans: context.bus.scan_subscriber()?,
+        describer,
         verdicts: context.bus.publisher()?,
         matcher: context.bus.ringer(Stage::ScanMatcher.name())?,
         acknowledger: Acknowledger::open(context, 0)?,
+        load: if context.mode == Mode::Live { Some(Load::open(context, &settings)?) } else { None },
+        kept: Kept::new(context),
+        logic: CorrelationFilter::new(settings),
+        waiting: None,
+        shares: Shares::default(),
     };
     run(context, &mut actor, &bell)
 }
 
-struct Filter {
-    logic: CorrelationFilter,
+/// What describes scans, alone or together with other replicas.
+struct Describer {
     scans: ScanSubscriber,
-    verdicts: Publisher<Verdict>,
-    matcher: BellRinger,
-    acknowledger: Acknowledger,
+    tallies: Publisher<ScanTally>,
+    others: Subscriber<ScanTally>,
+    bell: BellRinger,
+    part: u32,
+    parts: u32,
+    threads: usize,
 }
 
-impl Filter {
-    fn judge(&mut self, sample: &ScanSample, context: &mut StageContext) -> Result<(), StageError> {
-        let (header, started_ns) = (sample.header(), monotonic_ns());
-        let verdict = match sample.view() {
-            Ok(scan) => {
-                context.report.report.scan_address = scan.ranges().as_ptr() as u64;
-                self.logic.handle(scan)
-            }
-            Err(problem) => {
-                tracing::warn!(scan = %header.id, %problem, "unreadable scan");
-                let reason = DropReason::Empty as u32;
-                Verdict { id: header.id, times: header.times, coefficient: f64::NAN, keep: 0, reason }
-            }
-        };
-        self.verdicts.send(&verdict)?;
-        self.matcher.ring();
-        if let Some(reason) = DropReason::from_number(verdict.reason) {
-            context.dropped(reason.name());
-        }
-        context.handled(header.id.sequence, started_ns, header.times.monotonic_ns);
-        self.acknowledger.finished(header.id.sequence + 1)
+impl Describer {
+    fn open(context: &StageContext, settings: &Settings) -> Result<Self, StageError> {
+        let wants_tallies = CorrelationFilter::new(settings.clone()).wants_tallies();
+        Ok(Self {
+            scans: context.bus.scan_subscriber()?,
+            tallies: context.bus.publisher()?,
+            others: context.bus.subscriber()?,
+            bell: context.bus.ringer(Stage::CorrelationFilter.name())?,
+            part: context.replica,
+            parts: if wants_tallies { settings.replicas.max(1) as u32 } else { 1 },
+            threads: settings.threads,
+        })
     }
 }
 
-impl Actor for Filter {
+/// Another replica than the first.
+struct Helper {
+    describer: Describer,
+}
+
+impl Actor for Helper {
     fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
+        let Describer { scans, tallies, bell, part, parts, threads, .. } = &self.describer;
         let mut any = false;
-        while let Some(sample) = self.scans.receive()? {
+        while let Some(sample) = scans.receive()? {
             any = true;
-            // A source that was restarted may send its last scan twice.
-            if sample.header().id.sequence >= self.acknowledger.done() {
-                self.judge(&sample, context)?;
+            let started_ns = monotonic_ns();
+            let Ok(scan) = sample.view() else { continue };
+            if is_shared(scan, *parts) && part < parts {
+                tallies.send(&tally_part(scan, *part, *parts, *threads))?;
+                bell.ring();
+                let times = scan.header().times;
+                context.handled(scan.header().id.sequence, started_ns, times.monotonic_ns);
             }
         }
         Ok(any)
     }
 
     fn refresh(&mut self, _context: &mut StageContext) -> Result<(), StageError> {
+        self.describer.tallies.refresh();
+        Ok(())
+    }
+}
+
+/// How far the matcher is behind, live.
+struct Load {
+    progress: Subscriber<Progress>,
+    matched: u64,
+    behind_max: u64,
+}
+
+impl Load {
+    fn open(context: &StageContext, settings: &Settings) -> Result<Self, StageError> {
+        Ok(Self { progress: context.bus.subscriber()?, matched: 0, behind_max: settings.shed_behind_scans })
+    }
+
+    /// Whether this scan comes while the matcher has too many before it.
+    fn is_too_much(&mut self, sequence: u64) -> Result<bool, StageError> {
+        while let Some(progress) = self.progress.receive()? {
+            if progress.stage == Stage::ScanMatcher as u32 {
+                self.matched = self.matched.max(progress.done);
+            }
+        }
+        Ok(sequence.saturating_sub(self.matched) > self.behind_max)
+    }
+}
+
+/// Counts kept scans by reason.
+struct Kept {
+    counts: [u64; KeepReason::ALL.len()],
+    metrics: KeptCounters,
+}
+
+impl Kept {
+    fn new(context: &StageContext) -> Self {
+        let names = KeepReason::ALL.map(KeepReason::name);
+        Self { counts: [0; KeepReason::ALL.len()], metrics: context.metrics.kept(&names) }
+    }
+
+    fn count(&mut self, reason: KeepReason) {
+        if let Some(place) = KeepReason::ALL.iter().position(|known| *known == reason) {
+            self.counts[place] += 1;
+            self.metrics.count(place);
+        }
+    }
+
+    fn report(&self, context: &mut StageContext) {
+        for (reason, count) in KeepReason::ALL.iter().zip(self.counts).filter(|(_, count)| *count > 0) {
+            context.report.count(&format!("kept/{}", reason.name()), count);
+        }
+    }
+}
+
+/// The replica that judges.
+struct Filter {
+    logic: CorrelationFilter,
+    describer: Describer,
+    verdicts: Publisher<Verdict>,
+    matcher: BellRinger,
+    acknowledger: Acknowledger,
+    load: Option<Load>,
+    kept: Kept,
+    waiting: Option<Waiting>,
+    /// Other replicas may be ahead: their parts of later scans are kept.
+    shares: Shares,
+}
+
+/// A large scan whose parts are being described.
+struct Waiting {
+    sample: ScanSample,
+    started_ns: u64,
+    overloaded: bool,
+    own: ScanTally,
+}
+
+impl Filter {
+    /// Begins with a scan; a shared one waits for the other replicas.
+    fn begin(&mut self, sample: ScanSample, context: &mut StageContext) -> Result<(), StageError> {
+        let (header, started_ns) = (*sample.header(), monotonic_ns());
+        let overloaded = match &mut self.load {
+            Some(load) => load.is_too_much(header.id.sequence)?,
+            None => false,
+        };
+        let Describer { part, parts, threads, .. } = self.describer;
+        let verdict = match sample.view() {
+            Ok(scan) => {
+                context.report.report.scan_address = scan.ranges().as_ptr() as u64;
+                if is_shared(scan, parts) {
+                    let own = tally_part(scan, part, parts, threads);
+                    self.waiting = Some(Waiting { sample, started_ns, overloaded, own });
+                    return Ok(());
+                }
+                let whole = self.logic.wants_tallies().then(|| tally_part(scan, 0, 1, threads));
+                self.logic.judge(scan, whole.as_ref(), overloaded)
+            }
+            Err(problem) => {
+                tracing::warn!(scan = %header.id, %problem, "unreadable scan");
+                let reason = DropReason::Empty as u32;
+                Verdict { id: header.id, times: header.times, coefficient: 0.0, keep: 0, reason }
+            }
+        };
+        self.publish(&verdict, started_ns, context)
+    }
+
+    /// Ends with a shared scan when all parts are there; true when it did.
+    fn finish_shared(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
+        let Some(waiting) = &self.waiting else { return Ok(false) };
+        while let Some(tally) = self.describer.others.receive()? {
+            self.shares.take(*tally);
+        }
+        let (mut whole, missing) = self.shares.merged(&waiting.own);
+        let late = monotonic_ns().saturating_sub(waiting.started_ns) > SHARE_DEADLINE_NS;
+        if !missing.is_empty() && !late {
+            return Ok(false);
+        }
+        let Some(waiting) = self.waiting.take() else { return Ok(false) };
+        let Ok(scan) = waiting.sample.view() else { return Ok(false) };
+        for part in missing {
+            context.dropped(SHARE_LATE);
+            whole.add(&tally_part(scan, part, self.describer.parts, self.describer.threads));
+        }
+        self.shares.forget(whole.id.sequence);
+        let verdict = self.logic.judge(scan, Some(&whole), waiting.overloaded);
+        self.publish(&verdict, waiting.started_ns, context)?;
+        Ok(true)
+    }
+
+    fn publish(
+        &mut self,
+        verdict: &Verdict,
+        started_ns: u64,
+        context: &mut StageContext,
+    ) -> Result<(), StageError> {
+        self.verdicts.send(verdict)?;
+        self.matcher.ring();
+        match DropReason::from_number(verdict.reason) {
+            Some(reason) => context.dropped(reason.name()),
+            None => KeepReason::from_number(verdict.reason).into_iter().for_each(|r| self.kept.count(r)),
+        }
+        context.handled(verdict.id.sequence, started_ns, verdict.times.monotonic_ns);
+        self.acknowledger.finished(verdict.id.sequence + 1)
+    }
+}
+
+impl Actor for Filter {
+    fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
+        let mut any = self.finish_shared(context)?;
+        while self.waiting.is_none() {
+            let Some(sample) = self.describer.scans.receive()? else { break };
+            any = true;
+            // A source that was restarted may send its last scan twice.
+            if sample.header().id.sequence >= self.acknowledger.done() {
+                self.begin(sample, context)?;
+                self.finish_shared(context)?;
+            }
+        }
+        Ok(any)
+    }
+
+    fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.verdicts.refresh();
+        self.kept.report(context);
         self.acknowledger.send()
+    }
+
+    fn patience(&self) -> Duration {
+        Duration::from_millis(if self.waiting.is_none() { 100 } else { 5 })
+    }
+
+    fn close(&mut self, context: &mut StageContext) -> Result<(), StageError> {
+        self.kept.report(context);
+        Ok(())
     }
 }

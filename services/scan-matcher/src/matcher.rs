@@ -472,7 +472,7 @@ impl ScanMatcher {
             submap: self.active_submap,
             layout_revision: self.layout_revision,
             flags: if scan.odometry().is_some() { PoseFlags::HAS_ODOMETRY } else { 0 },
-            drop_reason: verdict.reason,
+            drop_reason: verdict.drop_reason(),
             chain: self.chain,
             ..PoseEstimate::default()
         }

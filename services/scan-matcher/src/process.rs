@@ -2,7 +2,7 @@
 
 use crate::{ScanMatcher, Settings};
 use flockslam_bus::{BellRinger, Publisher, ScanSample, Subscriber};
-use flockslam_messages::{DropReason, LayoutHeader, PoseEstimate, PoseFlags, Stage, Verdict};
+use flockslam_messages::{DropReason, KeepReason, LayoutHeader, PoseEstimate, PoseFlags, Stage, Verdict};
 use flockslam_stage::{
     Acknowledger, Actor, GridReader, JournalReader, JournalWriter, Mode, PendingScans, StageContext,
     StageError, StreamEnd, run,
@@ -157,17 +157,12 @@ impl Matcher {
         while self.waiting_verdicts.front().is_some_and(|verdict| verdict.id.sequence < header.id.sequence) {
             self.waiting_verdicts.pop_front();
         }
-        let made = |keep, reason: DropReason| Verdict {
-            id: header.id,
-            times: header.times,
-            coefficient: f64::NAN,
-            keep,
-            reason: if keep == 1 { 0 } else { reason as u32 },
-        };
+        let made =
+            |keep, reason| Verdict { id: header.id, times: header.times, coefficient: 0.0, keep, reason };
         // Live and far behind: predicting costs next to nothing, so the newest scans are reached at once.
         if context.mode == Mode::Live && self.scans.len() > context.capacity.window / 2 {
             context.dropped(DropReason::Overload.name());
-            return Some(made(0, DropReason::Overload));
+            return Some(made(0, DropReason::Overload as u32));
         }
         match self.waiting_verdicts.front() {
             Some(verdict) if verdict.id.sequence == header.id.sequence => self.waiting_verdicts.pop_front(),
@@ -177,7 +172,7 @@ impl Matcher {
                 if late {
                     context.dropped(DropReason::Deadline.name());
                 }
-                late.then(|| made(1, DropReason::Deadline))
+                late.then(|| made(1, KeepReason::Late as u32))
             }
         }
     }

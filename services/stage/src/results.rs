@@ -45,6 +45,9 @@ pub struct Summary {
     pub inserted: u64,
     /// Scans that were not processed, by reason.
     pub dropped: std::collections::BTreeMap<String, u64>,
+    /// Scans that the filter would have dropped and the matcher processed nevertheless.
+    #[serde(default)]
+    pub overridden: u64,
     /// Scans that needed a wide search.
     pub rescued: u64,
     /// Submaps.

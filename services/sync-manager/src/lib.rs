@@ -6,6 +6,7 @@
 //! time.
 
 mod agreement;
+mod between;
 mod chain;
 mod cholesky;
 mod closure;

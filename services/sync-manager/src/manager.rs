@@ -349,7 +349,7 @@ impl SyncManager {
         };
         let placed = placer.place_all(&kept, self.finder.scratch());
         let pairs: Vec<_> = self.kept.iter().zip(placed).map(|(k, pose)| (k.record, pose)).collect();
-        self.solution(&filled(&self.records, &pairs, Between::Wheels))
+        self.solution(&filled(&self.records, &pairs, Between::Measured))
     }
 
     /// The dense pass, over all nodes.

@@ -110,9 +110,10 @@ impl SyncProcess {
         self.summary.scans += 1;
         count(PoseFlags::MATCHED, &mut self.summary.matched);
         count(PoseFlags::INSERT, &mut self.summary.inserted);
+        count(PoseFlags::OVERRIDDEN, &mut self.summary.overridden);
         count(PoseFlags::RESCUED, &mut self.summary.rescued);
         if let Some(reason) =
-            DropReason::from_number(pose.drop_reason).filter(|_| !pose.has(PoseFlags::MATCHED))
+            DropReason::from_number(pose.drop_reason).filter(|_| !pose.has(PoseFlags::OVERRIDDEN))
         {
             *self.summary.dropped.entry(reason.name().to_owned()).or_default() += 1;
         }

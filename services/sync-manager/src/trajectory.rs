@@ -1,3 +1,4 @@
+use crate::between::{Curve, Way};
 use flockslam_messages::{PoseEstimate, PoseFlags, Quality, ScanId};
 use flockslam_registration::cloud::Placement;
 
@@ -40,14 +41,15 @@ impl Record {
 pub enum Between {
     /// The front end's path: its matches are better than the wheels.
     FrontEnd,
-    /// The wheels, where there are any: the front end has only predicted there, and its path jumps at the next match.
-    Wheels,
+    /// What the known poses themselves prove best: the wheels, where there are any, or a smooth curve. The front end has only
+    /// predicted there, and its path jumps at the next match.
+    Measured,
 }
 
 impl Between {
     fn motion(self, from: &Record, to: &Record) -> Placement {
         match (self, from.wheels, to.wheels) {
-            (Self::Wheels, Some(from), Some(to)) => from.to(to),
+            (Self::Measured, Some(from), Some(to)) => from.to(to),
             _ => from.odom.to(to.odom),
         }
     }
@@ -56,7 +58,7 @@ impl Between {
 /// Poses for all records from the known ones, given as (record, pose) in ascending order of records.
 ///
 /// Between two known records the motion that is trusted there is laid on both, and the two results are blended by the share
-/// of the way. Where another strand begins nothing is blended: scans that were lost before it belong to it, the others to the
+/// of the way; or both are joined by a curve. Where another strand begins nothing is blended: scans that were lost before it belong to it, the others to the
 /// strand before.
 pub fn filled(records: &[Record], known: &[(usize, Placement)], between: Between) -> Vec<Placement> {
     let Some(&(first, _)) = known.first() else {
@@ -65,19 +67,29 @@ pub fn filled(records: &[Record], known: &[(usize, Placement)], between: Between
     let carried = |anchor: (usize, Placement), i: usize| {
         anchor.1.compose(between.motion(&records[anchor.0], &records[i]))
     };
+    let blended = |start: (usize, Placement), end: (usize, Placement), i: usize, share: f64| {
+        carried(start, i).interpolate(&carried(end, i), share)
+    };
+    let way = match between {
+        Between::FrontEnd => Way::Wheels,
+        Between::Measured => Way::chosen(records, known, |middle| {
+            let (start, end, i) = (known[middle - 1], known[middle + 1], known[middle].0);
+            blended(start, end, i, shares_of_way(&records[start.0..=end.0])[i - start.0])
+        }),
+    };
+    let curve = (way != Way::Wheels).then(|| Curve::new(records, known, way));
     let mut poses: Vec<Placement> = (0..first).map(|i| carried(known[0], i)).collect();
-    for pair in known.windows(2) {
+    for (k, pair) in known.windows(2).enumerate() {
         let (start, end) = (pair[0].0, pair[1].0);
         poses.push(pair[0].1);
         if records[start].strand != records[end].strand {
             let after = |r: &Record| r.lost || r.strand == records[end].strand;
             poses.extend((start + 1..end).map(|i| carried(pair[usize::from(after(&records[i]))], i)));
-            continue;
-        }
-        let shares = shares_of_way(&records[start..=end]);
-        for i in start + 1..end {
-            let (forward, backward) = (carried(pair[0], i), carried(pair[1], i));
-            poses.push(forward.interpolate(&backward, shares[i - start]));
+        } else if let Some(curve) = curve.as_ref().filter(|curve| curve.spans(k)) {
+            poses.extend((start + 1..end).map(|i| curve.at(k, i)));
+        } else {
+            let shares = shares_of_way(&records[start..=end]);
+            poses.extend((start + 1..end).map(|i| blended(pair[0], pair[1], i, shares[i - start])));
         }
     }
     let last = known[known.len() - 1];

@@ -5,6 +5,7 @@ pub const SECTIONS: [(&str, &str); 10] = [
     ("machine", "Machine"),
     ("accuracy", "Accuracy"),
     ("strategies", "Strategies"),
+    ("filter", "Filter"),
     ("robustness", "Robustness"),
     ("cost", "Cost"),
     ("front-end", "Front end"),

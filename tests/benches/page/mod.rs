@@ -3,6 +3,7 @@
 mod accuracy;
 mod cost;
 mod document;
+mod filter;
 mod front_end;
 mod hop;
 mod long_run;
@@ -74,6 +75,7 @@ pub fn generate<E>(plan: &Plan, page: &mut Page, keep: impl Fn(&Page) -> Result<
             "machine" => machine::section(),
             "accuracy" => accuracy::section(&mut bench),
             "strategies" => strategies::section(&mut bench),
+            "filter" => filter::section(&mut bench),
             "robustness" => robustness::section(&mut bench),
             "cost" => cost::section(&mut bench),
             "front-end" => front_end::section(&mut bench),

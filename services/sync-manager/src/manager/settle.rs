@@ -114,7 +114,7 @@ impl SyncManager {
         let mut pairs: Vec<_> =
             self.kept[kept.clone()].iter().zip(placed).map(|(k, pose)| (k.record - first, pose)).collect();
         pairs.push((next.record - first, self.poses[next.node]));
-        let mut poses = filled(&self.records[first..=next.record], &pairs, Between::Wheels);
+        let mut poses = filled(&self.records[first..=next.record], &pairs, Between::Measured);
         poses.truncate(records.len());
         poses
     }

@@ -1,0 +1,136 @@
+//! A large scan described by several threads of several processes.
+
+use crate::tally::tally;
+use flockslam_messages::{LARGE_SCAN_BEAMS, ScanTally, ScanView};
+use std::ops::Range;
+
+/// A thread takes at least so many beams: starting one takes as long as describing about as many.
+const BEAMS_PER_THREAD: usize = 100_000;
+/// Tallies of others that are remembered while their scan has not come up.
+const REMEMBERED_MAX: usize = 16;
+
+/// Whether the replicas share the beams of this scan.
+pub(super) fn is_shared(scan: ScanView<'_>, replicas: u32) -> bool {
+    replicas > 1 && scan.len() > LARGE_SCAN_BEAMS
+}
+
+/// The beams of one part.
+fn beams_of_part(beams: usize, part: u32, parts: u32) -> Range<usize> {
+    let bound = |part: u32| (beams as u64 * u64::from(part) / u64::from(parts)) as usize;
+    bound(part)..bound(part + 1)
+}
+
+/// The tally of one of `parts` equal parts of a scan, read in place by up to so many threads.
+pub fn tally_part(scan: ScanView<'_>, part: u32, parts: u32, threads: usize) -> ScanTally {
+    let beams = beams_of_part(scan.len(), part, parts);
+    let threads = (beams.len() / BEAMS_PER_THREAD).clamp(1, threads.max(1)) as u32;
+    let slice = |thread: u32| {
+        let within = beams_of_part(beams.len(), thread, threads);
+        tally(scan, beams.start + within.start..beams.start + within.end)
+    };
+    let mut sum = std::thread::scope(|scope| {
+        let others: Vec<_> = (1..threads).map(|thread| scope.spawn(move || slice(thread))).collect();
+        let own = slice(0);
+        others.into_iter().fold(own, |mut sum, other| {
+            sum.add(&other.join().expect("a thread that only adds does not panic"));
+            sum
+        })
+    });
+    (sum.part, sum.parts) = (part, parts);
+    sum
+}
+
+/// Collects what the replicas of the filter found in their parts of the scans.
+#[derive(Debug, Default)]
+pub(super) struct Shares {
+    received: Vec<ScanTally>,
+}
+
+impl Shares {
+    /// Takes in the tally of a part. Of those that nobody asked for the oldest is forgotten.
+    pub fn take(&mut self, tally: ScanTally) {
+        let same = |other: &ScanTally| (other.id, other.part) == (tally.id, tally.part);
+        if self.received.iter().any(same) {
+            return;
+        }
+        if self.received.len() == REMEMBERED_MAX {
+            self.received.remove(0);
+        }
+        self.received.push(tally);
+    }
+
+    /// Adds to `own`, the first part of a scan, those that have come; the numbers of the missing ones.
+    pub fn merged(&self, own: &ScanTally) -> (ScanTally, Vec<u32>) {
+        let mut sum = *own;
+        let has = |part: u32| {
+            self.received
+                .iter()
+                .find(|tally| (tally.id, tally.part, tally.parts) == (own.id, part, own.parts))
+        };
+        let missing = (1..own.parts).filter(|part| match has(*part) {
+            Some(tally) => {
+                sum.add(tally);
+                false
+            }
+            None => true,
+        });
+        let missing = missing.collect();
+        (sum, missing)
+    }
+
+    /// Forgets the parts of scans up to this one.
+    pub fn forget(&mut self, sequence: u64) {
+        self.received.retain(|tally| tally.id.sequence > sequence);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockslam_messages::ScanBuffer;
+    use proptest::prelude::*;
+
+    fn scan(beams: usize) -> ScanBuffer {
+        let ranges: Vec<f32> = (0..beams).map(|i| 1.0 + (i * 7919 % 1000) as f32 * 0.01).collect();
+        let mut scan = ScanBuffer::from_ranges(&ranges, -3.14, 6.28 / beams as f64);
+        scan.header.id.sequence = 5;
+        scan
+    }
+
+    #[test]
+    fn parts_of_threads_and_replicas_are_the_whole() {
+        let scan = scan(450_001);
+        let view = scan.view().unwrap();
+        let whole = tally(view, 0..view.len());
+        let mut shares = Shares::default();
+        for part in (1..3).rev() {
+            shares.take(tally_part(view, part, 3, 2));
+            shares.take(tally_part(view, part, 3, 1));
+        }
+        let (mut sum, missing) = shares.merged(&tally_part(view, 0, 3, 4));
+        sum.parts = 1;
+        assert_eq!((sum, missing.len()), (whole, 0));
+        shares.forget(5);
+        assert_eq!(shares.merged(&tally_part(view, 0, 3, 4)).1, [1, 2]);
+    }
+
+    #[test]
+    fn what_nobody_asks_for_is_forgotten() {
+        let (scan, mut shares) = (scan(10), Shares::default());
+        for sequence in 0..100 {
+            let mut tally = tally_part(scan.view().unwrap(), 1, 2, 1);
+            tally.id.sequence = sequence;
+            shares.take(tally);
+        }
+        assert_eq!(shares.received.len(), REMEMBERED_MAX);
+    }
+
+    proptest! {
+        #[test]
+        fn parts_cover_all_beams_once(beams in 0_usize..20_000_000, parts in 1_u32..9) {
+            let ranges: Vec<_> = (0..parts).map(|part| beams_of_part(beams, part, parts)).collect();
+            prop_assert_eq!((ranges[0].start, ranges[ranges.len() - 1].end), (0, beams));
+            prop_assert!(ranges.windows(2).all(|pair| pair[0].end == pair[1].start));
+        }
+    }
+}

@@ -1,0 +1,231 @@
+use flockslam_geometry::{Pose, wrap_angle};
+use flockslam_messages::{ScanTally, ScanView, TALLY_BINS, TALLY_SECTORS};
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::ops::Range;
+
+/// Units of range in a metre.
+pub(crate) const UNITS_PER_M: f32 = 1024.0;
+/// Ranges beyond count as this, metres: a block's sum stays within 32 bits.
+const RANGE_CAP_M: f32 = 8191.0;
+/// Beams that are taken together where they all fall into one sector.
+const BLOCK: usize = 256;
+/// Scans with fewer beams are taken beam by beam: their sectors are narrower than a block.
+const BLOCKS_FROM: usize = 16_384;
+/// What stands for a range that is not valid.
+const INVALID: i32 = -1;
+
+/// Adds up the beams of `beams`; a pair of neighbours belongs to its first beam. The sum over any division of a scan into
+/// ranges is the same to the bit.
+pub fn tally(scan: ScanView<'_>, beams: Range<usize>) -> ScanTally {
+    let mut tally = ScanTally { id: scan.header().id, parts: 1, ..ScanTally::default() };
+    let places = Places::of(scan);
+    let beams = beams.start..beams.end.min(scan.len());
+    let blocks = scan.len() >= BLOCKS_FROM && places.are_narrow(scan);
+    let mut at = beams.start;
+    while at < beams.end {
+        let end = if blocks { (at + BLOCK).min(beams.end) } else { beams.end };
+        let place = places.of_beam(scan, at);
+        if blocks && place == places.of_beam(scan, end - 1) {
+            take_block(&mut tally, scan, at..end, place);
+        } else {
+            (at..end).for_each(|beam| take_beam(&mut tally, scan, beam, places.of_beam(scan, beam)));
+        }
+        at = end;
+    }
+    tally
+}
+
+/// Where a beam counts: its sector, and which sign falling ranges have along a corridor.
+type Place = (usize, bool);
+
+/// How angles become places.
+struct Places {
+    /// Turns sectors with the wheels, radians: while the robot turns on the spot, walls stay in their sectors.
+    turned_rad: f64,
+    /// From the laser's to the robot's frame, radians.
+    mounted_rad: f64,
+}
+
+impl Places {
+    fn of(scan: ScanView<'_>) -> Self {
+        let mounted_rad = scan.header().base_from_laser.heading_rad;
+        let heading_rad = scan.odometry().unwrap_or(Pose::IDENTITY).heading_rad;
+        Self { turned_rad: mounted_rad + heading_rad, mounted_rad }
+    }
+
+    /// Whether even angles change so little over a block that equal places at its ends are equal in between.
+    fn are_narrow(&self, scan: ScanView<'_>) -> bool {
+        let header = scan.header();
+        let explicit = header.sections & flockslam_messages::ScanSections::ANGLES != 0;
+        !explicit && header.angle_increment_rad.abs() * (BLOCK as f64) < TAU / TALLY_SECTORS as f64
+    }
+
+    fn of_beam(&self, scan: ScanView<'_>, beam: usize) -> Place {
+        let angle_rad = scan.angle_rad(beam);
+        let angle = wrap_angle(angle_rad + self.mounted_rad);
+        (sector_of(angle_rad + self.turned_rad), (angle.abs() < FRAC_PI_2) == (angle > 0.0))
+    }
+}
+
+/// An angle that is not finite falls into sector 0.
+fn sector_of(angle_rad: f64) -> usize {
+    let turn = (angle_rad + PI) * (1.0 / TAU);
+    let share = turn - turn.floor();
+    ((share * TALLY_SECTORS as f64) as usize).min(TALLY_SECTORS - 1)
+}
+
+/// A range in units; [`INVALID`] for one that is not valid.
+fn units(range_m: f32, limits_m: (f32, f32)) -> i32 {
+    let valid = limits_m.0 <= range_m && range_m <= limits_m.1;
+    if valid { (range_m.clamp(0.0, RANGE_CAP_M) * UNITS_PER_M) as i32 } else { INVALID }
+}
+
+/// Bins are 0.4 m wide; the last takes all ranges from 11.6 m on.
+fn bin_of(units: i32) -> usize {
+    ((units * 5) >> 11).min(TALLY_BINS as i32 - 1) as usize
+}
+
+fn take_beam(tally: &mut ScanTally, scan: ScanView<'_>, beam: usize, place: Place) {
+    let limits_m = (scan.header().range_min_m, scan.header().range_max_m);
+    let here = units(scan.ranges()[beam], limits_m);
+    if here == INVALID {
+        return;
+    }
+    tally.range_sums[place.0] += here as u64;
+    tally.counts[place.0] += 1;
+    tally.bins[bin_of(here)] += 1;
+    let next = scan.ranges().get(beam + 1).map_or(INVALID, |range| units(*range, limits_m));
+    if next != INVALID {
+        let falls = i64::from(here > next) - i64::from(here < next);
+        tally.corridor += if place.1 { falls } else { -falls };
+        tally.pairs += 1;
+    }
+}
+
+/// The same for beams of one place, in loops that the compiler can vectorise.
+fn take_block(tally: &mut ScanTally, scan: ScanView<'_>, beams: Range<usize>, place: Place) {
+    let limits_m = (scan.header().range_min_m, scan.header().range_max_m);
+    let mut here = [INVALID; BLOCK + 1];
+    let seen = &scan.ranges()[beams.start..(beams.end + 1).min(scan.len())];
+    here.iter_mut().zip(seen).for_each(|(here, range)| *here = units(*range, limits_m));
+    let count = beams.len();
+    let (mut sum, mut valid, mut falls, mut pairs) = (0_u32, 0_u32, 0_i32, 0_u32);
+    for i in 0..count {
+        let (a, b) = (here[i], here[i + 1]);
+        sum += a.max(0) as u32;
+        valid += u32::from(a >= 0);
+        let pair = i32::from(a >= 0) & i32::from(b >= 0);
+        falls += pair * (i32::from(a > b) - i32::from(a < b));
+        pairs += pair as u32;
+    }
+    tally.range_sums[place.0] += u64::from(sum);
+    tally.counts[place.0] += valid;
+    tally.corridor += i64::from(if place.1 { falls } else { -falls });
+    tally.pairs += u64::from(pairs);
+    take_bins(&mut tally.bins, &here[..count]);
+}
+
+/// Four histograms by turns: a count need not wait for the one before to be stored.
+fn take_bins(bins: &mut [u32; TALLY_BINS], block: &[i32]) {
+    const WIDTH: usize = 32;
+    let mut places = [0_u8; BLOCK];
+    for (place, units) in places.iter_mut().zip(block) {
+        // What is not valid goes into a place behind the bins.
+        let bin = ((*units * 5) >> 11).min(TALLY_BINS as i32 - 1);
+        *place = if *units < 0 { WIDTH as u8 - 1 } else { bin as u8 };
+    }
+    let mut counts = [[0_u32; WIDTH]; 4];
+    let mut quads = places[..block.len()].chunks_exact(4);
+    for quad in quads.by_ref() {
+        for (counts, place) in counts.iter_mut().zip(quad) {
+            counts[usize::from(*place) % WIDTH] += 1;
+        }
+    }
+    quads.remainder().iter().for_each(|place| counts[0][usize::from(*place) % WIDTH] += 1);
+    for (bin, total) in bins.iter_mut().enumerate() {
+        *total += counts.iter().map(|counts| counts[bin]).sum::<u32>();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockslam_messages::ScanBuffer;
+    use proptest::prelude::*;
+
+    #[test]
+    fn sectors_go_round_the_circle() {
+        assert_eq!(sector_of(-PI), 0);
+        assert_eq!(sector_of(0.01), TALLY_SECTORS / 2);
+        assert_eq!(sector_of(PI - 1e-9), TALLY_SECTORS - 1);
+        assert_eq!(sector_of(0.01 + 3.0 * TAU), TALLY_SECTORS / 2);
+        assert!(
+            [f64::NAN, f64::INFINITY, -1e300, 1e300].map(sector_of).into_iter().all(|s| s < TALLY_SECTORS)
+        );
+    }
+
+    #[test]
+    fn a_beam_counts_in_its_sector_bin_and_pair() {
+        let mut scan = ScanBuffer::from_ranges(&[2.0, 1.0, f32::NAN, 100.0, f32::INFINITY], 0.05, 0.1);
+        scan.header.range_max_m = 200.0;
+        let sum = tally(scan.view().unwrap(), 0..5);
+        assert_eq!((sum.valid(), sum.pairs, sum.corridor), (3, 1, 1));
+        assert_eq!((sum.counts[30], sum.range_sums[30]), (1, 2048));
+        assert_eq!((sum.bins[2], sum.bins[5], sum.bins[29]), (1, 1, 1));
+    }
+
+    #[test]
+    fn sectors_turn_with_the_wheels() {
+        let look = |heading_rad: f64| {
+            let mut scan = ScanBuffer::from_ranges(&[3.0], 0.05 - heading_rad, 0.0);
+            (scan.header.odometry.heading_rad, scan.header.has_odometry) = (heading_rad, 1);
+            tally(scan.view().unwrap(), 0..1).counts
+        };
+        assert_eq!(look(0.0), look(1.0));
+    }
+
+    /// A scan of many beams with all kinds of ranges.
+    fn large(beams: usize, seed: u64) -> ScanBuffer {
+        let mut state = seed | 1;
+        let mut range = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            match state >> 60 {
+                0 => f32::NAN,
+                1 => f32::INFINITY,
+                2 => 0.001,
+                _ => (state >> 40) as f32 * 1e-6,
+            }
+        };
+        let ranges: Vec<f32> = (0..beams).map(|_| range()).collect();
+        let mut scan = ScanBuffer::from_ranges(&ranges, -PI, TAU / beams as f64);
+        (scan.header.range_min_m, scan.header.range_max_m) = (0.05, 16.0);
+        scan
+    }
+
+    #[test]
+    fn blocks_count_as_beams_do() {
+        let scan = large(100_000, 7);
+        let view = scan.view().unwrap();
+        let mut one_by_one = ScanTally { parts: 1, ..ScanTally::default() };
+        let places = Places::of(view);
+        (0..view.len()).for_each(|beam| take_beam(&mut one_by_one, view, beam, places.of_beam(view, beam)));
+        assert_eq!(tally(view, 0..view.len()), one_by_one);
+    }
+
+    proptest! {
+        #[test]
+        fn parts_sum_up_to_the_whole(
+            beams in prop_oneof![0_usize..400, 16_000_usize..40_000],
+            cuts in prop::collection::vec(0_usize..40_000, 0..5), seed in any::<u64>(),
+        ) {
+            let scan = large(beams, seed);
+            let view = scan.view().unwrap();
+            let mut cuts: Vec<usize> = cuts.into_iter().map(|cut| cut.min(beams)).collect();
+            cuts.extend([0, beams]);
+            cuts.sort_unstable();
+            let mut sum = ScanTally { parts: 1, ..ScanTally::default() };
+            cuts.windows(2).for_each(|part| sum.add(&tally(view, part[0]..part[1])));
+            prop_assert_eq!(sum, tally(view, 0..beams));
+        }
+    }
+}
