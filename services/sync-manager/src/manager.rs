@@ -25,6 +25,9 @@ const REST: (f64, f64) = (0.01, 0.005);
 /// Searches after one closed submap beyond the usual ones while the newest strand is not connected with the map.
 const ADRIFT_SEARCHES: u64 = 200;
 
+/// Most rounds of the refinement that is asked for.
+const REFINE_ROUNDS_MAX: u32 = 12;
+
 /// Work on solving the graph after each closed submap, products of 3 × 3 blocks: a graph that takes more is solved less often, with
 /// the same work for each metre.
 const SOLVING_PER_SUBMAP: u64 = 1_000_000;
@@ -324,15 +327,19 @@ impl SyncManager {
     /// The same with all scans matched once more, to the map that they make together; after [`Self::finish`]. It takes a
     /// multiple of the time.
     pub fn refined(&mut self) -> Solution {
-        let nodes = self.chain.nodes();
-        if !nodes.is_empty() {
-            let strands = self.strands(nodes.len());
-            let in_map: Vec<bool> = nodes.iter().map(|node| strands.is_attached(node.strand)).collect();
-            let refinement =
-                Refinement { nodes, scans: &self.scans, chain: self.chain.edges(), in_map: &in_map };
-            refinement.run(self.finder.scratch(), &mut self.poses);
+        if !self.chain.nodes().is_empty() {
+            self.match_to_map(REFINE_ROUNDS_MAX);
         }
         self.placed()
+    }
+
+    /// Matches all nodes of the map, at most so many times, to the map that they make together.
+    fn match_to_map(&mut self, rounds_max: u32) {
+        let nodes = self.chain.nodes();
+        let strands = self.strands(nodes.len());
+        let in_map: Vec<bool> = nodes.iter().map(|node| strands.is_attached(node.strand)).collect();
+        let refinement = Refinement { nodes, scans: &self.scans, chain: self.chain.edges(), in_map: &in_map };
+        refinement.run(rounds_max, self.finder.scratch(), &mut self.poses);
     }
 
     /// Every kept scan placed among the nodes at their present poses.
@@ -352,7 +359,7 @@ impl SyncManager {
         self.solution(&filled(&self.records, &pairs, Between::Measured))
     }
 
-    /// The dense pass, over all nodes.
+    /// The dense pass, over all nodes, and what brings them closer to the map that they make.
     fn refine(&mut self) {
         let nodes = self.chain.nodes();
         let mut segments = self.segments.clone();
@@ -371,6 +378,7 @@ impl SyncManager {
         for _ in 0..self.settings.dense_passes {
             pass.run(self.finder.scratch(), &mut self.poses);
         }
+        self.match_to_map(self.settings.map_passes);
     }
 
     fn placed_nodes(&self) -> Vec<(usize, Placement)> {

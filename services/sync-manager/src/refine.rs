@@ -10,8 +10,6 @@ use std::collections::BTreeMap;
 const BLOCK_M: f64 = 8.0;
 /// Points are in reach of a block within this of its centre along both axes, metres.
 const REACH_M: f64 = 0.5 * MomentGrid::SPAN_M - 2.0 * MomentGrid::CELL_M;
-/// Most rounds of matching and solving.
-const ROUNDS_MAX: usize = 12;
 /// Poses that move less than this have arrived, metres.
 const ARRIVED_M: f64 = 0.001;
 /// Share of points on lines that a match needs.
@@ -44,9 +42,9 @@ pub struct Refinement<'a> {
 type Around = Vec<(usize, Vec<PackedPoint>)>;
 
 impl Refinement<'_> {
-    /// Refines the poses of the nodes. `grid` is lent empty and given back so.
-    pub fn run(&self, grid: &mut MomentGrid, poses: &mut [Placement]) {
-        for _ in 0..ROUNDS_MAX {
+    /// Refines the poses of the nodes in at most so many rounds. `grid` is lent empty and given back so.
+    pub fn run(&self, rounds_max: u32, grid: &mut MomentGrid, poses: &mut [Placement]) {
+        for _ in 0..rounds_max {
             let before = poses.to_vec();
             self.improve(grid, poses);
             let moved = poses.iter().zip(&before).map(|(a, b)| a.distance_m(b)).fold(0.0, f64::max);

@@ -26,6 +26,8 @@ pub struct Settings {
     pub visits_kept: usize,
     /// How often the whole layout is measured again at the end.
     pub dense_passes: usize,
+    /// How often all nodes are matched after that to the map that they make together.
+    pub map_passes: u32,
     /// Each scan is placed at the end against the nodes up to this many before and after it.
     pub final_nodes: usize,
     /// A submap retires from the fused map when so many newer ones know all that it knows (98 % of it); 0 = never.
@@ -48,6 +50,7 @@ impl Default for Settings {
             closure: ClosureSettings::default(),
             visits_kept: 4,
             dense_passes: 1,
+            map_passes: 1,
             final_nodes: 3,
             retire_covered_by: 8,
             refine: false,
