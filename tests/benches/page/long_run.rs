@@ -49,27 +49,33 @@ fn watch() -> Result<Vec<Sample>, String> {
         if let Some(status) = child.try_wait().map_err(|error| error.to_string())? {
             return if status.success() { Ok(samples) } else { Err(format!("it ended with {status}")) };
         }
-        samples.push(look(&directory));
+        samples.extend(look(&directory));
     }
 }
 
-/// What the stages last wrote about themselves; at most a second old each.
-fn look(directory: &Path) -> Sample {
-    let mut sample = Sample { scans: u64::MAX, ..Sample::default() };
+/// What the stages last wrote about themselves, at most a second old each; `None` before all have and once the set is cleared
+/// away. Scans are those that have got through: sync-manager sees each.
+fn look(directory: &Path) -> Option<Sample> {
+    let mut sample = Sample::default();
     for stage in Stage::ALL {
         let reports = read_reports(&directory.join("status"), stage.name());
-        sample.scans = sample.scans.min(reports.iter().map(|report| report.handled).sum());
         sample.cpu_s += reports.iter().map(|report| report.cpu_s).sum::<f64>();
-        sample.private_bytes += reports.iter().map(|report| report.peak_private_bytes).max().unwrap_or(0);
+        sample.private_bytes += reports.iter().map(|report| report.peak_private_bytes).max()?;
+        if stage == Stage::SyncManager {
+            sample.scans = reports.iter().map(|report| report.handled).sum();
+        }
     }
-    sample.shared_bytes =
-        flockslam_bus::RuntimeDir::open(directory).map_or(0, |runtime| runtime.occupied_bytes());
-    sample
+    sample.shared_bytes = flockslam_bus::RuntimeDir::open(directory).ok()?.occupied_bytes();
+    Some(sample)
 }
 
 fn table(samples: &[Sample]) -> Table {
-    let mut table =
-        Table::new(["hour", "CPU per scan ms", "private memory of the stages MB", "shared memory MB"]);
+    let mut table = Table::new([
+        "hour",
+        "CPU per scan ms",
+        "private memory of the stages, peaks so far MB",
+        "shared memory MB",
+    ]);
     let mut before = Sample::default();
     for hour in 1..=HOURS {
         // Reports of stages are up to a second apart: the last hour ends where the last of them does.
