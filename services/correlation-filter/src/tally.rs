@@ -197,7 +197,7 @@ mod tests {
             }
         };
         let ranges: Vec<f32> = (0..beams).map(|_| range()).collect();
-        let mut scan = ScanBuffer::from_ranges(&ranges, -PI, TAU / beams as f64);
+        let mut scan = ScanBuffer::from_ranges(&ranges, -PI, TAU / beams.max(1) as f64);
         (scan.header.range_min_m, scan.header.range_max_m) = (0.05, 16.0);
         scan
     }
