@@ -3,6 +3,7 @@
 //! `cargo run --release -p flockslam-correlation-filter --example drop_share`; the logs are looked for in the folder
 //! named by FLOCKSLAM_DATA, else in `../shared/data`. Settings may be given as one JSON argument.
 
+use flockslam_correlation_filter::process::tally_part;
 use flockslam_correlation_filter::{CorrelationFilter, Settings};
 use flockslam_geometry::Pose;
 use flockslam_messages::{DropReason, KeepReason, ScanBuffer};
@@ -18,6 +19,7 @@ fn main() {
         Some(json) => serde_json::from_str(&json).expect("settings as JSON"),
         None => Settings::default(),
     };
+    measure_large();
     let data =
         std::env::var_os("FLOCKSLAM_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from);
     for (name, step_degrees, no_return_m) in LOGS {
@@ -26,6 +28,22 @@ fn main() {
             Ok(text) => measure(name, &settings, &scans(&text, step_degrees, no_return_m)),
             Err(problem) => println!("{}: {problem}", Path::display(&path)),
         }
+    }
+}
+
+/// What describing ten million points costs.
+fn measure_large() {
+    let ranges: Vec<f32> = (0..10_000_000_u32).map(|i| 4.0 + (i as f32 * 1e-6).sin()).collect();
+    let scan = ScanBuffer::from_ranges(&ranges, -3.1, 6.2e-7);
+    let view = scan.view().expect("a scan that fits its header");
+    for threads in [1, 2] {
+        let time_s = |_| {
+            let start = Instant::now();
+            std::hint::black_box(tally_part(view, 0, 1, threads));
+            start.elapsed().as_secs_f64()
+        };
+        let least_s = (0..9).map(time_s).fold(f64::INFINITY, f64::min);
+        println!("10 million points, {threads} threads: {:.2} ms", 1e3 * least_s);
     }
 }
 

@@ -72,7 +72,7 @@ mod tests {
     #[test]
     fn a_change_of_a_quarter_of_the_sectors_is_seen() {
         let mut ranges = [2.0_f32; 360];
-        let of = |ranges: &[f32]| describe(&ScanBuffer::from_ranges(ranges, -3.14, 0.01745));
+        let of = |ranges: &[f32]| describe(&ScanBuffer::from_ranges(ranges, -3.1, 0.01745));
         let before = of(&ranges);
         ranges[..90].fill(2.1);
         assert!((of(&ranges).change_m(&before) - 0.1).abs() < 2e-3);

@@ -39,8 +39,7 @@ impl PublishedFilter {
 
     /// The counter goes up only for scans that correlate, whatever is decided then.
     fn decide(&mut self, correlation: f64, required: bool) -> Option<KeepReason> {
-        // Written this way round, so that NaN keeps the scan, as it does there.
-        if !(correlation > THRESHOLD) {
+        if correlation <= THRESHOLD || correlation.is_nan() {
             return Some(KeepReason::Novel);
         }
         let before = self.drops_in_a_row;

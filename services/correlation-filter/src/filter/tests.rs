@@ -127,7 +127,7 @@ fn a_corridor_keeps_its_scans() {
 
 #[test]
 fn a_constant_scan_that_stays_is_unchanged_and_one_that_grows_is_novel() {
-    let circle = |radius_m: f32| ScanBuffer::from_ranges(&[radius_m; 360], -3.14, 0.01745);
+    let circle = |radius_m: f32| ScanBuffer::from_ranges(&[radius_m; 360], -3.1, 0.01745);
     let found = reasons(&mut filter(Mode::Correlation), (0..6).map(|_| circle(2.0)).chain([circle(3.0)]));
     assert_eq!(
         found[4..],

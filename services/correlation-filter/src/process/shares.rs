@@ -92,7 +92,7 @@ mod tests {
 
     fn scan(beams: usize) -> ScanBuffer {
         let ranges: Vec<f32> = (0..beams).map(|i| 1.0 + (i * 7919 % 1000) as f32 * 0.01).collect();
-        let mut scan = ScanBuffer::from_ranges(&ranges, -3.14, 6.28 / beams as f64);
+        let mut scan = ScanBuffer::from_ranges(&ranges, -3.0, 6.0 / beams as f64);
         scan.header.id.sequence = 5;
         scan
     }
