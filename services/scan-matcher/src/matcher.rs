@@ -425,7 +425,9 @@ impl ScanMatcher {
         if self.settings.rescue.lost_scans_max == 0 || !is_poor {
             return found;
         }
-        if contradicted(grid, &self.points, found.pose) >= CONTRADICTED.1 {
+        // Where the wheels have the robot, a good part of a scan may be new or have changed; anywhere else it must fit.
+        let share_max = if found.rescued { CONTRADICTED.1 } else { CONTRADICTED.1.max(found.score) };
+        if contradicted(grid, &self.points, found.pose) >= share_max {
             return Match { quality: Quality::Lost, ..found };
         }
         let is_new = found.quality == Quality::Lost

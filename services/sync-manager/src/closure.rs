@@ -26,7 +26,9 @@ const ANYWHERE: Window = Window { reach_m: 14.0, turn_rad: std::f64::consts::PI 
 /// Squares that such a search looks at before it takes what it has found.
 const ANYWHERE_SUMS_MAX: u64 = 150_000;
 /// Most segments that one query is looked for in so.
-const ANYWHERE_MAX: usize = 200;
+const ANYWHERE_MAX: usize = 50;
+/// Where to look first: a robot that was lost for moments only is about where it believes to be.
+const NEARBY: Window = Window { reach_m: 4.0, turn_rad: 0.7 };
 /// A runner-up must lie at least this far away from the best match to count.
 const APART: Window = Window { reach_m: 0.6, turn_rad: 0.2 };
 /// Score of a runner-up, as a share of the best, at which a match is ambiguous.
@@ -126,7 +128,6 @@ impl ClosureFinder {
 
     /// The segments that the query may see, nearest first, and where to look in each.
     fn candidates(&self, world: &World<'_>, query: usize, distances_m: &[f64]) -> Vec<(usize, Window)> {
-        let at = world.poses[query];
         let old = |s: &Segment| {
             world.nodes[query].travel_m - world.nodes[s.nodes.end - 1].travel_m
                 >= self.settings.least_travel_m
@@ -137,8 +138,7 @@ impl ClosureFinder {
                 continue;
             }
             let window = window(distances_m[segment.anchor]);
-            let nodes = segment.nodes.clone();
-            let apart_m = nodes.map(|i| world.poses[i].distance_m(&at)).fold(f64::INFINITY, f64::min);
+            let apart_m = apart_m(world, segment, query);
             if apart_m <= window.reach_m + SIGHT_M {
                 near.push((apart_m, number, window));
             }
@@ -158,12 +158,22 @@ impl ClosureFinder {
             |s: &Segment| distances_m[s.anchor] >= BROKEN_M && world.nodes[s.anchor].strand != strand;
         let mut far: Vec<usize> =
             (0..world.segments.len()).filter(|&number| broken(&world.segments[number])).collect();
+        let mut near: Vec<(f64, usize)> = Vec::new();
+        for &number in &far {
+            let apart_m = apart_m(world, &world.segments[number], query);
+            if apart_m <= NEARBY.reach_m + SIGHT_M {
+                near.push((apart_m, number));
+            }
+        }
+        near.sort_by(|a, b| a.0.total_cmp(&b.0));
+        near.truncate(self.settings.segments_per_query);
         if !far.is_empty() {
             let first = (self.counts.searches % far.len() as u64) as usize;
             far.rotate_left(first);
             far.truncate(ANYWHERE_MAX);
         }
-        far.into_iter().map(|number| (number, ANYWHERE)).collect()
+        let near = near.into_iter().map(|(_, number)| (number, NEARBY));
+        near.chain(far.into_iter().map(|number| (number, ANYWHERE))).collect()
     }
 
     fn try_segment(
@@ -242,6 +252,12 @@ fn surroundings(nodes: &[Node], query: usize) -> std::ops::Range<usize> {
     let start = (query.saturating_sub(QUERY_NODES)..=query).find(same).unwrap_or(query);
     let last = (query..(query + QUERY_NODES + 1).min(nodes.len())).rev().find(same).unwrap_or(query);
     start..last + 1
+}
+
+/// From a query to the nearest node of a segment, metres.
+fn apart_m(world: &World<'_>, segment: &Segment, query: usize) -> f64 {
+    let at = world.poses[query];
+    segment.nodes.clone().map(|i| world.poses[i].distance_m(&at)).fold(f64::INFINITY, f64::min)
 }
 
 /// Where to look after `distance_m` along the graph.

@@ -23,7 +23,7 @@ mod settle;
 /// A scan this close to the last one kept tells nothing new, metres and radians.
 const REST: (f64, f64) = (0.01, 0.005);
 /// Searches after one closed submap beyond the usual ones while the newest strand is not connected with the map.
-const ADRIFT_SEARCHES: u64 = 200;
+const ADRIFT_SEARCHES: u64 = 100;
 
 /// Most rounds of the refinement that is asked for.
 const REFINE_ROUNDS_MAX: u32 = 12;
@@ -231,12 +231,17 @@ impl SyncManager {
             return;
         }
         let before = self.closures.len();
-        let limit = self.finder.counts().searches.saturating_add(searches as u64);
+        let done = self.finder.counts().searches;
         for query in self.due_queries(known) {
-            // A strand that hangs in the air is looked for everywhere: that is worth more.
+            // A strand that hangs in the air is looked for everywhere: that is worth more, but not without end.
             let strand = self.chain.nodes()[query].strand;
-            let adrift = if self.strands(known).is_attached(strand) { 0 } else { ADRIFT_SEARCHES };
-            if self.finder.counts().searches < limit.saturating_add(adrift) {
+            let searches = searches as u64;
+            let most = if self.strands(known).is_attached(strand) {
+                searches
+            } else {
+                searches.min(ADRIFT_SEARCHES) + ADRIFT_SEARCHES
+            };
+            if self.finder.counts().searches - done < most {
                 self.search(query, known);
             }
         }
