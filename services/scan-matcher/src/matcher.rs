@@ -36,7 +36,7 @@ const CELL_ERROR: f64 = 0.1;
 /// Least share of surfaces (mean squared cosine) that a direction is taken to be held by.
 const HELD_MIN: f64 = 1e-5;
 /// Wheels that miss a fit by more than this are slipping: metres and radians.
-const SLIPPED: (f64, f64) = (0.1, 0.03);
+const SLIPPED: (f64, f64) = (0.15, 0.08);
 /// Standard deviations assumed of the prediction where the scan determines nothing.
 const PRIOR_SIGMA: (f64, f64) = (0.3, 0.15);
 
