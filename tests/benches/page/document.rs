@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 
 /// The sections of the page in their order: the name by which `--only` knows them, and the heading.
-pub const SECTIONS: [(&str, &str); 10] = [
+pub const SECTIONS: [(&str, &str); 11] = [
     ("machine", "Machine"),
     ("accuracy", "Accuracy"),
     ("strategies", "Strategies"),
