@@ -73,7 +73,8 @@ fn a_refined_run_keeps_the_run_and_adds_to_it() {
 #[test]
 fn a_refined_trajectory_is_as_good_as_the_final_one() {
     let directory = tempfile::tempdir().unwrap();
-    let args = ["demo", "--set", "simulation.duration_s=120", "--set", "sync_manager.refine=true"];
+    // Long enough to come round: before that both are as good as the chain.
+    let args = ["demo", "--set", "simulation.duration_s=250", "--set", "sync_manager.refine=true"];
     let mut outputs = run_well("demo", directory.path(), &args.map(str::to_owned));
     let last_m = truth_error_m(&outputs);
     std::fs::copy(directory.path().join("trajectory_refined.tum"), directory.path().join("trajectory.tum"))

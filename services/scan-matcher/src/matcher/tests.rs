@@ -1,4 +1,5 @@
 use super::*;
+use crate::settings::Strategy;
 use flockslam_geometry::wrap_angle;
 use flockslam_mapper::Mapper;
 use flockslam_messages::{DropReason, ScanBuffer};
