@@ -21,7 +21,7 @@ message! {
         pub range_sums: [u64; TALLY_SECTORS],
         /// Valid ranges in each sector.
         pub counts: [u32; TALLY_SECTORS],
-        /// Valid ranges in each bin.
+        /// Valid ranges in each bin; of a large scan those of every 16th beam.
         pub bins: [u32; TALLY_BINS],
         /// Which part of the scan, from 0.
         pub part: u32,
@@ -42,6 +42,6 @@ impl ScanTally {
 
     /// Number of valid ranges.
     pub fn valid(&self) -> u32 {
-        self.bins.iter().sum()
+        self.counts.iter().sum()
     }
 }

@@ -23,10 +23,10 @@ impl Description {
         // An empty sector divides zero by zero, which is the NaN that marks it.
         let mean =
             |i: usize| tally.range_sums[i] as f64 / f64::from(tally.counts[i]) / f64::from(UNITS_PER_M);
-        let valid = tally.valid().max(1) as f32;
+        let binned = tally.bins.iter().sum::<u32>().max(1) as f32;
         Self {
             profile_m: std::array::from_fn(|i| mean(i) as f32),
-            histogram: tally.bins.map(|count| count as f32 / valid),
+            histogram: tally.bins.map(|count| count as f32 / binned),
             corridor: tally.corridor.unsigned_abs() as f64 / tally.pairs.max(1) as f64,
         }
     }

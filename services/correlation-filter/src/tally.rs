@@ -11,6 +11,8 @@ const RANGE_CAP_M: f32 = 8191.0;
 const BLOCK: usize = 256;
 /// Scans with fewer beams are taken beam by beam: their sectors are narrower than a block.
 const BLOCKS_FROM: usize = 16_384;
+/// Of so many beams one enters the histogram there: a histogram of a thousand is as good as one of all.
+const BIN_EVERY: usize = 16;
 /// What stands for a range that is not valid.
 const INVALID: i32 = -1;
 
@@ -20,15 +22,21 @@ pub fn tally(scan: ScanView<'_>, beams: Range<usize>) -> ScanTally {
     let mut tally = ScanTally { id: scan.header().id, parts: 1, ..ScanTally::default() };
     let places = Places::of(scan);
     let beams = beams.start..beams.end.min(scan.len());
-    let blocks = scan.len() >= BLOCKS_FROM && places.are_narrow(scan);
+    let length = places.block(scan);
+    let is_large = scan.len() >= BLOCKS_FROM && length == BLOCK;
+    let bin_every = if is_large { BIN_EVERY } else { 1 };
     let mut at = beams.start;
     while at < beams.end {
-        let end = if blocks { (at + BLOCK).min(beams.end) } else { beams.end };
+        let end = (at + length).min(beams.end);
         let place = places.of_beam(scan, at);
-        if blocks && place == places.of_beam(scan, end - 1) {
+        let is_one_place = length > 1 && place == places.of_beam(scan, end - 1);
+        if is_one_place && is_large {
             take_block(&mut tally, scan, at..end, place);
         } else {
-            (at..end).for_each(|beam| take_beam(&mut tally, scan, beam, places.of_beam(scan, beam)));
+            for beam in at..end {
+                let place = if is_one_place { place } else { places.of_beam(scan, beam) };
+                take_beam(&mut tally, scan, beam, place, bin_every);
+            }
         }
         at = end;
     }
@@ -53,11 +61,15 @@ impl Places {
         Self { turned_rad: mounted_rad + heading_rad, mounted_rad }
     }
 
-    /// Whether even angles change so little over a block that equal places at its ends are equal in between.
-    fn are_narrow(&self, scan: ScanView<'_>) -> bool {
+    /// Beams in a row, at most [`BLOCK`], over which even angles change so little that equal places at both ends are equal in between.
+    fn block(&self, scan: ScanView<'_>) -> usize {
         let header = scan.header();
-        let explicit = header.sections & flockslam_messages::ScanSections::ANGLES != 0;
-        !explicit && header.angle_increment_rad.abs() * (BLOCK as f64) < TAU / TALLY_SECTORS as f64
+        if header.sections & flockslam_messages::ScanSections::ANGLES != 0 {
+            return 1;
+        }
+        let sector_rad = TAU / TALLY_SECTORS as f64;
+        let is_narrow = |length: &usize| header.angle_increment_rad.abs() * (*length as f64) < sector_rad;
+        [BLOCK, BLOCK / 8, 8, 4].into_iter().find(is_narrow).unwrap_or(1)
     }
 
     fn of_beam(&self, scan: ScanView<'_>, beam: usize) -> Place {
@@ -85,7 +97,7 @@ fn bin_of(units: i32) -> usize {
     ((units * 5) >> 11).min(TALLY_BINS as i32 - 1) as usize
 }
 
-fn take_beam(tally: &mut ScanTally, scan: ScanView<'_>, beam: usize, place: Place) {
+fn take_beam(tally: &mut ScanTally, scan: ScanView<'_>, beam: usize, place: Place, bin_every: usize) {
     let limits_m = (scan.header().range_min_m, scan.header().range_max_m);
     let here = units(scan.ranges()[beam], limits_m);
     if here == INVALID {
@@ -93,7 +105,9 @@ fn take_beam(tally: &mut ScanTally, scan: ScanView<'_>, beam: usize, place: Plac
     }
     tally.range_sums[place.0] += here as u64;
     tally.counts[place.0] += 1;
-    tally.bins[bin_of(here)] += 1;
+    if beam.is_multiple_of(bin_every) {
+        tally.bins[bin_of(here)] += 1;
+    }
     let next = scan.ranges().get(beam + 1).map_or(INVALID, |range| units(*range, limits_m));
     if next != INVALID {
         let falls = i64::from(here > next) - i64::from(here < next);
@@ -123,30 +137,9 @@ fn take_block(tally: &mut ScanTally, scan: ScanView<'_>, beams: Range<usize>, pl
     tally.counts[place.0] += valid as u32;
     tally.corridor += i64::from(if place.1 { falls } else { -falls });
     tally.pairs += pairs as u64;
-    take_bins(&mut tally.bins, first);
-}
-
-/// Four histograms by turns: a count need not wait for the one before to be stored.
-fn take_bins(bins: &mut [u32; TALLY_BINS], block: &[i32]) {
-    const WIDTH: usize = 32;
-    let mut places = [0_u8; BLOCK];
-    for (place, units) in places.iter_mut().zip(block) {
-        // What is not valid goes into a place behind the bins.
-        let bin = (units.wrapping_mul(5) >> 11).min(TALLY_BINS as i32 - 1);
-        *place = if *units < 0 { WIDTH as u8 - 1 } else { bin as u8 };
-    }
-    let mut counts = [[0_u32; WIDTH]; 4];
-    let mut quads = places[..block.len()].chunks_exact(4);
-    for quad in quads.by_ref() {
-        for (counts, place) in counts.iter_mut().zip(quad) {
-            let count = &mut counts[usize::from(*place) % WIDTH];
-            *count = count.wrapping_add(1);
-        }
-    }
-    quads.remainder().iter().for_each(|place| counts[0][usize::from(*place) % WIDTH] += 1);
-    for (bin, total) in bins.iter_mut().enumerate() {
-        *total += counts.iter().map(|counts| counts[bin]).sum::<u32>();
-    }
+    let to_first = beams.start.next_multiple_of(BIN_EVERY) - beams.start;
+    let picked = first.iter().skip(to_first).step_by(BIN_EVERY).filter(|units| **units != INVALID);
+    picked.for_each(|units| tally.bins[bin_of(*units)] += 1);
 }
 
 #[cfg(test)]
@@ -210,7 +203,9 @@ mod tests {
         let view = scan.view().unwrap();
         let mut one_by_one = ScanTally { parts: 1, ..ScanTally::default() };
         let places = Places::of(view);
-        (0..view.len()).for_each(|beam| take_beam(&mut one_by_one, view, beam, places.of_beam(view, beam)));
+        (0..view.len()).for_each(|beam| {
+            take_beam(&mut one_by_one, view, beam, places.of_beam(view, beam), BIN_EVERY);
+        });
         assert_eq!(tally(view, 0..view.len()), one_by_one);
     }
 
