@@ -2,7 +2,7 @@ use crate::batch::{BATCH, Batch, Sums};
 use crate::field::{ScoreField, ScoreRead};
 use flockslam_evidence::Level;
 use flockslam_geometry::{Covariance, Point, Pose, wrap_angle};
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix3, SMatrix, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`GaussNewton`].
@@ -156,15 +156,7 @@ impl Fit {
         let Some(factor) = precision.cholesky() else {
             return Covariance::diagonal(prior_xy_m, prior_heading_rad);
         };
-        let c = factor.inverse();
-        Covariance {
-            xx: c[(0, 0)],
-            xy: c[(0, 1)],
-            xt: c[(0, 2)],
-            yy: c[(1, 1)],
-            yt: c[(1, 2)],
-            tt: c[(2, 2)],
-        }
+        of_pose(&factor.inverse())
     }
 
     /// How well the worst direction of translation is determined: the smaller eigenvalue of the information on
@@ -177,6 +169,11 @@ impl Fit {
         let (mean, half) = (0.5 * (xx + yy), 0.5 * (xx - yy));
         (mean - half.hypot(xy)).max(0.0) / self.points.max(1) as f64
     }
+}
+
+/// The covariance in a symmetric matrix whose first three rows are x, y and heading.
+pub(crate) fn of_pose<const N: usize>(c: &SMatrix<f64, N, N>) -> Covariance {
+    Covariance { xx: c[(0, 0)], xy: c[(0, 1)], xt: c[(0, 2)], yy: c[(1, 1)], yt: c[(1, 2)], tt: c[(2, 2)] }
 }
 
 /// `covariance` with an error of `sigma_m` of the position added in every direction.

@@ -2,7 +2,7 @@
 //! CT-ICP, Dellenbach et al. 2022, with a constant velocity within the scan).
 
 use crate::field::{ScoreField, ScoreRead, bilinear};
-use crate::gauss_newton::{GaussNewton, shared_variance};
+use crate::gauss_newton::{GaussNewton, of_pose, shared_variance};
 use flockslam_evidence::Level;
 use flockslam_geometry::{Covariance, Point, Pose, Twist, wrap_angle};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
@@ -110,15 +110,7 @@ impl Sweep<'_> {
         let precision = system.hessian / shared_variance(system.noise)
             + weights([xy, xy, heading], sigma.precision(pose));
         let Some(factor) = precision.cholesky() else { return Covariance::diagonal(prior.0, prior.1) };
-        let c = factor.inverse();
-        Covariance {
-            xx: c[(0, 0)],
-            xy: c[(0, 1)],
-            xt: c[(0, 2)],
-            yy: c[(1, 1)],
-            yt: c[(1, 2)],
-            tt: c[(2, 2)],
-        }
+        of_pose(&factor.inverse())
     }
 }
 

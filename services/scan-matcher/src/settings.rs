@@ -26,8 +26,8 @@ pub struct Settings {
     pub rescue: Rescue,
     /// When a scan enters the map and when the filter is overruled.
     pub gate: Gate,
-    /// Whether the velocity during a scan whose beams leave one after the other is fitted together with its pose; otherwise it
-    /// is that of the wheels before the scan.
+    /// Whether the velocity during a scan whose beams leave one after the other is fitted together with its pose (`gauss-newton`,
+    /// `correlative`, `ndt`); otherwise it is that of the wheels before the scan.
     pub fits_velocity: bool,
     /// Shorter ranges are not matched, metres.
     pub range_min_m: f64,

@@ -58,16 +58,15 @@ impl ScanMatcher {
         fit: Option<Fit>,
         scan: ScanView<'_>,
     ) -> Match {
-        let (fit, rescued) = match self.settings.strategy {
-            Strategy::MonteCarlo | Strategy::HillClimbing => {
-                (self.sampled(field, prediction.pose, scan), false)
-            }
-            Strategy::GaussNewton | Strategy::Correlative | Strategy::Ndt => {
-                let fit = self.track(field, prediction.pose, fit, scan.odometry().is_some());
-                self.rescue(field, prediction.pose, fit)
-            }
+        let descends = !matches!(self.settings.strategy, Strategy::MonteCarlo | Strategy::HillClimbing);
+        let (fit, rescued) = if descends {
+            let fit = self.track(field, prediction.pose, fit, scan.odometry().is_some());
+            self.rescue(field, prediction.pose, fit)
+        } else {
+            (self.sampled(field, prediction.pose, scan), false)
         };
-        let (mut fit, twist, mut covariance) = if self.settings.fits_velocity && scan.takes_time() {
+        let fits_velocity = descends && self.settings.fits_velocity && scan.takes_time();
+        let (mut fit, twist, mut covariance) = if fits_velocity {
             let (now, covariance) = self.straighten(field, prediction, fit, scan);
             (Fit::at(field, &self.points, now.pose), now.twist, covariance)
         } else {

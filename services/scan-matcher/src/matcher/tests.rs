@@ -251,3 +251,28 @@ fn scans_of_any_size_are_taken() {
         assert_eq!(estimate.has(PoseFlags::INSERT), beams > 4, "{beams}");
     }
 }
+
+#[test]
+fn scans_that_take_time_and_end_outside_the_map_are_fitted_by_every_strategy() {
+    let strategies = [
+        Strategy::GaussNewton,
+        Strategy::MonteCarlo,
+        Strategy::HillClimbing,
+        Strategy::Correlative,
+        Strategy::Ndt,
+    ];
+    for strategy in strategies {
+        let mut front_end = FrontEnd::new(Settings { strategy, ..Settings::default() });
+        for sequence in 0..3 {
+            let pose = Pose::new(0.05 * sequence as f64, 0.0, 0.0);
+            let mut scan = look(sequence, pose, Some(pose));
+            scan.header.time_increment_s = 1e-5;
+            if sequence == 0 {
+                // Of the room only what is near is mapped.
+                scan.numbers.iter_mut().filter(|range| **range > 3.0).for_each(|range| *range = f32::NAN);
+            }
+            let estimate = front_end.step(&scan, true);
+            assert!(estimate.odom_from_base.distance_m(pose) < 0.2, "{strategy:?}: {estimate:?}");
+        }
+    }
+}
