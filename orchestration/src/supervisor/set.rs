@@ -304,9 +304,16 @@ fn children(set: &SetFile) -> Vec<StageChild> {
     Stage::ALL.into_iter().flat_map(of_stage).collect()
 }
 
-/// Steps that a stage yields to the others of its set: live, a pose is awaited, and a loop closure can be a little later.
+/// Steps that a stage yields to the others of its set: live, a pose is awaited, the map of it and a loop closure can be a
+/// little later.
 fn niceness(stage: Stage, mode: Mode) -> i32 {
-    if mode == Mode::Live && stage == Stage::SyncManager { 10 } else { 0 }
+    match (mode, stage) {
+        (Mode::Exact, _) => 0,
+        (Mode::Live, Stage::LidarIngest | Stage::CorrelationFilter | Stage::ScanMatcher) => 0,
+        (Mode::Live, Stage::Mapper) => 5,
+        (Mode::Live, Stage::DynamicCleaner) => 8,
+        (Mode::Live, Stage::SyncManager) => 15,
+    }
 }
 
 /// Where a stage writes why it could not go on.

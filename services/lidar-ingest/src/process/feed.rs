@@ -1,6 +1,6 @@
 use super::pipe::{Pipe, Piped};
 use super::truth::TruthWriter;
-use super::{Source, Task, world_file};
+use super::{Source, Task, first_stages, world_file};
 use crate::carmen::{CarmenReader, Tally};
 use crate::experiment::Experiment;
 use crate::simulation::{Simulation, World};
@@ -45,7 +45,10 @@ impl Feed {
                 let name = path.display().to_string();
                 (Kind::Log(Box::new(CarmenReader::new(reader, name, task.settings.clone()))), expected)
             }
-            Source::Pipe => (Kind::Pipe(Pipe::start(context, task.settings.clone())?), 0),
+            Source::Pipe => {
+                let first = first_stages(context.mode);
+                (Kind::Pipe(Pipe::start(context, task.settings.clone(), first)?), 0)
+            }
             Source::Simulation => {
                 let built_in = || Ok(World::built_in(task.simulation.world));
                 let world = task.world.as_deref().map_or_else(built_in, world_file::read)?;
