@@ -20,6 +20,7 @@ enum Kind {
     Log(Box<CarmenReader<BufReader<File>>>),
     Pipe(Pipe),
     Simulation { simulation: Box<Simulation>, truth: TruthWriter },
+    Nothing,
 }
 
 /// What a feed gave.
@@ -54,6 +55,7 @@ impl Feed {
                 let total = simulation.scans() as u64;
                 (Kind::Simulation { simulation, truth: TruthWriter::create(&context.result_dir)? }, total)
             }
+            Source::Nothing => (Kind::Nothing, 0),
         };
         Ok(Self { kind, experiment: Experiment::new(&task.settings, expected) })
     }
@@ -99,6 +101,7 @@ impl Feed {
                 }
                 None => Fed::End,
             },
+            Kind::Nothing => Fed::End,
         };
         if fed == Fed::Scan {
             self.experiment.apply(scan);
@@ -111,7 +114,7 @@ impl Feed {
         match &self.kind {
             Kind::Log(reader) => Some(reader.tally().clone()),
             Kind::Pipe(pipe) => Some(pipe.tally()),
-            Kind::Simulation { .. } => None,
+            Kind::Simulation { .. } | Kind::Nothing => None,
         }
     }
 
