@@ -1,14 +1,17 @@
-use super::SetFile;
-use super::child::StageChild;
+use super::child::{StageChild, StartOrder};
+use super::hang::HangWatch;
+use super::status::{SetState, SetStatus, StageState, StageStatus};
+use super::{ProcessLimits, SetFile, Supervision};
+use crate::configuration::Configuration;
 use flockslam_bus::{BellRinger, Bus, BusError, Publisher, RuntimeDir, RuntimeError, Subscriber};
 use flockslam_messages::{Control, ControlKind, Progress, Stage};
-use flockslam_stage::{Mode, StageError, heartbeat_file};
-use flockslam_telemetry::{SupervisorMetrics, read_heartbeat};
+use flockslam_stage::{Mode, StageError};
+use flockslam_telemetry::{SupervisorMetrics, monotonic_ns};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::process::Signal;
 use std::io;
 use std::os::unix::process::ExitStatusExt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
 use std::time::{Duration, Instant};
 
@@ -84,7 +87,10 @@ pub struct ProcessSet {
     orders: Publisher<Control>,
     source_bell: BellRinger,
     set: SetFile,
+    supervision: Supervision,
+    hang_watch: HangWatch,
     executable: PathBuf,
+    started: Instant,
     cleaned: Instant,
     // The bus goes before the directory that it lies in.
     bus: Bus,
@@ -92,14 +98,14 @@ pub struct ProcessSet {
 }
 
 impl ProcessSet {
-    /// Creates shared memory and starts all stages: consumers first, the source when everybody listens.
+    /// Creates shared memory in a directory, which may hold what an earlier set knew, and starts all stages: consumers first, the
+    /// source when everybody listens.
     ///
     /// # Errors
-    /// When a set of this name runs, or a stage cannot be started.
-    pub fn start(name: &str, set: SetFile) -> Result<Self, SetError> {
+    /// When shared memory cannot be prepared, or a stage cannot be started.
+    pub fn start(runtime: RuntimeDir, set: SetFile, supervision: Supervision) -> Result<Self, SetError> {
         let executable =
             std::env::current_exe().map_err(|source| SetError::Start { stage: "flockslam", source })?;
-        let runtime = RuntimeDir::create_spilling(name, set.configuration.set.spill_dir.as_deref())?;
         let bus = Bus::host(&runtime, set.options.capacity())?;
         set.write(&runtime.configuration())?;
         let mut started = Self {
@@ -110,7 +116,10 @@ impl ProcessSet {
             orders: bus.publisher()?,
             source_bell: bus.ringer(Stage::LidarIngest.name())?,
             executable,
+            started: Instant::now(),
             cleaned: Instant::now(),
+            hang_watch: HangWatch::default(),
+            supervision,
             set,
             bus,
             runtime,
@@ -133,31 +142,65 @@ impl ProcessSet {
     }
 
     fn spawn(&mut self, at: usize) -> Result<(), SetError> {
-        let mode = self.set.options.mode;
         let child = &mut self.children[at];
-        let reads_stdin = child.stage == Stage::LidarIngest;
-        let stage = child.stage.name();
-        child
-            .start(&self.executable, self.runtime.path(), reads_stdin, niceness(child.stage, mode))
-            .map_err(|source| SetError::Start { stage, source })
+        let given = self.supervision.limits(child.stage);
+        let nice = given.nice.or(Some(niceness(child.stage, self.set.options.mode)));
+        let limits = ProcessLimits { nice, ..given };
+        let order =
+            StartOrder { executable: &self.executable, set_dir: self.runtime.path(), limits: &limits };
+        child.start(&order).map_err(|source| SetError::Start { stage: child.stage.name(), source })
     }
 
     fn wait_until_ready(&mut self, children: &[usize]) -> Result<(), SetError> {
         let deadline = Instant::now() + READY_LIMIT;
         for at in children {
-            let StageChild { stage, replica, .. } = self.children[*at];
-            let heartbeat = heartbeat_file(&self.runtime.status(), &format!("{}-{replica}", stage.name()));
-            while !matches!(read_heartbeat(&heartbeat), Ok(Some(_))) {
-                if let Some(status) = self.children[*at].reap() {
-                    return Err(self.ended(stage, status));
+            while !self.children[*at].beat(&self.runtime.status()).is_some_and(|beat| beat.ready) {
+                if self.supervision.live {
+                    self.look_after()?;
+                } else if let Some(status) = self.children[*at].reap() {
+                    return Err(self.ended(self.children[*at].stage, status));
                 }
-                if Instant::now() > deadline {
-                    return Err(SetError::NotReady(stage.name()));
+                if Instant::now() > deadline || self.children[*at].is_given_up() {
+                    if self.supervision.live {
+                        // The others do without it.
+                        break;
+                    }
+                    return Err(SetError::NotReady(self.children[*at].stage.name()));
                 }
                 std::thread::sleep(Duration::from_millis(1));
             }
         }
         Ok(())
+    }
+
+    /// Restarts what has died, replaces what hangs, and frees what dead processes hold.
+    fn look_after(&mut self) -> Result<(), SetError> {
+        self.handle_deaths()?;
+        if self.supervision.live {
+            self.look_for_hangs();
+        }
+        if self.cleaned.elapsed() > CLEAN_PERIOD {
+            self.clean();
+        }
+        Ok(())
+    }
+
+    fn look_for_hangs(&mut self) {
+        let (now_ns, status_dir) = (monotonic_ns(), self.runtime.status());
+        let may_judge = self.hang_watch.look(now_ns);
+        for child in &mut self.children {
+            child.retry_when_due();
+            let stage = child.stage;
+            if child.note_work(&status_dir) {
+                tracing::info!(stage = stage.name(), "works again");
+                self.metrics.set_degraded(stage.name(), false);
+            }
+            let deadline = self.supervision.limits(stage).deadline(stage);
+            if may_judge && child.kill_if_it_hangs(&status_dir, now_ns, deadline) {
+                tracing::warn!(stage = stage.name(), "gives no sign of life and is replaced");
+                self.metrics.hung(stage.name());
+            }
+        }
     }
 
     /// Waits up to `limit` for something to happen; restarts what has died.
@@ -166,10 +209,7 @@ impl ProcessSet {
     /// When the set cannot go on.
     pub fn watch(&mut self, limit: Duration) -> Result<SetEvent, SetError> {
         self.wait_for_deaths(limit);
-        self.handle_deaths()?;
-        if self.cleaned.elapsed() > CLEAN_PERIOD {
-            self.clean();
-        }
+        self.look_after()?;
         let mut event = SetEvent::Quiet;
         while let Some(progress) = self.progress.receive()? {
             if progress.stage == Stage::ScanMatcher as u32 {
@@ -206,9 +246,8 @@ impl ProcessSet {
                     return Err(self.ended(stage, status));
                 }
                 tracing::warn!(stage = stage.name(), how = describe(status), "restarting");
-                if !self.children[at].plan_restart() {
-                    let times = self.children[at].pids.len();
-                    return Err(SetError::GivenUp { stage: stage.name(), times, how: describe(status) });
+                if !self.children[at].plan_restart(&self.runtime.status()) {
+                    self.give_up(at, status)?;
                 }
             }
             if self.children[at].is_due() {
@@ -217,6 +256,89 @@ impl ProcessSet {
             }
         }
         Ok(())
+    }
+
+    /// A stage does not get up: one run ends with that, a live set goes on without.
+    fn give_up(&mut self, at: usize, status: ExitStatus) -> Result<(), SetError> {
+        let child = &mut self.children[at];
+        let stage = child.stage.name();
+        if !self.supervision.live {
+            return Err(SetError::GivenUp { stage, times: child.pids.len(), how: describe(status) });
+        }
+        child.give_up(self.supervision.retry);
+        self.metrics.set_degraded(stage, true);
+        tracing::error!(stage, how = describe(status), "does not get up: the set goes on without it");
+        Ok(())
+    }
+
+    /// Kills all processes of a stage, which are started again at once; false when there is none.
+    pub fn restart(&self, stage: Stage) -> bool {
+        let of_stage = self.children.iter().filter(|child| child.stage == stage && child.is_running());
+        of_stage.map(|child| child.signal(Signal::KILL)).count() > 0
+    }
+
+    /// Stops all stages, forgets what they know, lets `prepare` put something else into the directory (it gives the sequence of the
+    /// first scan that follows), and starts them again.
+    ///
+    /// # Errors
+    /// What `prepare` or the start could not do.
+    pub fn begin_anew<E: From<SetError>>(
+        &mut self,
+        prepare: impl FnOnce(&RuntimeDir) -> Result<u64, E>,
+    ) -> Result<(), E> {
+        self.stop();
+        self.runtime.forget_state().map_err(SetError::from)?;
+        self.set.options.first_sequence = prepare(&self.runtime)?;
+        self.set.write(&self.runtime.configuration()).map_err(SetError::from)?;
+        Ok(self.start_stages()?)
+    }
+
+    /// Changes the number of processes of a stage. All of them start anew, since each has to know its share; the others wait for
+    /// none of them meanwhile.
+    ///
+    /// # Errors
+    /// When the stage cannot have so many, or they cannot be started: why.
+    pub fn scale(&mut self, stage: Stage, replicas: usize) -> Result<(), String> {
+        let at_most = if stage == Stage::CorrelationFilter { self.set.options.replicas } else { 1 };
+        if replicas == 0 || replicas > at_most {
+            return Err(format!("{} can have 1 to {at_most} processes in this set", stage.name()));
+        }
+        if self.children.iter().filter(|child| child.stage == stage).count() == replicas {
+            return Ok(());
+        }
+        self.set.configuration.correlation_filter.replicas = replicas;
+        self.set.write(&self.runtime.configuration()).map_err(|error| error.to_string())?;
+        for child in self.children.iter_mut().filter(|child| child.stage == stage) {
+            child.end();
+        }
+        self.children.retain(|child| child.stage != stage);
+        self.clean();
+        let place = self.children.iter().position(|child| child.stage == Stage::LidarIngest).unwrap_or(0);
+        for replica in 0..replicas {
+            self.children.insert(place + replica, StageChild::new(stage, replica as u32));
+            self.spawn(place + replica).map_err(|error| error.to_string())?;
+        }
+        Ok(())
+    }
+
+    /// The configuration of its stages.
+    pub fn configuration(&self) -> &Configuration {
+        &self.set.configuration
+    }
+
+    /// How the set and each of its processes is.
+    pub fn status(&self) -> SetStatus {
+        let status_dir = self.runtime.status();
+        let stages: Vec<_> = self.children.iter().map(|child| stage_status(child, &status_dir)).collect();
+        let degraded = stages.iter().any(|stage| stage.state == StageState::Degraded);
+        SetStatus {
+            robot: self.runtime.name().to_owned(),
+            pid: std::process::id(),
+            state: if degraded { SetState::Degraded } else { SetState::Running },
+            uptime_s: self.started.elapsed().as_secs_f64(),
+            saved: None,
+            stages,
+        }
     }
 
     fn ended(&self, stage: Stage, status: ExitStatus) -> SetError {
@@ -267,6 +389,11 @@ impl ProcessSet {
         &self.runtime
     }
 
+    /// Whether all state goes with the set, or stays for the next one of its name.
+    pub fn wipe_at_end(&mut self, wipes: bool) {
+        self.runtime.wipe_at_end(wipes);
+    }
+
     /// What the supervisor itself tells about the set; clones share the numbers.
     pub fn metrics(&self) -> &SupervisorMetrics {
         &self.metrics
@@ -291,6 +418,27 @@ impl Drop for ProcessSet {
                 child.reap();
             });
         }
+    }
+}
+
+fn stage_status(child: &StageChild, status_dir: &Path) -> StageStatus {
+    let beat = child.beat(status_dir);
+    let state = match (&beat, child.is_running()) {
+        _ if child.is_given_up() => StageState::Degraded,
+        (_, false) => StageState::Down,
+        (Some(beat), true) if beat.ready => StageState::Running,
+        _ => StageState::Starting,
+    };
+    let silent_ns = |beat: flockslam_telemetry::Beat| monotonic_ns().saturating_sub(beat.monotonic_ns);
+    StageStatus {
+        stage: child.stage.name().to_owned(),
+        replica: child.replica,
+        pid: child.pids.last().copied().filter(|_| child.is_running()),
+        state,
+        restarts: child.restarts(),
+        hangs: child.hangs,
+        handled: beat.map_or(0, |beat| beat.handled),
+        silent_s: beat.map(|beat| silent_ns(beat) as f64 * 1e-9),
     }
 }
 
