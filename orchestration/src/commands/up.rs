@@ -35,7 +35,7 @@ pub fn run(args: &UpArgs) -> Result<(), CommandError> {
     let control = ControlSocket::open(&live.set.runtime().control_socket()).map_err(CommandError::failed)?;
     let _metrics = description.metrics_port.map(|port| serve_metrics(&live.set, port)).transpose()?;
     let has_ended = live.attend(&control, &interrupts)?;
-    live.save_and_stop();
+    live.stop_and_save();
     match &args.out {
         Some(out) if has_ended => {
             let finished = Finished {
@@ -161,13 +161,17 @@ impl LiveSet {
         loaded.map_err(|error| error.to_string())
     }
 
-    fn save_and_stop(&mut self) {
+    fn stop_and_save(&mut self) {
+        // Nothing is accepted any more once the stages have ended, so that what is saved then is everything.
+        self.set.stop();
         if let Some(keeper) = &self.keeper
             && !keeper.save_now(LAST_SAVE_LIMIT)
         {
-            tracing::error!("the map could not be saved at the end");
+            tracing::error!(
+                "the map could not be saved at the end: it stays in memory for the next set of this name"
+            );
+            return;
         }
-        self.set.stop();
         self.set.wipe_at_end(true);
     }
 }

@@ -1,15 +1,15 @@
 use super::child::{StageChild, StartOrder};
+use super::error::{READY_LIMIT, SetError};
 use super::hang::HangWatch;
 use super::status::{SetState, SetStatus, StageState, StageStatus};
 use super::{ProcessLimits, SetFile, Supervision};
 use crate::configuration::Configuration;
-use flockslam_bus::{BellRinger, Bus, BusError, Publisher, RuntimeDir, RuntimeError, Subscriber};
+use flockslam_bus::{BellRinger, Bus, Publisher, RuntimeDir, Subscriber};
 use flockslam_messages::{Control, ControlKind, Progress, Stage};
-use flockslam_stage::{Mode, StageError};
+use flockslam_stage::Mode;
 use flockslam_telemetry::{SupervisorMetrics, monotonic_ns};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::process::Signal;
-use std::io;
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
@@ -17,55 +17,12 @@ use std::time::{Duration, Instant};
 
 /// Exit code of a stage whose source is not usable: a mistake of the user's.
 pub const EXIT_BAD_SOURCE: i32 = 2;
-const READY_LIMIT: Duration = Duration::from_secs(20);
 const STOP_LIMIT: Duration = Duration::from_secs(2);
+/// What a set that lives knows lies outside of its stages, so none of them is waited for.
+const STOP_LIMIT_LIVE: Duration = Duration::from_millis(500);
+/// Reports of processes that are kept for each stage.
+const REPORTS_MAX: usize = 64;
 const CLEAN_PERIOD: Duration = Duration::from_secs(1);
-
-/// Why a process set failed.
-#[derive(Debug, thiserror::Error)]
-pub enum SetError {
-    /// The bus failed.
-    #[error(transparent)]
-    Bus(#[from] BusError),
-    /// The runtime directory failed.
-    #[error(transparent)]
-    Runtime(#[from] RuntimeError),
-    /// A file of the set failed.
-    #[error(transparent)]
-    Stage(#[from] StageError),
-    /// A process could not be started or watched.
-    #[error("cannot start {stage}: {source}")]
-    Start {
-        /// Which stage.
-        stage: &'static str,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// A stage did not get ready.
-    #[error("{0} was not ready within {limit} s", limit = READY_LIMIT.as_secs())]
-    NotReady(&'static str),
-    /// The source of scans is not usable.
-    #[error("{0}")]
-    Source(String),
-    /// A stage ended in exact replay, which has no restarts.
-    #[error("{stage} ended during an exact replay ({how}): run it again, or replay live with --rate")]
-    Ended {
-        /// Which stage.
-        stage: &'static str,
-        /// Its exit status.
-        how: String,
-    },
-    /// A stage keeps dying.
-    #[error("{stage} died {times} times in a row soon after its start ({how})")]
-    GivenUp {
-        /// Which stage.
-        stage: &'static str,
-        /// How often it was started.
-        times: usize,
-        /// Its last exit status.
-        how: String,
-    },
-}
 
 /// What happened in a running set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -148,6 +105,7 @@ impl ProcessSet {
         let limits = ProcessLimits { nice, ..given };
         let order =
             StartOrder { executable: &self.executable, set_dir: self.runtime.path(), limits: &limits };
+        prune_reports(&self.runtime.status(), child.stage);
         child.start(&order).map_err(|source| SetError::Start { stage: child.stage.name(), source })
     }
 
@@ -329,7 +287,7 @@ impl ProcessSet {
     /// How the set and each of its processes is.
     pub fn status(&self) -> SetStatus {
         let status_dir = self.runtime.status();
-        let stages: Vec<_> = self.children.iter().map(|child| stage_status(child, &status_dir)).collect();
+        let stages: Vec<_> = self.children.iter().map(|child| StageStatus::of(child, &status_dir)).collect();
         let degraded = stages.iter().any(|stage| stage.state == StageState::Degraded);
         SetStatus {
             robot: self.runtime.name().to_owned(),
@@ -372,7 +330,8 @@ impl ProcessSet {
     /// Stops all stages: SIGTERM, and SIGKILL for who does not listen.
     pub fn stop(&mut self) {
         self.children.iter().for_each(|child| child.signal(Signal::TERM));
-        let deadline = Instant::now() + STOP_LIMIT;
+        let limit = if self.supervision.live { STOP_LIMIT_LIVE } else { STOP_LIMIT };
+        let deadline = Instant::now() + limit;
         while self.children.iter().any(StageChild::is_running) {
             if Instant::now() > deadline {
                 self.children.iter().for_each(|child| child.signal(Signal::KILL));
@@ -421,24 +380,17 @@ impl Drop for ProcessSet {
     }
 }
 
-fn stage_status(child: &StageChild, status_dir: &Path) -> StageStatus {
-    let beat = child.beat(status_dir);
-    let state = match (&beat, child.is_running()) {
-        _ if child.is_given_up() => StageState::Degraded,
-        (_, false) => StageState::Down,
-        (Some(beat), true) if beat.ready => StageState::Running,
-        _ => StageState::Starting,
-    };
-    let silent_ns = |beat: flockslam_telemetry::Beat| monotonic_ns().saturating_sub(beat.monotonic_ns);
-    StageStatus {
-        stage: child.stage.name().to_owned(),
-        replica: child.replica,
-        pid: child.pids.last().copied().filter(|_| child.is_running()),
-        state,
-        restarts: child.restarts(),
-        hangs: child.hangs,
-        handled: beat.map_or(0, |beat| beat.handled),
-        silent_s: beat.map(|beat| silent_ns(beat) as f64 * 1e-9),
+/// Removes the oldest reports of a stage's dead processes: thousands of restarts shall not fill the memory.
+fn prune_reports(status_dir: &Path, stage: Stage) {
+    let Ok(entries) = std::fs::read_dir(status_dir) else { return };
+    let is_report = |name: &str| name.starts_with(stage.name()) && name.ends_with(".report");
+    let reports = entries.flatten().filter(|entry| is_report(&entry.file_name().to_string_lossy()));
+    let mut reports: Vec<_> =
+        reports.filter_map(|entry| Some((entry.metadata().ok()?.modified().ok()?, entry.path()))).collect();
+    reports.sort();
+    for (_, path) in &reports[..reports.len().saturating_sub(REPORTS_MAX)] {
+        // Should it stay, it is tried again with the next start.
+        let _ = std::fs::remove_file(path);
     }
 }
 

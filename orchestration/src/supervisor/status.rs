@@ -1,5 +1,8 @@
+use super::child::StageChild;
+use flockslam_telemetry::{Beat, monotonic_ns};
 use serde::{Deserialize, Serialize};
 use std::fmt;
+use std::path::Path;
 
 /// How a running set is: what `flockslam status --json` prints.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -74,6 +77,30 @@ pub enum StageState {
     Down,
     /// It does not get up; it is tried again now and then.
     Degraded,
+}
+
+impl StageStatus {
+    /// Of a child, as it is now.
+    pub(super) fn of(child: &StageChild, status_dir: &Path) -> Self {
+        let beat = child.beat(status_dir);
+        let state = match (&beat, child.is_running()) {
+            _ if child.is_given_up() => StageState::Degraded,
+            (_, false) => StageState::Down,
+            (Some(beat), true) if beat.ready => StageState::Running,
+            _ => StageState::Starting,
+        };
+        let silent_ns = |beat: Beat| monotonic_ns().saturating_sub(beat.monotonic_ns);
+        Self {
+            stage: child.stage.name().to_owned(),
+            replica: child.replica,
+            pid: child.pids.last().copied().filter(|_| child.is_running()),
+            state,
+            restarts: child.restarts(),
+            hangs: child.hangs,
+            handled: beat.map_or(0, |beat| beat.handled),
+            silent_s: beat.map(|beat| silent_ns(beat) as f64 * 1e-9),
+        }
+    }
 }
 
 impl StageState {

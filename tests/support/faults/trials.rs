@@ -211,8 +211,10 @@ fn left_behind(robot: &str) -> usize {
         let named = |entry: &std::fs::DirEntry| entry.file_name().to_string_lossy().contains(wanted);
         names.unwrap_or_default().iter().filter(|entry| named(entry)).count()
     };
-    let bus = flockslam_bus::RuntimeDir::path_of(robot).join("bus");
-    count(Path::new("/dev/shm"), robot) + count(&bus.join("nodes"), "") + count(&bus.join("services"), "")
+    let set = flockslam_bus::RuntimeDir::path_of(robot);
+    let inside = ["bus/nodes", "bus/services", "status", "journal"];
+    let inside = inside.iter().map(|name| count(&set.join(name), "")).sum::<usize>();
+    count(Path::new("/dev/shm"), robot) + inside
 }
 
 fn descriptors(pid: u32) -> usize {
@@ -240,8 +242,8 @@ pub fn crashing_starts(stage: Stage, runs: usize, seed: u64) -> Trial {
         of(status, stage).handled > 0 && of(status, stage).state == StageState::Running
     });
     trial.recoveries_ms.push(since.elapsed().as_secs_f64() * 1e3);
-    // The supervisor cleans up once a second.
-    let (objects_max, files_max) = (objects + 60, files + 8);
+    // 64 reports of dead processes are kept, and what they leave until then is cleaned up once a second.
+    let (objects_max, files_max) = (objects + 64 + 60, files + 8);
     wait_for("what is left behind to be cleaned up", || {
         let found = (left_behind(set.robot()), descriptors(set.supervisor_pid()));
         (found.0 <= objects_max && found.1 <= files_max).then_some(())
