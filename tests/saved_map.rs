@@ -107,3 +107,23 @@ fn a_disk_that_refuses_leaves_the_poses_alone_and_is_told() {
     assert_eq!(set.wait(), Some(0));
     assert!(SavedMap::at(&map).check().unwrap().problems.is_empty());
 }
+
+/// Maps of formats that are or were in use, by name: each stays readable. A build that writes another format adds its own beside
+/// them (`flockslam up` with a map directory, a drive of a few seconds).
+const GOLDEN: [(&str, u64, u64, u32); 1] = [("map-1", 60, 28, 3)];
+
+#[test]
+fn maps_of_all_formats_so_far_are_read() {
+    for (name, poses, accepted, submaps) in GOLDEN {
+        let directory = support::repository().join("tests/golden").join(name);
+        let found = SavedMap::at(&directory).check().unwrap();
+        assert_eq!((found.poses, found.accepted, found.submaps), (poses, accepted, submaps), "{found:?}");
+        assert!(found.problems.is_empty(), "{found:?}");
+        let out = tempfile::tempdir().unwrap();
+        let mut export = flockslam();
+        let exported = export.args(["store", "export"]).arg(&directory).arg("--out").arg(out.path()).output();
+        let exported = exported.unwrap();
+        assert!(exported.status.success(), "{name}: {}", stderr(&exported));
+        assert_eq!(Outputs::read(out.path()).report.scans, poses);
+    }
+}
