@@ -6,7 +6,8 @@ mod support;
 use flockslam_geometry::Pose;
 use flockslam_messages::{PoseEstimate, PoseFlags, Stage};
 use support::faults::{
-    Evidence, Trial, crashing_starts, everything_at_once, kills_of_each_stage, stops_of_each_stage, storm,
+    Evidence, Trial, crashing_starts, everything_at_once, kills_of_each_stage, kills_while_saving,
+    stops_of_each_stage, storm,
 };
 
 fn judge(trial: &Trial) {
@@ -40,6 +41,11 @@ fn all_stages_and_the_supervisor_may_be_killed() {
 #[test]
 fn kills_while_a_stage_starts_leave_nothing_that_grows() {
     judge(&crashing_starts(Stage::DynamicCleaner, 40, 4));
+}
+
+#[test]
+fn a_kill_while_the_map_is_saved_leaves_a_good_map() {
+    judge(&kills_while_saving(5, 5));
 }
 
 /// Ten poses along a line, every second one with an accepted scan.

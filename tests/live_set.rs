@@ -57,6 +57,23 @@ fn a_second_set_of_the_same_name_and_a_missing_set_are_refused() {
 }
 
 #[test]
+fn processes_get_no_more_than_they_may_use() {
+    let directory = tempfile::tempdir().unwrap();
+    let more = "stages.dynamic-cleaner = { nice = 7, cpus = [0], memory_max_bytes = 300_000_000 }";
+    let mut set = LiveSet::start("limits", directory.path(), LONG, more);
+    set.wait_until_handled(Stage::DynamicCleaner, 1);
+    let pid = set.pid(Stage::DynamicCleaner);
+    let read = |name: &str| std::fs::read_to_string(format!("/proc/{pid}/{name}")).unwrap();
+    let limits = read("limits");
+    let data = limits.lines().find(|line| line.starts_with("Max data size")).unwrap();
+    assert!(data.contains("300000000"), "{data}");
+    assert!(read("status").lines().any(|line| line == "Cpus_allowed_list:\t0"));
+    // Behind the name, which is in brackets, the niceness is the 17th field.
+    let stat = read("stat");
+    assert_eq!(stat.rsplit(')').next().unwrap().split_whitespace().nth(16), Some("7"));
+}
+
+#[test]
 fn the_filter_gets_a_second_process_and_loses_it_again_without_a_lost_scan() {
     let directory = tempfile::tempdir().unwrap();
     let mut set = LiveSet::start("scale", directory.path(), LONG, "");

@@ -6,7 +6,8 @@ mod support;
 
 use flockslam_messages::Stage;
 use support::faults::{
-    Trial, crashing_starts, everything_at_once, kills_of_each_stage, stops_of_each_stage, storm,
+    Trial, crashing_starts, everything_at_once, kills_of_each_stage, kills_while_saving, stops_of_each_stage,
+    storm,
 };
 
 const RUNS: usize = 100;
@@ -30,6 +31,7 @@ fn rows() -> Vec<Row> {
     ));
     rows.push(("storm".to_owned(), Box::new(|runs| storm(0.6 * runs as f64, 3))));
     rows.push(("all at once".to_owned(), Box::new(|runs| everything_at_once(runs.div_ceil(10)))));
+    rows.push(("saving".to_owned(), Box::new(|runs| kills_while_saving(runs, 5))));
     rows.push(("starts".to_owned(), Box::new(|runs| crashing_starts(Stage::DynamicCleaner, 30 * runs, 4))));
     rows
 }

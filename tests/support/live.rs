@@ -108,8 +108,18 @@ impl LiveSet {
     /// Kills the supervisor, waits until nothing of the set is alive, and starts it again.
     pub fn kill_and_start_again(mut self) -> Self {
         send(self.supervisor_pid(), Signal::KILL);
+        self.wait_for_death();
+        self.start_once_more()
+    }
+
+    /// Waits until nothing of a set whose supervisor was killed is alive.
+    pub fn wait_for_death(&mut self) {
         self.child.wait().unwrap();
         wait_for("the death of all stages", || processes_of(&self.runtime_name()).is_empty().then_some(()));
+    }
+
+    /// Starts a set that is dead again.
+    pub fn start_once_more(self) -> Self {
         let again = Self::start_again(self.robot.clone(), &self.directory, &self.arguments);
         // What is dropped here is dead already.
         std::mem::forget(self);

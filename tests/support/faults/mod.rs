@@ -6,7 +6,8 @@ mod trials;
 
 pub use evidence::Evidence;
 pub use trials::{
-    Trial, crashing_starts, everything_at_once, kills_of_each_stage, stops_of_each_stage, storm,
+    Trial, crashing_starts, everything_at_once, kills_of_each_stage, kills_while_saving, stops_of_each_stage,
+    storm,
 };
 
 /// A small generator of seeded random numbers (splitmix64): the same seed, the same faults.

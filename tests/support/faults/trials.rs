@@ -204,6 +204,41 @@ pub fn everything_at_once(runs: usize) -> Trial {
     trial
 }
 
+/// SIGKILL of the supervisor while it saves the map, again and again: the map on disk is whole but for one record that was being
+/// written, and never less than it was.
+pub fn kills_while_saving(runs: usize, seed: u64) -> Trial {
+    let (directory, mut random) = (tempfile::tempdir().unwrap(), Seeded::new(seed));
+    let mut trial = Trial { fault: "kill while the map is saved".to_owned(), ..Trial::default() };
+    let drive = Drive { scan_rate_hz: SCAN_RATE_HZ, duration_s: 3600.0, rate: 1.0 };
+    let map = directory.path().join("map");
+    let more = format!("map = {map:?}\nsave_every_s = 0.001");
+    let mut set = LiveSet::start("saving", directory.path(), drive, &more);
+    let map = SavedMap::at(&map);
+    let mut saved = 0;
+    for _ in 0..runs {
+        set.wait_until_handled(Stage::ScanMatcher, 10);
+        std::thread::sleep(Duration::from_millis(random.below(50)));
+        let since = Instant::now();
+        send(set.supervisor_pid(), Signal::KILL);
+        set.wait_for_death();
+        let found = map.check().unwrap();
+        let is_tail = |problem: &&String| problem.starts_with("scans.journal");
+        trial.violations.extend(found.problems.iter().filter(|problem| !is_tail(problem)).cloned());
+        if found.poses < saved {
+            trial.violations.push(format!("{} poses are saved, there were {saved}", found.poses));
+        }
+        saved = found.poses;
+        set = set.start_once_more();
+        set.wait_until_handled(Stage::ScanMatcher, 1);
+        trial.recoveries_ms.push(since.elapsed().as_secs_f64() * 1e3);
+        trial.runs += 1;
+    }
+    set.command_well(&["down"]);
+    assert_eq!(set.wait(), Some(0));
+    trial.violations.extend(map.check().unwrap().problems);
+    trial
+}
+
 /// What the shared memory of a set consists of: objects, nodes, files.
 fn left_behind(robot: &str) -> usize {
     let count = |directory: &Path, wanted: &str| {
