@@ -1,4 +1,4 @@
-//! Overload: a stage ten times slower than it should be, and somebody else's work on all processors. The newest scans get their
+//! Overload: a stage ten or a hundred times slower than it should be, and somebody else's work on all processors. The newest scans get their
 //! poses, what is left out is counted, memory stays what was laid out, and nothing that was accepted is lost.
 
 mod support;
@@ -16,8 +16,8 @@ use support::faults::Evidence;
 use support::{Drive, LiveSet, PoseWatch, of, send, wait_for};
 
 const DRIVE: Drive = Drive { scan_rate_hz: 40.0, duration_s: 30.0, rate: 1.0 };
-/// Of each slice of time a slowed process has only this much.
-const SLICE: (Duration, Duration) = (Duration::from_millis(20), Duration::from_millis(2));
+/// A slowed process has this much time …
+const TURN: Duration = Duration::from_millis(2);
 /// A queue of scans at 40 Hz that has not been shed would be older than this.
 const NEWEST_WITHIN_S: f64 = 1.0;
 
@@ -42,13 +42,13 @@ impl Nuisance {
         Self { stop, threads }
     }
 
-    /// A process that has a tenth of the time.
-    fn slow(pid: u32) -> Self {
+    /// … and then has to wait until the same has passed so many times.
+    fn slow(pid: u32, times: u32) -> Self {
         Self::start(1, move || {
             send(pid, Signal::STOP);
-            sleep(SLICE.0 - SLICE.1);
+            sleep((times - 1) * TURN);
             send(pid, Signal::CONT);
-            sleep(SLICE.1);
+            sleep(TURN);
         })
     }
 
@@ -106,13 +106,13 @@ fn overload(what: &str, begin: impl FnOnce(&mut LiveSet) -> Nuisance) {
 }
 
 #[test]
-fn a_matcher_ten_times_slower() {
-    overload("slow matcher", |set| Nuisance::slow(set.pid(Stage::ScanMatcher)));
+fn a_matcher_a_hundred_times_slower() {
+    overload("slow matcher", |set| Nuisance::slow(set.pid(Stage::ScanMatcher), 100));
 }
 
 #[test]
 fn a_mapper_ten_times_slower() {
-    overload("slow mapper", |set| Nuisance::slow(set.pid(Stage::Mapper)));
+    overload("slow mapper", |set| Nuisance::slow(set.pid(Stage::Mapper), 10));
 }
 
 #[test]

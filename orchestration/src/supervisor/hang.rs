@@ -1,7 +1,8 @@
 use flockslam_telemetry::Beat;
 use std::time::Duration;
 
-/// A process that has given no sign of life at all for so long since its start hangs.
+/// A process that starts, or recovers what its predecessor knew, hangs after so long without a sign of life: reading a long journal
+/// is one call.
 const START_LIMIT: Duration = Duration::from_secs(10);
 /// A supervisor that was itself held up for longer than this between two looks waits for another: the whole machine may have stood
 /// still, and everybody deserves a chance to speak first.
@@ -24,7 +25,8 @@ impl HangWatch {
 /// Whether a process that was started at `started_ns` and last gave this sign of life hangs at `now_ns`.
 pub fn hangs(beat: Option<Beat>, started_ns: u64, now_ns: u64, deadline: Duration) -> bool {
     let (since_ns, limit) = match beat {
-        Some(beat) => (beat.monotonic_ns, deadline),
+        Some(beat) if beat.ready => (beat.monotonic_ns, deadline),
+        Some(beat) => (beat.monotonic_ns, START_LIMIT.max(deadline)),
         None => (started_ns, START_LIMIT.max(deadline)),
     };
     now_ns.saturating_sub(since_ns) > limit.as_nanos() as u64
@@ -42,6 +44,8 @@ mod tests {
         let deadline = Duration::from_millis(500);
         assert!(!hangs(beat, 0, 1500 * MS, deadline));
         assert!(hangs(beat, 0, 1501 * MS, deadline));
+        let recovers = beat.map(|beat| Beat { ready: false, ..beat });
+        assert!(!hangs(recovers, 0, 9_000 * MS, deadline) && hangs(recovers, 0, 11_001 * MS, deadline));
         assert!(!hangs(None, 0, 9_000 * MS, deadline));
         assert!(hangs(None, 0, 10_001 * MS, deadline));
         assert!(!hangs(beat, 0, 0, deadline), "a beat of the future is none too old");

@@ -46,7 +46,7 @@ pub struct ProcessLimits {
 /// Deadlines where nothing else is said. One call of sync-manager searches and solves for as long as it takes; all others come
 /// round several times a second.
 const DEADLINE: Duration = Duration::from_millis(500);
-const DEADLINE_OF_SYNC_MANAGER: Duration = Duration::from_secs(20);
+const DEADLINE_OF_SYNC_MANAGER: Duration = Duration::from_secs(60);
 
 impl ProcessLimits {
     /// How long a process of this stage may be silent.
