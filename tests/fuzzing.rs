@@ -1,5 +1,5 @@
 //! A bounded, seeded run of all fuzz entries, for any toolchain: the seeds of `tests/fuzz/corpus`, changed at random. More with
-//! `FLOCKSLAM_FUZZ_RUNS=10000000`; a crash names the seed that it came from.
+//! `FLOCKSLAM_FUZZ_RUNS=10000000`, of one entry alone with `FLOCKSLAM_FUZZ_ENTRY=carmen`; a crash names the run that it came from.
 
 mod support;
 
@@ -55,7 +55,9 @@ fn mutate(bytes: &mut Vec<u8>, other: &[u8], random: &mut Seeded) {
 #[test]
 fn no_reader_of_foreign_bytes_panics() {
     let runs = std::env::var("FLOCKSLAM_FUZZ_RUNS").ok().and_then(|runs| runs.parse().ok()).unwrap_or(RUNS);
-    for (name, entry) in entries::ENTRIES {
+    let only = std::env::var("FLOCKSLAM_FUZZ_ENTRY").ok();
+    for (name, entry) in entries::ENTRIES.into_iter().filter(|(n, _)| only.as_deref().is_none_or(|o| o == *n))
+    {
         let (seeds, since) = (corpus(name), Instant::now());
         seeds.iter().for_each(|seed| entry(seed));
         for run in 0..runs {

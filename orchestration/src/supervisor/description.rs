@@ -232,7 +232,7 @@ mod tests {
     fn unknown_keys_and_bad_values_are_refused_with_line_and_hint() {
         let wrong = read("robot = \"r1\"\n[stages.maper]\nnice = 1\n").unwrap_err();
         assert!(wrong.starts_with("set.toml:2: ") && wrong.contains("did you mean `mapper`?"), "{wrong}");
-        let wrong = read("robot = \"r1\"\n\n[stages.mapper]\nniceness = 1\n").unwrap_err();
+        let wrong = read("robot = \"r1\"\n\n[stages.mapper]\nnise = 1\n").unwrap_err();
         assert!(wrong.starts_with("set.toml:4: ") && wrong.contains("did you mean `nice`?"), "{wrong}");
         assert!(read("robto = \"r1\"").unwrap_err().contains("did you mean `robot`?"));
         assert!(read("robot = \"r1\"\n[source]\nkind = \"ros\"\n").unwrap_err().contains("unknown variant"));
