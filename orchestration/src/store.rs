@@ -14,7 +14,7 @@ mod tests;
 pub use head::{FORMAT, MapHead};
 pub use keeper::MapKeeper;
 pub use mirror::Mirror;
-pub use saved_map::{Findings, Restored, SavedMap};
+pub use saved_map::{Findings, SavedMap};
 
 use flockslam_journal::JournalError;
 use flockslam_stage::StageError;

@@ -81,7 +81,7 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
     let mut options = configuration.stage_options(mode);
     if let Some(map) = &run.continues {
         let head = MapHead::of_this_build(&name, configuration.mapper.cell_size_m);
-        options.first_sequence = map.restore(&runtime, &head).map_err(CommandError::user)?.first_sequence;
+        options.first_sequence = map.restore(&runtime, &head).map_err(CommandError::user)?.next_sequence;
     }
     let file = SetFile {
         version: crate::VERSION.to_owned(),

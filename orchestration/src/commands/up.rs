@@ -5,7 +5,7 @@ use super::run::{Finished, count_interrupts, points, prepare_directory, serve_me
 use crate::cli::UpArgs;
 use crate::configuration::Configuration;
 use crate::outputs::write_trajectory;
-use crate::store::{MapHead, MapKeeper, Mirror, SavedMap, StoreError};
+use crate::store::{Findings, MapHead, MapKeeper, Mirror, SavedMap, StoreError};
 use crate::supervisor::{
     ControlSocket, Order, ProcessSet, Reply, Request, ServiceManager, SetDescription, SetError, SetEvent,
     SetFile, known_stage,
@@ -73,7 +73,11 @@ impl LiveSet {
         let map = args.map.as_ref().or(description.map.as_ref()).map(|directory| SavedMap::at(directory));
         let first_sequence = match &map {
             _ if taken_over => first_of_killed_set(&runtime, &configuration)?,
-            Some(map) if map.exists() => restore(map, &runtime, &head).map_err(CommandError::user)?,
+            Some(map) if map.exists() => {
+                let findings = restore(map, &runtime, &head).map_err(CommandError::user)?;
+                map.set_damage_aside(&findings).map_err(CommandError::failed)?;
+                findings.next_sequence
+            }
             _ => 0,
         };
         let mut options = configuration.stage_options(Mode::Live);
@@ -154,10 +158,14 @@ impl LiveSet {
             return Err(format!("this set keeps its map in {own}: stop it and start it with another --map"));
         }
         let map = SavedMap::at(directory);
-        map.check().map_err(|error| error.to_string())?;
         let head = &self.head;
-        let loaded: Result<(), CommandError> =
-            self.set.begin_anew(|runtime| restore(&map, runtime, head).map_err(CommandError::user));
+        // What is refused leaves the set as it is.
+        let fits = MapHead::read(directory).and_then(|found| found.fits(directory, head));
+        fits.map_err(|error| error.to_string())?;
+        let loaded: Result<(), CommandError> = self.set.begin_anew(|runtime| {
+            let findings = restore(&map, runtime, head).map_err(CommandError::user)?;
+            Ok(findings.next_sequence)
+        });
         loaded.map_err(|error| error.to_string())
     }
 
@@ -176,13 +184,13 @@ impl LiveSet {
     }
 }
 
-/// Puts a saved map into the directory of a set; the sequence of the first scan that follows.
-fn restore(map: &SavedMap, runtime: &RuntimeDir, head: &MapHead) -> Result<u64, StoreError> {
-    let restored = map.restore(runtime, head)?;
-    for problem in &restored.problems {
+/// Puts what is good of a saved map into the directory of a set.
+fn restore(map: &SavedMap, runtime: &RuntimeDir, head: &MapHead) -> Result<Findings, StoreError> {
+    let findings = map.restore(runtime, head)?;
+    for problem in &findings.problems {
         tracing::warn!(problem, "the saved map is damaged; what is good of it is used");
     }
-    Ok(restored.first_sequence)
+    Ok(findings)
 }
 
 fn mirror(set: &ProcessSet, map: SavedMap, head: &MapHead) -> Mirror {

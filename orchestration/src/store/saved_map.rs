@@ -26,15 +26,6 @@ pub struct Findings {
     pub problems: Vec<String>,
 }
 
-/// What was put into a set's directory.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Restored {
-    /// Sequence of the first scan of the session that begins now.
-    pub first_sequence: u64,
-    /// What had to be left behind.
-    pub problems: Vec<String>,
-}
-
 impl SavedMap {
     /// The map in this directory, which need not exist.
     pub fn at(directory: &Path) -> Self {
@@ -109,18 +100,14 @@ impl SavedMap {
         }
     }
 
-    /// Puts what is good of it into the directory of a set that is about to start. A journal that is damaged is kept beside it.
+    /// Puts what is good of it into the directory of a set that is about to start, and says what that is; the map itself is left as
+    /// it is. The scans of the session that begins now are numbered from `next_sequence` on.
     ///
     /// # Errors
     /// When there is no map, it does not fit `wanted`, or a file cannot be read or written.
-    pub fn restore(&self, runtime: &RuntimeDir, wanted: &MapHead) -> Result<Restored, StoreError> {
+    pub fn restore(&self, runtime: &RuntimeDir, wanted: &MapHead) -> Result<Findings, StoreError> {
         MapHead::read(&self.directory)?.fits(&self.directory, wanted)?;
         let findings = self.check()?;
-        if !findings.problems.is_empty() {
-            let journal = journal_file(&self.directory);
-            let kept = journal.with_extension("damaged");
-            fs::copy(&journal, &kept).map_err(StoreError::io(kept))?;
-        }
         let (from, to) = (journal_file(&self.directory), journal_file(&runtime.journal()));
         if from.exists() {
             copy_records(&from, &to)?;
@@ -130,12 +117,27 @@ impl SavedMap {
             let bytes = fs::read(from.file(number)).map_err(StoreError::io(from.file(number)))?;
             replace_file(&to.file(number), &bytes, Durability::Process)?;
         }
-        // Those behind were made of what is lost, or are made again.
-        for number in findings.submaps..from.count() {
-            let file = from.file(number);
-            fs::rename(&file, file.with_extension("damaged")).map_err(StoreError::io(file))?;
+        Ok(findings)
+    }
+
+    /// Before what is good of a damaged map is continued in its own directory: keeps the damaged journal beside the one that goes on,
+    /// and sets the submaps aside that were made of what is lost, or are made again.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub fn set_damage_aside(&self, findings: &Findings) -> Result<(), StoreError> {
+        if findings.problems.is_empty() {
+            return Ok(());
         }
-        Ok(Restored { first_sequence: findings.next_sequence, problems: findings.problems })
+        let (journal, submaps) = (journal_file(&self.directory), self.submaps());
+        let kept = journal.with_extension("damaged");
+        if journal.exists() {
+            fs::copy(&journal, &kept).map_err(StoreError::io(kept))?;
+        }
+        (findings.submaps..submaps.count()).try_for_each(|number| {
+            let file = submaps.file(number);
+            fs::rename(&file, file.with_extension("damaged")).map_err(StoreError::io(file))
+        })
     }
 }
 

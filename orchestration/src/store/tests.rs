@@ -173,9 +173,10 @@ fn what_is_good_of_a_damaged_map_is_restored() {
     fs::write(&submap, &bytes[1..]).unwrap();
     let runtime = RuntimeDir::create(&name("submap")).unwrap();
     let restored = map.restore(&runtime, &head).unwrap();
-    assert_eq!((restored.first_sequence, restored.problems.len()), (7, 1));
+    assert_eq!((restored.next_sequence, restored.problems.len()), (7, 1));
     assert_eq!(SubmapStore::new(&runtime.submaps()).count(), 1);
     drop(runtime);
+    assert_eq!(map.submaps().count(), 2, "what is only read stays as it is");
     // A journal that is damaged in the middle ends there, and so do the submaps; the damaged one is kept.
     let journal = journal_file(to.path());
     let mut bytes = fs::read(&journal).unwrap();
@@ -184,14 +185,16 @@ fn what_is_good_of_a_damaged_map_is_restored() {
     fs::write(&journal, &bytes).unwrap();
     let runtime = RuntimeDir::create(&name("journal")).unwrap();
     let restored = map.restore(&runtime, &head).unwrap();
-    assert!(restored.first_sequence > 0 && restored.first_sequence < 7 && !restored.problems.is_empty());
+    assert!(restored.next_sequence > 0 && restored.next_sequence < 7 && !restored.problems.is_empty());
+    map.set_damage_aside(&restored).unwrap();
+    assert_eq!(map.submaps().count(), restored.submaps);
     assert_eq!(fs::read(journal.with_extension("damaged")).unwrap(), bytes);
     let mut records = JournalReader::open(&runtime.journal()).unwrap();
     let mut count = 0;
     while records.read_next().unwrap().is_some() {
         count += 1;
     }
-    assert_eq!(count, restored.first_sequence);
+    assert_eq!(count, restored.next_sequence);
     // A map of other cells is refused.
     let coarse = MapHead::of_this_build("r1", 0.1);
     assert!(matches!(map.restore(&runtime, &coarse), Err(StoreError::Mismatch { .. })));

@@ -246,9 +246,12 @@ impl ProcessSet {
     ) -> Result<(), E> {
         self.stop();
         self.runtime.forget_state().map_err(SetError::from)?;
-        self.set.options.first_sequence = prepare(&self.runtime)?;
+        let prepared = prepare(&self.runtime);
+        // Should it have failed, the stages begin with nothing.
+        self.set.options.first_sequence = *prepared.as_ref().unwrap_or(&0);
         self.set.write(&self.runtime.configuration()).map_err(SetError::from)?;
-        Ok(self.start_stages()?)
+        self.start_stages()?;
+        prepared.map(drop)
     }
 
     /// Changes the number of processes of a stage. All of them start anew, since each has to know its share; the others wait for
