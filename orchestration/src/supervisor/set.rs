@@ -251,7 +251,7 @@ impl ProcessSet {
         self.set.options.first_sequence = *prepared.as_ref().unwrap_or(&0);
         self.set.write(&self.runtime.configuration()).map_err(SetError::from)?;
         self.start_stages()?;
-        prepared.map(drop)
+        prepared.map(|_| ())
     }
 
     /// Changes the number of processes of a stage. All of them start anew, since each has to know its share; the others wait for
