@@ -31,6 +31,8 @@ pub enum Source {
     Pipe,
     /// The simulated world.
     Simulation,
+    /// Nothing: the stream ends before its first scan. What a continued map holds is all there is.
+    Nothing,
 }
 
 /// Everything that the stage is told.
@@ -102,11 +104,15 @@ struct Ingest {
 
 impl Ingest {
     fn open(context: &StageContext, task: Task) -> Result<Self, StageError> {
-        let cursor = if context.mode == Mode::Live { Some(Cursor::open(&context.status_dir)?) } else { None };
-        let resumed = cursor.as_ref().map_or(0, |cursor| cursor.next_sequence());
+        let first = context.first_sequence;
+        let cursor = match context.mode {
+            Mode::Live => Some(Cursor::open(&context.status_dir, first)?),
+            Mode::Exact => None,
+        };
+        let resumed = cursor.as_ref().map_or(first, |cursor| cursor.next_sequence());
         let pacer = task.rate.map(|rate| Pacer::new(rate, cursor.as_ref().and_then(Cursor::anchor)));
         let mut feed = Feed::open(context, &task)?;
-        feed.skip(resumed)?;
+        feed.skip(resumed.saturating_sub(first))?;
         let bells =
             CONSUMERS.iter().map(|stage| context.bus.ringer(stage.name())).collect::<Result<_, _>>()?;
         Ok(Self {

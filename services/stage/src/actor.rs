@@ -45,6 +45,7 @@ const AWAKE_NS: u64 = 1_000_000;
 /// What the actor could not go on from.
 pub fn run(context: &mut StageContext, actor: &mut impl Actor, bell: &Listener) -> Result<(), StageError> {
     let (mut refreshed_ns, mut worked_ns, mut awake_until_ns) = (0, 0, 0);
+    context.ready();
     while !context.stop.is_set() {
         let idle = !actor.advance(context)?;
         // Behind the work: a scan that has just arrived does not wait for the housekeeping.

@@ -20,6 +20,7 @@ enum Kind {
     Log(Box<CarmenReader<BufReader<File>>>),
     Pipe(Pipe),
     Simulation { simulation: Box<Simulation>, truth: TruthWriter },
+    Nothing,
 }
 
 /// What a feed gave.
@@ -57,6 +58,7 @@ impl Feed {
                 let total = simulation.scans() as u64;
                 (Kind::Simulation { simulation, truth: TruthWriter::create(&context.result_dir)? }, total)
             }
+            Source::Nothing => (Kind::Nothing, 0),
         };
         Ok(Self { kind, experiment: Experiment::new(&task.settings, expected) })
     }
@@ -102,6 +104,7 @@ impl Feed {
                 }
                 None => Fed::End,
             },
+            Kind::Nothing => Fed::End,
         };
         if fed == Fed::Scan {
             self.experiment.apply(scan);
@@ -114,7 +117,7 @@ impl Feed {
         match &self.kind {
             Kind::Log(reader) => Some(reader.tally().clone()),
             Kind::Pipe(pipe) => Some(pipe.tally()),
-            Kind::Simulation { .. } => None,
+            Kind::Simulation { .. } | Kind::Nothing => None,
         }
     }
 
