@@ -33,15 +33,27 @@ pub fn tally(scan: ScanView<'_>, beams: Range<usize>) -> ScanTally {
     while at < beams.end {
         let end = (at + length).min(beams.end);
         let next_place = places.of_beam(scan, end.min(last));
-        if place == next_place {
-            take_beams(&mut tally, scan, at..end, place);
-        } else {
-            (at..end)
-                .for_each(|beam| take_beams(&mut tally, scan, beam..beam + 1, places.of_beam(scan, beam)));
-        }
+        take_run(&mut tally, scan, &places, at..end, (place, next_place));
         (at, place) = (end, next_place);
     }
     tally
+}
+
+/// Adds the beams of a block, given the places of its first beam and of the one that follows: halves until a part lies in one.
+fn take_run(
+    tally: &mut ScanTally,
+    scan: ScanView<'_>,
+    places: &Places,
+    beams: Range<usize>,
+    (place, next_place): (Place, Place),
+) {
+    if place == next_place || beams.len() == 1 {
+        return take_beams(tally, scan, beams, place);
+    }
+    let middle = beams.start + beams.len() / 2;
+    let middle_place = places.of_beam(scan, middle);
+    take_run(tally, scan, places, beams.start..middle, (place, middle_place));
+    take_run(tally, scan, places, middle..beams.end, (middle_place, next_place));
 }
 
 /// Where a beam counts: its sector, and which sign falling ranges have along a corridor.
@@ -71,7 +83,7 @@ impl Places {
         }
         let sector_rad = TAU / TALLY_SECTORS as f64;
         let is_narrow = |length: &usize| header.angle_increment_rad.abs() * (*length as f64) < sector_rad;
-        [BLOCK, CHUNK, 32, 8, 4].into_iter().find(is_narrow).unwrap_or(1)
+        [BLOCK, CHUNK, 64, 16, 8, 4].into_iter().find(is_narrow).unwrap_or(1)
     }
 
     fn of_beam(&self, scan: ScanView<'_>, beam: usize) -> Place {
