@@ -63,14 +63,18 @@ fn processes_get_no_more_than_they_may_use() {
     let mut set = LiveSet::start("limits", directory.path(), LONG, more);
     set.wait_until_handled(Stage::DynamicCleaner, 1);
     let pid = set.pid(Stage::DynamicCleaner);
-    let read = |name: &str| std::fs::read_to_string(format!("/proc/{pid}/{name}")).unwrap();
+    let read_of = |pid: u32, name: &str| std::fs::read_to_string(format!("/proc/{pid}/{name}")).unwrap();
+    let read = |name: &str| read_of(pid, name);
     let limits = read("limits");
     let data = limits.lines().find(|line| line.starts_with("Max data size")).unwrap();
     assert!(data.contains("300000000"), "{data}");
     assert!(read("status").lines().any(|line| line == "Cpus_allowed_list:\t0"));
     // Behind the name, which is in brackets, the niceness is the 17th field.
-    let stat = read("stat");
-    assert_eq!(stat.rsplit(')').next().unwrap().split_whitespace().nth(16), Some("7"));
+    let niceness = |pid: u32| {
+        let stat = read_of(pid, "stat");
+        stat.rsplit(')').next().unwrap().split_whitespace().nth(16).unwrap().parse::<i32>().unwrap()
+    };
+    assert_eq!(niceness(pid), 7 + niceness(set.supervisor_pid()));
 }
 
 #[test]

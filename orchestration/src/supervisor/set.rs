@@ -4,7 +4,7 @@ use super::hang::HangWatch;
 use super::status::{SetState, SetStatus, StageState, StageStatus};
 use super::{ProcessLimits, SetFile, Supervision};
 use crate::configuration::Configuration;
-use flockslam_bus::{BellRinger, Bus, Publisher, RuntimeDir, Subscriber};
+use flockslam_bus::{BellRinger, Bus, BusError, Publisher, RuntimeDir, Subscriber};
 use flockslam_messages::{Control, ControlKind, Progress, Stage};
 use flockslam_stage::Mode;
 use flockslam_telemetry::{SupervisorMetrics, monotonic_ns};
@@ -168,6 +168,18 @@ impl ProcessSet {
     pub fn watch(&mut self, limit: Duration) -> Result<SetEvent, SetError> {
         self.wait_for_deaths(limit);
         self.look_after()?;
+        match self.hear() {
+            // A publisher that was killed while it was made may be seen half; it is cleaned up, and the set lives on.
+            Err(error) if self.supervision.live => {
+                tracing::warn!(%error, "a message of a stage was not received");
+                Ok(SetEvent::Quiet)
+            }
+            heard => Ok(heard?),
+        }
+    }
+
+    /// Takes in what the stages have said.
+    fn hear(&mut self) -> Result<SetEvent, BusError> {
         let mut event = SetEvent::Quiet;
         while let Some(progress) = self.progress.receive()? {
             if progress.stage == Stage::ScanMatcher as u32 {

@@ -268,7 +268,10 @@ pub fn crashing_starts(stage: Stage, runs: usize, seed: u64) -> Trial {
     let mut pid = set.pid(stage);
     for _ in 0..runs {
         send(pid, Signal::KILL);
-        pid = wait_for("a successor", || of(&set.status()?, stage).pid.filter(|next| *next != pid));
+        let killed = Some(pid);
+        let is_next = |next: Option<u32>| next.is_some() && next != killed;
+        let status = set.wait_until("a successor", |status| is_next(of(status, stage).pid));
+        pid = of(&status, stage).pid.unwrap();
         std::thread::sleep(Duration::from_millis(random.below(20)));
         trial.runs += 1;
     }
