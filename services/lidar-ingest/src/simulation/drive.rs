@@ -1,9 +1,11 @@
 use super::Settings;
+use super::room::Room;
 use super::tour::Tour;
 use crate::random::Random;
 use flockslam_geometry::{Point, Pose, Twist, wrap_angle};
 use std::collections::VecDeque;
 use std::f64::consts::PI;
+use std::sync::Arc;
 
 /// The robot steers towards the point of its way this far ahead, metres.
 const LOOK_AHEAD_M: f64 = 0.5;
@@ -94,9 +96,19 @@ impl Drive {
         }
     }
 
+    /// The free space that it drives in.
+    pub(super) fn room(&self) -> &Arc<Room> {
+        self.tour.room()
+    }
+
+    /// Where it is now, `world_from_base`.
+    pub(super) fn pose(&self) -> Pose {
+        self.pose
+    }
+
     /// Puts the robot down, at rest, at another free place with another heading; it goes on with its tour from there.
     pub(super) fn carry_away(&mut self, random: &mut Random) {
-        let place = self.tour.random_place(self.pose.position(), CARRIED_M, random);
+        let place = self.tour.room().place_away_from(self.pose.position(), CARRIED_M, random);
         self.pose = Pose::new(place.x_m, place.y_m, random.between(-PI, PI));
         self.twist = Twist::default();
         self.way.clear();

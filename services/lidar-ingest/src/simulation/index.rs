@@ -102,7 +102,7 @@ impl SegmentIndex {
 impl Segment {
     /// A beam p + t·d meets a segment q + u·s where, with × the cross product, t = (q - p)×s / d×s and
     /// u = (q - p)×d / d×s. Returns t, or infinity when they do not meet.
-    fn cast(&self, from: Point, direction: Point) -> f64 {
+    pub(super) fn cast(&self, from: Point, direction: Point) -> f64 {
         let offset = from_to(from, self.start);
         let inverse = 1.0 / cross(direction, self.along);
         let t = cross(offset, self.along) * inverse;

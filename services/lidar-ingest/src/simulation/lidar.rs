@@ -1,5 +1,6 @@
 use super::drive::Turn;
-use super::{Settings, World};
+use super::dynamics::Dynamics;
+use super::{BeamLabel, Settings, World};
 use crate::random::Random;
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{ScanBuffer, ScanHeader};
@@ -20,6 +21,8 @@ pub(super) struct Lidar {
     random: Random,
     /// True ranges of the scan at hand, infinite where nothing is in reach.
     ranges_m: Vec<f64>,
+    /// What each beam of the scan at hand ended on.
+    labels: Vec<BeamLabel>,
 }
 
 impl Lidar {
@@ -39,11 +42,12 @@ impl Lidar {
             time_increment_s: (period_s * angle_increment_rad / TAU) as f32,
             random: Random::new(settings.seed, "lidar"),
             ranges_m: Vec::with_capacity(settings.beams as usize),
+            labels: Vec::with_capacity(settings.beams as usize),
         }
     }
 
     /// Takes a scan during a turn. Its name, times and odometry are left to the caller.
-    pub(super) fn take(&mut self, world: &World, turn: &Turn, scan: &mut ScanBuffer) {
+    pub(super) fn take(&mut self, world: &World, dynamics: &Dynamics, turn: &Turn, scan: &mut ScanBuffer) {
         scan.header = ScanHeader {
             base_from_laser: self.mount,
             angle_min_rad: self.angle_min_rad,
@@ -54,7 +58,7 @@ impl Lidar {
             beam_count: self.settings.beams,
             ..ScanHeader::default()
         };
-        self.cast_all(world, turn);
+        self.cast_all(world, dynamics, turn);
         scan.numbers.clear();
         for beam in 0..self.ranges_m.len() {
             let range = self.measure(beam);
@@ -62,8 +66,14 @@ impl Lidar {
         }
     }
 
-    fn cast_all(&mut self, world: &World, turn: &Turn) {
+    /// What each beam of the last scan ended on.
+    pub(super) fn labels(&self) -> &[BeamLabel] {
+        &self.labels
+    }
+
+    fn cast_all(&mut self, world: &World, dynamics: &Dynamics, turn: &Turn) {
         self.ranges_m.clear();
+        self.labels.clear();
         for beam in 0..self.settings.beams {
             let seconds = f64::from(beam) * f64::from(self.time_increment_s);
             let laser = turn.pose_after(seconds) * self.mount;
@@ -72,19 +82,35 @@ impl Lidar {
             let (sin, cos) = direction_rad.sin_cos();
             // A little farther than the lidar reaches, so that edges there look like all others.
             let reach_m = f64::from(self.settings.range_max_m) + 1.0;
-            let hit = world.cast(laser.position(), Point::new(cos, sin), reach_m);
-            self.ranges_m.push(hit.unwrap_or(f64::INFINITY));
+            let (from, direction) = (laser.position(), Point::new(cos, sin));
+            let wall = world.cast(from, direction, reach_m).unwrap_or(f64::INFINITY);
+            let other = dynamics.cast(from, direction, seconds).filter(|(range_m, _)| *range_m < wall);
+            let (range_m, label) = other.unwrap_or((wall, BeamLabel::Static));
+            self.ranges_m.push(range_m);
+            self.labels.push(label);
         }
     }
 
     /// The range that the lidar gives for a beam: metres, or an infinity as REP-117 has it.
     fn measure(&mut self, beam: usize) -> f32 {
         let mut true_m = self.ranges_m[beam];
-        let next_m = self.ranges_m[(beam + 1) % self.ranges_m.len()];
+        let next = (beam + 1) % self.ranges_m.len();
+        let next_m = self.ranges_m[next];
         let at_edge = next_m.is_finite() && (true_m - next_m).abs() > EDGE_M;
         if at_edge && true_m.is_finite() && self.random.happens(self.settings.mixed_pixel_share) {
             true_m += self.random.share() * (next_m - true_m);
+            // The last beam's neighbour is the first, whose range may have been lost.
+            self.labels[beam] = self.labels[beam].max(self.labels[next]);
         }
+        let range = self.returned(true_m);
+        if !range.is_finite() {
+            self.labels[beam] = BeamLabel::NoReturn;
+        }
+        range
+    }
+
+    /// What the lidar makes of a true range.
+    fn returned(&mut self, true_m: f64) -> f32 {
         if self.random.happens(self.settings.dropout_share) {
             return f32::INFINITY;
         }

@@ -2,29 +2,36 @@
 //!
 //! The world is made of line segments (a built-in one, see [`WorldName`]) or of the pixels of a map image. A planner finds a
 //! smooth tour that comes back to places seen before; the lidar casts every beam from where the robot is at that very
-//! instant, so scans are distorted by motion as real ones are. Everything follows from the settings and their seed, and is
+//! instant, so scans are distorted by motion as real ones are. People walk in it, doors open and close, pallets come and go, if
+//! asked for ([`Settings::walkers`] and those beside it). Everything follows from the settings and their seed, and is
 //! made scan by scan: a drive of any length takes the same memory.
 
 mod axis;
 mod built_in;
 mod drawing;
 mod drive;
+mod dynamics;
 mod floor_plan;
 mod image;
 mod index;
+mod label;
 mod lidar;
 mod planner;
+mod room;
 mod settings;
 mod tour;
 mod wheels;
 mod world;
 
+pub use dynamics::MoverTruth;
 pub use image::{ImageWorld, SimulationError};
+pub use label::BeamLabel;
 pub use settings::{Settings, WorldName};
 pub use world::World;
 
 use crate::random::Random;
 use drive::Drive;
+use dynamics::Dynamics;
 use flockslam_geometry::Pose;
 use flockslam_messages::{ScanBuffer, ScanId, Times};
 use lidar::Lidar;
@@ -38,6 +45,7 @@ const TICKS_PER_SCAN: usize = 10;
 pub struct Simulation {
     world: World,
     drive: Drive,
+    dynamics: Dynamics,
     wheels: Wheels,
     lidar: Lidar,
     /// When the robot is carried away, seconds, the last first.
@@ -59,9 +67,12 @@ impl Simulation {
         let tour = world.tour(Random::new(settings.seed, "tour"))?;
         let mut kidnaps_s = settings.kidnap_at_s.clone();
         kidnaps_s.sort_by(|a, b| b.total_cmp(a));
+        let drive = Drive::new(tour, settings, period_s / TICKS_PER_SCAN as f64);
+        let dynamics = Dynamics::new(settings, &world, drive.room().clone(), drive.pose(), period_s);
         Ok(Self {
             world,
-            drive: Drive::new(tour, settings, period_s / TICKS_PER_SCAN as f64),
+            drive,
+            dynamics,
             wheels: Wheels::new(settings),
             lidar: Lidar::new(settings, period_s),
             kidnaps_s,
@@ -88,7 +99,8 @@ impl Simulation {
             self.drive.carry_away(&mut self.kidnapper);
         }
         let turn = self.drive.advance(TICKS_PER_SCAN);
-        self.lidar.take(&self.world, turn, scan);
+        self.dynamics.advance(&self.world, turn);
+        self.lidar.take(&self.world, &self.dynamics, turn, scan);
         scan.header.id = ScanId { sequence: self.next as u64, ..ScanId::default() };
         let sensor_ns = self.next as i64 * (self.period_s * 1e9).round() as i64;
         scan.header.times = Times { sensor_ns, ..Times::default() };
@@ -96,6 +108,16 @@ impl Simulation {
         self.wheels.advance(turn);
         self.next += 1;
         Some(turn.start())
+    }
+
+    /// What each beam of the last scan ended on: exact, for measurements. No message carries it.
+    pub fn labels(&self) -> &[BeamLabel] {
+        self.lidar.labels()
+    }
+
+    /// Who moved, and how, at the last scan's stamp: exact, for measurements. No message carries it.
+    pub fn movers(&self) -> impl Iterator<Item = MoverTruth> {
+        self.dynamics.movers()
     }
 }
 

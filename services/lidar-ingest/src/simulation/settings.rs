@@ -61,10 +61,24 @@ pub struct Settings {
     /// When the robot is carried away, unnoticed by its wheels, and put down at another free place with another heading:
     /// seconds since the start, at most 100 times.
     pub kidnap_at_s: Vec<f64>,
+    /// People who walk from place to place around the robot, and now and then stand for some seconds.
+    pub walkers: u32,
+    /// Their speeds lie between these, m/s.
+    pub walker_speed_m_s: [f64; 2],
+    /// Whether somebody walks behind the robot.
+    pub follower: bool,
+    /// Doors at most, in passages of up to 1.7 m: they open and close at random, and open for whoever comes near.
+    pub doors: u32,
+    /// Pallets that appear around the robot and vanish.
+    pub pallets: u32,
 }
 
 /// Kidnaps in one drive.
 const KIDNAPS_MAX: usize = 100;
+/// People, doors or pallets.
+const CHANGING_MAX: u32 = 1000;
+/// Nobody walks faster, m/s.
+pub(super) const WALKER_SPEED_MAX_M_S: f64 = 1.8;
 
 impl Default for Settings {
     fn default() -> Self {
@@ -88,6 +102,11 @@ impl Default for Settings {
             odometry_walk: [0.01, 0.5],
             wheel_slips: 4,
             kidnap_at_s: Vec::new(),
+            walkers: 0,
+            walker_speed_m_s: [0.4, 1.5],
+            follower: false,
+            doors: 0,
+            pallets: 0,
         }
     }
 }
@@ -127,6 +146,16 @@ impl Settings {
             (
                 self.kidnap_at_s.iter().all(|at_s| (0.0..=100_000.0).contains(at_s)),
                 "kidnap_at_s must be between 0 and 100000",
+            ),
+            (
+                [self.walkers, self.doors, self.pallets].iter().all(|count| *count <= CHANGING_MAX),
+                "walkers, doors and pallets must be at most 1000 each",
+            ),
+            (
+                0.0 < self.walker_speed_m_s[0]
+                    && self.walker_speed_m_s[0] <= self.walker_speed_m_s[1]
+                    && self.walker_speed_m_s[1] <= WALKER_SPEED_MAX_M_S,
+                "walker_speed_m_s must be two ascending speeds up to 1.8",
             ),
         ];
         rules.into_iter().find(|(kept, _)| !kept).map_or(Ok(()), |(_, rule)| Err(rule))

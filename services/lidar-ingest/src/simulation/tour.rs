@@ -1,7 +1,9 @@
 use super::SimulationError;
 use super::planner::PlanningGrid;
+use super::room::Room;
 use crate::random::Random;
 use flockslam_geometry::Point;
+use std::sync::Arc;
 
 /// Shortest way between two random way points, metres.
 const LEG_MIN_M: f64 = 3.0;
@@ -13,15 +15,12 @@ const REVISIT_EVERY: usize = 3;
 const EXTENT_MIN_M: f64 = 1.0;
 /// Visited way points that are remembered.
 const VISITED_MAX: usize = 4096;
-/// Places that are drawn in search of one that is far enough away.
-const DRAWS_MAX: usize = 100;
 
 /// A way without end, clear of walls, that returns to places visited before; planned leg by leg.
 #[derive(Clone, Debug)]
 pub(super) struct Tour {
-    grid: PlanningGrid,
     /// All places that can be reached from the tour.
-    room: Vec<Point>,
+    room: Arc<Room>,
     plan: Plan,
 }
 
@@ -41,18 +40,19 @@ impl Tour {
             .map(|(from, to)| grid.path(*from, *to))
             .collect::<Option<_>>()
             .ok_or(SimulationError::NoRoom)?;
-        let room = grid.room_around(points[0]);
-        Ok(Self { grid, room, plan: Plan::Guided { points: points.to_vec(), legs, next: 0 } })
+        let room = Arc::new(Room::around(grid, points[0]));
+        Ok(Self { room, plan: Plan::Guided { points: points.to_vec(), legs, next: 0 } })
     }
 
     /// Visits random points of the largest room, and every now and then one of those again.
     pub(super) fn random(grid: PlanningGrid, mut random: Random) -> Result<Self, SimulationError> {
-        let room = grid.largest_room();
-        if !room.iter().any(|place| place.distance_m(room[0]) >= EXTENT_MIN_M) {
+        let room = Arc::new(Room::largest(grid));
+        let places = room.places();
+        if !places.iter().any(|place| place.distance_m(places[0]) >= EXTENT_MIN_M) {
             return Err(SimulationError::NoRoom);
         }
-        let visited = vec![room[random.below(room.len())]];
-        Ok(Self { grid, room, plan: Plan::Random { visited, count: 1, random } })
+        let visited = vec![places[random.below(places.len())]];
+        Ok(Self { room, plan: Plan::Random { visited, count: 1, random } })
     }
 
     /// The way to the next point, about one point for each cell; never empty.
@@ -69,15 +69,15 @@ impl Tour {
                 let next = if again {
                     visited[random.below(known)]
                 } else {
-                    self.room[random.below(self.room.len())]
+                    self.room.places()[random.below(self.room.places().len())]
                 };
                 let last = visited[(*count - 1) % VISITED_MAX];
                 remember(visited, count, last);
-                if last.distance_m(next) < LEG_MIN_M && self.room.len() > ROOMY_CELLS {
+                if last.distance_m(next) < LEG_MIN_M && self.room.places().len() > ROOMY_CELLS {
                     continue;
                 }
                 visited[(*count - 1) % VISITED_MAX] = next;
-                break path(&self.grid, last, next);
+                break self.room.way(last, next);
             },
         }
     }
@@ -85,7 +85,7 @@ impl Tour {
     /// The way from any place of the same room back onto the tour: to the point that comes next.
     pub(super) fn leg_from(&mut self, place: Point) -> Vec<Point> {
         match &mut self.plan {
-            Plan::Guided { points, next, .. } => path(&self.grid, place, points[*next]),
+            Plan::Guided { points, next, .. } => self.room.way(place, points[*next]),
             Plan::Random { visited, count, .. } => {
                 remember(visited, count, place);
                 self.next_leg()
@@ -93,16 +93,9 @@ impl Tour {
         }
     }
 
-    /// A place that can be reached, if possible at least `apart_m` metres from `from`.
-    pub(super) fn random_place(&self, from: Point, apart_m: f64, random: &mut Random) -> Point {
-        let mut draw = || self.room[random.below(self.room.len())];
-        let first = draw();
-        let mut others = std::iter::repeat_with(draw).take(DRAWS_MAX);
-        if first.distance_m(from) >= apart_m {
-            first
-        } else {
-            others.find(|p| p.distance_m(from) >= apart_m).unwrap_or(first)
-        }
+    /// The free space that the tour leads through.
+    pub(super) fn room(&self) -> &Arc<Room> {
+        &self.room
     }
 }
 
@@ -114,8 +107,4 @@ fn remember(visited: &mut Vec<Point>, count: &mut usize, point: Point) {
         visited[*count % VISITED_MAX] = point;
     }
     *count += 1;
-}
-
-fn path(grid: &PlanningGrid, from: Point, to: Point) -> Vec<Point> {
-    grid.path(from, to).expect("both are in the same room")
 }
