@@ -7,13 +7,13 @@ use flockslam::store::SavedMap;
 use flockslam_bus::RuntimeDir;
 use flockslam_messages::Stage;
 use flockslam_telemetry::monotonic_ns;
-use rustix::process::Signal;
+use rustix::process::{Pid, Signal, kill_process};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{JoinHandle, sleep, spawn};
 use std::time::Duration;
 use support::faults::Evidence;
-use support::{Drive, LiveSet, PoseWatch, of, send, wait_for};
+use support::{Drive, LiveSet, PoseWatch, of, wait_for};
 
 const DRIVE: Drive = Drive { scan_rate_hz: 40.0, duration_s: 30.0, rate: 1.0 };
 /// A slowed process has this much time …
@@ -44,10 +44,14 @@ impl Nuisance {
 
     /// … and then has to wait until the same has passed so many times.
     fn slow(pid: u32, times: u32) -> Self {
+        // So slow that it was taken to hang, it may have been replaced.
+        let send_if_there = move |signal| {
+            let _ = kill_process(Pid::from_raw(pid as i32).unwrap(), signal);
+        };
         Self::start(1, move || {
-            send(pid, Signal::STOP);
+            send_if_there(Signal::STOP);
             sleep((times - 1) * TURN);
-            send(pid, Signal::CONT);
+            send_if_there(Signal::CONT);
             sleep(TURN);
         })
     }

@@ -5,9 +5,12 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// Where POSIX shared memory objects appear as files.
 const SHARED_MEMORY: &str = "/dev/shm";
+/// A living process gives a shared object that it has begun its size within this.
+const FINISHED_WITHIN: Duration = Duration::from_millis(20);
 const DIRECTORY_PREFIX: &str = "flockslam-";
 const LOCK_FILE: &str = "lock";
 /// Begins the names of folders on disk that belong to sets.
@@ -252,6 +255,29 @@ impl RuntimeDir {
             .filter(|path| file_name(path).starts_with(&self.object_prefix()))
             .map(|path| allocated_bytes(&path));
         objects.sum::<u64>() + directory_bytes(&self.path)
+    }
+
+    /// Removes shared objects that a process began and gave no size, since it was killed in between; gives how many. iceoryx2 0.10
+    /// waits for such an object without end, also while it cleans up after the dead. A process that lives takes microseconds to get
+    /// past this state, so what is still in it after a while is nobody's.
+    pub fn remove_unfinished_objects(&self) -> usize {
+        let unfinished = || -> Vec<(PathBuf, u64)> {
+            let own = entries(Path::new(SHARED_MEMORY)).into_iter();
+            let own = own.filter(|path| file_name(path).starts_with(&self.object_prefix()));
+            own.filter_map(|path| {
+                let metadata = fs::metadata(&path).ok()?;
+                (metadata.len() == 0).then(|| (path, metadata.ino()))
+            })
+            .collect()
+        };
+        let before = unfinished();
+        if before.is_empty() {
+            return 0;
+        }
+        std::thread::sleep(FINISHED_WITHIN);
+        let after = unfinished();
+        let left = before.iter().filter(|object| after.contains(object));
+        left.filter(|(path, _)| fs::remove_file(path).is_ok()).count()
     }
 
     /// Points iceoryx2 at this set; must come before any other use of it in a process.

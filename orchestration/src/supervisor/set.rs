@@ -326,6 +326,10 @@ impl ProcessSet {
 
     fn clean(&mut self) {
         self.cleaned = Instant::now();
+        let unfinished = self.runtime.remove_unfinished_objects();
+        if unfinished > 0 {
+            tracing::info!(unfinished, "shared memory that dead processes had only begun was removed");
+        }
         let (cleaned, failed) = self.bus.clean_dead_nodes();
         if cleaned + failed > 0 {
             tracing::info!(cleaned, failed, "dead processes cleaned up");

@@ -12,6 +12,17 @@ fn without_a_folder_on_disk_everything_lies_in_the_directory() {
 }
 
 #[test]
+fn shared_objects_that_were_only_begun_are_removed_and_no_others() {
+    let runtime = RuntimeDir::create(&name("begun")).unwrap();
+    let object = |name: &str| Path::new(SHARED_MEMORY).join(format!("{}{name}", runtime.object_prefix()));
+    fs::write(object("begun"), b"").unwrap();
+    fs::write(object("whole"), b"x").unwrap();
+    assert_eq!(runtime.remove_unfinished_objects(), 1);
+    assert!(!object("begun").exists() && object("whole").exists());
+    assert_eq!(runtime.remove_unfinished_objects(), 0);
+}
+
+#[test]
 fn a_folder_on_disk_comes_and_goes_with_the_set_and_those_of_dead_sets_go_first() {
     let disk = tempfile::tempdir().unwrap();
     let spill_dir = disk.path().join("deep/spill");
