@@ -1,6 +1,6 @@
-use flockslam_geometry::{Pose, wrap_angle};
-use flockslam_messages::{ScanTally, ScanView, TALLY_BINS, TALLY_SECTORS};
-use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use flockslam_geometry::Pose;
+use flockslam_messages::{ScanSections, ScanTally, ScanView, TALLY_BINS, TALLY_SECTORS};
+use std::f64::consts::{PI, TAU};
 use std::ops::Range;
 
 /// Units of range in a metre.
@@ -9,8 +9,6 @@ pub(crate) const UNITS_PER_M: f32 = 1024.0;
 const RANGE_CAP_M: f32 = 8191.0;
 /// From here to twice as much the numbers of single precision are the whole ones: what is added to this is rounded to units.
 const ONES: f32 = 8_388_608.0;
-/// Beams that are taken together at most, where they all fall into one place.
-const BLOCK: usize = 4096;
 /// Ranges of which the sum in units stays within 32 bits.
 const CHUNK: usize = 256;
 /// Beams that enter the histogram at least: one of a thousand is as good as one of all.
@@ -22,39 +20,16 @@ pub fn tally(scan: ScanView<'_>, beams: Range<usize>) -> ScanTally {
     let mut tally = ScanTally { id: scan.header().id, parts: 1, ..ScanTally::default() };
     let places = Places::of(scan);
     let beams = beams.start..beams.end.min(scan.len());
-    let (length, last) = (places.block(scan), scan.len().saturating_sub(1));
     let mut at = beams.start;
-    if at >= beams.end {
-        return tally;
-    }
-    let mut place = places.of_beam(scan, at);
     while at < beams.end {
-        let end = (at + length).min(beams.end);
-        let next_place = places.of_beam(scan, end.min(last));
-        take_run(&mut tally, scan, &places, at..end, (place, next_place));
-        (at, place) = (end, next_place);
+        let (place, end) = places.run(scan, at, beams.end);
+        take_beams(&mut tally, scan, at..end, place);
+        at = end;
     }
     tally
 }
 
-/// Adds the beams of a block, given the places of its first beam and of the one that follows: halves until a part lies in one.
-fn take_run(
-    tally: &mut ScanTally,
-    scan: ScanView<'_>,
-    places: &Places,
-    beams: Range<usize>,
-    (place, next_place): (Place, Place),
-) {
-    if place == next_place || beams.len() == 1 {
-        return take_beams(tally, scan, beams, place);
-    }
-    let middle = beams.start + beams.len() / 2;
-    let middle_place = places.of_beam(scan, middle);
-    take_run(tally, scan, places, beams.start..middle, (place, middle_place));
-    take_run(tally, scan, places, middle..beams.end, (middle_place, next_place));
-}
-
-/// Where a beam counts: its sector, and which sign falling ranges have along a corridor.
+/// Where a beam counts: its sector, and whether ranges that fall along a corridor count up: front and left, or neither.
 type Place = (usize, bool);
 
 /// How angles become places.
@@ -63,39 +38,55 @@ struct Places {
     turned_rad: f64,
     /// From the laser's to the robot's frame, radians.
     mounted_rad: f64,
+    /// Beams over which even angles pass through a sector, no more.
+    stride: usize,
 }
 
 impl Places {
     fn of(scan: ScanView<'_>) -> Self {
-        let mounted_rad = scan.header().base_from_laser.heading_rad;
+        let header = scan.header();
+        let mounted_rad = header.base_from_laser.heading_rad;
         let heading_rad = scan.odometry().unwrap_or(Pose::IDENTITY).heading_rad;
-        Self { turned_rad: mounted_rad + heading_rad, mounted_rad }
+        let has_even_angles = header.sections & ScanSections::ANGLES == 0;
+        let in_sector = TAU / TALLY_SECTORS as f64 / header.angle_increment_rad.abs();
+        // A number that is not finite becomes the nearest there is; a length of scans is enough.
+        let stride =
+            if has_even_angles { (in_sector.ceil() as usize).clamp(1, scan.len().max(1)) } else { 1 };
+        Self { turned_rad: mounted_rad + heading_rad, mounted_rad, stride }
     }
 
-    /// Beams in a row, at most [`BLOCK`], over which even angles change so little that equal places at its beginning and at that
-    /// of the next are equal in between.
-    fn block(&self, scan: ScanView<'_>) -> usize {
-        let header = scan.header();
-        if header.sections & flockslam_messages::ScanSections::ANGLES != 0 {
-            return 1;
+    /// The place of a beam, and where the beams end that follow it in the same place, `limit` at most.
+    fn run(&self, scan: ScanView<'_>, start: usize, limit: usize) -> (Place, usize) {
+        let place = self.of_beam(scan, start);
+        let end = (start + self.stride).min(limit);
+        if end - start == 1 || self.of_beam(scan, end - 1) == place {
+            return (place, end);
         }
-        let sector_rad = TAU / TALLY_SECTORS as f64;
-        let is_narrow = |length: &usize| header.angle_increment_rad.abs() * (*length as f64) < sector_rad;
-        [BLOCK, CHUNK, 64, 16, 8, 4].into_iter().find(is_narrow).unwrap_or(1)
+        // Even angles leave a place only once: the last beam known to be in it, and the first known not to be.
+        let (mut last, mut next) = (start, end - 1);
+        while next - last > 1 {
+            let middle = last.midpoint(next);
+            if self.of_beam(scan, middle) == place { last = middle } else { next = middle }
+        }
+        (place, next)
     }
 
     fn of_beam(&self, scan: ScanView<'_>, beam: usize) -> Place {
         let angle_rad = scan.angle_rad(beam);
-        let angle = wrap_angle(angle_rad + self.mounted_rad);
-        (sector_of(angle_rad + self.turned_rad), (angle.abs() < FRAC_PI_2) == (angle > 0.0))
+        let quadrant = part_of_turn(angle_rad + self.mounted_rad, 4);
+        (sector_of(angle_rad + self.turned_rad), quadrant.is_multiple_of(2))
     }
 }
 
-/// An angle that is not finite falls into sector 0.
 fn sector_of(angle_rad: f64) -> usize {
-    let turn = (angle_rad + PI) * (1.0 / TAU);
-    let share = turn - turn.floor();
-    ((share * TALLY_SECTORS as f64) as usize).min(TALLY_SECTORS - 1)
+    part_of_turn(angle_rad + PI, TALLY_SECTORS)
+}
+
+/// In which of so many equal parts of a turn an angle lies; one that is not finite in the first.
+fn part_of_turn(angle_rad: f64, parts: usize) -> usize {
+    let turns = angle_rad * (1.0 / TAU);
+    let share = turns - turns.floor();
+    ((share * parts as f64) as usize).min(parts - 1)
 }
 
 /// A range in units, rounded.
@@ -216,7 +207,7 @@ impl Sums {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flockslam_messages::{ScanBuffer, ScanSections};
+    use flockslam_messages::ScanBuffer;
     use proptest::prelude::*;
 
     #[test]
@@ -278,19 +269,27 @@ mod tests {
         scan
     }
 
-    #[test]
-    fn blocks_count_as_beams_do() {
-        let scan = large(100_000, 7);
-        let view = scan.view().unwrap();
-        let mut one_by_one = ScanTally { parts: 1, ..ScanTally::default() };
-        let places = Places::of(view);
-        (0..view.len()).for_each(|beam| {
-            take_beams(&mut one_by_one, view, beam..beam + 1, places.of_beam(view, beam));
-        });
-        assert_eq!(tally(view, 0..view.len()), one_by_one);
-    }
-
     proptest! {
+        #[test]
+        fn runs_count_as_beams_do(
+            beams in prop_oneof![1_usize..1500, 99_000_usize..100_000], turns in 0.01_f64..2.5,
+            start_rad in -4.0_f64..4.0, heading_rad in -4.0_f64..4.0, backwards in any::<bool>(), seed in any::<u64>(),
+        ) {
+            let mut scan = large(beams, seed);
+            let step_rad = turns * TAU / beams as f64;
+            scan.header.angle_min_rad = start_rad;
+            scan.header.angle_increment_rad = if backwards { -step_rad } else { step_rad };
+            (scan.header.odometry.heading_rad, scan.header.has_odometry) = (heading_rad, 1);
+            scan.header.base_from_laser.heading_rad = heading_rad / 3.0;
+            let view = scan.view().unwrap();
+            let mut one_by_one = ScanTally { parts: 1, ..ScanTally::default() };
+            let places = Places::of(view);
+            (0..beams).for_each(|beam| {
+                take_beams(&mut one_by_one, view, beam..beam + 1, places.of_beam(view, beam));
+            });
+            prop_assert_eq!(tally(view, 0..beams), one_by_one);
+        }
+
         #[test]
         fn parts_sum_up_to_the_whole(
             beams in prop_oneof![0_usize..400, 16_000_usize..40_000],

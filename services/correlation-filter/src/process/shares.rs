@@ -28,16 +28,22 @@ pub fn tally_part(scan: ScanView<'_>, part: u32, parts: u32, threads: usize) -> 
         let within = beams_of_part(beams.len(), thread, threads);
         tally(scan, beams.start + within.start..beams.start + within.end)
     };
-    let mut sum = std::thread::scope(|scope| {
+    let mut sum = if threads == 1 { slice(0) } else { together(threads, slice) };
+    (sum.part, sum.parts) = (part, parts);
+    sum
+}
+
+/// The sum of the slices of so many threads, of which this is the first.
+fn together(threads: u32, slice: impl Fn(u32) -> ScanTally + Sync) -> ScanTally {
+    let slice = &slice;
+    std::thread::scope(|scope| {
         let others: Vec<_> = (1..threads).map(|thread| scope.spawn(move || slice(thread))).collect();
         let own = slice(0);
         others.into_iter().fold(own, |mut sum, other| {
             sum.add(&other.join().expect("a thread that only adds does not panic"));
             sum
         })
-    });
-    (sum.part, sum.parts) = (part, parts);
-    sum
+    })
 }
 
 /// Collects what the replicas of the filter found in their parts of the scans.
