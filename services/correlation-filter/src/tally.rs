@@ -85,7 +85,8 @@ fn sector_of(angle_rad: f64) -> usize {
 /// In which of so many equal parts of a turn an angle lies; one that is not finite in the first.
 fn part_of_turn(angle_rad: f64, parts: usize) -> usize {
     let turns = angle_rad * (1.0 / TAU);
-    let share = turns - turns.floor();
+    let beyond_whole = turns - turns as i64 as f64;
+    let share = if beyond_whole < 0.0 { beyond_whole + 1.0 } else { beyond_whole };
     ((share * parts as f64) as usize).min(parts - 1)
 }
 
@@ -164,7 +165,8 @@ impl Sums {
     #[inline(always)]
     fn add_plainly(&mut self, first_m: &[f32], second_m: &[f32], limits_m: (f32, f32)) {
         let is_valid = |range_m: f32| (limits_m.0 <= range_m) & (range_m <= limits_m.1);
-        let valid = first_m.iter().fold(0_u32, |valid, a| valid + u32::from(is_valid(*a)));
+        // Nothing wraps: a chunk has 256 ranges of less than 2^23 units. Said so, the compiler need not look, here and below.
+        let valid = first_m.iter().fold(0_u32, |valid, a| valid.wrapping_add(u32::from(is_valid(*a))));
         if valid as usize == first_m.len() && second_m.last().is_none_or(|last| is_valid(*last)) {
             self.add_valid(first_m, second_m);
         } else {
@@ -176,7 +178,6 @@ impl Sums {
     /// Valid ranges. A loop without branches, for the compiler to vectorise, as the next one.
     #[inline(always)]
     fn add_valid(&mut self, first_m: &[f32], second_m: &[f32]) {
-        // Nothing wraps: a chunk has 256 ranges of less than 2^23 units. Said so, the compiler need not look.
         let (mut sum, mut falls) = (0_u32, 0_i32);
         for (a, b) in first_m.iter().zip(second_m) {
             sum = sum.wrapping_add(units(*a));
