@@ -1,0 +1,238 @@
+//! Boards, rules and the Prometheus configuration: they name metrics that exist, their own tools accept them, and in a real run
+//! that a real Prometheus scrapes, each panel and each recorded rule has something to show.
+
+mod support;
+
+use flockslam_messages::Stage;
+use flockslam_telemetry::names;
+use rustix::process::Signal;
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::fs;
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use support::{RunningSet, live_building, wait_for};
+
+const RULES: [&str; 2] = ["recording.yml", "alerts.yml"];
+/// What a histogram's series add to its name.
+const HISTOGRAM_ENDINGS: [&str; 3] = ["_bucket", "_sum", "_count"];
+
+fn dashboards() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../dashboards")
+}
+
+fn text(name: &str) -> String {
+    fs::read_to_string(dashboards().join(name)).unwrap()
+}
+
+/// A panel's title and what it asks for.
+struct Query {
+    panel: String,
+    expression: String,
+}
+
+fn boards() -> Vec<(String, Value)> {
+    let mut boards: Vec<_> = fs::read_dir(dashboards().join("grafana/boards"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .map(|path| {
+            let name = path.file_stem().unwrap().to_str().unwrap().to_owned();
+            (name, serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap())
+        })
+        .collect();
+    boards.sort_by(|a, b| a.0.cmp(&b.0));
+    assert!(boards.len() >= 3);
+    boards
+}
+
+fn queries(name: &str, board: &Value) -> Vec<Query> {
+    let panels = board["panels"].as_array().unwrap();
+    let of_panel = |panel: &Value| {
+        let title = format!("{name}: {}", panel["title"].as_str().unwrap());
+        let targets = panel["targets"].as_array().unwrap().clone();
+        targets.into_iter().map(move |target| Query {
+            panel: title.clone(),
+            expression: target["expr"].as_str().unwrap().to_owned(),
+        })
+    };
+    let queries: Vec<_> = panels.iter().flat_map(of_panel).collect();
+    assert!(queries.len() >= panels.len(), "{name} has panels without queries");
+    queries
+}
+
+/// Names that recording rules give.
+fn recorded() -> BTreeSet<String> {
+    let rules = text("recording.yml");
+    let names = rules.lines().filter_map(|line| line.trim().strip_prefix("- record: "));
+    names.map(str::to_owned).collect()
+}
+
+/// All names of metrics and of recorded rules in a text.
+fn named(text: &str) -> BTreeSet<String> {
+    let is_part = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == ':';
+    let words = text.split(|c| !is_part(c));
+    let of_ours = |word: &&str| word.starts_with(names::PREFIX) || word.starts_with("flockslam:");
+    words.filter(of_ours).map(str::to_owned).collect()
+}
+
+fn assert_known(place: &str, expression: &str) {
+    let recorded = recorded();
+    for name in named(expression) {
+        let series = HISTOGRAM_ENDINGS.iter().find_map(|ending| name.strip_suffix(ending));
+        let is_metric = names::ALL.iter().any(|metric| metric.name == name || Some(metric.name) == series);
+        assert!(is_metric || recorded.contains(&name), "{place}: {name} is no metric and no recorded rule");
+    }
+}
+
+/// The expressions of a file of rules.
+fn expressions(file: &str) -> Vec<String> {
+    let rules = text(file);
+    let expressions: Vec<_> =
+        rules.lines().filter_map(|line| line.trim().strip_prefix("expr: ")).map(str::to_owned).collect();
+    assert!(expressions.len() >= 5);
+    expressions
+}
+
+#[test]
+fn boards_and_rules_ask_for_what_exists() {
+    for rules in RULES {
+        expressions(rules).iter().for_each(|expression| assert_known(rules, expression));
+    }
+    let mut titles = BTreeSet::new();
+    for (name, board) in boards() {
+        assert_eq!(board["uid"].as_str(), Some(name.as_str()));
+        for query in queries(&name, &board) {
+            assert!(!named(&query.expression).is_empty(), "{}", query.panel);
+            assert_known(&query.panel, &query.expression);
+            titles.insert(query.panel);
+        }
+    }
+    assert!(titles.len() >= 15);
+}
+
+/// Runs a tool of Prometheus; `None`, said clearly, where it is not installed.
+fn tool(name: &str, arguments: &[&str], input: &str) -> Option<()> {
+    let spawned = Command::new(name)
+        .args(arguments)
+        .current_dir(dashboards())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn();
+    let Ok(mut child) = spawned else {
+        println!("NOT TESTED: {name} {}: it is not installed (Debian: prometheus)", arguments.join(" "));
+        return None;
+    };
+    child.stdin.take().unwrap().write_all(input.as_bytes()).unwrap();
+    let output = child.wait_with_output().unwrap();
+    let told = format!("{}{}", support::stdout(&output), support::stderr(&output));
+    assert!(output.status.success(), "{name} {arguments:?}: {told}");
+    Some(())
+}
+
+#[test]
+fn promtool_accepts_rules_and_configuration_and_the_alerts_ring_when_they_should() {
+    tool("promtool", &["check", "config", "prometheus.yml"], "");
+    tool("promtool", &["check", "rules", RULES[0], RULES[1]], "");
+    tool("promtool", &["test", "rules", "rules_test.yml"], "");
+}
+
+/// A port that nobody uses at this moment.
+fn free_port() -> u16 {
+    TcpListener::bind(("127.0.0.1", 0)).unwrap().local_addr().unwrap().port()
+}
+
+fn get(port: u16, path: &str) -> Option<String> {
+    let mut stream = TcpStream::connect(("127.0.0.1", port)).ok()?;
+    write!(stream, "GET {path} HTTP/1.0\r\nHost: localhost\r\n\r\n").ok()?;
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).ok()?;
+    let (head, body) = answer.split_once("\r\n\r\n")?;
+    head.lines().next()?.contains(" 200 ").then(|| body.to_owned())
+}
+
+/// A Prometheus with the project's rules, which scrapes one port several times a second.
+struct Prometheus {
+    child: Child,
+    port: u16,
+}
+
+impl Prometheus {
+    /// `None` where it is not installed.
+    fn start(directory: &Path, target: u16) -> Option<Self> {
+        for name in RULES {
+            fs::copy(dashboards().join(name), directory.join(name)).unwrap();
+        }
+        fs::create_dir(directory.join("sets")).unwrap();
+        let example = text("sets/r1.yml").replace("127.0.0.1:9464", &format!("127.0.0.1:{target}"));
+        fs::write(directory.join("sets/r1.yml"), example).unwrap();
+        let configuration = text("prometheus.yml").replace("_interval: 5s", "_interval: 250ms");
+        fs::write(directory.join("prometheus.yml"), configuration).unwrap();
+        let port = free_port();
+        let spawned = Command::new("prometheus")
+            .arg("--config.file=prometheus.yml")
+            .arg("--storage.tsdb.path=data")
+            .arg(format!("--web.listen-address=127.0.0.1:{port}"))
+            .current_dir(directory)
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn();
+        match spawned {
+            Ok(child) => Some(Self { child, port }),
+            Err(_) => {
+                println!("NOT TESTED: a scrape of a real run: prometheus is not installed");
+                None
+            }
+        }
+    }
+
+    /// The series that an expression has now, or nothing.
+    fn series(&self, expression: &str) -> Option<Vec<Value>> {
+        let encoded: String = expression.bytes().map(|byte| format!("%{byte:02x}")).collect();
+        let answer = get(self.port, &format!("/api/v1/query?query={encoded}"))?;
+        let answer: Value = serde_json::from_str(&answer).unwrap();
+        let series = answer["data"]["result"].as_array().unwrap().clone();
+        (!series.is_empty()).then_some(series)
+    }
+}
+
+impl Drop for Prometheus {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn every_panel_has_something_to_show_in_a_real_run() {
+    let directory = tempfile::tempdir().unwrap();
+    let metrics_port = free_port();
+    let scraped = directory.path().join("prometheus");
+    fs::create_dir(&scraped).unwrap();
+    let Some(prometheus) = Prometheus::start(&scraped, metrics_port) else { return };
+    let mut args = live_building(500, 10);
+    args.extend(["--metrics-port".to_owned(), metrics_port.to_string()]);
+    let mut set = RunningSet::start("dashboards", &directory.path().join("out"), &args);
+    set.wait_until_handled(Stage::SyncManager, 20);
+    let page = wait_for("the merged page", || get(metrics_port, "/metrics"));
+    tool("promtool", &["check", "metrics"], &page);
+    for (name, board) in boards() {
+        for query in queries(&name, &board) {
+            let asked = query.expression.replace("$robot", ".+").replace("$__rate_interval", "5s");
+            let series = wait_for(&query.panel, || prometheus.series(&asked));
+            assert!(series.iter().all(|one| {
+                let robot = one["metric"]["robot"].as_str();
+                robot == Some("r1") || query.expression.starts_with("sum by (le)")
+            }));
+        }
+    }
+    for name in recorded() {
+        wait_for(&name, || prometheus.series(&name));
+    }
+    let stages = prometheus.series("flockslam_stage_up == 1").unwrap();
+    assert_eq!(stages.len(), Stage::ALL.len());
+    support::send(set.supervisor_pid(), Signal::INT);
+    set.finish();
+}
