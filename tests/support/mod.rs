@@ -6,6 +6,7 @@
 
 mod benchmark;
 pub mod faults;
+mod http;
 mod live;
 mod log;
 mod outputs;
@@ -13,6 +14,7 @@ mod poses;
 mod running;
 
 pub use benchmark::{benchmark_file, evaluate_relations};
+pub use http::{free_port, http_get};
 pub use live::{Drive, LiveSet, of};
 pub use log::simulated_log;
 pub use outputs::{Outputs, truth_error_m};
