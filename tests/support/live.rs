@@ -159,7 +159,7 @@ impl LiveSet {
 
 /// What a status says of the first process of a stage.
 pub fn of(status: &SetStatus, stage: Stage) -> &StageStatus {
-    status.stages.iter().find(|found| found.stage == stage.name() && found.replica == 0).unwrap()
+    status.stages.iter().find(|found| found.stage == stage.name()).unwrap()
 }
 
 impl Drop for LiveSet {
