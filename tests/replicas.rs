@@ -115,19 +115,10 @@ fn each_stage_gets_a_second_process_and_loses_it_again_without_a_lost_scan() {
 #[test]
 fn who_stands_by_goes_on_with_the_next_scan_when_the_one_that_acts_is_killed() {
     let directory = tempfile::tempdir().unwrap();
-    let twice = |stage: &str| format!("[stages.{stage}]\nreplicas = 2\n");
     let stages = [Stage::ScanMatcher, Stage::SyncManager, Stage::LidarIngest];
-    let description: String = stages.iter().map(|stage| twice(stage.name())).collect();
-    // The lines go in front of those of the set: tables come last.
-    let drive = Drive { scan_rate_hz: 20.0, duration_s: 60.0, rate: 2.0 };
-    let map = directory.path().join("map");
-    let robot = support::robot("turns");
-    let text = drive.description(&robot, &format!("map = {map:?}")) + &description;
-    std::fs::write(directory.path().join("set.toml"), text).unwrap();
-    let mut set = LiveSet::start_again(robot, directory.path(), &[]);
-    set.wait_until_handled(Stage::Mapper, 1);
-    let poses = PoseWatch::start(&set.runtime_dir());
-    let mut subject = Subject { set, poses, map: SavedMap::at(&map) };
+    let twice: String =
+        stages.iter().map(|stage| format!("stages.{}.replicas = 2\n", stage.name())).collect();
+    let mut subject = Subject::start(directory.path(), &twice);
     for stage in stages {
         subject.wait_until_all_run(stage, 2);
         let status_dir = subject.set.runtime_dir().join("status");

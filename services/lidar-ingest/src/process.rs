@@ -16,7 +16,7 @@ pub use feed::count_scans;
 use flockslam_bus::{BellRinger, Publisher, ScanPublisher, Subscriber};
 use flockslam_messages::{Control, ControlKind, LARGE_SCAN_BEAMS, Progress, ScanBuffer, ScanId, Stage};
 use flockslam_stage::{Actor, Mode, StageContext, StageError, StreamEnd, Turn, run};
-use flockslam_telemetry::{monotonic_ns, utc_ns};
+use flockslam_telemetry::{is_sabotaged, monotonic_ns, utc_ns};
 use pacer::Pacer;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -121,7 +121,8 @@ impl Ingest {
             Mode::Live => Some(Cursor::open(&context.status_dir, first)?),
             Mode::Exact => None,
         };
-        let resumed = cursor.as_ref().map_or(first, |cursor| cursor.next_sequence());
+        let resumed = cursor.as_ref().filter(|_| !is_sabotaged("no-cursor"));
+        let resumed = resumed.map_or(first, Cursor::next_sequence);
         let pacer = task.rate.map(|rate| Pacer::new(rate, cursor.as_ref().and_then(Cursor::anchor)));
         let mut feed = Feed::open(context, &task)?;
         feed.skip(resumed.saturating_sub(first))?;

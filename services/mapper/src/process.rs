@@ -16,7 +16,7 @@ use flockslam_stage::{
     Acknowledger, Actor, JournalReader, Mode, PendingScans, PoseQueue, StageContext, StageError, StreamEnd,
     SubmapStore, run,
 };
-use flockslam_telemetry::monotonic_ns;
+use flockslam_telemetry::{is_sabotaged, monotonic_ns};
 use parts::Parts;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -152,6 +152,9 @@ impl MapperProcess {
             self.logic.resume(submap, inserted);
             context.alive();
         }
+        if is_sabotaged("replay-twice") {
+            self.applied = 0;
+        }
         self.catch_up(u64::MAX, context)?;
         if self.last.is_some() || count > 0 {
             self.republish(context)?;
@@ -161,7 +164,7 @@ impl MapperProcess {
 
     /// Applies accepted scans of the journal before this sequence that are not in the map yet.
     fn catch_up(&mut self, before: u64, context: &mut StageContext) -> Result<(), StageError> {
-        while let Some(record) = self.journal.read_before(before)? {
+        while let Some(record) = self.journal.read_before(before)?.filter(|_| !is_sabotaged("no-replay")) {
             context.alive();
             self.expected = self.expected.max(record.pose.id.sequence + 1);
             let Some(scan) = record.scan.filter(|_| record.pose.id.sequence >= self.applied) else {

@@ -10,7 +10,7 @@ use flockslam_stage::{
     Acknowledger, Actor, GridReader, JournalReader, JournalWriter, Mode, PendingScans, StageContext,
     StageError, StreamEnd, Turn, run,
 };
-use flockslam_telemetry::monotonic_ns;
+use flockslam_telemetry::{is_sabotaged, monotonic_ns};
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -149,6 +149,9 @@ impl Matcher {
     fn begin(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.read_journal(context)?;
         self.journal = Some(JournalWriter::open_behind(&context.journal_dir, &self.past)?);
+        if is_sabotaged("no-resume") {
+            return Ok(());
+        }
         let Some(last) = self.last else { return Ok(()) };
         let next = last.id.sequence + 1;
         let is_of_this_session = next > context.first_sequence;
@@ -283,7 +286,8 @@ impl Matcher {
         };
         let pose = self.logic.handle(scan, verdict, self.grid.grid());
         // Before anybody hears of an accepted scan it lies outside of this process.
-        let journaled = self.journal.as_mut().map(|journal| journal.append(&pose, scan));
+        let journal = self.journal.as_mut().filter(|_| !is_sabotaged("no-journal"));
+        let journaled = journal.map(|journal| journal.append(&pose, scan));
         if let Some(Err(error)) = journaled {
             tracing::error!(%error, "not durable");
             context.dropped("not-journaled");
