@@ -111,12 +111,10 @@ impl Parts {
         logic: &mut Mapper,
     ) -> Result<Option<Submap>, StageError> {
         let Some(oldest) = self.unmerged.front() else { return Ok(None) };
-        let Some(parts) = store.load_parts(oldest.number, self.parts)? else { return Ok(None) };
+        let Some(others) = store.load_parts(oldest.number, self.parts)? else { return Ok(None) };
         let Some(mut submap) = self.unmerged.pop_front() else { return Ok(None) };
-        for part in &parts {
-            logic.complete(submap.number, &part.tiles);
-            submap.tiles.extend_from_slice(&part.tiles);
-        }
+        logic.complete(submap.number, &others);
+        submap.tiles.extend(others);
         submap.tiles.sort_unstable_by_key(|tile| tile.key);
         Ok(Some(submap))
     }
