@@ -17,7 +17,7 @@ pub use benchmark::{benchmark_file, evaluate_relations};
 pub use http::{free_port, http_get};
 pub use live::{Drive, LiveSet, of};
 pub use log::simulated_log;
-pub use outputs::{Outputs, truth_error_m};
+pub use outputs::{Outputs, known_truth_error_m, truth_error_m};
 pub use poses::{PoseWatch, SeenPose};
 pub use running::{RunningSet, send};
 
