@@ -84,13 +84,16 @@ impl Subject {
         status
     }
 
-    /// The drive ends; every scan has a pose, and every accepted one is in the map once.
+    /// The drive ends; every scan has a pose but for those that a busy machine made the set drop, and every accepted one is in the
+    /// map once.
     fn conclude(self) {
         let Self { set, poses, map } = self;
-        set.finish();
+        let dropped = set.finish().report.dropped;
+        let for_haste: u64 = ["overload", "deadline"].iter().filter_map(|reason| dropped.get(*reason)).sum();
         let sequences: Vec<_> = poses.seen().iter().map(|seen| seen.pose.id.sequence).collect();
         let gaps: Vec<_> = sequences.windows(2).filter(|pair| pair[1] != pair[0] + 1).collect();
-        assert!(gaps.is_empty(), "every scan has a pose: {gaps:?}");
+        let missing: u64 = gaps.iter().map(|pair| pair[1].saturating_sub(pair[0] + 1)).sum();
+        assert!(missing <= for_haste, "scans have no pose: {gaps:?}; dropped {dropped:?}");
         let evidence = Evidence::of(&map);
         assert!(evidence.violations().is_empty(), "{:#?}", evidence.violations());
         println!("{} poses, {} accepted scans in the map", evidence.poses.len(), evidence.inserted);

@@ -1,4 +1,7 @@
-use super::{MomentGrid, PackedPoint, Placement};
+use super::{Line, MomentGrid, PackedPoint, Placement};
+
+/// Cosine to the normal from which on it is clear which face of a wall is seen.
+const FACING_MIN: f64 = 0.1;
 
 /// How a cloud is fitted to a grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -109,7 +112,7 @@ impl Aligner {
             let (x, y) = (at.x_m + rx, at.y_m + ry);
             let Some(line) = grid.line_near(x, y) else { continue };
             let distance = line.normal_x * (x - line.x_m) + line.normal_y * (y - line.y_m);
-            if distance.abs() > gate_m {
+            if distance.abs() > gate_m || is_other_side(&line, rx, ry) {
                 continue;
             }
             let weight = line.flatness * line.flatness / (1.0 + distance * distance * kernel);
@@ -150,6 +153,15 @@ impl Aligner {
         let delta = solve(&h, &g)?;
         Some([-delta[0].clamp(-0.3, 0.3), -delta[1].clamp(-0.3, 0.3), -delta[2].clamp(-0.2, 0.2)])
     }
+}
+
+/// Whether a point seen in the direction (x, y) lies on the other face of the wall that the line is one face of.
+#[inline]
+fn is_other_side(line: &Line, x: f64, y: f64) -> bool {
+    let from_behind = line.normal_x * x + line.normal_y * y;
+    line.facing > FACING_MIN
+        && from_behind > 0.0
+        && from_behind * from_behind > FACING_MIN * FACING_MIN * (x * x + y * y)
 }
 
 /// Solves the symmetric positive definite 3 × 3 system h·x = g by Cholesky; `None` when it is not.
@@ -202,6 +214,37 @@ mod tests {
             prop_assert!(found.placement.distance_m(&truth) < 0.003, "{found:?}");
             prop_assert!(found.placement.turn_rad(&truth) < 0.001 && found.inliers > 0.95);
         }
+    }
+
+    /// A wall of 0.12 m, from a room below it and from one above it, with a wall on the left and one on the right.
+    #[test]
+    fn the_other_face_of_a_wall_is_not_the_wall() {
+        let seen = |at: &Placement, face_y: f64| -> Vec<_> {
+            let line = |i: i32| f64::from(i) * 0.02 - 2.0;
+            let face = (0..=200).map(|i| (line(i), face_y));
+            let sides = (0..=100)
+                .flat_map(|i| [(-2.0, face_y), (2.0, face_y)].map(|(x, y)| (x, y + away(i, face_y))));
+            let away_from_lidar = face.chain(sides);
+            let back = at.inverse();
+            away_from_lidar
+                .map(|(x, y)| back.apply(x, y))
+                .filter_map(|(x, y)| PackedPoint::from_metres(x, y))
+                .collect()
+        };
+        fn away(i: i32, face_y: f64) -> f64 {
+            // The rooms lie on the sides of the wall that their faces look to.
+            if face_y < 0.0 { -0.02 * f64::from(i) } else { 0.02 * f64::from(i) }
+        }
+        let (below, above) = (Placement::new(0.2, -1.5, 1.2), Placement::new(-0.1, 1.4, -0.4));
+        let mut grid = MomentGrid::default();
+        grid.add(&below, &seen(&below, -0.06));
+        let points = seen(&above, 0.06);
+        let found = Aligner::default().align(&mut grid, &points, above);
+        // The side walls are in line with those of the other room; nothing else is the same.
+        assert!(found.is_none_or(|found| found.inliers < 0.1), "{found:?}");
+        grid.add(&above, &points);
+        let found = Aligner::default().align(&mut grid, &points, above).unwrap();
+        assert!(found.placement.distance_m(&above) < 0.002 && found.inliers > 0.9, "{found:?}");
     }
 
     #[test]

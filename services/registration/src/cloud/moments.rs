@@ -14,7 +14,11 @@ const REMEMBERED: (i32, i32) = (256, 128);
 /// Fewest points from which a line is fitted.
 const LINE_POINTS_MIN: i32 = 3;
 
-/// Zeroth, first and second moments of the points in a cell, about the cell's centre, in units.
+/// Length of the direction in which a point is seen, as cells add it up.
+const VIEW_UNITS: f64 = 256.0;
+
+/// Zeroth, first and second moments of the points in a cell, about the cell's centre, in units, and the sum of the directions in
+/// which they were seen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, FromZeros)]
 struct Moments {
     count: i32,
@@ -23,6 +27,8 @@ struct Moments {
     xx: i32,
     xy: i32,
     yy: i32,
+    view_x: i32,
+    view_y: i32,
 }
 
 /// The local line of a submap: a point on it, its unit normal, and how much it deserves to be called a line.
@@ -32,12 +38,15 @@ pub struct Line {
     pub x_m: f64,
     /// Metres along y of that point.
     pub y_m: f64,
-    /// Unit normal, x.
+    /// Unit normal, x; it points to where the points were seen from.
     pub normal_x: f64,
     /// Unit normal, y.
     pub normal_y: f64,
     /// 0 for a round blob … 1 for a thin line.
     pub flatness: f64,
+    /// Mean cosine between the normal and the way back to the lidar: 1 for a wall seen from straight ahead, 0 for one seen from
+    /// both its sides.
+    pub facing: f64,
 }
 
 /// A fitted line is remembered until the grid changes, or that of a cell further away takes its place.
@@ -46,6 +55,7 @@ struct Remembered {
     version: u32,
     cell: u32,
     flatness: f32,
+    facing: f32,
     x_m: f32,
     y_m: f32,
     normal_x: f32,
@@ -94,8 +104,9 @@ impl MomentGrid {
     fn change(&mut self, at: &Placement, points: &[PackedPoint], sign: i32) {
         self.version += 1;
         for point in points {
-            let (x_m, y_m) = at.apply(point.x_m(), point.y_m());
-            let (x, y) = (units(x_m), units(y_m));
+            let (along_x, along_y) = at.rotate(point.x_m(), point.y_m());
+            let (x, y) = (units(at.x_m + along_x), units(at.y_m + along_y));
+            let view = VIEW_UNITS / (along_x * along_x + along_y * along_y).sqrt().max(1e-3);
             let (column, row) = (x.div_euclid(CELL_UNITS), y.div_euclid(CELL_UNITS));
             let (dx, dy) = (x - column * CELL_UNITS - CELL_UNITS / 2, y - row * CELL_UNITS - CELL_UNITS / 2);
             let cell = &mut self.cells[index(column, row)];
@@ -105,6 +116,8 @@ impl MomentGrid {
             cell.xx += sign * dx * dx;
             cell.xy += sign * dx * dy;
             cell.yy += sign * dy * dy;
+            cell.view_x += sign * (along_x * view) as i32;
+            cell.view_y += sign * (along_y * view) as i32;
         }
     }
 
@@ -161,6 +174,7 @@ impl MomentGrid {
             normal_x: f64::from(line.normal_x),
             normal_y: f64::from(line.normal_y),
             flatness: f64::from(line.flatness),
+            facing: f64::from(line.facing),
         }
     }
 
@@ -200,7 +214,13 @@ impl MomentGrid {
         // Eigenvector of the larger eigenvalue, from whichever row of (C - λI) is better conditioned.
         let along = if a >= d { (half_gap + 0.5 * (a - d), b) } else { (b, half_gap + 0.5 * (d - a)) };
         let length = (along.0 * along.0 + along.1 * along.1).sqrt();
-        (line.normal_x, line.normal_y) = ((-along.1 / length) as f32, (along.0 / length) as f32);
+        let (normal_x, normal_y) = (-along.1 / length, along.0 / length);
+        let views = f64::from(own.count) * VIEW_UNITS;
+        let away = (normal_x * f64::from(own.view_x) + normal_y * f64::from(own.view_y)) / views;
+        let towards_lidar = if away > 0.0 { -1.0 } else { 1.0 };
+        (line.normal_x, line.normal_y) =
+            ((towards_lidar * normal_x) as f32, (towards_lidar * normal_y) as f32);
+        line.facing = away.abs() as f32;
         line.flatness = (half_gap / middle) as f32;
         let own_inverse = 1.0 / (f64::from(own.count) * UNITS_PER_M);
         line.x_m = (f64::from(own.x) * own_inverse) as f32;
