@@ -6,8 +6,8 @@ mod support;
 use flockslam_geometry::Pose;
 use flockslam_messages::{PoseEstimate, PoseFlags, Stage};
 use support::faults::{
-    Evidence, Trial, crashing_starts, endless_loop, everything_at_once, jumping_clock, kills_of_each_stage,
-    kills_while_saving, stops_of_each_stage, storm,
+    Evidence, Trial, corrupt_scans, crashing_starts, endless_loop, everything_at_once, jumping_clock,
+    kills_of_each_stage, kills_while_saving, stops_of_each_stage, storm, terminations, torn_files,
 };
 
 fn judge(trial: &Trial) {
@@ -54,6 +54,21 @@ fn kills_while_a_stage_starts_leave_nothing_that_grows() {
 #[test]
 fn a_kill_while_the_map_is_saved_leaves_a_good_map() {
     judge(&kills_while_saving(5, 5));
+}
+
+#[test]
+fn damage_anywhere_in_a_saved_map_is_noticed() {
+    judge(&torn_files(7));
+}
+
+#[test]
+fn corrupt_scans_are_counted_and_cost_little() {
+    judge(&corrupt_scans(8));
+}
+
+#[test]
+fn termination_saves_everything_in_time() {
+    judge(&terminations(2, 9));
 }
 
 /// Ten poses along a line, every second one with an accepted scan.

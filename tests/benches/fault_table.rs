@@ -6,8 +6,9 @@ mod support;
 
 use flockslam_messages::Stage;
 use support::faults::{
-    JournalCost, Trial, crashing_starts, endless_loop, everything_at_once, jumping_clock,
-    kills_of_each_stage, kills_of_who_acts, kills_while_saving, stops_of_each_stage, storm,
+    JournalCost, Overload, Trial, corrupt_scans, crashing_starts, endless_loop, everything_at_once,
+    jumping_clock, kills_of_each_stage, kills_of_who_acts, kills_while_saving, overload, refusing_disk,
+    repetitions, stops_of_each_stage, storm, terminations, torn_files,
 };
 
 const RUNS: usize = 100;
@@ -36,6 +37,16 @@ fn rows() -> Vec<Row> {
     for stage in Stage::ALL.into_iter().filter(|stage| *stage != Stage::SyncManager) {
         rows.push((format!("loop {}", stage.name()), Box::new(move |_| endless_loop(stage))));
     }
+    rows.push(("torn".to_owned(), Box::new(|_| torn_files(7))));
+    rows.push(("disk".to_owned(), Box::new(|runs| refusing_disk(runs.div_ceil(20)))));
+    rows.push(("corrupt".to_owned(), Box::new(|_| corrupt_scans(8))));
+    let overloads =
+        [Overload::Slow(Stage::ScanMatcher, 10), Overload::Slow(Stage::Mapper, 10), Overload::Hog];
+    for kind in overloads {
+        rows.push(("overload".to_owned(), Box::new(move |_| overload(kind))));
+    }
+    rows.push(("again".to_owned(), Box::new(|runs| repetitions(runs.div_ceil(10)))));
+    rows.push(("terminate".to_owned(), Box::new(|runs| terminations(runs.div_ceil(5), 9))));
     rows.push(("clock".to_owned(), Box::new(|runs| jumping_clock(0.3 * runs as f64))));
     rows.push(("storm".to_owned(), Box::new(|runs| storm(0.6 * runs as f64, 3))));
     rows.push(("all at once".to_owned(), Box::new(|runs| everything_at_once(runs.div_ceil(10)))));

@@ -4,6 +4,7 @@
 //! and publishing belong to the process around it.
 
 pub mod carmen;
+mod continuity;
 pub mod experiment;
 pub mod process;
 mod random;

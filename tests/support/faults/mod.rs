@@ -2,11 +2,17 @@
 //! one (a table) are made of these.
 
 mod evidence;
+mod input;
 mod journal_cost;
+mod overload;
+mod storage;
 mod trials;
 
 pub use evidence::Evidence;
+pub use input::{corrupt_scans, repetitions};
 pub use journal_cost::JournalCost;
+pub use overload::{Overload, overload};
+pub use storage::{refusing_disk, terminations, torn_files};
 pub use trials::{
     Trial, crashing_starts, descriptors, endless_loop, everything_at_once, jumping_clock,
     kills_of_each_stage, kills_of_who_acts, kills_while_saving, left_behind, sabotaged, stops_of_each_stage,

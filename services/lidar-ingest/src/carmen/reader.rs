@@ -1,6 +1,7 @@
 use super::line::{Line, begins_a_message, parse_line};
 use super::{Rejection, Tally};
 use crate::Settings;
+use crate::continuity::Continuity;
 use flockslam_messages::ScanBuffer;
 use std::io::{BufRead, Read};
 
@@ -77,6 +78,7 @@ pub struct CarmenReader<R> {
     line: Vec<u8>,
     tally: Tally,
     last_stamp_ns: Option<i64>,
+    continuity: Continuity,
 }
 
 /// How a line in the reader's memory ended.
@@ -90,7 +92,15 @@ impl<R: BufRead> CarmenReader<R> {
     /// A reader of `input`; `source_name` stands for it in errors.
     pub fn new(input: R, source_name: impl Into<String>, settings: Settings) -> Self {
         let source_name = source_name.into();
-        Self { input, source_name, settings, line: Vec::new(), tally: Tally::default(), last_stamp_ns: None }
+        Self {
+            input,
+            source_name,
+            settings,
+            line: Vec::new(),
+            tally: Tally::default(),
+            last_stamp_ns: None,
+            continuity: Continuity::default(),
+        }
     }
 
     /// What was met so far.
@@ -109,10 +119,14 @@ impl<R: BufRead> CarmenReader<R> {
         while let Some(end) = self.read_line()? {
             self.tally.lines += 1;
             match self.take_line(&end, scan)? {
-                Ok(Line::Scan { .. }) => {
-                    self.count_scan(scan);
-                    return Ok(true);
-                }
+                Ok(Line::Scan { .. }) => match self.continuity.refuses(scan) {
+                    None => {
+                        self.count_scan(scan);
+                        return Ok(true);
+                    }
+                    // The line is sound, the lidar or its driver is not: that is no reason to end.
+                    Some(rejection) => self.tally.reject(rejection),
+                },
                 Ok(Line::Other { .. }) => {}
                 Ok(Line::Unknown) => self.tally.unknown += 1,
                 Err(rejection) => self.reject(rejection)?,
@@ -172,7 +186,7 @@ impl<R: BufRead> CarmenReader<R> {
         let share = self.settings.max_bad_line_share;
         let tolerated = if share > 0.0 { TOLERATED_BAD_LINES } else { 0 };
         let allowed = tolerated.max((share * self.tally.lines as f64) as u64);
-        let rejected = self.tally.rejected_lines();
+        let rejected = self.tally.bad_lines();
         // A log without any scan gets an error of its own at its end.
         if rejected <= allowed {
             return Ok(());

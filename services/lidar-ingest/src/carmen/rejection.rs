@@ -25,6 +25,12 @@ pub enum Rejection {
     /// The stamp is not a decimal number of seconds.
     #[error("the time stamp is not a number")]
     BadStamp,
+    /// The scan is stamped seconds before scans that came earlier.
+    #[error("the scan is older than those before it")]
+    TimeReversed,
+    /// The wheels have moved and every range is the same as before.
+    #[error("the scan repeats the one before it although the robot has moved")]
+    Frozen,
 }
 
 impl Rejection {
@@ -39,6 +45,8 @@ impl Rejection {
             Self::BadNumber => "bad_number",
             Self::BadPose => "bad_pose",
             Self::BadStamp => "bad_stamp",
+            Self::TimeReversed => "time_reversed",
+            Self::Frozen => "frozen",
         }
     }
 }

@@ -10,7 +10,7 @@ pub struct Tally {
     pub scans: u64,
     /// Lines with a message that this reader does not know.
     pub unknown: u64,
-    /// Bad lines that were skipped, by reason.
+    /// Bad lines and scans that were skipped, by reason.
     pub rejected: BTreeMap<Rejection, u64>,
     /// The first bad line: its number (from 1) and what is wrong with it.
     pub first_rejected: Option<(u64, Rejection)>,
@@ -21,9 +21,15 @@ pub struct Tally {
 }
 
 impl Tally {
-    /// Bad lines in all.
+    /// Those in all.
     pub fn rejected_lines(&self) -> u64 {
         self.rejected.values().sum()
+    }
+
+    /// Lines that are no message; a scan that is refused stands in a sound one.
+    pub(super) fn bad_lines(&self) -> u64 {
+        let of_line = |reason: &Rejection| !matches!(reason, Rejection::TimeReversed | Rejection::Frozen);
+        self.rejected.iter().filter(|(reason, _)| of_line(reason)).map(|(_, count)| count).sum()
     }
 
     pub(super) fn reject(&mut self, rejection: Rejection) {

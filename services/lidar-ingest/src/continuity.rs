@@ -1,0 +1,103 @@
+use crate::carmen::Rejection;
+use flockslam_geometry::Pose;
+use flockslam_messages::{ScanBuffer, ScanView};
+
+/// Stamps of scans in their order may run backwards by this much: recorders stamp on arrival.
+const REVERSED_NS: i64 = 2_000_000_000;
+/// Motion of the wheels during which no lidar sees the very same, metres and radians.
+const MOVED: (f64, f64) = (0.02, 0.02);
+/// Valid ranges that must be the same for a scan to be a repetition.
+const SAME_MIN: usize = 10;
+
+/// Looks at each scan beside the one before it: time goes on, and who moves sees something else.
+#[derive(Debug, Default)]
+pub struct Continuity {
+    newest_ns: Option<i64>,
+    /// Stamp of the last scan, when it was refused for its stamp.
+    refused_ns: Option<i64>,
+    ranges: Vec<f32>,
+    odometry: Option<Pose>,
+}
+
+impl Continuity {
+    /// What speaks against the next scan, if something does.
+    ///
+    /// A scan that is stamped far behind the newest is an old one. When the next one follows it, though, the clock was put back,
+    /// and time goes on from there. A scan with exactly the ranges of the last one that was taken, while the wheels have turned,
+    /// comes from a driver that repeats itself.
+    pub fn refuses(&mut self, scan: &ScanBuffer) -> Option<Rejection> {
+        let view = scan.view().ok()?;
+        let stamp_ns = view.header().times.sensor_ns;
+        if self.is_old(stamp_ns) {
+            self.refused_ns = Some(stamp_ns);
+            return Some(Rejection::TimeReversed);
+        }
+        self.refused_ns = None;
+        self.newest_ns = Some(stamp_ns);
+        if self.is_frozen(view) {
+            return Some(Rejection::Frozen);
+        }
+        self.remember(view);
+        None
+    }
+
+    fn is_old(&self, stamp_ns: i64) -> bool {
+        let behind = self.newest_ns.is_some_and(|newest_ns| newest_ns.saturating_sub(stamp_ns) > REVERSED_NS);
+        let follows =
+            self.refused_ns.is_some_and(|refused_ns| stamp_ns.abs_diff(refused_ns) < REVERSED_NS as u64);
+        behind && !follows
+    }
+
+    fn is_frozen(&self, view: ScanView<'_>) -> bool {
+        let moved = match (self.odometry, view.odometry()) {
+            (Some(before), Some(now)) => before.distance_m(now) > MOVED.0 || before.turn_rad(now) > MOVED.1,
+            _ => false,
+        };
+        let same = || (0..view.len()).filter(|beam| view.valid_range_m(*beam).is_some()).count() >= SAME_MIN;
+        let is_same = |(before, now): (&f32, &f32)| before.to_bits() == now.to_bits();
+        moved
+            && self.ranges.len() == view.len()
+            && self.ranges.iter().zip(view.ranges()).all(is_same)
+            && same()
+    }
+
+    fn remember(&mut self, view: ScanView<'_>) {
+        self.ranges.clear();
+        self.ranges.extend_from_slice(view.ranges());
+        self.odometry = view.odometry();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A scan at this time, metre of the way, and range.
+    fn scan(stamp_s: f64, way_m: f64, range_m: f32) -> ScanBuffer {
+        let mut scan = ScanBuffer::from_ranges(&[range_m; 20], -1.0, 1.0);
+        scan.header.times.sensor_ns = (stamp_s * 1e9) as i64;
+        (scan.header.odometry, scan.header.has_odometry) = (Pose::new(way_m, 0.0, 0.0), 1);
+        scan
+    }
+
+    fn judged(scans: &[ScanBuffer]) -> Vec<Option<Rejection>> {
+        let mut continuity = Continuity::default();
+        scans.iter().map(|scan| continuity.refuses(scan)).collect()
+    }
+
+    #[test]
+    fn an_old_scan_is_refused_and_a_clock_put_back_is_not() {
+        let late = [scan(10.0, 0.0, 1.0), scan(9.2, 0.1, 1.1), scan(3.0, 0.2, 1.2), scan(10.1, 0.3, 1.3)];
+        assert_eq!(judged(&late), [None, None, Some(Rejection::TimeReversed), None]);
+        let put_back = [scan(10.0, 0.0, 1.0), scan(3.0, 0.1, 1.1), scan(3.1, 0.2, 1.2), scan(3.2, 0.3, 1.3)];
+        assert_eq!(judged(&put_back), [None, Some(Rejection::TimeReversed), None, None]);
+    }
+
+    #[test]
+    fn who_moves_sees_something_else() {
+        let frozen = [scan(1.0, 0.0, 1.0), scan(1.1, 0.1, 1.0), scan(1.2, 0.2, 1.0), scan(1.3, 0.3, 1.1)];
+        assert_eq!(judged(&frozen), [None, Some(Rejection::Frozen), Some(Rejection::Frozen), None]);
+        let standing = [scan(1.0, 0.0, 1.0), scan(1.1, 0.0, 1.0), scan(1.2, 0.001, 1.0)];
+        assert_eq!(judged(&standing), [None; 3]);
+    }
+}
