@@ -40,8 +40,12 @@ fn rows() -> Vec<Row> {
     rows.push(("torn".to_owned(), Box::new(|_| torn_files(7))));
     rows.push(("disk".to_owned(), Box::new(|runs| refusing_disk(runs.div_ceil(20)))));
     rows.push(("corrupt".to_owned(), Box::new(|_| corrupt_scans(8))));
-    let overloads =
-        [Overload::Slow(Stage::ScanMatcher, 10), Overload::Slow(Stage::Mapper, 10), Overload::Hog];
+    let overloads = [
+        Overload::Slow(Stage::ScanMatcher, 10),
+        Overload::Slow(Stage::ScanMatcher, 100),
+        Overload::Slow(Stage::Mapper, 10),
+        Overload::Hog,
+    ];
     for kind in overloads {
         rows.push(("overload".to_owned(), Box::new(move |_| overload(kind))));
     }

@@ -299,7 +299,13 @@ impl RuntimeDir {
         self.path.join("bus")
     }
 
-    fn object_prefix(&self) -> String {
+    /// Where iceoryx2 keeps the nodes of this set.
+    pub(crate) fn nodes(&self) -> PathBuf {
+        self.bus().join("nodes")
+    }
+
+    /// Begins the names of all shared objects of this set.
+    pub(crate) fn object_prefix(&self) -> String {
         format!("fs-{}_", self.name)
     }
 

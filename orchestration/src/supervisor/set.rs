@@ -4,7 +4,7 @@ use super::hang::HangWatch;
 use super::status::{SetState, SetStatus, StageState, StageStatus};
 use super::{ProcessLimits, SetFile, Supervision};
 use crate::configuration::Configuration;
-use flockslam_bus::{BellRinger, Bus, BusError, Publisher, RuntimeDir, Subscriber};
+use flockslam_bus::{BellRinger, Bus, BusError, OrphanedNodes, Publisher, RuntimeDir, Subscriber};
 use flockslam_messages::{Control, ControlKind, Progress, Stage};
 use flockslam_stage::Mode;
 use flockslam_telemetry::{SupervisorMetrics, monotonic_ns};
@@ -51,6 +51,7 @@ pub struct ProcessSet {
     executable: PathBuf,
     started: Instant,
     cleaned: Instant,
+    orphans: OrphanedNodes,
     // The bus goes before the directory that it lies in.
     bus: Bus,
     runtime: RuntimeDir,
@@ -77,6 +78,7 @@ impl ProcessSet {
             executable,
             started: Instant::now(),
             cleaned: Instant::now(),
+            orphans: OrphanedNodes::default(),
             hang_watch: HangWatch::default(),
             supervision,
             set,
@@ -307,6 +309,10 @@ impl ProcessSet {
         let (cleaned, failed) = self.bus.clean_dead_nodes();
         if cleaned + failed > 0 {
             tracing::info!(cleaned, failed, "dead processes cleaned up");
+        }
+        let orphans = self.orphans.remove(&self.runtime);
+        if orphans > 0 {
+            tracing::info!(orphans, "what killed processes left of their nodes was removed");
         }
     }
 
