@@ -176,6 +176,7 @@ impl StageContext {
         let (latency_ns, since_capture_ns) =
             (now_ns.saturating_sub(started_ns), now_ns.saturating_sub(captured_ns));
         self.metrics.handled(sequence, latency_ns, since_capture_ns);
+        self.metrics.captured(captured_ns);
         self.report.handled(latency_ns, since_capture_ns);
         if self.report.report.handled == 1 {
             self.alive();
