@@ -24,7 +24,7 @@ pub use endpoint::{EndpointError, MetricsEndpoint};
 pub use exposition::merge_expositions;
 pub use heartbeat::{Beat, Heartbeat, HeartbeatError, read_heartbeat};
 pub use latency::{LatencyHistogram, LatencyQuantiles};
-pub use logging::init_tracing;
+pub use logging::{LogLevels, check_log_filter, init_tracing, log_into_set, log_stream_file, set_log_filter};
 pub use metrics_page::metrics_page;
 /// Handles that [`StageMetrics`] gives out.
 pub use prometheus::{Gauge, Histogram, IntCounter as Counter};

@@ -91,6 +91,7 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
         world: run.world,
         configuration: configuration.clone(),
     };
+    flockslam_telemetry::log_into_set(runtime.path());
     let mut set = ProcessSet::start(runtime, file, Supervision::of_one_run())?;
     let _metrics = MetricsService::start(&set, args.metrics_port).map_err(CommandError::user)?;
     let mut shared_memory = SharedMemoryPeak::default();

@@ -91,6 +91,7 @@ impl LiveSet {
             world: task.world,
             configuration,
         };
+        flockslam_telemetry::log_into_set(runtime.path());
         let mut set = ProcessSet::start(runtime, file, description.supervision())?;
         // From here on only an end in good order removes what the set knows.
         set.wipe_at_end(false);
@@ -137,6 +138,7 @@ impl LiveSet {
             Request::Scale(name, replicas) => {
                 known_stage(&name).and_then(|stage| self.set.scale(stage, replicas))
             }
+            Request::Log(stage, filter) => self.set.log(&stage, &filter),
             Request::Save(directory) => return self.save_elsewhere(&directory, order),
             Request::Load(directory) => self.load(&directory),
         };

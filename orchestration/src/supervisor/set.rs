@@ -15,6 +15,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
 use std::time::{Duration, Instant};
 
+mod levels;
 mod scaling;
 
 /// Exit code of a stage whose source is not usable: a mistake of the user's.

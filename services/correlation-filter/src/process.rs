@@ -191,7 +191,7 @@ impl Filter {
                 self.logic.judge(scan, whole.as_ref(), overloaded)
             }
             Err(problem) => {
-                tracing::warn!(scan = %header.id, %problem, "unreadable scan");
+                tracing::warn!(scan = header.id.sequence, %problem, "unreadable scan");
                 let reason = DropReason::Empty as u32;
                 Verdict { id: header.id, times: header.times, coefficient: 0.0, keep: 0, reason }
             }
@@ -234,7 +234,9 @@ impl Filter {
             Some(reason) => context.dropped(reason.name()),
             None => KeepReason::from_number(verdict.reason).into_iter().for_each(|r| self.kept.count(r)),
         }
-        context.handled(verdict.id.sequence, started_ns, verdict.times.monotonic_ns);
+        let Verdict { id, keep, reason, coefficient, .. } = *verdict;
+        tracing::debug!(scan = id.sequence, keep, reason, coefficient, "judged");
+        context.handled(id.sequence, started_ns, verdict.times.monotonic_ns);
         self.acknowledger.finished(verdict.id.sequence + 1)
     }
 }

@@ -189,6 +189,7 @@ impl Cleaner {
         context: &mut StageContext,
     ) -> Result<(), StageError> {
         self.mapper.ring();
+        tracing::debug!(scan = pose.id.sequence, cleared_so_far = self.cleared, "cleaned");
         context.handled(pose.id.sequence, started_ns, pose.times.monotonic_ns);
         self.inputs.poses.pop();
         self.acknowledger.finished(pose.id.sequence + 1)

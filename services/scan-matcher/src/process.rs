@@ -293,7 +293,7 @@ impl Matcher {
         let journal = self.journal.as_mut().filter(|_| !is_sabotaged("no-journal"));
         let journaled = journal.map(|journal| journal.append(&pose, scan));
         if let Some(Err(error)) = journaled {
-            tracing::error!(%error, "not durable");
+            tracing::error!(scan = header.id.sequence, %error, "not durable");
             context.dropped("not-journaled");
         }
         self.poses.send(&pose)?;

@@ -206,6 +206,15 @@ impl SyncProcess {
 
     fn tell(&mut self, took_ns: u64) {
         let counts = self.logic.closure_counts();
+        let (scan, submap) = (self.expected, self.next_submap.saturating_sub(1));
+        tracing::debug!(
+            scan,
+            submap,
+            accepted = counts.accepted,
+            revoked = counts.revoked,
+            took_ns,
+            "concluded"
+        );
         if !self.recovered {
             // The predecessor has told it, and this one only finds it once more.
             self.metrics.recovered(counts);

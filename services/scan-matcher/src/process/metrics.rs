@@ -28,8 +28,11 @@ impl PoseMetrics {
         }
     }
 
-    /// Counts a published pose.
+    /// Counts a published pose, and tells of it.
     pub fn published(&self, pose: &PoseEstimate) {
+        let (scan, matched, accepted) =
+            (pose.id.sequence, pose.has(PoseFlags::MATCHED), pose.has(PoseFlags::INSERT));
+        tracing::debug!(scan, matched, accepted, quality = pose.quality, score = pose.score, "pose");
         self.qualities.count(pose.quality.min(2) as usize);
         let counted = [
             (PoseFlags::RESCUED, &self.rescues),
