@@ -6,7 +6,7 @@ use flockslam_messages::Stage;
 use flockslam_telemetry::names;
 use rustix::process::Signal;
 use std::collections::BTreeSet;
-use support::{RunningSet, free_port, http_get, live_building, wait_for};
+use support::{Drive, LiveSet, RunningSet, free_port, http_get, live_building, wait_for};
 
 fn page_at(port: u16) -> Option<String> {
     let (head, body) = http_get(port, "/metrics")?;
@@ -59,13 +59,62 @@ fn stages_answer_on_their_sockets_and_one_port_has_all_of_them() {
     for stage in support::stage_names() {
         for line in [
             format!("{}{{stage=\"{stage}\"}} 1", names::STAGE_UP.name),
-            format!("{}{{stage=\"{stage}\"}} 0", names::STAGE_RESTARTS.name),
+            format!("{}{{reason=\"died\",stage=\"{stage}\"}} 0", names::STAGE_RESTARTS.name),
         ] {
             assert!(page.lines().any(|other| other == line), "{line} is expected in\n{page}");
         }
     }
-    assert!(page.contains(names::SHARED_MEMORY.name));
+    for metric in names::ALL {
+        let head = format!("# TYPE {} {}", metric.name, metric.kind.name());
+        let page = wait_for(&head, || page_at(port).filter(|page| page.lines().any(|line| line == head)));
+        let series = page.lines().find(|line| line.starts_with(&format!("{}{{", metric.name)));
+        for label in metric.labels {
+            let series = series.unwrap_or_else(|| panic!("{} has no labels", metric.name));
+            assert!(series.contains(&format!("{label}=\"")), "{series}");
+        }
+    }
     println!("the merged page has {} lines", page.lines().count());
     support::send(set.supervisor_pid(), Signal::INT);
     set.finish();
+}
+
+fn value(page: &str, series: &str) -> Option<f64> {
+    let line = page.lines().find(|line| line.starts_with(series))?;
+    line.rsplit_once(' ')?.1.parse().ok()
+}
+
+#[test]
+fn counters_go_on_when_a_stage_is_replaced_and_the_reason_is_told() {
+    let directory = tempfile::tempdir().unwrap();
+    let (port, drive) = (free_port(), Drive { scan_rate_hz: 10.0, duration_s: 2000.0, rate: 5.0 });
+    let more = format!("metrics_port = {port}");
+    let mut set = LiveSet::start("counters", directory.path(), drive, &more);
+    set.wait_until_handled(Stage::ScanMatcher, 100);
+    let handled = format!("{}{{replica=\"0\",stage=\"scan-matcher\"}}", names::SCANS_HANDLED.name);
+    let bucket =
+        format!("{}_bucket{{replica=\"0\",stage=\"scan-matcher\",le=\"1\"}}", names::STAGE_LATENCY.name);
+    let count = || {
+        let page = page_at(port)?;
+        assert_valid(&page);
+        Some((value(&page, &handled)?, value(&page, &bucket)?))
+    };
+    let before = wait_for("counts", count);
+    assert!(before.0 >= 100.0 && before.1 > 0.0, "{before:?}");
+    let killed = set.pid(Stage::ScanMatcher);
+    support::send(killed, Signal::KILL);
+    let mut last = before;
+    wait_for("the counts of its successor", || {
+        let now = count()?;
+        assert!(now.0 >= last.0 && now.1 >= last.1, "{last:?} -> {now:?}");
+        last = now;
+        let replaced = set.status()?.stages.iter().any(|s| s.stage == "scan-matcher" && s.handled > 20);
+        (replaced && set.pid(Stage::ScanMatcher) != killed && now.0 > before.0 + 20.0).then_some(())
+    });
+    set.command_well(&["restart", "mapper"]);
+    for (stage, reason) in [("scan-matcher", "died"), ("mapper", "ordered")] {
+        let series = format!("{}{{reason=\"{reason}\",stage=\"{stage}\"}}", names::STAGE_RESTARTS.name);
+        wait_for(&series, || page_at(port).filter(|page| value(page, &series) == Some(1.0)));
+    }
+    set.command_well(&["down"]);
+    assert_eq!(set.wait(), Some(0));
 }

@@ -32,6 +32,10 @@ enum Command {
     Restart(StageOrderArgs),
     /// Changes how many processes a stage of a running set has
     Scale(ScaleArgs),
+    /// Shows a running set live in the terminal: stages, latencies, drops, restarts
+    Top(RobotArgs),
+    /// Prints what a running set has logged, or changes what it logs
+    Log(LogArgs),
     /// Looks after saved maps
     #[command(subcommand)]
     Store(StoreCommand),
@@ -214,6 +218,21 @@ pub struct ScaleArgs {
     pub robot: RobotArgs,
 }
 
+/// `flockslam log`.
+#[derive(Clone, Debug, Args)]
+pub struct LogArgs {
+    /// What a stage (or supervisor, or all) logs from now on, for example scan-matcher=debug; nothing behind the = brings back what
+    /// it began with. Without any, prints what was logged so far
+    #[arg(value_name = "STAGE=FILTER", value_parser = name_and_filter)]
+    pub levels: Vec<(String, String)>,
+    /// Print it as it is stored: a JSON object a line
+    #[arg(long)]
+    pub json: bool,
+    /// Which set
+    #[command(flatten)]
+    pub robot: RobotArgs,
+}
+
 /// `flockslam evaluate`.
 #[derive(Clone, Debug, Args)]
 pub struct EvaluateArgs {
@@ -262,6 +281,12 @@ fn stage_and_number(text: &str) -> Result<(Stage, usize), String> {
     Ok((known_stage(stage)?, number))
 }
 
+fn name_and_filter(text: &str) -> Result<(String, String), String> {
+    let (name, filter) =
+        text.split_once('=').ok_or("write it as STAGE=FILTER, for example scan-matcher=debug")?;
+    Ok((name.to_owned(), filter.to_owned()))
+}
+
 /// Parses the command line and runs it. What a user did wrong ends with exit code 2, what went wrong here with 1.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
@@ -274,6 +299,8 @@ pub fn main() -> ExitCode {
         Command::Status(args) => commands::control::status(&args),
         Command::Restart(args) => commands::control::restart(&args),
         Command::Scale(args) => commands::control::scale(&args),
+        Command::Top(args) => commands::top::run(&args),
+        Command::Log(args) => commands::log::run(&args),
         Command::Store(command) => commands::store::run(&command),
         Command::Evaluate(args) => commands::evaluate::run(&args),
         Command::Config(args) => commands::config::run(&args),

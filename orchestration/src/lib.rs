@@ -8,6 +8,7 @@ pub mod evaluation;
 pub mod outputs;
 pub mod store;
 pub mod supervisor;
+pub mod top;
 
 /// Version of this build.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");

@@ -24,4 +24,29 @@ impl Covariance {
         let position = sigma_xy_m * sigma_xy_m;
         Self { xx: position, yy: position, tt: sigma_heading_rad * sigma_heading_rad, ..Self::default() }
     }
+
+    /// Standard deviation of the position along the direction in which it is known worst, m.
+    pub fn position_std_m(&self) -> f64 {
+        let (middle, half) = ((self.xx + self.yy) / 2.0, (self.xx - self.yy) / 2.0);
+        (middle + (half * half + self.xy * self.xy).sqrt()).max(0.0).sqrt()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_worst_direction_of_a_position_is_found_however_it_is_turned() {
+        assert!((Covariance::diagonal(0.3, 0.1).position_std_m() - 0.3).abs() < 1e-12);
+        // Axes of 2 m and 1 m, turned by 30°.
+        let (sin, cos) = std::f64::consts::FRAC_PI_6.sin_cos();
+        let turned = Covariance {
+            xx: 4.0 * cos * cos + sin * sin,
+            xy: 3.0 * sin * cos,
+            yy: 4.0 * sin * sin + cos * cos,
+            ..Covariance::default()
+        };
+        assert!((turned.position_std_m() - 2.0).abs() < 1e-12);
+    }
 }

@@ -12,6 +12,11 @@ pub fn utc_ns() -> i64 {
     if is_sabotaged("wall-clock") { jumping(utc_ns, monotonic_ns()) } else { utc_ns }
 }
 
+/// When a log line is written, for people and exports.
+pub(crate) fn log_time_ns() -> i64 {
+    utc_ns()
+}
+
 /// A wall clock that somebody sets forward by an hour and back again every second.
 fn jumping(utc_ns: i64, monotonic_ns: u64) -> i64 {
     let hour_ns = 3_600_000_000_000;

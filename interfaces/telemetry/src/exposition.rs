@@ -94,7 +94,7 @@ mod tests {
             .collect();
         let merged = merge_expositions(pages.iter().map(String::as_str));
         let types: Vec<&str> = merged.lines().filter(|line| line.starts_with("# TYPE")).collect();
-        assert_eq!(types.len(), 6);
+        assert_eq!(types.len(), 11);
         assert!(types.is_sorted());
         assert_eq!(
             merged.lines().filter(|line| line.starts_with("flockslam_scans_handled_total{")).count(),

@@ -3,25 +3,32 @@
 //! Nothing here decides anything: a stage whose telemetry fails goes on with its work.
 
 mod clock;
+mod counter_memory;
 mod endpoint;
 mod exposition;
 mod heartbeat;
 mod http;
 mod latency;
 mod logging;
+mod metrics_page;
 pub mod names;
+mod process_use;
 mod sabotage;
 mod scrape;
 mod stage_metrics;
 mod supervisor_metrics;
 
 pub use clock::{monotonic_ns, utc_ns};
+pub use counter_memory::CounterMemory;
 pub use endpoint::{EndpointError, MetricsEndpoint};
 pub use exposition::merge_expositions;
 pub use heartbeat::{Beat, Heartbeat, HeartbeatError, read_heartbeat};
 pub use latency::{LatencyHistogram, LatencyQuantiles};
-pub use logging::init_tracing;
+pub use logging::{LogLevels, check_log_filter, init_tracing, log_into_set, log_stream_file, set_log_filter};
+pub use metrics_page::metrics_page;
+/// Handles that [`StageMetrics`] gives out.
+pub use prometheus::{Gauge, Histogram, IntCounter as Counter};
 pub use sabotage::{is_sabotaged, sabotage};
 pub use scrape::{ScrapeError, scrape};
-pub use stage_metrics::{KeptCounters, StageMetrics};
-pub use supervisor_metrics::SupervisorMetrics;
+pub use stage_metrics::{LabelledCounters, StageMetrics};
+pub use supervisor_metrics::{RestartReason, SupervisorMetrics};

@@ -1,13 +1,19 @@
-use crate::names::{self, Metric};
+use crate::monotonic_ns;
+use crate::names::{self, Kind, Metric};
+use crate::process_use::ProcessUse;
 use prometheus::core::Collector;
 use prometheus::{
     Gauge, Histogram, HistogramOpts, IntCounter, IntCounterVec, IntGauge, Opts, Registry, TextEncoder,
 };
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
-/// The metrics that every stage has. All handles are made at start, so recording is a few atomic operations: no
-/// lock, no allocation. Clones share the same numbers.
+/// The metrics that every stage has, and those that a stage adds. All handles are made at start, so recording is a few atomic
+/// operations: no lock, no allocation. Clones share the same numbers.
 #[derive(Clone)]
 pub struct StageMetrics {
+    stage: Arc<str>,
+    replica: u32,
     registry: Registry,
     latency: Histogram,
     scan_to_output: Histogram,
@@ -15,16 +21,21 @@ pub struct StageMetrics {
     dropped: Vec<(&'static str, IntCounter)>,
     dropped_by_reason: IntCounterVec,
     last_sequence: IntGauge,
+    waiting: IntGauge,
     heartbeat: Gauge,
-    kept_by_reason: IntCounterVec,
+    /// CLOCK_MONOTONIC of the last handled scan's capture.
+    captured_ns: Arc<AtomicU64>,
+    /// What is only looked up when somebody asks.
+    scan_age: Gauge,
+    process: ProcessUse,
 }
 
-/// Counters of what the filter let pass: one for each reason, in the order in which they were named.
+/// Counters of one metric: one for each value of a label, in the order in which they were named.
 #[derive(Clone)]
-pub struct KeptCounters(Vec<IntCounter>);
+pub struct LabelledCounters(Vec<IntCounter>);
 
-impl KeptCounters {
-    /// Counts a scan for the reason at this place.
+impl LabelledCounters {
+    /// Counts one for the value at this place.
     pub fn count(&self, place: usize) {
         self.0[place].inc();
     }
@@ -36,25 +47,52 @@ impl StageMetrics {
     pub fn new(stage_name: &str, replica: u32, reasons: &[&'static str]) -> Self {
         let registry = Registry::new();
         let opts = |metric| labelled(metric, stage_name, replica);
-        let histogram = |metric| {
-            Histogram::with_opts(HistogramOpts::from(opts(metric)).buckets(names::LATENCY_BUCKETS_S.to_vec()))
-        };
         let dropped_by_reason =
             registered(&registry, IntCounterVec::new(opts(names::DROPPED), &[names::LABEL_REASON]));
-        Self {
-            latency: registered(&registry, histogram(names::STAGE_LATENCY)),
-            scan_to_output: registered(&registry, histogram(names::SCAN_TO_OUTPUT)),
+        let metrics = Self {
+            stage: stage_name.into(),
+            replica,
+            latency: histogram(&registry, opts(names::STAGE_LATENCY), names::STAGE_LATENCY),
+            scan_to_output: histogram(&registry, opts(names::SCAN_TO_OUTPUT), names::SCAN_TO_OUTPUT),
             handled: registered(&registry, IntCounter::with_opts(opts(names::SCANS_HANDLED))),
             last_sequence: registered(&registry, IntGauge::with_opts(opts(names::LAST_SCAN_SEQUENCE))),
+            waiting: registered(&registry, IntGauge::with_opts(opts(names::WAITING_SCANS))),
             heartbeat: registered(&registry, Gauge::with_opts(opts(names::HEARTBEAT))),
             dropped: reasons.iter().map(|&r| (r, dropped_by_reason.with_label_values(&[r]))).collect(),
             dropped_by_reason,
-            kept_by_reason: registered(
-                &registry,
-                IntCounterVec::new(opts(names::KEPT), &[names::LABEL_REASON]),
-            ),
+            captured_ns: Arc::new(AtomicU64::new(monotonic_ns())),
+            scan_age: registered(&registry, Gauge::with_opts(opts(names::LAST_SCAN_AGE))),
+            process: ProcessUse::new(&registry, &opts),
             registry,
-        }
+        };
+        let id = registered(&metrics.registry, IntGauge::with_opts(opts(names::PROCESS_ID)));
+        id.set(i64::from(std::process::id()));
+        metrics
+    }
+
+    /// A counter of the stage's own; to be made once, at start.
+    pub fn counter(&self, metric: Metric) -> IntCounter {
+        registered(&self.registry, IntCounter::with_opts(self.opts(metric)))
+    }
+
+    /// A gauge of the stage's own; to be made once, at start.
+    pub fn gauge(&self, metric: Metric) -> Gauge {
+        registered(&self.registry, Gauge::with_opts(self.opts(metric)))
+    }
+
+    /// A histogram of the stage's own; to be made once, at start.
+    pub fn histogram(&self, metric: Metric) -> Histogram {
+        histogram(&self.registry, self.opts(metric), metric)
+    }
+
+    /// Counters of the stage's own, one for each of these values of `label`; to be made once, at start.
+    pub fn counters(&self, metric: Metric, label: &str, values: &[&'static str]) -> LabelledCounters {
+        let counters = registered(&self.registry, IntCounterVec::new(self.opts(metric), &[label]));
+        LabelledCounters(values.iter().map(|value| counters.with_label_values(&[value])).collect())
+    }
+
+    fn opts(&self, metric: Metric) -> Opts {
+        labelled(metric, &self.stage, self.replica)
     }
 
     /// Records a handled scan: its sequence number, the time in the stage's logic, and the time from the scan's
@@ -74,9 +112,14 @@ impl StageMetrics {
         }
     }
 
-    /// Counters of what is let pass, for a stage that has reasons for it.
-    pub fn kept(&self, reasons: &[&'static str]) -> KeptCounters {
-        KeptCounters(reasons.iter().map(|reason| self.kept_by_reason.with_label_values(&[reason])).collect())
+    /// Notes when the last handled scan was taken, CLOCK_MONOTONIC nanoseconds.
+    pub fn captured(&self, captured_ns: u64) {
+        self.captured_ns.store(captured_ns, Ordering::Relaxed);
+    }
+
+    /// Notes how many scans the stage holds and has not handled.
+    pub fn waiting(&self, scans: usize) {
+        self.waiting.set(scans as i64);
     }
 
     /// Notes a sign of life at this CLOCK_MONOTONIC time, nanoseconds.
@@ -91,6 +134,9 @@ impl StageMetrics {
 
     /// All metrics in the Prometheus text format.
     pub fn render(&self) -> String {
+        let age_ns = monotonic_ns().saturating_sub(self.captured_ns.load(Ordering::Relaxed));
+        self.scan_age.set(seconds(age_ns));
+        self.process.look();
         TextEncoder::new()
             .encode_to_string(&self.registry.gather())
             .expect("metrics with constant names can always be written")
@@ -103,6 +149,11 @@ fn labelled(metric: Metric, stage_name: &str, replica: u32) -> Opts {
     Opts::new(metric.name, metric.help)
         .const_label(names::LABEL_STAGE, stage_name)
         .const_label(names::LABEL_REPLICA, replica.to_string())
+}
+
+fn histogram(registry: &Registry, opts: Opts, metric: Metric) -> Histogram {
+    let Kind::Histogram(bounds) = metric.kind else { panic!("{} is no histogram", metric.name) };
+    registered(registry, Histogram::with_opts(HistogramOpts::from(opts).buckets(bounds.to_vec())))
 }
 
 pub(crate) fn registered<C: Collector + Clone + 'static>(
@@ -129,14 +180,20 @@ mod tests {
         metrics.dropped("deadline");
         metrics.dropped("a new reason");
         metrics.alive(2_500_000_000);
+        metrics.waiting(3);
+        let kept = metrics.counters(names::KEPT, names::LABEL_REASON, &["novel", "travel"]);
+        kept.count(1);
         let text = metrics.render();
         for line in [
             r#"flockslam_dropped_total{reason="deadline",replica="1",stage="mapper"} 1"#,
             r#"flockslam_dropped_total{reason="overload",replica="1",stage="mapper"} 0"#,
             r#"flockslam_dropped_total{reason="a new reason",replica="1",stage="mapper"} 1"#,
+            r#"flockslam_kept_total{reason="novel",replica="1",stage="mapper"} 0"#,
+            r#"flockslam_kept_total{reason="travel",replica="1",stage="mapper"} 1"#,
             r#"flockslam_last_scan_sequence{replica="1",stage="mapper"} 41"#,
             r#"flockslam_heartbeat_monotonic_seconds{replica="1",stage="mapper"} 2.5"#,
             r#"flockslam_scans_handled_total{replica="1",stage="mapper"} 1"#,
+            r#"flockslam_waiting_scans{replica="1",stage="mapper"} 3"#,
         ] {
             assert!(text.lines().any(|l| l == line), "{line} is missing in\n{text}");
         }

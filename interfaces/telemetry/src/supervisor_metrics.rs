@@ -1,6 +1,7 @@
 use crate::names::{self, Metric};
+use crate::process_use::ProcessUse;
 use crate::stage_metrics::registered;
-use prometheus::{IntCounterVec, IntGauge, IntGaugeVec, Opts, Registry, TextEncoder};
+use prometheus::{GaugeVec, IntCounterVec, IntGauge, IntGaugeVec, Opts, Registry, TextEncoder};
 
 /// What the supervisor says of its process set; its page is merged with those of the stages. Clones share the same
 /// numbers.
@@ -13,14 +14,44 @@ pub struct SupervisorMetrics {
     degraded: IntGaugeVec,
     not_durable: IntGauge,
     shared_memory: IntGauge,
+    heartbeat_age: GaugeVec,
+    process: ProcessUse,
+}
+
+/// Why a stage was started again.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RestartReason {
+    /// Its process ended by itself, or something from outside killed it.
+    #[default]
+    Died,
+    /// It gave no sign of life and was killed.
+    Hung,
+    /// Somebody asked for it.
+    Ordered,
+}
+
+impl RestartReason {
+    /// All reasons.
+    pub const ALL: [RestartReason; 3] = [Self::Died, Self::Hung, Self::Ordered];
+
+    /// The name used in metrics.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Died => "died",
+            Self::Hung => "hung",
+            Self::Ordered => "ordered",
+        }
+    }
 }
 
 impl SupervisorMetrics {
     /// Metrics of a set of these stages; all start as down, with no restart.
     pub fn new(stage_names: &[&str]) -> Self {
         let registry = Registry::new();
-        let restarts =
-            registered(&registry, IntCounterVec::new(opts(names::STAGE_RESTARTS), &[names::LABEL_STAGE]));
+        let restarts = registered(
+            &registry,
+            IntCounterVec::new(opts(names::STAGE_RESTARTS), &[names::LABEL_STAGE, names::LABEL_REASON]),
+        );
         let up = registered(&registry, IntGaugeVec::new(opts(names::STAGE_UP), &[names::LABEL_STAGE]));
         let hangs =
             registered(&registry, IntCounterVec::new(opts(names::STAGE_HANGS), &[names::LABEL_STAGE]));
@@ -29,17 +60,25 @@ impl SupervisorMetrics {
         for stage in stage_names {
             hangs.with_label_values(&[*stage]);
             degraded.with_label_values(&[*stage]);
-            restarts.with_label_values(&[*stage]);
+            RestartReason::ALL.iter().for_each(|why| drop(restarts.with_label_values(&[*stage, why.name()])));
             up.with_label_values(&[*stage]);
         }
         let shared_memory = registered(&registry, IntGauge::with_opts(opts(names::SHARED_MEMORY)));
         let not_durable = registered(&registry, IntGauge::with_opts(opts(names::NOT_DURABLE)));
-        Self { registry, restarts, up, hangs, degraded, not_durable, shared_memory }
+        let heartbeat_age = registered(
+            &registry,
+            GaugeVec::new(opts(names::HEARTBEAT_AGE), &[names::LABEL_STAGE, names::LABEL_REPLICA]),
+        );
+        let own = |metric| {
+            opts(metric).const_label(names::LABEL_STAGE, "supervisor").const_label(names::LABEL_REPLICA, "0")
+        };
+        let process = ProcessUse::new(&registry, &own);
+        Self { registry, restarts, up, hangs, degraded, not_durable, shared_memory, heartbeat_age, process }
     }
 
     /// Counts a restart of a stage.
-    pub fn restarted(&self, stage_name: &str) {
-        self.restarts.with_label_values(&[stage_name]).inc();
+    pub fn restarted(&self, stage_name: &str, why: RestartReason) {
+        self.restarts.with_label_values(&[stage_name, why.name()]).inc();
     }
 
     /// Counts a stage that was replaced because it hung.
@@ -67,8 +106,14 @@ impl SupervisorMetrics {
         self.shared_memory.set(i64::try_from(bytes).unwrap_or(i64::MAX));
     }
 
+    /// Notes how long ago a process of a stage gave its last sign of life, seconds.
+    pub fn set_heartbeat_age(&self, stage_name: &str, replica: u32, age_s: f64) {
+        self.heartbeat_age.with_label_values(&[stage_name, &replica.to_string()]).set(age_s);
+    }
+
     /// All metrics in the Prometheus text format.
     pub fn render(&self) -> String {
+        self.process.look();
         TextEncoder::new()
             .encode_to_string(&self.registry.gather())
             .expect("metrics with constant names can always be written")
@@ -86,15 +131,18 @@ mod tests {
     #[test]
     fn every_stage_has_its_series_from_the_start() {
         let metrics = SupervisorMetrics::new(&["mapper", "scan-matcher"]);
-        metrics.restarted("mapper");
+        metrics.restarted("mapper", RestartReason::Hung);
+        metrics.set_heartbeat_age("mapper", 1, 0.25);
         metrics.set_up("scan-matcher", true);
         metrics.set_shared_memory(4096);
         metrics.hung("mapper");
         metrics.set_degraded("scan-matcher", true);
         let text = metrics.render();
         for line in [
-            r#"flockslam_stage_restarts_total{stage="mapper"} 1"#,
-            r#"flockslam_stage_restarts_total{stage="scan-matcher"} 0"#,
+            r#"flockslam_stage_restarts_total{reason="died",stage="mapper"} 0"#,
+            r#"flockslam_stage_restarts_total{reason="hung",stage="mapper"} 1"#,
+            r#"flockslam_stage_restarts_total{reason="ordered",stage="scan-matcher"} 0"#,
+            r#"flockslam_heartbeat_age_seconds{replica="1",stage="mapper"} 0.25"#,
             r#"flockslam_stage_up{stage="mapper"} 0"#,
             r#"flockslam_stage_up{stage="scan-matcher"} 1"#,
             r#"flockslam_stage_hangs_total{stage="mapper"} 1"#,

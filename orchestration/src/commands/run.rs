@@ -11,14 +11,14 @@ use crate::outputs::{
     TrajectoryPoint, map_hash, write_map, write_picture, write_report, write_trajectory,
 };
 use crate::store::{MapHead, SavedMap};
-use crate::supervisor::{ProcessSet, SetEvent, SetFile, Supervision};
+use crate::supervisor::{MetricsService, ProcessSet, SetEvent, SetFile, Supervision};
 use flockslam_bus::RuntimeDir;
 use flockslam_lidar_ingest::process::Source;
 use flockslam_messages::Stage;
 use flockslam_scan_matcher::process::LOST;
 use flockslam_stage::results::{self, StampedPose, StoredMap, Summary};
-use flockslam_stage::{MemoryUse, Mode, StageError, SubmapStore, metrics_socket, read_reports};
-use flockslam_telemetry::{LatencyHistogram, MetricsEndpoint, merge_expositions, scrape};
+use flockslam_stage::{MemoryUse, Mode, StageError, SubmapStore, read_reports};
+use flockslam_telemetry::LatencyHistogram;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -91,8 +91,9 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
         world: run.world,
         configuration: configuration.clone(),
     };
+    flockslam_telemetry::log_into_set(runtime.path());
     let mut set = ProcessSet::start(runtime, file, Supervision::of_one_run())?;
-    let _metrics = args.metrics_port.map(|port| serve_metrics(&set, port)).transpose()?;
+    let _metrics = MetricsService::start(&set, args.metrics_port).map_err(CommandError::user)?;
     let mut shared_memory = SharedMemoryPeak::default();
     watch(&mut set, run.scans, &interrupts, &mut shared_memory)?;
     shared_memory.look(set.runtime());
@@ -173,25 +174,6 @@ pub(super) fn prepare_directory(directory: &Path) -> Result<(), CommandError> {
     let probe = directory.join(format!(".flockslam-{}", std::process::id()));
     std::fs::write(&probe, b"").map_err(wrong)?;
     std::fs::remove_file(&probe).map_err(wrong)
-}
-
-/// Gathers the metrics of all stages and of the supervisor on one port.
-pub(super) fn serve_metrics(set: &ProcessSet, port: u16) -> Result<MetricsEndpoint, CommandError> {
-    let (metrics, runtime) = (set.metrics().clone(), RuntimeDir::open(set.runtime().path()));
-    let runtime = runtime.map_err(CommandError::failed)?;
-    MetricsEndpoint::on_loopback(port, move || {
-        let mut pages = Vec::new();
-        for stage in Stage::ALL {
-            let socket = metrics_socket(&runtime.status(), &format!("{}-0", stage.name()));
-            let page = scrape(&socket, Duration::from_millis(200));
-            metrics.set_up(stage.name(), page.is_ok());
-            pages.extend(page);
-        }
-        metrics.set_shared_memory(runtime.occupied_bytes());
-        pages.push(metrics.render());
-        merge_expositions(pages.iter().map(String::as_str))
-    })
-    .map_err(CommandError::user)
 }
 
 fn describe(source: &Source) -> String {

@@ -1,14 +1,14 @@
 //! `flockslam up`: a process set that lives until it is told to stop.
 
 use super::CommandError;
-use super::run::{Finished, count_interrupts, points, prepare_directory, serve_metrics, write_outputs};
+use super::run::{Finished, count_interrupts, points, prepare_directory, write_outputs};
 use crate::cli::UpArgs;
 use crate::configuration::Configuration;
 use crate::outputs::write_trajectory;
 use crate::store::{Findings, MapHead, MapKeeper, Mirror, SavedMap, StoreError};
 use crate::supervisor::{
-    ControlSocket, Order, ProcessSet, Reply, Request, ServiceManager, SetDescription, SetError, SetEvent,
-    SetFile, known_stage,
+    ControlSocket, MetricsService, Order, ProcessSet, Reply, Request, ServiceManager, SetDescription,
+    SetError, SetEvent, SetFile, known_stage,
 };
 use flockslam_bus::RuntimeDir;
 use flockslam_stage::{MemoryUse, Mode};
@@ -33,7 +33,7 @@ pub fn run(args: &UpArgs) -> Result<(), CommandError> {
     let started = Instant::now();
     let mut live = LiveSet::start(args, &description)?;
     let control = ControlSocket::open(&live.set.runtime().control_socket()).map_err(CommandError::failed)?;
-    let _metrics = description.metrics_port.map(|port| serve_metrics(&live.set, port)).transpose()?;
+    let _metrics = MetricsService::start(&live.set, description.metrics_port).map_err(CommandError::user)?;
     let has_ended = live.attend(&control, &interrupts)?;
     live.stop_and_save();
     match &args.out {
@@ -91,6 +91,7 @@ impl LiveSet {
             world: task.world,
             configuration,
         };
+        flockslam_telemetry::log_into_set(runtime.path());
         let mut set = ProcessSet::start(runtime, file, description.supervision())?;
         // From here on only an end in good order removes what the set knows.
         set.wipe_at_end(false);
@@ -137,6 +138,7 @@ impl LiveSet {
             Request::Scale(name, replicas) => {
                 known_stage(&name).and_then(|stage| self.set.scale(stage, replicas))
             }
+            Request::Log(stage, filter) => self.set.log(&stage, &filter),
             Request::Save(directory) => return self.save_elsewhere(&directory, order),
             Request::Load(directory) => self.load(&directory),
         };

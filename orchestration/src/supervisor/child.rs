@@ -3,7 +3,7 @@ use super::restarts::{AfterDeath, RestartPolicy};
 use super::supervision::ProcessLimits;
 use flockslam_messages::Stage;
 use flockslam_stage::heartbeat_file;
-use flockslam_telemetry::{Beat, monotonic_ns, read_heartbeat};
+use flockslam_telemetry::{Beat, RestartReason, monotonic_ns, read_heartbeat};
 use rustix::process::{
     Pid, PidfdFlags, Resource, Rlimit, Signal, getpriority_process, pidfd_open, prlimit, setpriority_process,
 };
@@ -38,6 +38,8 @@ pub struct StageChild {
     pub pids: Vec<u32>,
     /// How often it was replaced because it hung.
     pub hangs: u64,
+    /// Why its process is killed, unless it dies by itself.
+    killed_for: RestartReason,
     process: Option<(Child, OwnedFd)>,
     started: Instant,
     started_ns: u64,
@@ -62,6 +64,7 @@ impl StageChild {
             replica,
             pids: Vec::new(),
             hangs: 0,
+            killed_for: RestartReason::default(),
             process: None,
             started: Instant::now(),
             started_ns: 0,
@@ -179,8 +182,20 @@ impl StageChild {
             return false;
         }
         self.hangs += 1;
+        self.killed_for = RestartReason::Hung;
         self.signal(Signal::KILL);
         true
+    }
+
+    /// Kills the process by order, to be started again.
+    pub fn replace(&mut self) {
+        self.killed_for = RestartReason::Ordered;
+        self.signal(Signal::KILL);
+    }
+
+    /// Why the process that comes next is needed, once.
+    pub fn take_restart_reason(&mut self) -> RestartReason {
+        std::mem::take(&mut self.killed_for)
     }
 
     /// Whether a planned start is due.

@@ -27,6 +27,8 @@ pub enum Request {
     Restart(String),
     /// Run so many processes of a stage.
     Scale(String, usize),
+    /// Log what this filter lets through, from now on: the processes of a stage, `supervisor`, or `all`.
+    Log(String, String),
     /// Save the map into a directory now.
     Save(PathBuf),
     /// Go on with the map in a directory instead of the present one.

@@ -15,6 +15,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
 use std::time::{Duration, Instant};
 
+mod levels;
 mod scaling;
 
 /// Exit code of a stage whose source is not usable: a mistake of the user's.
@@ -226,7 +227,8 @@ impl ProcessSet {
             }
             if self.children[at].is_due() {
                 self.spawn(at)?;
-                self.metrics.restarted(self.children[at].stage.name());
+                let why = self.children[at].take_restart_reason();
+                self.metrics.restarted(self.children[at].stage.name(), why);
             }
         }
         Ok(())
@@ -246,9 +248,9 @@ impl ProcessSet {
     }
 
     /// Kills all processes of a stage, which are started again at once; false when there is none.
-    pub fn restart(&self, stage: Stage) -> bool {
-        let of_stage = self.children.iter().filter(|child| child.stage == stage && child.is_running());
-        of_stage.map(|child| child.signal(Signal::KILL)).count() > 0
+    pub fn restart(&mut self, stage: Stage) -> bool {
+        let of_stage = self.children.iter_mut().filter(|child| child.stage == stage && child.is_running());
+        of_stage.map(StageChild::replace).count() > 0
     }
 
     /// Stops all stages, forgets what they know, lets `prepare` put something else into the directory (it gives the sequence of the

@@ -10,7 +10,7 @@ use crate::{CorrelationFilter, Settings};
 use flockslam_bus::{BellRinger, Publisher, ScanSample, ScanSubscriber, Subscriber};
 use flockslam_messages::{DropReason, KeepReason, Progress, ScanTally, Stage, Verdict};
 use flockslam_stage::{Acknowledger, Actor, Mode, StageContext, StageError, run};
-use flockslam_telemetry::{KeptCounters, monotonic_ns};
+use flockslam_telemetry::{LabelledCounters, monotonic_ns, names};
 use shares::{Shares, is_shared};
 use std::time::Duration;
 
@@ -124,13 +124,14 @@ impl Load {
 /// Counts kept scans by reason.
 struct Kept {
     counts: [u64; KeepReason::ALL.len()],
-    metrics: KeptCounters,
+    metrics: LabelledCounters,
 }
 
 impl Kept {
     fn new(context: &StageContext) -> Self {
-        let names = KeepReason::ALL.map(KeepReason::name);
-        Self { counts: [0; KeepReason::ALL.len()], metrics: context.metrics.kept(&names) }
+        let reasons = KeepReason::ALL.map(KeepReason::name);
+        let metrics = context.metrics.counters(names::KEPT, names::LABEL_REASON, &reasons);
+        Self { counts: [0; KeepReason::ALL.len()], metrics }
     }
 
     fn count(&mut self, reason: KeepReason) {
@@ -190,7 +191,7 @@ impl Filter {
                 self.logic.judge(scan, whole.as_ref(), overloaded)
             }
             Err(problem) => {
-                tracing::warn!(scan = %header.id, %problem, "unreadable scan");
+                tracing::warn!(scan = header.id.sequence, %problem, "unreadable scan");
                 let reason = DropReason::Empty as u32;
                 Verdict { id: header.id, times: header.times, coefficient: 0.0, keep: 0, reason }
             }
@@ -233,7 +234,9 @@ impl Filter {
             Some(reason) => context.dropped(reason.name()),
             None => KeepReason::from_number(verdict.reason).into_iter().for_each(|r| self.kept.count(r)),
         }
-        context.handled(verdict.id.sequence, started_ns, verdict.times.monotonic_ns);
+        let Verdict { id, keep, reason, coefficient, .. } = *verdict;
+        tracing::debug!(scan = id.sequence, keep, reason, coefficient, "judged");
+        context.handled(id.sequence, started_ns, verdict.times.monotonic_ns);
         self.acknowledger.finished(verdict.id.sequence + 1)
     }
 }
@@ -261,6 +264,10 @@ impl Actor for Filter {
 
     fn patience(&self) -> Duration {
         Duration::from_millis(if self.waiting.is_none() { 100 } else { 5 })
+    }
+
+    fn waiting(&self) -> usize {
+        usize::from(self.waiting.is_some())
     }
 
     fn close(&mut self, context: &mut StageContext) -> Result<(), StageError> {

@@ -10,7 +10,7 @@ use flockslam_messages::{DropReason, MarksHeader, PoseEstimate, PoseFlags, Stage
 use flockslam_stage::{
     Acknowledger, Actor, GridReader, Mode, PendingScans, PoseQueue, StageContext, StageError, run,
 };
-use flockslam_telemetry::monotonic_ns;
+use flockslam_telemetry::{Counter, monotonic_ns, names};
 use sectors::{Helper, Sectors};
 use std::time::Duration;
 
@@ -42,6 +42,8 @@ pub fn run_stage(context: &mut StageContext, settings: Settings, cell_size_m: f6
         mapper: context.bus.ringer(Stage::Mapper.name())?,
         acknowledger: Acknowledger::open(context, 0)?,
         cleared: 0,
+        cleared_cells: context.metrics.counter(names::CLEARED_CELLS),
+        moving_beams: context.metrics.counter(names::MOVING_BEAMS),
     };
     run(context, &mut actor, &bell)
 }
@@ -104,6 +106,8 @@ struct Cleaner {
     mapper: BellRinger,
     acknowledger: Acknowledger,
     cleared: u64,
+    cleared_cells: Counter,
+    moving_beams: Counter,
 }
 
 /// A scan of which others judge their sectors.
@@ -172,6 +176,8 @@ impl Cleaner {
     fn conclude(&mut self, pose: &PoseEstimate) -> Result<(), StageError> {
         let marks = self.inputs.logic.conclude(pose);
         self.cleared += marks.cleared.len() as u64;
+        self.cleared_cells.inc_by(marks.cleared.len() as u64);
+        self.moving_beams.inc_by(u64::from(marks.header.moving_beams));
         let copy = |to: &mut [_]| to.copy_from_slice(marks.cleared);
         Ok(self.marks.send_with(&marks.header, marks.cleared.len(), copy)?)
     }
@@ -183,6 +189,7 @@ impl Cleaner {
         context: &mut StageContext,
     ) -> Result<(), StageError> {
         self.mapper.ring();
+        tracing::debug!(scan = pose.id.sequence, cleared_so_far = self.cleared, "cleaned");
         context.handled(pose.id.sequence, started_ns, pose.times.monotonic_ns);
         self.inputs.poses.pop();
         self.acknowledger.finished(pose.id.sequence + 1)
@@ -223,6 +230,10 @@ impl Actor for Cleaner {
             context.report.report.tile_address = address as u64;
         }
         self.acknowledger.send()
+    }
+
+    fn waiting(&self) -> usize {
+        self.inputs.scans.len()
     }
 
     fn patience(&self) -> Duration {

@@ -212,6 +212,7 @@ impl Ingest {
         if let Some(cursor) = &mut self.cursor {
             cursor.advance(self.sequence, self.pacer.as_ref().and_then(Pacer::anchor))?;
         }
+        tracing::debug!(scan = self.sequence - 1, "sent");
         context.handled(self.sequence - 1, now_ns, now_ns);
         Ok(())
     }

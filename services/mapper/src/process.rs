@@ -3,6 +3,7 @@
 //!
 //! Of several processes each inserts every scan into its share of the tiles; the first commits for all.
 
+mod metrics;
 mod parts;
 
 use crate::{Mapper, Settings};
@@ -17,6 +18,7 @@ use flockslam_stage::{
     SubmapStore, run,
 };
 use flockslam_telemetry::{is_sabotaged, monotonic_ns};
+use metrics::MapMetrics;
 use parts::Parts;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -83,6 +85,7 @@ struct MapperProcess {
     closing: bool,
     /// … and stored.
     map_closed: bool,
+    metrics: MapMetrics,
 }
 
 /// Everything that the mapper tells others.
@@ -130,6 +133,7 @@ impl MapperProcess {
             waiting_since_ns: None,
             closing: false,
             map_closed: false,
+            metrics: MapMetrics::new(&context.metrics),
         };
         process.recover(context)?;
         Ok(process)
@@ -367,6 +371,12 @@ impl MapperProcess {
             None => self.catch_up(sequence + 1, context)?,
         }
         self.poses.pop();
+        tracing::debug!(
+            scan = sequence,
+            cleared = cleared.len(),
+            generation = self.logic.generation(),
+            "inserted"
+        );
         context.handled(sequence, started_ns, pose.times.monotonic_ns);
         self.done(sequence + 1)?;
         Ok(true)
@@ -470,13 +480,18 @@ impl Actor for MapperProcess {
         self.output.tiles.refresh();
         self.output.commits.refresh();
         self.output.submaps.refresh();
-        context.report.count("tiles", self.logic.live_tiles().count() as u64);
+        let tiles = self.metrics.look(&self.logic);
+        context.report.count("tiles", tiles as u64);
         if !self.parts.is_first() {
             return Ok(());
         }
         self.store_whole()?;
         self.acknowledger.send()?;
         if self.map_closed { self.repeat_the_end() } else { Ok(()) }
+    }
+
+    fn waiting(&self) -> usize {
+        self.scans.len()
     }
 
     fn patience(&self) -> Duration {

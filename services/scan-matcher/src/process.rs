@@ -11,9 +11,11 @@ use flockslam_stage::{
     StageError, StreamEnd, Turn, run,
 };
 use flockslam_telemetry::{is_sabotaged, monotonic_ns};
+use metrics::PoseMetrics;
 use std::collections::VecDeque;
 use std::time::Duration;
 
+mod metrics;
 mod stand_in;
 
 pub use stand_in::run_stand_in;
@@ -81,6 +83,7 @@ struct Matcher {
     quiet_scans: u64,
     acknowledger: Acknowledger,
     stream: StreamEnd,
+    metrics: PoseMetrics,
 }
 
 impl Matcher {
@@ -113,6 +116,7 @@ impl Matcher {
             quiet_scans: (context.capacity.window as u64 / 8).max(1),
             acknowledger: Acknowledger::open(context, 0)?,
             stream: StreamEnd::open(context)?,
+            metrics: PoseMetrics::new(&context.metrics),
         })
     }
 
@@ -289,11 +293,12 @@ impl Matcher {
         let journal = self.journal.as_mut().filter(|_| !is_sabotaged("no-journal"));
         let journaled = journal.map(|journal| journal.append(&pose, scan));
         if let Some(Err(error)) = journaled {
-            tracing::error!(%error, "not durable");
+            tracing::error!(scan = header.id.sequence, %error, "not durable");
             context.dropped("not-journaled");
         }
         self.poses.send(&pose)?;
         context.handled(header.id.sequence, started_ns, header.times.monotonic_ns);
+        self.metrics.published(&pose);
         let accepted = pose.has(PoseFlags::INSERT);
         if accepted {
             self.awaited.push_back((header.id.sequence, monotonic_ns()));
@@ -345,6 +350,10 @@ impl Actor for Matcher {
             context.report.report.tile_address = address as u64;
         }
         self.acknowledger.send()
+    }
+
+    fn waiting(&self) -> usize {
+        self.scans.len()
     }
 
     fn patience(&self) -> Duration {

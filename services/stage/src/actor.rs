@@ -22,6 +22,11 @@ pub trait Actor {
         REFRESH
     }
 
+    /// Scans that the stage holds and has not handled yet.
+    fn waiting(&self) -> usize {
+        0
+    }
+
     /// Called once before the process ends in good order.
     ///
     /// # Errors
@@ -50,6 +55,7 @@ pub fn run(context: &mut StageContext, actor: &mut impl Actor, bell: &Listener) 
     context.ready();
     while !context.stop.is_set() {
         let idle = !actor.advance(context)?;
+        context.metrics.waiting(actor.waiting());
         if loops.is_some_and(|scans| context.metrics.handled_count() >= scans) {
             loop_once(context);
         }

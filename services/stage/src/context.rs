@@ -2,7 +2,7 @@ use crate::StageError;
 use crate::report::ReportWriter;
 use flockslam_bus::{Bus, Capacity, RuntimeDir};
 use flockslam_messages::{DropReason, Stage};
-use flockslam_telemetry::{Heartbeat, MetricsEndpoint, StageMetrics, monotonic_ns};
+use flockslam_telemetry::{Heartbeat, LogLevels, MetricsEndpoint, StageMetrics, monotonic_ns};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -102,6 +102,7 @@ pub struct StageContext {
     pub report: ReportWriter,
     runtime: PathBuf,
     heartbeat: Heartbeat,
+    levels: LogLevels,
     /// Scans that were followed while another process acted.
     followed: u64,
     _endpoint: MetricsEndpoint,
@@ -157,6 +158,7 @@ impl StageContext {
             metrics,
             report: ReportWriter::new(&status_dir, &name),
             followed: 0,
+            levels: LogLevels::of(&status_dir, stage.name()),
             heartbeat: Heartbeat::open(&heartbeat_file(&status_dir, &name)).map_err(|e| telemetry(&e))?,
             _endpoint: endpoint.map_err(|e| telemetry(&e))?,
             status_dir,
@@ -176,6 +178,7 @@ impl StageContext {
         let (latency_ns, since_capture_ns) =
             (now_ns.saturating_sub(started_ns), now_ns.saturating_sub(captured_ns));
         self.metrics.handled(sequence, latency_ns, since_capture_ns);
+        self.metrics.captured(captured_ns);
         self.report.handled(latency_ns, since_capture_ns);
         if self.report.report.handled == 1 {
             self.alive();
@@ -204,6 +207,7 @@ impl StageContext {
     pub fn alive(&mut self) {
         let now_ns = monotonic_ns();
         self.metrics.alive(now_ns);
+        self.levels.look(now_ns);
         if let Err(error) = self.heartbeat.beat(now_ns, self.metrics.handled_count() + self.followed) {
             tracing::warn!(%error, "no heartbeat");
         }

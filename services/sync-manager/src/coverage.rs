@@ -30,6 +30,12 @@ impl Coverage {
         }
     }
 
+    /// Number of blocks that some submap knows something of.
+    pub fn blocks(&self) -> u64 {
+        let known = |submaps: &Vec<(u32, u64)>| submaps.iter().fold(0, |known, (_, blocks)| known | blocks);
+        self.tiles.values().map(|submaps| u64::from(known(submaps).count_ones())).sum()
+    }
+
     /// In how many of a submap's blocks at least `times` newer ones know something too; `times` is positive.
     pub fn covered(&self, number: u32, footprint: &Footprint, times: usize) -> u32 {
         let covered = footprint.tiles().iter().map(|(key, blocks)| {

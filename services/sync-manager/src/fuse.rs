@@ -37,6 +37,11 @@ impl Fuser {
         Ok(covered)
     }
 
+    /// Area of the map as it is now, m².
+    pub fn area_m2(&self) -> f64 {
+        self.fusion.area_m2()
+    }
+
     /// The fused map of the final layout: the sum over the stored submaps at their poses, on the rectangle that has evidence.
     ///
     /// # Errors

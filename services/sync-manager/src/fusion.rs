@@ -80,6 +80,12 @@ impl Fusion {
         self.map.as_ref()
     }
 
+    /// Area that something is known of, in blocks of 8 × 8 cells, m².
+    pub fn area_m2(&self) -> f64 {
+        let block_m = self.map.as_ref().map_or(0.0, |map| 8.0 * map.cell_size_m());
+        self.coverage.blocks() as f64 * block_m * block_m
+    }
+
     /// Numbers of the submaps that have retired.
     pub fn retired(&self) -> impl Iterator<Item = u32> + '_ {
         self.retired.iter().copied()

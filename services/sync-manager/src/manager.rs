@@ -18,6 +18,7 @@ use flockslam_registration::cloud::Placement;
 use settle::SettledSubmap;
 use std::collections::{BTreeMap, BTreeSet};
 
+mod counts;
 mod settle;
 
 /// A scan this close to the last one kept tells nothing new, metres and radians.

@@ -17,10 +17,12 @@ use flockslam_stage::{
     SubmapStore, Turn, run,
 };
 use flockslam_telemetry::monotonic_ns;
+use metrics::LayoutMetrics;
 use std::collections::BTreeMap;
 use std::path::Path;
 use trajectories::Trajectories;
 
+mod metrics;
 mod trajectories;
 
 /// Runs the stage until it is asked to stop.
@@ -69,6 +71,9 @@ struct SyncProcess {
     trajectories: Trajectories,
     summary: Summary,
     finished: bool,
+    /// What a predecessor knew is taken in.
+    recovered: bool,
+    metrics: LayoutMetrics,
 }
 
 impl SyncProcess {
@@ -103,6 +108,8 @@ impl SyncProcess {
             trajectories: Trajectories::create(&result_dir)?,
             summary: Summary::default(),
             finished: false,
+            recovered: false,
+            metrics: LayoutMetrics::new(&context.metrics),
         };
         process.recover(context)?;
         Ok(process)
@@ -113,6 +120,7 @@ impl SyncProcess {
         self.catch_up(u64::MAX, context)?;
         self.poses = PoseQueue::new(context.bus.subscriber()?, self.expected);
         self.scans.release_before(self.expected);
+        self.recovered = true;
         self.done(self.expected)
     }
 
@@ -178,18 +186,40 @@ impl SyncProcess {
 
     /// Hands a closed submap to the logic and publishes the correction.
     fn conclude(&mut self, notice: &SubmapClosed) -> Result<(), StageError> {
+        let started_ns = monotonic_ns();
         let layout = self.logic.submap_closed(notice);
+        let took_ns = monotonic_ns().saturating_sub(started_ns);
         self.trajectories.settled(&self.logic.take_settled())?;
         self.next_submap = notice.number + 1;
         self.layout = Some(layout);
         if !self.acts {
+            self.metrics.recovered(self.logic.closure_counts());
             return Ok(());
         }
         self.layouts.send(&layout)?;
         self.matcher.ring();
         let retired = self.fuser.follow(&self.logic.layout(), self.next_submap)?;
         self.logic.submaps_retired(&retired);
+        self.tell(took_ns);
         Ok(())
+    }
+
+    fn tell(&mut self, took_ns: u64) {
+        let counts = self.logic.closure_counts();
+        let (scan, submap) = (self.expected, self.next_submap.saturating_sub(1));
+        tracing::debug!(
+            scan,
+            submap,
+            accepted = counts.accepted,
+            revoked = counts.revoked,
+            took_ns,
+            "concluded"
+        );
+        if !self.recovered {
+            // The predecessor has told it, and this one only finds it once more.
+            self.metrics.recovered(counts);
+        }
+        self.metrics.concluded(counts, took_ns, self.fuser.area_m2());
     }
 
     fn drain(&mut self) -> Result<(), StageError> {
@@ -308,6 +338,10 @@ impl Actor for SyncProcess {
             self.finish(context)?;
         }
         Ok(any)
+    }
+
+    fn waiting(&self) -> usize {
+        self.scans.len()
     }
 
     fn refresh(&mut self, _context: &mut StageContext) -> Result<(), StageError> {

@@ -1,6 +1,7 @@
 //! What goes on when the matcher cannot: poses by the wheels alone, so that a robot that has lost its matcher is not blind.
 
 use super::last_pose;
+use super::metrics::PoseMetrics;
 use crate::{ScanMatcher, Settings};
 use flockslam_bus::{Publisher, ScanSubscriber};
 use flockslam_messages::{PoseEstimate, Stage};
@@ -29,6 +30,7 @@ pub fn run_stand_in(context: &mut StageContext, settings: Settings) -> Result<()
         poses: context.bus.publisher()?,
         journal: JournalWriter::open(&context.journal_dir).ok(),
         acknowledger: Acknowledger::open(context, next)?,
+        metrics: PoseMetrics::new(&context.metrics),
     };
     run(context, &mut actor, &bell)
 }
@@ -39,6 +41,7 @@ struct StandIn {
     poses: Publisher<PoseEstimate>,
     journal: Option<JournalWriter>,
     acknowledger: Acknowledger,
+    metrics: PoseMetrics,
 }
 
 impl Actor for StandIn {
@@ -57,6 +60,7 @@ impl Actor for StandIn {
             }
             self.poses.send(&pose)?;
             context.handled(header.id.sequence, started_ns, header.times.monotonic_ns);
+            self.metrics.published(&pose);
             self.acknowledger.finished(header.id.sequence + 1)?;
             any = true;
         }

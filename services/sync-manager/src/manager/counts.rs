@@ -1,0 +1,9 @@
+use super::SyncManager;
+use crate::ClosureCounts;
+
+impl SyncManager {
+    /// What has become of the loops so far.
+    pub fn closure_counts(&self) -> ClosureCounts {
+        self.counts(&self.strands(self.chain.nodes().len()))
+    }
+}

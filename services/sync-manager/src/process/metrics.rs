@@ -1,0 +1,41 @@
+use crate::ClosureCounts;
+use flockslam_telemetry::{Counter, Gauge, Histogram, StageMetrics, names};
+
+/// What the stage tells of loop closures, its time and the map.
+pub struct LayoutMetrics {
+    searches: Counter,
+    accepted: Counter,
+    revoked: Gauge,
+    optimisation: Histogram,
+    area: Gauge,
+    seen: ClosureCounts,
+}
+
+impl LayoutMetrics {
+    /// Adds them to the stage's metrics.
+    pub fn new(metrics: &StageMetrics) -> Self {
+        Self {
+            searches: metrics.counter(names::CLOSURE_SEARCHES),
+            accepted: metrics.counter(names::CLOSURES_ACCEPTED),
+            revoked: metrics.gauge(names::CLOSURES_REVOKED),
+            optimisation: metrics.histogram(names::OPTIMISATION),
+            area: metrics.gauge(names::MAP_AREA),
+            seen: ClosureCounts::default(),
+        }
+    }
+
+    /// Takes note of where the counts are without counting them: another process has done it.
+    pub fn recovered(&mut self, counts: ClosureCounts) {
+        self.seen = counts;
+        self.revoked.set(counts.revoked as f64);
+    }
+
+    /// Counts what was concluded after a closed submap, and the time for it, nanoseconds.
+    pub fn concluded(&mut self, counts: ClosureCounts, took_ns: u64, map_area_m2: f64) {
+        self.searches.inc_by(counts.searches.saturating_sub(self.seen.searches));
+        self.accepted.inc_by(counts.accepted.saturating_sub(self.seen.accepted));
+        self.recovered(counts);
+        self.optimisation.observe(took_ns as f64 * 1e-9);
+        self.area.set(map_area_m2);
+    }
+}
