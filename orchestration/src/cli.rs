@@ -5,6 +5,7 @@ use crate::configuration::Profile;
 use crate::supervisor::known_stage;
 use clap::{Args, Parser, Subcommand};
 use flockslam_messages::Stage;
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -32,6 +33,8 @@ enum Command {
     Restart(StageOrderArgs),
     /// Changes how many processes a stage of a running set has
     Scale(ScaleArgs),
+    /// Serves the live page of a running set, for a browser
+    Page(PageArgs),
     /// Looks after saved maps
     #[command(subcommand)]
     Store(StoreCommand),
@@ -214,6 +217,23 @@ pub struct ScaleArgs {
     pub robot: RobotArgs,
 }
 
+/// `flockslam page`.
+#[derive(Clone, Debug, Args)]
+pub struct PageArgs {
+    /// Which set
+    #[command(flatten)]
+    pub robot: RobotArgs,
+    /// Address and port at which it is served, in place of the set's `page.listen`
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    pub listen: Option<SocketAddr>,
+    /// Directory of the running set
+    #[arg(long, value_name = "DIR", hide = true)]
+    pub set_dir: Option<PathBuf>,
+    /// Process to die with
+    #[arg(long, hide = true)]
+    pub parent: Option<u32>,
+}
+
 /// `flockslam evaluate`.
 #[derive(Clone, Debug, Args)]
 pub struct EvaluateArgs {
@@ -274,6 +294,7 @@ pub fn main() -> ExitCode {
         Command::Status(args) => commands::control::status(&args),
         Command::Restart(args) => commands::control::restart(&args),
         Command::Scale(args) => commands::control::scale(&args),
+        Command::Page(args) => commands::page::run(&args),
         Command::Store(command) => commands::store::run(&command),
         Command::Evaluate(args) => commands::evaluate::run(&args),
         Command::Config(args) => commands::config::run(&args),

@@ -6,6 +6,7 @@ mod description;
 mod error;
 mod hang;
 mod notify;
+mod page;
 mod restarts;
 mod set;
 mod set_file;
@@ -17,6 +18,7 @@ pub use control::{ControlError, ControlSocket, Order, Reply, Request, ask, known
 pub use description::{SetDescription, SourceDescription};
 pub use error::SetError;
 pub use notify::ServiceManager;
+pub use page::PageProcess;
 pub use set::{EXIT_BAD_SOURCE, ProcessSet, SetEvent, error_file};
 pub use set_file::SetFile;
 pub use stage_command::{run_in, run_stage};

@@ -19,6 +19,7 @@ use settle::SettledSubmap;
 use std::collections::{BTreeMap, BTreeSet};
 
 mod settle;
+mod shown;
 
 /// A scan this close to the last one kept tells nothing new, metres and radians.
 const REST: (f64, f64) = (0.01, 0.005);
