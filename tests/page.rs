@@ -87,19 +87,26 @@ fn a_browser_shows_the_run_and_what_happens_to_it() {
     browser.wait_until("tiles", "Number(document.body.dataset.tiles) > 20");
     let before = browser.script(PIXELS);
     let view = "(await import('/main.js')).view";
-    browser.wait_until("submaps at their places", &format!("{view}.map.tiles.size > 20 && {view}.origins.length > 3"));
+    browser.wait_until(
+        "submaps at their places",
+        &format!("{view}.map.tiles.size > 20 && {view}.origins.length > 3"),
+    );
     browser.wait_until("a closed loop", &format!("{view}.closures.length > 0"));
     browser.wait_until("a scan", &format!("{view}.scan?.points.length > 100"));
     let after = browser.script(PIXELS);
     for kind in ["free", "path", "scan"] {
         assert!(after[kind].as_u64() > Some(50), "{kind}: {after}");
     }
-    let known = |pixels: &serde_json::Value| pixels["all"].as_f64().unwrap() - pixels["unknown"].as_f64().unwrap();
+    let known =
+        |pixels: &serde_json::Value| pixels["all"].as_f64().unwrap() - pixels["unknown"].as_f64().unwrap();
     println!("pixels early {before}, later {after}");
     assert!(known(&after) > 0.05 * after["all"].as_f64().unwrap());
     let tracks = "view.take({ tracks: [{ id: 1, at: [0, 0], velocity: [1, 0.5], radius_m: 0.4 }] }, []);";
     browser.script(&format!("const {{ view }} = await import('/main.js'); {tracks}"));
-    browser.wait_until("latencies", "document.querySelector('[data-stage=mapper] .detail').textContent.includes('Hz')");
+    browser.wait_until(
+        "latencies",
+        "document.querySelector('[data-stage=mapper] .detail').textContent.includes('Hz')",
+    );
 
     // It can be moved with the keyboard alone.
     browser.script("document.querySelector('#map').focus();");
@@ -111,10 +118,12 @@ fn a_browser_shows_the_run_and_what_happens_to_it() {
     // A stage dies: there is a mark, and its counter has grown.
     let killed = Instant::now();
     send(set.pid(Stage::Mapper), Signal::KILL);
-    let marked = "document.querySelector('[data-stage=mapper].struck .restarts')?.textContent === '1 restart'";
+    let marked =
+        "document.querySelector('[data-stage=mapper].struck .restarts')?.textContent === '1 restart'";
     browser.wait_until("a mark", marked);
     println!("from kill -9 to the mark: {:.2} s", killed.elapsed().as_secs_f64());
-    browser.wait_until("an event", "document.querySelector('#events .restart')?.textContent.includes('mapper')");
+    browser
+        .wait_until("an event", "document.querySelector('#events .restart')?.textContent.includes('mapper')");
 
     // A button replaces a stage, on the second press.
     let press = "document.querySelector('[data-stage=dynamic-cleaner] .again').focus();";
@@ -154,10 +163,14 @@ fn strangers_are_refused_and_orders_need_the_token() {
     wait_for("the page", || http_get(port, "/"));
     let own = format!("Host: localhost:{port}\r\n");
     let page = answer(port, "/", &own);
-    assert!(page.starts_with("HTTP/1.1 200") && page.contains("content-security-policy: default-src 'none'"), "{page}");
+    assert!(
+        page.starts_with("HTTP/1.1 200") && page.contains("content-security-policy: default-src 'none'"),
+        "{page}"
+    );
     assert!(answer(port, "/etc/passwd", &own).starts_with("HTTP/1.1 404"));
     assert!(answer(port, "/", "Host: evil.example\r\n").starts_with("HTTP/1.1 403"));
-    let socket = "Upgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n";
+    let socket =
+        "Upgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n";
     let opens = |origin: &str| {
         let headers = format!("{own}Connection: Upgrade\r\n{socket}Origin: {origin}\r\n");
         let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
@@ -173,7 +186,9 @@ fn strangers_are_refused_and_orders_need_the_token() {
         browser.wait_until("a connection", "document.body.dataset.link === 'open'");
         browser.wait_until("stages", "document.querySelectorAll('.stage').length === 6");
         let order = |token: &str| {
-            let body = format!("return (await (await import('/main.js')).link.order({{ restart: 'mapper' }}, {token})).ok;");
+            let body = format!(
+                "return (await (await import('/main.js')).link.order({{ restart: 'mapper' }}, {token})).ok;"
+            );
             browser.script(&body)
         };
         assert_eq!((order("undefined"), order("'not for everybodY'")), (false.into(), false.into()));
@@ -195,7 +210,9 @@ fn a_live_run_of_a_log_is_shown_as_well() {
     assert!(page.contains("<canvas id=\"map\""));
     let page = page_pid(set.robot());
     send(page, Signal::KILL);
-    wait_for("another page", || (page_pid(set.robot()) != page && http_get(port, "/").is_some()).then_some(()));
+    wait_for("another page", || {
+        (page_pid(set.robot()) != page && http_get(port, "/").is_some()).then_some(())
+    });
     send(set.supervisor_pid(), Signal::TERM);
     send(set.supervisor_pid(), Signal::TERM);
 }

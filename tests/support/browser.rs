@@ -58,7 +58,9 @@ impl Browser {
 
     /// What the body of a function in the page returns; a promise is waited for.
     pub fn script(&self, body: &str) -> Value {
-        let body = format!("const done = arguments[0]; (async () => {{ {body} }})().then(done, (e) => done(String(e)));");
+        let body = format!(
+            "const done = arguments[0]; (async () => {{ {body} }})().then(done, (e) => done(String(e)));"
+        );
         self.in_session("POST", "/execute/async", &json!({ "script": body, "args": [] }))
     }
 
@@ -72,7 +74,8 @@ impl Browser {
     /// A window of this size, in points; `mobile`: a phone's, with two pixels for each point.
     pub fn resize(&self, width: u32, height: u32, mobile: bool) {
         let ratio = if mobile { 2 } else { 1 };
-        let metrics = json!({ "width": width, "height": height, "deviceScaleFactor": ratio, "mobile": mobile });
+        let metrics =
+            json!({ "width": width, "height": height, "deviceScaleFactor": ratio, "mobile": mobile });
         self.developer("Emulation.setDeviceMetricsOverride", &metrics);
     }
 
@@ -138,7 +141,9 @@ impl Browser {
         loop {
             let text = String::from_utf8_lossy(&answer).into_owned();
             if let Some((head, rest)) = text.split_once("\r\n\r\n") {
-                let length = head.lines().find_map(|line| line.to_ascii_lowercase().strip_prefix("content-length:")?.trim().parse().ok());
+                let length = head.lines().find_map(|line| {
+                    line.to_ascii_lowercase().strip_prefix("content-length:")?.trim().parse().ok()
+                });
                 if length.is_some_and(|length: usize| rest.len() >= length) {
                     return Some(serde_json::from_str::<Value>(rest).ok()?["value"].clone());
                 }

@@ -1,4 +1,5 @@
 use crate::fused::FusedPicture;
+use crate::health::{Event, EventKind};
 use crate::path::Path;
 use crate::shade::{Shader, Shades};
 use crate::shared::{Place, Shared};
@@ -42,6 +43,8 @@ pub struct Session {
     /// Submaps that are stored.
     stored: u32,
     origins: Vec<(u32, [f64; 3])>,
+    /// Loops that were found when it was looked last; `None` before the first look.
+    loops: Option<u64>,
     layout: BTreeMap<u32, Pose>,
     layout_file: Option<Version>,
     /// Which version of each of the newest files is in the picture.
@@ -76,6 +79,7 @@ impl Session {
             optimises: place.optimises,
             stored: 0,
             origins: Vec::new(),
+            loops: None,
             layout: BTreeMap::new(),
             layout_file: None,
             versions: BTreeMap::new(),
@@ -199,12 +203,13 @@ impl Session {
                 (0..self.stored).map(|number| (number, Pose::IDENTITY)).collect()
             };
             is_new = true;
-        } else if is_new {
+        } else {
             let view = shared.view();
             let known = view.layout.get();
             told.closures.clone_from(&known.closures);
             (told.searches, told.accepted) = (known.searches, known.accepted);
         }
+        self.tell_loops(told.accepted, shared);
         if is_new {
             shared.view().layout.set(Layout {
                 submaps: self.layout.iter().map(|(number, pose)| (*number, numbers(*pose))).collect(),
@@ -215,6 +220,18 @@ impl Session {
             });
         }
         self.forget_replaced();
+    }
+
+    fn tell_loops(&mut self, loops: u64, shared: &Shared) {
+        let before = self.loops.replace(loops).unwrap_or(loops);
+        if loops > before {
+            let text = match loops - before {
+                1 => "a loop was closed".to_owned(),
+                more => format!("{more} loops were closed"),
+            };
+            let event = Event { at_ms: shared.now_ms(), kind: EventKind::Closure, stage: None, text };
+            shared.view().events.push(event);
+        }
     }
 
     /// Takes submaps out of the picture whose file was replaced: they come in anew.

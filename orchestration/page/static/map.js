@@ -20,6 +20,8 @@ export class MapView {
     this.readColours();
     matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => this.readColours());
     new ResizeObserver(() => this.redraw()).observe(canvas);
+    // A page that is hidden is not asked to draw any more.
+    document.addEventListener('visibilitychange', () => this.drawPending());
   }
 
   /** Forgets everything: it is told anew. */
@@ -61,13 +63,15 @@ export class MapView {
     if (then) this.afterDraw.push(then);
     if (this.pending) return;
     this.pending = true;
-    const draw = () => {
-      this.pending = false;
-      if (!document.hidden) this.draw();
-      for (const after of this.afterDraw.splice(0)) after();
-    };
-    if (document.hidden) setTimeout(draw, 0);
-    else requestAnimationFrame(draw);
+    if (document.hidden) setTimeout(() => this.drawPending(), 0);
+    else requestAnimationFrame(() => this.drawPending());
+  }
+
+  drawPending() {
+    if (!this.pending) return;
+    this.pending = false;
+    if (!document.hidden) this.draw();
+    for (const after of this.afterDraw.splice(0)) after();
   }
 
   readColours() {

@@ -77,6 +77,7 @@ export class Tiles {
   clear() {
     this.chunks = new Map();
     this.tiles = new Set();
+    this.box = null;
   }
 
   /** Takes in a section of tiles. */
@@ -116,12 +117,14 @@ export class Tiles {
       put(cell, cell + run, shade);
       cell += run;
     }
+    const count = this.tiles.size;
     if (code.length === 0) {
       put(0, TILE * TILE, 0);
       this.tiles.delete(`${x},${y}`);
     } else {
       this.tiles.add(`${x},${y}`);
     }
+    if (this.tiles.size !== count) this.box = null;
     chunk.touch(bottom * CHUNK_TILES + left);
   }
 
@@ -144,6 +147,7 @@ export class Tiles {
 
   /** The cells that have tiles. */
   bounds() {
+    if (this.box || !this.tiles.size) return this.box;
     const box = { left: Infinity, bottom: Infinity, right: -Infinity, top: -Infinity };
     for (const tile of this.tiles) {
       const [x, y] = tile.split(',').map(Number);
@@ -152,6 +156,6 @@ export class Tiles {
       box.right = Math.max(box.right, (x + 1) * TILE);
       box.top = Math.max(box.top, (y + 1) * TILE);
     }
-    return box.left < box.right ? box : null;
+    return (this.box = box);
   }
 }
