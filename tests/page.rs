@@ -5,6 +5,7 @@ mod support;
 
 use flockslam_bus::RuntimeDir;
 use flockslam_messages::Stage;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use rustix::process::Signal;
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -54,6 +55,15 @@ const PIXELS: &str = "
     };
     return { all: data.length, unknown: of('--map-unknown'), free: of('--map-free'), path: of('--path'), scan: of('--scan') };";
 
+/// The same picture, as small as it gets.
+fn squeezed(png: &[u8]) -> Vec<u8> {
+    let picture = image::load_from_memory(png).unwrap().to_rgb8();
+    let mut small = Vec::new();
+    let encoder = PngEncoder::new_with_quality(&mut small, CompressionType::Best, FilterType::Adaptive);
+    picture.write_with_encoder(encoder).unwrap();
+    small
+}
+
 /// Stores a picture beside the test's outputs, and, when `FLOCKSLAM_PICTURES` asks for it, among those of the documentation.
 fn keep_picture(name: &str, png: &[u8]) {
     let places = [Some(env!("CARGO_TARGET_TMPDIR").into()), std::env::var_os("FLOCKSLAM_PICTURES")];
@@ -69,7 +79,7 @@ fn show(browser: &Browser, name: &str, scheme: &str, (width, height, mobile): (u
     browser.script("await new Promise((r) => setTimeout(r, 700));");
     let png = browser.screenshot();
     assert!(png.starts_with(b"\x89PNG") && png.len() > 10_000);
-    keep_picture(name, &png);
+    keep_picture(name, &squeezed(&png));
 }
 
 #[test]

@@ -25,6 +25,8 @@ const BEAMS_MAX: usize = 720;
 const MAP_TILES_PER_TICK: usize = 128;
 /// The layout, and whether stored submaps were replaced, is looked at every so many ticks.
 const FILES_EVERY: u64 = 5;
+/// Closed loops are told no oftener than this: there may be many, one after the other.
+const LOOPS_EVERY_MS: u64 = 20_000;
 /// The newest submaps may be stored once more, with cells that have been cleared.
 const REPLACED_AMONG: usize = 12;
 
@@ -43,8 +45,8 @@ pub struct Session {
     /// Submaps that are stored.
     stored: u32,
     origins: Vec<(u32, [f64; 3])>,
-    /// Loops that were found when it was looked last; `None` before the first look.
-    loops: Option<u64>,
+    /// Loops that have been told, and when; `None` before the first look.
+    loops: Option<(u64, u64)>,
     layout: BTreeMap<u32, Pose>,
     layout_file: Option<Version>,
     /// Which version of each of the newest files is in the picture.
@@ -223,13 +225,15 @@ impl Session {
     }
 
     fn tell_loops(&mut self, loops: u64, shared: &Shared) {
-        let before = self.loops.replace(loops).unwrap_or(loops);
-        if loops > before {
+        let now_ms = shared.now_ms();
+        let (before, told_ms) = *self.loops.get_or_insert((loops, 0));
+        if loops > before && now_ms >= told_ms + LOOPS_EVERY_MS {
+            self.loops = Some((loops, now_ms));
             let text = match loops - before {
                 1 => "a loop was closed".to_owned(),
                 more => format!("{more} loops were closed"),
             };
-            let event = Event { at_ms: shared.now_ms(), kind: EventKind::Closure, stage: None, text };
+            let event = Event { at_ms: now_ms, kind: EventKind::Closure, stage: None, text };
             shared.view().events.push(event);
         }
     }

@@ -195,21 +195,19 @@ export class MapView {
   drawClosures() {
     const { context, colours, camera } = this;
     this.enter(IDENTITY);
-    context.strokeStyle = context.fillStyle = colours.loop;
-    const radius = 2.6 / camera.scale;
-    for (const [x1, y1, x2, y2, acts] of this.closures) {
-      context.globalAlpha = acts ? 0.9 : 0.3;
-      context.lineWidth = (acts ? 1.6 : 1) / camera.scale;
-      context.setLineDash(acts ? [] : [4 / camera.scale, 4 / camera.scale]);
+    context.strokeStyle = colours.loop;
+    context.lineWidth = 1.1 / camera.scale;
+    // There may be thousands: all that act in one stroke, then those that were revoked, dashed.
+    for (const wanted of [1, 0]) {
+      context.globalAlpha = wanted ? 0.5 : 0.3;
+      context.setLineDash(wanted ? [] : [4 / camera.scale, 4 / camera.scale]);
       context.beginPath();
-      context.moveTo(x1, y1);
-      context.lineTo(x2, y2);
-      context.stroke();
-      for (const [x, y] of [[x1, y1], [x2, y2]]) {
-        context.beginPath();
-        context.arc(x, y, radius, 0, 7);
-        context.fill();
+      for (const [x1, y1, x2, y2, acts] of this.closures) {
+        if (acts !== wanted) continue;
+        context.moveTo(x1, y1);
+        context.lineTo(x2, y2);
       }
+      context.stroke();
     }
     context.setLineDash([]);
     context.globalAlpha = 1;

@@ -180,8 +180,8 @@ export class Panel {
       context.fillText(label, left - 5, y(ms));
     }
     context.textBaseline = 'alphabetic';
-    for (const minutes of [5, 4, 3, 2, 1, 0]) {
-      context.textAlign = minutes === 5 ? 'left' : minutes === 0 ? 'right' : 'center';
+    for (const minutes of [4, 3, 2, 1, 0]) {
+      context.textAlign = minutes === 0 ? 'right' : 'center';
       context.fillText(minutes ? `−${minutes} min` : 'now', x(this.now - minutes * 60_000), height - 5);
     }
     this.drawMarks(context, x, bottom, colour);
@@ -191,8 +191,8 @@ export class Panel {
 
   drawMarks(context, x, bottom, colour) {
     for (const { at_ms, kind } of this.happened) {
-      if (at_ms < this.now - SPAN_MS) continue;
-      const hue = kind === 'closure' ? colour('loop') : kind === 'order' ? colour('soft') : colour('bad');
+      if (at_ms < this.now - SPAN_MS || kind === 'closure') continue;
+      const hue = kind === 'order' ? colour('soft') : colour('bad');
       const at = x(at_ms);
       context.strokeStyle = context.fillStyle = hue;
       context.globalAlpha = 0.7;
