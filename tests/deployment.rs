@@ -33,6 +33,8 @@ fn the_example_sets_can_be_read_and_three_on_one_machine_do_not_clash() {
             assert_ne!(set.robot, other.robot);
             assert_ne!(set.map, other.map);
             assert_ne!(set.metrics_port, other.metrics_port);
+            let page = |set: &SetDescription| set.configuration(&[]).unwrap().page.listen;
+            assert_ne!(page(set), page(other));
         }
     }
 }

@@ -5,6 +5,7 @@ use crate::configuration::Profile;
 use crate::supervisor::known_stage;
 use clap::{Args, Parser, Subcommand};
 use flockslam_messages::Stage;
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -36,6 +37,8 @@ enum Command {
     Top(RobotArgs),
     /// Prints what a running set has logged, or changes what it logs
     Log(LogArgs),
+    /// Serves the live page of a running set, for a browser
+    Page(PageArgs),
     /// Looks after saved maps
     #[command(subcommand)]
     Store(StoreCommand),
@@ -233,6 +236,23 @@ pub struct LogArgs {
     pub robot: RobotArgs,
 }
 
+/// `flockslam page`.
+#[derive(Clone, Debug, Args)]
+pub struct PageArgs {
+    /// Which set
+    #[command(flatten)]
+    pub robot: RobotArgs,
+    /// Address and port at which it is served, in place of the set's `page.listen`
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    pub listen: Option<SocketAddr>,
+    /// Directory of the running set
+    #[arg(long, value_name = "DIR", hide = true)]
+    pub set_dir: Option<PathBuf>,
+    /// Process to die with
+    #[arg(long, hide = true)]
+    pub parent: Option<u32>,
+}
+
 /// `flockslam evaluate`.
 #[derive(Clone, Debug, Args)]
 pub struct EvaluateArgs {
@@ -301,6 +321,7 @@ pub fn main() -> ExitCode {
         Command::Scale(args) => commands::control::scale(&args),
         Command::Top(args) => commands::top::run(&args),
         Command::Log(args) => commands::log::run(&args),
+        Command::Page(args) => commands::page::run(&args),
         Command::Store(command) => commands::store::run(&command),
         Command::Evaluate(args) => commands::evaluate::run(&args),
         Command::Config(args) => commands::config::run(&args),

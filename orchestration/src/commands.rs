@@ -1,12 +1,14 @@
 //! What the command line can do, one file a command.
 
 mod accounting;
+mod attendants;
 pub mod config;
 pub mod control;
 pub mod demo;
 pub mod evaluate;
 pub mod log;
 pub mod map;
+pub mod page;
 mod progress_bar;
 mod run;
 pub mod stage;

@@ -30,6 +30,8 @@ pub struct Configuration {
     pub dynamic_cleaner: flockslam_dynamic_cleaner::Settings,
     /// How loops are closed.
     pub sync_manager: flockslam_sync_manager::Settings,
+    /// The live page.
+    pub page: flockslam_page::Settings,
 }
 
 /// Sizes of the process set, fixed when it starts.

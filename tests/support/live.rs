@@ -29,7 +29,7 @@ impl Drive {
         let Self { scan_rate_hz, duration_s, rate } = self;
         format!(
             "robot = \"{robot}\"\n{more}\n\
-             set = [\"sync_manager.retire_covered_by=0\", \"simulation.duration_s={duration_s:?}\", \"simulation.scan_rate_hz={scan_rate_hz:?}\"]\n\
+             set = [\"page.enabled=false\", \"sync_manager.retire_covered_by=0\", \"simulation.duration_s={duration_s:?}\", \"simulation.scan_rate_hz={scan_rate_hz:?}\"]\n\
              [source]\nkind = \"simulation\"\nrate = {rate:?}\n"
         )
     }

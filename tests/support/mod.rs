@@ -5,6 +5,7 @@
 #![allow(dead_code, unused_imports)]
 
 mod benchmark;
+mod browser;
 pub mod faults;
 mod http;
 mod live;
@@ -14,6 +15,7 @@ mod poses;
 mod running;
 
 pub use benchmark::{benchmark_file, evaluate_relations};
+pub use browser::Browser;
 pub use http::{free_port, http_get};
 pub use live::{Drive, LiveSet, of};
 pub use log::simulated_log;

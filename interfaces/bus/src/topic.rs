@@ -101,8 +101,8 @@ impl Topic for Control {
     const NAME: &'static str = "control";
 
     fn limits(capacity: &Capacity) -> Limits {
-        // Every stage speaks on it.
-        Limits { publishers: 6 * (capacity.replicas + 1) + 2, ..Limits::small(capacity) }
+        // Every stage speaks on it, and the supervisor and viewers.
+        Limits { publishers: 6 * (capacity.replicas + 1) + 4, ..Limits::small(capacity) }
     }
 }
 impl Topic for Progress {
@@ -122,8 +122,9 @@ impl Topic for TileMessage {
             publishers: LANES * (capacity.replicas + 1),
             buffer,
             borrowed: lane + buffer,
-            // Readers hold the newest sample of each tile, so memory for all live ones and two rounds of changes is enough.
-            preallocated: Some(lane + 2 * buffer),
+            // Readers hold the newest sample of each tile, so memory for all live ones and two rounds of changes is enough, and a
+            // third for a viewer that was stopped with a full queue.
+            preallocated: Some(lane + 3 * buffer),
             ..Limits::small(capacity)
         }
     }

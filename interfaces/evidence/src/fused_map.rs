@@ -124,6 +124,11 @@ impl FusedMap {
         self.tiles.get(index.tile()).map_or(Cell::UNKNOWN, |cells| cells[index.offset()])
     }
 
+    /// The cells of a tile (index = y·64 + x), if there is evidence in it.
+    pub fn tile(&self, key: TileKey) -> Option<&[Cell; TILE_CELLS]> {
+        self.tiles.get(key).map(|cells| &**cells)
+    }
+
     /// All tiles with their cells (index = y·64 + x), row by row.
     pub fn tiles(&self) -> impl Iterator<Item = (TileKey, &[Cell; TILE_CELLS])> {
         self.tiles.iter().map(|(key, cells)| (key, &**cells))

@@ -2,6 +2,7 @@
 
 use super::CommandError;
 use super::accounting::{SharedMemoryPeak, sum_up};
+use super::attendants::Attendants;
 use super::progress_bar::RunProgress;
 use crate::cli::RunArgs;
 use crate::configuration::Configuration;
@@ -94,8 +95,10 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
     flockslam_telemetry::log_into_set(runtime.path());
     let mut set = ProcessSet::start(runtime, file, Supervision::of_one_run())?;
     let _metrics = MetricsService::start(&set, args.metrics_port).map_err(CommandError::user)?;
+    let mut attendants = if args.live { Attendants::start(&set)? } else { Attendants::default() };
     let mut shared_memory = SharedMemoryPeak::default();
-    watch(&mut set, run.scans, &interrupts, &mut shared_memory)?;
+    watch(&mut set, run.scans, &interrupts, &mut attendants, &mut shared_memory)?;
+    drop(attendants);
     shared_memory.look(set.runtime());
     let own_memory = MemoryUse::of_this_process();
     set.stop();
@@ -115,6 +118,7 @@ fn watch(
     set: &mut ProcessSet,
     scans: Option<u64>,
     interrupts: &AtomicUsize,
+    attendants: &mut Attendants,
     shared_memory: &mut SharedMemoryPeak,
 ) -> Result<(), CommandError> {
     let progress = RunProgress::new(scans);
@@ -123,6 +127,7 @@ fn watch(
         // A set that is idle is looked at less often.
         let limit_ms = if advanced.elapsed() < Duration::from_secs(1) { 20 } else { 200 };
         let event = set.watch(Duration::from_millis(limit_ms));
+        attendants.look_after(set);
         shared_memory.look_sometimes(set.runtime());
         match event {
             Ok(SetEvent::Finished) => break,

@@ -10,12 +10,7 @@ use std::process::ExitCode;
 /// Runs the stage. It dies with its supervisor, whatever kills that.
 pub fn run(args: &StageArgs) -> ExitCode {
     flockslam_telemetry::init_tracing(args.stage.name());
-    let _ = set_parent_process_death_signal(Some(Signal::KILL));
-    // The parent may have died before that took effect.
-    let orphan = args.parent.is_some_and(|parent| {
-        getppid().is_none_or(|present| u32::try_from(present.as_raw_nonzero().get()) != Ok(parent))
-    });
-    if orphan {
+    if !die_with(args.parent) {
         return ExitCode::FAILURE;
     }
     flockslam_telemetry::log_into_set(&args.set_dir);
@@ -26,6 +21,15 @@ pub fn run(args: &StageArgs) -> ExitCode {
             ExitCode::from(if matches!(error, StageError::Source(_)) { EXIT_BAD_SOURCE as u8 } else { 1 })
         }
     }
+}
+
+/// From now on this process dies with its parent, whatever kills that; false when the parent is not this one any more.
+pub(super) fn die_with(parent: Option<u32>) -> bool {
+    let _ = set_parent_process_death_signal(Some(Signal::KILL));
+    // The parent may have died before that took effect.
+    parent.is_none_or(|parent| {
+        getppid().is_some_and(|present| u32::try_from(present.as_raw_nonzero().get()) == Ok(parent))
+    })
 }
 
 /// Leaves the reason where the supervisor finds it: one place to speak to the user is enough.

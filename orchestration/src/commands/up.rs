@@ -1,14 +1,15 @@
 //! `flockslam up`: a process set that lives until it is told to stop.
 
 use super::CommandError;
+use super::attendants::start_page;
 use super::run::{Finished, count_interrupts, points, prepare_directory, write_outputs};
 use crate::cli::UpArgs;
 use crate::configuration::Configuration;
 use crate::outputs::write_trajectory;
 use crate::store::{Findings, MapHead, MapKeeper, Mirror, SavedMap, StoreError};
 use crate::supervisor::{
-    ControlSocket, MetricsService, Order, ProcessSet, Reply, Request, ServiceManager, SetDescription,
-    SetError, SetEvent, SetFile, known_stage,
+    ControlSocket, MetricsService, Order, PageProcess, ProcessSet, Reply, Request, ServiceManager,
+    SetDescription, SetError, SetEvent, SetFile, known_stage,
 };
 use flockslam_bus::RuntimeDir;
 use flockslam_stage::{MemoryUse, Mode};
@@ -56,8 +57,9 @@ pub fn run(args: &UpArgs) -> Result<(), CommandError> {
     }
 }
 
-/// A set, and the keeper of its map.
+/// A set, its page, and the keeper of its map.
 struct LiveSet {
+    page: Option<PageProcess>,
     set: ProcessSet,
     keeper: Option<MapKeeper>,
     head: MapHead,
@@ -96,7 +98,8 @@ impl LiveSet {
         // From here on only an end in good order removes what the set knows.
         set.wipe_at_end(false);
         let keeper = map.map(|map| keep(map, &set, &head, description.save_every_s)).transpose()?;
-        Ok(Self { set, keeper, head })
+        let page = start_page(&set)?;
+        Ok(Self { page, set, keeper, head })
     }
 
     /// Watches over the set until it shall stop; true when its source has ended and its results are stored.
@@ -108,6 +111,7 @@ impl LiveSet {
                 return Ok(true);
             }
             manager.alive();
+            self.page.iter_mut().for_each(PageProcess::look_after);
             if let Some(keeper) = &self.keeper {
                 self.set.metrics().set_not_durable(keeper.status().problem.is_some());
             }
@@ -168,10 +172,12 @@ impl LiveSet {
             let findings = restore(&map, runtime, head).map_err(CommandError::user)?;
             Ok(findings.next_sequence)
         });
+        self.page.iter_mut().for_each(PageProcess::restart);
         loaded.map_err(|error| error.to_string())
     }
 
     fn stop_and_save(&mut self) {
+        self.page = None;
         // Nothing is accepted any more once the stages have ended, so that what is saved then is everything.
         self.set.stop();
         if let Some(keeper) = &self.keeper

@@ -6,7 +6,7 @@ use flockslam_geometry::{Point, Pose};
 use flockslam_journal::{Durability, replace_file, replace_file_by_parts};
 use std::fs;
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 /// A pose at a sensor stamp: a row of a trajectory.
@@ -33,6 +33,9 @@ pub const FUSED_MAP: &str = "fused.map";
 pub const LAYOUT: &str = "layout.json";
 /// What happened, as JSON.
 pub const SUMMARY: &str = "summary.json";
+
+/// Where submaps lie and which loops are closed, as of the last closed submap, as JSON.
+const LIVE_LAYOUT: &str = "live_layout.json";
 
 /// What sync-manager tells about the whole run.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -82,6 +85,19 @@ pub struct LayoutRow {
     pub number: u32,
     /// Takes the coordinates of its cells to the map: metres, metres, radians.
     pub map_from_odom: [f64; 3],
+}
+
+/// What sync-manager has concluded so far, for who watches a set that runs.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct LiveLayout {
+    /// Submaps that are part of the map.
+    pub submaps: Vec<LayoutRow>,
+    /// Closed loops: x and y of both ends in the map, metres; then 1 when the loop acts, 0 when it is revoked.
+    pub closures: Vec<[f64; 5]>,
+    /// Searches for loops.
+    pub searches: u64,
+    /// Loops found, those whose place has settled and that are not listed any more among them.
+    pub accepted: u64,
 }
 
 /// A fused map: evidence on a rectangle of cells.
@@ -226,6 +242,31 @@ pub fn write_layout(directory: &Path, layout: &[LayoutRow]) -> Result<(), StageE
 /// When it is not known.
 pub fn read_layout(directory: &Path) -> Result<Vec<LayoutRow>, StageError> {
     let path = directory.join(LAYOUT);
+    let json = fs::read(&path).map_err(|e| StageError::file(&path, e))?;
+    serde_json::from_slice(&json).map_err(|e| StageError::file(&path, e))
+}
+
+/// The file of what was concluded so far.
+pub fn live_layout_file(directory: &Path) -> PathBuf {
+    directory.join(LIVE_LAYOUT)
+}
+
+/// Writes what was concluded so far.
+///
+/// # Errors
+/// When the disk refuses.
+pub fn write_live_layout(directory: &Path, layout: &LiveLayout) -> Result<(), StageError> {
+    let path = live_layout_file(directory);
+    let json = serde_json::to_vec(layout).map_err(|e| StageError::file(&path, e))?;
+    Ok(replace_file(&path, &json, Durability::Process)?)
+}
+
+/// Reads what was concluded so far.
+///
+/// # Errors
+/// When nothing was.
+pub fn read_live_layout(directory: &Path) -> Result<LiveLayout, StageError> {
+    let path = live_layout_file(directory);
     let json = fs::read(&path).map_err(|e| StageError::file(&path, e))?;
     serde_json::from_slice(&json).map_err(|e| StageError::file(&path, e))
 }

@@ -20,6 +20,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 mod counts;
 mod settle;
+mod shown;
 
 /// A scan this close to the last one kept tells nothing new, metres and radians.
 const REST: (f64, f64) = (0.01, 0.005);

@@ -5,13 +5,13 @@
 //! goes on when it dies: recovering what it knew takes as long as all its searches.
 
 use crate::fuse::Fuser;
-use crate::{PlacedScan, Settings, Solution, SyncManager};
+use crate::{PlacedScan, PlacedSubmap, Settings, Solution, SyncManager};
 use flockslam_bus::{BellRinger, Publisher, ScanSample, Subscriber};
 use flockslam_geometry::Pose;
 use flockslam_messages::{
     Control, ControlKind, DropReason, LayoutHeader, PoseEstimate, PoseFlags, ScanView, Stage, SubmapClosed,
 };
-use flockslam_stage::results::{self, LayoutRow, StampedPose, Summary};
+use flockslam_stage::results::{self, LayoutRow, LiveLayout, StampedPose, Summary};
 use flockslam_stage::{
     Acknowledger, Actor, JournalReader, Mode, PendingScans, PoseQueue, StageContext, StageError, StreamEnd,
     SubmapStore, Turn, run,
@@ -19,7 +19,7 @@ use flockslam_stage::{
 use flockslam_telemetry::monotonic_ns;
 use metrics::LayoutMetrics;
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use trajectories::Trajectories;
 
 mod metrics;
@@ -50,6 +50,9 @@ struct SyncProcess {
     optimises: bool,
     /// All scans are matched once more at the end.
     refines: bool,
+    /// Others may watch: what was concluded is left for them in the results.
+    is_watched: bool,
+    result_dir: PathBuf,
     store: SubmapStore,
     fuser: Fuser,
     scans: PendingScans,
@@ -86,6 +89,8 @@ impl SyncProcess {
         let mut process = Self {
             optimises: settings.enabled,
             refines: settings.refine,
+            is_watched: context.mode == Mode::Live,
+            result_dir: context.result_dir.clone(),
             fuser: Fuser::new(SubmapStore::new(&context.submap_dir), &settings),
             logic: SyncManager::new(settings),
             turn,
@@ -201,6 +206,7 @@ impl SyncProcess {
         let retired = self.fuser.follow(&self.logic.layout(), self.next_submap)?;
         self.logic.submaps_retired(&retired);
         self.tell(took_ns);
+        self.show();
         Ok(())
     }
 
@@ -220,6 +226,23 @@ impl SyncProcess {
             self.metrics.recovered(counts);
         }
         self.metrics.concluded(counts, took_ns, self.fuser.area_m2());
+    }
+
+    /// Leaves the layout for who watches. Should that fail, nobody else is worse off.
+    fn show(&self) {
+        if !self.is_watched {
+            return;
+        }
+        let counts = self.logic.closure_counts();
+        let layout = LiveLayout {
+            submaps: rows(&self.logic.layout()),
+            closures: self.logic.loops(),
+            searches: counts.searches,
+            accepted: counts.accepted,
+        };
+        if let Err(error) = results::write_live_layout(&self.result_dir, &layout) {
+            tracing::warn!(%error, "the layout is not shown");
+        }
     }
 
     fn drain(&mut self) -> Result<(), StageError> {
@@ -290,13 +313,7 @@ impl SyncProcess {
 
     /// Stores the refined trajectory, and where the submaps are to be found that it does without.
     fn refine(&mut self, directory: &Path, solution: &Solution) -> Result<(), StageError> {
-        let numbers = |pose: Pose| [pose.x_m, pose.y_m, pose.heading_rad];
-        let layout: Vec<_> = solution
-            .submaps
-            .iter()
-            .map(|placed| LayoutRow { number: placed.number, map_from_odom: numbers(placed.map_from_odom) })
-            .collect();
-        results::write_layout(directory, &layout)?;
+        results::write_layout(directory, &rows(&solution.submaps))?;
         let refined = self.logic.refined().trajectory;
         let row = |scan: &PlacedScan| StampedPose { stamp_ns: scan.stamp_ns, pose: scan.map_from_base };
         let rows: Vec<_> = refined.iter().map(row).collect();
@@ -312,6 +329,15 @@ impl SyncProcess {
         self.supervisor.ring();
         Ok(())
     }
+}
+
+fn rows(submaps: &[PlacedSubmap]) -> Vec<LayoutRow> {
+    let numbers = |pose: Pose| [pose.x_m, pose.y_m, pose.heading_rad];
+    let row = |placed: &PlacedSubmap| LayoutRow {
+        number: placed.number,
+        map_from_odom: numbers(placed.map_from_odom),
+    };
+    submaps.iter().map(row).collect()
 }
 
 impl Actor for SyncProcess {

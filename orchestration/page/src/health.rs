@@ -1,0 +1,127 @@
+use serde::{Deserialize, Serialize};
+
+/// How a set is, as its supervisor tells it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Health {
+    /// The supervisor's process.
+    pub pid: u32,
+    /// `running`, or `degraded` while a stage does not get up.
+    pub state: String,
+    /// Seconds since the supervisor began.
+    pub uptime_s: f64,
+    /// How the map is saved, when it is.
+    pub saved: Option<serde_json::Value>,
+    /// All processes.
+    pub stages: Vec<StageHealth>,
+}
+
+/// How one process of a set is.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct StageHealth {
+    /// Which stage.
+    pub stage: String,
+    /// Which replica of it.
+    pub replica: u32,
+    /// The process, while there is one.
+    pub pid: Option<u32>,
+    /// `starting`, `running`, `down` or `degraded`.
+    pub state: String,
+    /// How often it was started again.
+    pub restarts: u64,
+    /// How often it was replaced because it hung.
+    pub hangs: u64,
+    /// Scans that the present process has handled.
+    pub handled: u64,
+    /// Seconds since its last sign of life.
+    pub silent_s: Option<f64>,
+}
+
+/// What an event on the time line is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum EventKind {
+    /// A stage has a new process.
+    Restart,
+    /// A stage was replaced because it hung.
+    Hang,
+    /// A stage does not get up.
+    GivenUp,
+    /// A loop was closed.
+    Closure,
+    /// Something was done by the page's order.
+    Order,
+}
+
+/// Something that happened.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Event {
+    /// When, milliseconds since the page began.
+    pub at_ms: u64,
+    /// What it is.
+    pub kind: EventKind,
+    /// The stage that it happened to, when it did to one.
+    pub stage: Option<String>,
+    /// For people.
+    pub text: String,
+}
+
+/// What has happened to the stages between two looks.
+pub fn events_between(before: &Health, after: &Health, at_ms: u64) -> Vec<Event> {
+    let mut events = Vec::new();
+    for stage in &after.stages {
+        let is_same = |other: &&StageHealth| other.stage == stage.stage && other.replica == stage.replica;
+        let Some(old) = before.stages.iter().find(is_same) else { continue };
+        let mut tell = |kind, text: String| {
+            events.push(Event { at_ms, kind, stage: Some(stage.stage.clone()), text });
+        };
+        let name = if stage.replica > 0 {
+            format!("{} {}", stage.stage, stage.replica)
+        } else {
+            stage.stage.clone()
+        };
+        if stage.hangs > old.hangs {
+            tell(EventKind::Hang, format!("{name} gave no sign of life and was replaced"));
+        } else if stage.restarts > old.restarts {
+            let pid = stage.pid.map_or(String::new(), |pid| format!(", now process {pid}"));
+            tell(EventKind::Restart, format!("{name} died and was started again{pid}"));
+        }
+        if stage.state == "degraded" && old.state != "degraded" {
+            tell(EventKind::GivenUp, format!("{name} does not get up; the set goes on without it"));
+        }
+    }
+    events
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn health(restarts: u64, hangs: u64, state: &str) -> Health {
+        let stage = StageHealth {
+            stage: "mapper".to_owned(),
+            pid: Some(7),
+            state: state.to_owned(),
+            restarts,
+            hangs,
+            ..StageHealth::default()
+        };
+        Health { stages: vec![stage], ..Health::default() }
+    }
+
+    #[test]
+    fn deaths_hangs_and_giving_up_are_told_once() {
+        let kinds = |before: &Health, after: &Health| -> Vec<EventKind> {
+            events_between(before, after, 5).into_iter().map(|event| event.kind).collect()
+        };
+        let calm = health(0, 0, "running");
+        assert_eq!(kinds(&calm, &calm), []);
+        assert_eq!(kinds(&calm, &health(1, 0, "running")), [EventKind::Restart]);
+        assert_eq!(kinds(&calm, &health(1, 1, "starting")), [EventKind::Hang]);
+        let lost = health(5, 0, "degraded");
+        assert_eq!(kinds(&calm, &lost), [EventKind::Restart, EventKind::GivenUp]);
+        assert_eq!(kinds(&lost, &lost), []);
+        assert_eq!(kinds(&Health::default(), &lost), [], "a first look has nothing to compare with");
+    }
+}

@@ -1,0 +1,354 @@
+use crate::fused::FusedPicture;
+use crate::health::{Event, EventKind};
+use crate::path::Path;
+use crate::shade::{Shader, Shades};
+use crate::shared::{Place, Shared};
+use crate::view::{Layout, RobotNow, SCAN_UNIT_M, ScanNow, numbers};
+use flockslam_bus::{Bus, Publisher, RuntimeDir, Sample, ScanSample, ScanSubscriber, Subscriber};
+use flockslam_evidence::{Submap, TILE_CELLS, TileKey};
+use flockslam_geometry::Pose;
+use flockslam_messages::{Control, ControlKind, Deskew, PoseEstimate, Quality, ScanView, Stage, TileMessage};
+use flockslam_stage::results::{self, LiveLayout};
+use flockslam_stage::{JournalReader, StageError, SubmapStore};
+use std::collections::{BTreeMap, VecDeque};
+use std::os::unix::fs::MetadataExt;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// Records of the journal are read for no longer than this at a time.
+const JOURNAL_TIME: Duration = Duration::from_millis(20);
+/// Scans that wait for their pose.
+const SCANS_WAITING: usize = 16;
+/// Beams of a scan that are shown.
+const BEAMS_MAX: usize = 720;
+/// Tiles of closed submaps that are drawn anew at a time.
+const MAP_TILES_PER_TICK: usize = 128;
+/// The layout, and whether stored submaps were replaced, is looked at every so many ticks.
+const FILES_EVERY: u64 = 5;
+/// Closed loops are told no oftener than this: there may be many, one after the other.
+const LOOPS_EVERY_MS: u64 = 20_000;
+/// The newest submaps may be stored once more, with cells that have been cleared.
+const REPLACED_AMONG: usize = 12;
+
+/// A look at the bus: joined when somebody looks at the page, left when nobody does any more.
+pub struct Session {
+    poses: Subscriber<PoseEstimate>,
+    scans: ScanSubscriber,
+    tiles: Subscriber<TileMessage>,
+    waiting_scans: VecDeque<ScanSample>,
+    journal: JournalReader,
+    /// The journal was read to its end once.
+    has_caught_up: bool,
+    store: SubmapStore,
+    results: PathBuf,
+    optimises: bool,
+    /// Submaps that are stored.
+    stored: u32,
+    origins: Vec<(u32, [f64; 3])>,
+    /// Loops that have been told, and when; `None` before the first look.
+    loops: Option<(u64, u64)>,
+    layout: BTreeMap<u32, Pose>,
+    layout_file: Option<Version>,
+    /// Which version of each of the newest files is in the picture.
+    versions: BTreeMap<u32, Version>,
+    picture: FusedPicture,
+    shader: Shader,
+    ticks: u64,
+    // The bus goes last.
+    _bus: Bus,
+}
+
+/// Tells versions of a file apart that replace one another.
+type Version = (u64, i64, i64);
+
+impl Session {
+    /// Joins the bus and asks for the grid that is being built.
+    ///
+    /// # Errors
+    /// When the set does not exist, or was made by another build.
+    pub fn open(place: &Place) -> Result<Self, StageError> {
+        let runtime = RuntimeDir::open(&place.set_dir)?;
+        let bus = Bus::join(&runtime, "page", place.capacity)?;
+        let session = Self {
+            poses: bus.subscriber()?,
+            scans: bus.scan_subscriber()?,
+            tiles: bus.subscriber()?,
+            waiting_scans: VecDeque::new(),
+            journal: JournalReader::open(&runtime.journal())?,
+            has_caught_up: false,
+            store: SubmapStore::new(&runtime.submaps()),
+            results: runtime.results(),
+            optimises: place.optimises,
+            stored: 0,
+            origins: Vec::new(),
+            loops: None,
+            layout: BTreeMap::new(),
+            layout_file: None,
+            versions: BTreeMap::new(),
+            picture: FusedPicture::default(),
+            shader: Shader::default(),
+            ticks: 0,
+            _bus: bus,
+        };
+        session.ask_for_tiles()?;
+        Ok(session)
+    }
+
+    fn ask_for_tiles(&self) -> Result<(), StageError> {
+        let control: Publisher<Control> = self._bus.publisher()?;
+        control.send(&Control { kind: ControlKind::TilesWanted as u32, epoch: 0, value: 0 })?;
+        self._bus.ringer(Stage::Mapper.name())?.ring();
+        Ok(())
+    }
+
+    /// Takes in what is new and puts it where browsers are told from.
+    ///
+    /// # Errors
+    /// When the bus fails.
+    pub fn tick(&mut self, shared: &Shared) -> Result<(), StageError> {
+        self.take_tiles(shared)?;
+        let pose = self.take_poses()?;
+        self.take_scans(pose.as_ref(), shared)?;
+        self.read_journal(&mut shared.view().path)?;
+        if let Some(pose) = pose {
+            let mut view = shared.view();
+            let length_m = view.path.length_m;
+            view.robot.set(Some(robot_now(&pose, length_m)));
+        }
+        shared.view().is_catching_up.set(!self.has_caught_up);
+        if self.ticks.is_multiple_of(FILES_EVERY) {
+            self.look_at_files(shared);
+        }
+        self.follow_layout();
+        self.draw_map(shared);
+        self.ticks += 1;
+        Ok(())
+    }
+
+    /// The newest state of each tile of the grid that is being built. Samples go back at once.
+    fn take_tiles(&mut self, shared: &Shared) -> Result<(), StageError> {
+        let mut newest: BTreeMap<TileKey, Sample<TileMessage>> = BTreeMap::new();
+        while let Some(tile) = self.tiles.receive()? {
+            newest.insert(tile.key, tile);
+        }
+        for (key, sample) in newest {
+            if sample.retired == 1 {
+                shared.view().live.remove(key);
+                continue;
+            }
+            let shades: Shades = std::array::from_fn(|place| {
+                let cell = sample.tile.cells[place];
+                self.shader.shade(u32::from(cell.occupied), u32::from(cell.free))
+            });
+            drop(sample);
+            shared.view().live.set(key, &shades);
+        }
+        Ok(())
+    }
+
+    fn take_poses(&mut self) -> Result<Option<PoseEstimate>, StageError> {
+        let mut newest: Option<PoseEstimate> = None;
+        while let Some(pose) = self.poses.receive()? {
+            newest = Some(*pose);
+        }
+        Ok(newest)
+    }
+
+    /// The scan of the newest pose is shown; older ones are let go.
+    fn take_scans(&mut self, pose: Option<&PoseEstimate>, shared: &Shared) -> Result<(), StageError> {
+        while let Some(scan) = self.scans.receive()? {
+            self.waiting_scans.push_back(scan);
+            if self.waiting_scans.len() > SCANS_WAITING {
+                self.waiting_scans.pop_front();
+            }
+        }
+        let Some(pose) = pose else { return Ok(()) };
+        let own = self.waiting_scans.iter().find(|scan| scan.header().id == pose.id);
+        if let Some(Ok(scan)) = own.map(ScanSample::view) {
+            shared.view().scan.set(scan_now(scan, pose));
+        }
+        self.waiting_scans.retain(|scan| scan.header().id.sequence > pose.id.sequence);
+        Ok(())
+    }
+
+    fn read_journal(&mut self, path: &mut Path) -> Result<(), StageError> {
+        let began = Instant::now();
+        while let Some(record) = self.journal.read_next()? {
+            path.push(&record.pose);
+            if began.elapsed() > JOURNAL_TIME {
+                return Ok(());
+            }
+        }
+        self.has_caught_up = true;
+        Ok(())
+    }
+
+    /// Looks at what stages have stored. What cannot be read now is read later.
+    fn look_at_files(&mut self, shared: &Shared) {
+        let mut is_new = false;
+        while let Ok(bytes) = std::fs::read(self.store.file(self.stored)) {
+            if let Ok(submap) = Submap::decode(&bytes) {
+                self.origins.push((self.stored, numbers(submap.odom_from_submap)));
+            }
+            self.stored += 1;
+            is_new = true;
+        }
+        let file = results::live_layout_file(&self.results);
+        let version = version_of(&file);
+        let mut told = LiveLayout::default();
+        if version != self.layout_file || (is_new && !self.optimises) {
+            self.layout_file = version;
+            told = results::read_live_layout(&self.results).unwrap_or_default();
+            self.layout = if self.optimises {
+                told.submaps.iter().map(|row| (row.number, pose_of(row.map_from_odom))).collect()
+            } else {
+                (0..self.stored).map(|number| (number, Pose::IDENTITY)).collect()
+            };
+            is_new = true;
+        } else {
+            let view = shared.view();
+            let known = view.layout.get();
+            told.closures.clone_from(&known.closures);
+            (told.searches, told.accepted) = (known.searches, known.accepted);
+        }
+        self.tell_loops(told.accepted, shared);
+        if is_new {
+            shared.view().layout.set(Layout {
+                submaps: self.layout.iter().map(|(number, pose)| (*number, numbers(*pose))).collect(),
+                origins: self.origins.clone(),
+                closures: told.closures,
+                searches: told.searches,
+                accepted: told.accepted,
+            });
+        }
+        self.forget_replaced();
+    }
+
+    fn tell_loops(&mut self, loops: u64, shared: &Shared) {
+        let now_ms = shared.now_ms();
+        let (before, told_ms) = *self.loops.get_or_insert((loops, 0));
+        if loops > before && now_ms >= told_ms + LOOPS_EVERY_MS {
+            self.loops = Some((loops, now_ms));
+            let text = match loops - before {
+                1 => "a loop was closed".to_owned(),
+                more => format!("{more} loops were closed"),
+            };
+            let event = Event { at_ms: now_ms, kind: EventKind::Closure, stage: None, text };
+            shared.view().events.push(event);
+        }
+    }
+
+    /// Takes submaps out of the picture whose file was replaced: they come in anew.
+    fn forget_replaced(&mut self) {
+        for (number, version) in self.versions.clone().iter().rev().take(REPLACED_AMONG) {
+            if version_of(&self.store.file(*number)).is_some_and(|present| present != *version) {
+                self.versions.remove(number);
+                self.picture.remove(*number);
+            }
+        }
+    }
+
+    /// One step of the picture towards the layout: it may take as long as a few tens of milliseconds.
+    fn follow_layout(&mut self) {
+        if let Some(stray) = self.picture.next_stray(&self.layout) {
+            self.picture.remove(stray);
+        }
+        let Some((number, place)) = self.picture.next_step(&self.layout, self.stored) else { return };
+        let file = self.store.file(number);
+        let Some(version) = version_of(&file) else { return };
+        let placed = std::fs::read(&file).map(|bytes| self.picture.place(number, bytes, place));
+        if let Ok(Err(far)) = placed {
+            tracing::warn!(%far, number, "a submap is not on the page");
+        }
+        if self.picture.holds(number) {
+            self.versions.insert(number, version);
+        } else {
+            // It is not a submap, or has no place: it is not tried again.
+            self.layout.remove(&number);
+        }
+    }
+
+    fn draw_map(&mut self, shared: &Shared) {
+        for _ in 0..MAP_TILES_PER_TICK {
+            let Some(key) = self.picture.next_changed() else { return };
+            let Some(cells) = self.picture.map().and_then(|map| map.tile(key)) else {
+                shared.view().map.remove(key);
+                continue;
+            };
+            let mut shades = [0; TILE_CELLS];
+            for (shade, cell) in shades.iter_mut().zip(cells) {
+                *shade = self.shader.shade(cell.occupied, cell.free);
+            }
+            shared.view().map.set(key, &shades);
+        }
+    }
+}
+
+fn version_of(file: &std::path::Path) -> Option<Version> {
+    let metadata = std::fs::metadata(file).ok()?;
+    Some((metadata.ino(), metadata.mtime(), metadata.mtime_nsec()))
+}
+
+fn pose_of([x_m, y_m, heading_rad]: [f64; 3]) -> Pose {
+    Pose::new(x_m, y_m, heading_rad)
+}
+
+fn robot_now(pose: &PoseEstimate, length_m: f64) -> RobotNow {
+    let covariance = pose.covariance;
+    let (mean, half) = (0.5 * (covariance.xx + covariance.yy), 0.5 * (covariance.xx - covariance.yy));
+    let quality = match pose.quality {
+        n if n == Quality::Tracking as u32 => "tracking",
+        n if n == Quality::Degraded as u32 => "degraded",
+        _ => "lost",
+    };
+    RobotNow {
+        sequence: pose.id.sequence,
+        map_from_base: numbers(pose.map_from_base()),
+        map_from_odom: numbers(pose.map_from_odom),
+        quality,
+        sigma_m: (mean + half.hypot(covariance.xy)).max(0.0).sqrt(),
+        sigma_rad: covariance.tt.max(0.0).sqrt(),
+        speed_m_s: pose.twist.x_m_s.hypot(pose.twist.y_m_s),
+        turn_rad_s: pose.twist.turn_rad_s,
+        score: pose.score,
+        length_m,
+        submap: pose.submap,
+    }
+}
+
+fn scan_now(scan: ScanView<'_>, pose: &PoseEstimate) -> ScanNow {
+    let deskew = Deskew::new(scan, pose.twist);
+    let beams = (0..scan.len()).step_by(scan.len().div_ceil(BEAMS_MAX).max(1));
+    // A float cast saturates.
+    let unit = |metres: f64| (metres / SCAN_UNIT_M).round() as i16;
+    let end = |beam: usize| {
+        let end = deskew.end_in_base(scan, beam, scan.valid_range_m(beam)?);
+        Some([unit(end.x_m), unit(end.y_m)])
+    };
+    ScanNow { points: beams.filter_map(end).collect(), map_from_base: numbers(pose.map_from_base()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockslam_messages::ScanBuffer;
+
+    #[test]
+    fn a_large_scan_is_thinned_out_and_beams_without_return_are_left_out() {
+        let mut ranges = vec![2.0; 10_000];
+        ranges[5_000..].fill(f32::NAN);
+        let scan = ScanBuffer::from_ranges(&ranges, 0.0, 1e-4);
+        let pose = PoseEstimate { odom_from_base: Pose::new(1.0, 2.0, 0.5), ..PoseEstimate::default() };
+        let now = scan_now(scan.view().unwrap(), &pose);
+        assert!((300..=360).contains(&now.points.len()), "{}", now.points.len());
+        assert_eq!((now.points[0], now.map_from_base), ([400, 0], [1.0, 2.0, 0.5]));
+    }
+
+    #[test]
+    fn the_weakest_direction_is_told() {
+        let mut pose = PoseEstimate::default();
+        (pose.covariance.xx, pose.covariance.yy, pose.covariance.xy) = (0.02, 0.02, 0.02);
+        let now = robot_now(&pose, 0.0);
+        assert!((now.sigma_m - 0.2).abs() < 1e-9 && now.quality == "tracking");
+    }
+}

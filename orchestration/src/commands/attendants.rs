@@ -1,0 +1,43 @@
+use super::CommandError;
+use crate::supervisor::{ControlSocket, PageProcess, ProcessSet, Reply, Request, known_stage};
+
+/// Who looks at a live run from outside: its page, and who asks how it is.
+#[derive(Default)]
+pub struct Attendants {
+    page: Option<PageProcess>,
+    control: Option<ControlSocket>,
+}
+
+impl Attendants {
+    /// Opens the control socket and starts the page.
+    pub fn start(set: &ProcessSet) -> Result<Self, CommandError> {
+        let control = ControlSocket::open(&set.runtime().control_socket()).map_err(CommandError::failed)?;
+        Ok(Self { page: start_page(set)?, control: Some(control) })
+    }
+
+    /// Answers, and starts the page again when it has died.
+    pub fn look_after(&mut self, set: &ProcessSet) {
+        self.page.iter_mut().for_each(PageProcess::look_after);
+        while let Some(order) = self.control.as_ref().and_then(ControlSocket::next) {
+            let reply = match &order.request {
+                Request::Status => Reply::Status(set.status()),
+                Request::Restart(name) => match known_stage(name) {
+                    Ok(stage) if set.restart(stage) => Reply::Done,
+                    Ok(_) => Reply::Refused(format!("no process of {name} runs just now")),
+                    Err(reason) => Reply::Refused(reason),
+                },
+                _ => Reply::Refused("this is one run: only a set of `flockslam up` can do that".to_owned()),
+            };
+            order.answer(reply);
+        }
+    }
+}
+
+/// Starts the page of a set, when it is to have one.
+pub fn start_page(set: &ProcessSet) -> Result<Option<PageProcess>, CommandError> {
+    let settings = &set.configuration().page;
+    // What is wrong with it is told now, not by a process that nobody looks at.
+    settings.guard("").map_err(CommandError::user)?;
+    let start = || PageProcess::start(set.runtime().path()).map_err(CommandError::failed);
+    settings.enabled.then(start).transpose()
+}
