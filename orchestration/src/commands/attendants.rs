@@ -16,7 +16,7 @@ impl Attendants {
     }
 
     /// Answers, and starts the page again when it has died.
-    pub fn look_after(&mut self, set: &ProcessSet) {
+    pub fn look_after(&mut self, set: &mut ProcessSet) {
         self.page.iter_mut().for_each(PageProcess::look_after);
         while let Some(order) = self.control.as_ref().and_then(ControlSocket::next) {
             let reply = match &order.request {
