@@ -71,6 +71,10 @@ fn main() {
         if wanted.is_empty() || wanted.iter().any(|word| name.contains(word.as_str())) {
             let trial = trial(runs);
             println!("{}", trial.line());
+            if name == "starts" {
+                let (early_ms, late_ms) = trial.early_and_late_ms();
+                println!("median start in the earlier half {early_ms:.0} ms, in the later {late_ms:.0} ms");
+            }
             trial.complaints().iter().for_each(|complaint| println!("VIOLATED: {complaint}"));
         }
     }
