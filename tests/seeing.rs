@@ -74,7 +74,7 @@ fn top_sees_rates_latencies_and_restarts_of_a_running_set() {
     set.wait_until_handled(Stage::SyncManager, 20);
     let socket = set_metrics_socket(&set.runtime_dir());
     let (mut state, started) = (TopState::new(set.robot()), Instant::now());
-    let mut look = |state: &mut TopState| {
+    let look = |state: &mut TopState| {
         let page = scrape(&socket, Duration::from_secs(2)).ok();
         state.look(started.elapsed().as_secs_f64(), page.as_deref());
     };

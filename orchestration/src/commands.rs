@@ -8,6 +8,7 @@ pub mod evaluate;
 pub mod log;
 pub mod map;
 mod progress_bar;
+pub mod record;
 mod run;
 pub mod stage;
 pub mod store;
