@@ -39,6 +39,8 @@ enum Command {
     Log(LogArgs),
     /// Serves the live page of a running set, for a browser
     Page(PageArgs),
+    /// Records what a running set says, for Foxglove and the public MCAP tools
+    Record(RecordArgs),
     /// Looks after saved maps
     #[command(subcommand)]
     Store(StoreCommand),
@@ -253,6 +255,20 @@ pub struct PageArgs {
     pub parent: Option<u32>,
 }
 
+/// `flockslam record`.
+#[derive(Clone, Debug, Args)]
+pub struct RecordArgs {
+    /// File to record into; it must not be there yet
+    #[arg(value_name = "OUT.mcap", required_unless_present = "foxglove")]
+    pub out: Option<PathBuf>,
+    /// Serve it live to Foxglove on a websocket on 127.0.0.1 at this port; 0 takes a free one
+    #[arg(long, value_name = "PORT")]
+    pub foxglove: Option<u16>,
+    /// Which set
+    #[command(flatten)]
+    pub robot: RobotArgs,
+}
+
 /// `flockslam evaluate`.
 #[derive(Clone, Debug, Args)]
 pub struct EvaluateArgs {
@@ -322,6 +338,7 @@ pub fn main() -> ExitCode {
         Command::Top(args) => commands::top::run(&args),
         Command::Log(args) => commands::log::run(&args),
         Command::Page(args) => commands::page::run(&args),
+        Command::Record(args) => commands::record::run(&args),
         Command::Store(command) => commands::store::run(&command),
         Command::Evaluate(args) => commands::evaluate::run(&args),
         Command::Config(args) => commands::config::run(&args),

@@ -10,6 +10,7 @@ pub mod log;
 pub mod map;
 pub mod page;
 mod progress_bar;
+pub mod record;
 mod run;
 pub mod stage;
 pub mod store;

@@ -371,12 +371,7 @@ impl MapperProcess {
             None => self.catch_up(sequence + 1, context)?,
         }
         self.poses.pop();
-        tracing::debug!(
-            scan = sequence,
-            cleared = cleared.len(),
-            generation = self.logic.generation(),
-            "inserted"
-        );
+        self.metrics.inserted(sequence, cleared.len());
         context.handled(sequence, started_ns, pose.times.monotonic_ns);
         self.done(sequence + 1)?;
         Ok(true)

@@ -13,6 +13,11 @@ impl MapMetrics {
         Self { submaps: metrics.gauge(names::SUBMAPS), live_tiles: metrics.gauge(names::LIVE_TILES) }
     }
 
+    /// Tells of a scan that entered the map, and of how many cells were cleared with it.
+    pub fn inserted(&self, scan: u64, cleared: usize) {
+        tracing::debug!(scan, cleared, "inserted");
+    }
+
     /// Tells how the map is; its live tiles.
     pub fn look(&self, map: &Mapper) -> usize {
         let tiles = map.live_tiles().count();

@@ -1,0 +1,42 @@
+//! What a running set says on its bus, in the forms that Foxglove and its relatives read: a file (MCAP) and a websocket.
+//!
+//! A recorder is one more reader of the bus. It holds nobody up: what it is too slow for is replaced by newer messages, and the
+//! gap is counted.
+
+mod live_grid;
+mod mcap_file;
+mod messages;
+mod reader;
+mod topics;
+mod websocket;
+
+pub use live_grid::LiveGrid;
+pub use mcap_file::McapFile;
+pub use messages::{Recorded, log, pose, scan, transforms};
+pub use reader::SetReader;
+pub use topics::RecordTopic;
+pub use websocket::FoxgloveServer;
+
+/// Why something could not be recorded.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordError {
+    /// The file cannot be written.
+    #[error("{path}: {problem}")]
+    File {
+        /// Which file.
+        path: std::path::PathBuf,
+        /// What was wrong.
+        problem: String,
+    },
+    /// The port cannot be opened.
+    #[error("127.0.0.1:{port}: {source}")]
+    Port {
+        /// Which port.
+        port: u16,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The set cannot be listened to.
+    #[error(transparent)]
+    Bus(#[from] flockslam_bus::BusError),
+}

@@ -1,0 +1,179 @@
+use super::{LiveGrid, RecordError, Recorded, log, pose, scan, transforms};
+use flockslam_bus::{Bus, BusError, Capacity, RuntimeDir, ScanSubscriber, Subscriber};
+use flockslam_geometry::Pose;
+use flockslam_messages::{Commit, Control, ControlKind, PoseEstimate, Stage, TileMessage};
+use flockslam_telemetry::log_stream_file;
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::os::unix::fs::MetadataExt;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// The grid is sent at most this often …
+const GRID_PERIOD: Duration = Duration::from_secs(1);
+/// … and less often when it is larger than this, bytes.
+const GRID_BYTES_A_SECOND: usize = 1 << 20;
+
+/// Reads a running set, as one more reader of its bus.
+pub struct SetReader {
+    scans: ScanSubscriber,
+    poses: Subscriber<PoseEstimate>,
+    tiles: Subscriber<TileMessage>,
+    commits: Subscriber<Commit>,
+    log: LogTail,
+    grid: LiveGrid,
+    /// When the next grid may be sent.
+    grid_due: Instant,
+    base_from_laser: Pose,
+    /// Sequences of the next scan and the next pose, when nothing is missed.
+    expected: [Option<u64>; 2],
+    missed: u64,
+    // The ports go before the bus.
+    _bus: Bus,
+}
+
+impl SetReader {
+    /// Joins the set in `runtime`; from here on nothing is missed that is read soon.
+    ///
+    /// # Errors
+    /// When it does not run, or too many read it already.
+    pub fn join(runtime: &RuntimeDir) -> Result<Self, RecordError> {
+        let name = format!("recorder-{}", std::process::id());
+        // Sizes matter to publishers only.
+        let bus = Bus::join(runtime, &name, Capacity::default())?;
+        let reader = Self {
+            scans: bus.scan_subscriber()?,
+            poses: bus.subscriber()?,
+            tiles: bus.subscriber()?,
+            commits: bus.subscriber()?,
+            log: LogTail::at_the_end(log_stream_file(runtime.path())),
+            grid: LiveGrid::default(),
+            grid_due: Instant::now(),
+            base_from_laser: Pose::IDENTITY,
+            expected: [None; 2],
+            missed: 0,
+            _bus: bus,
+        };
+        ask_for_tiles(&reader._bus)?;
+        Ok(reader)
+    }
+
+    /// Hands everything that has arrived to `put`.
+    ///
+    /// # Errors
+    /// What `put` or the bus could not do.
+    pub fn read<E: From<BusError>>(
+        &mut self,
+        put: &mut impl FnMut(Recorded) -> Result<(), E>,
+    ) -> Result<(), E> {
+        while let Some(sample) = self.scans.receive()? {
+            self.note(0, sample.header().id.sequence);
+            self.base_from_laser = sample.header().base_from_laser;
+            if let Ok(view) = sample.view() {
+                put(scan(view))?;
+            }
+        }
+        while let Some(estimate) = self.poses.receive()? {
+            self.note(1, estimate.id.sequence);
+            let frames = transforms(&estimate, self.base_from_laser);
+            frames.into_iter().chain(pose(&estimate)).try_for_each(&mut *put)?;
+        }
+        self.read_grid(put)?;
+        self.log.read().lines().filter_map(log).try_for_each(put)
+    }
+
+    fn read_grid<E: From<BusError>>(
+        &mut self,
+        put: &mut impl FnMut(Recorded) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let mut newest = None;
+        while let Some(commit) = self.commits.receive()? {
+            newest = Some(*commit);
+        }
+        while let Some(tile) = self.tiles.receive()? {
+            self.grid.take(&tile);
+        }
+        let due = newest.filter(|_| Instant::now() >= self.grid_due);
+        if let Some(message) = due.and_then(|commit| self.grid.message(&commit)) {
+            let size = message.json.len() as f64 / GRID_BYTES_A_SECOND as f64;
+            self.grid_due = Instant::now() + GRID_PERIOD.max(Duration::from_secs_f64(size));
+            put(message)?;
+        }
+        Ok(())
+    }
+
+    /// Takes note of a sequence; a gap is what this reader was too slow for, or was lost before it.
+    fn note(&mut self, of: usize, sequence: u64) {
+        let expected = self.expected[of].unwrap_or(sequence);
+        self.missed += sequence.saturating_sub(expected);
+        self.expected[of] = Some(expected.max(sequence + 1));
+    }
+
+    /// Scans and poses that never came here.
+    pub fn missed(&self) -> u64 {
+        self.missed
+    }
+}
+
+/// The mapper sends all its tiles once more; otherwise only those came that change.
+fn ask_for_tiles(bus: &Bus) -> Result<(), BusError> {
+    let control = bus.publisher::<Control>()?;
+    control.send(&Control { kind: ControlKind::TilesWanted as u32, epoch: 0, value: 0 })?;
+    bus.ringer(Stage::Mapper.name())?.ring();
+    Ok(())
+}
+
+/// What is added to the stream of log lines.
+struct LogTail {
+    path: PathBuf,
+    file: Option<File>,
+}
+
+impl LogTail {
+    fn at_the_end(path: PathBuf) -> Self {
+        let file = File::open(&path).ok().and_then(|mut file| {
+            file.seek(SeekFrom::End(0)).ok()?;
+            Some(file)
+        });
+        Self { path, file }
+    }
+
+    /// Whole lines since the last look. Lines are written in one piece.
+    fn read(&mut self) -> String {
+        let mut lines = String::new();
+        if let Some(file) = &mut self.file {
+            let _ = file.read_to_string(&mut lines);
+        }
+        let inode = |file: &File| file.metadata().ok().map(|metadata| metadata.ino());
+        let now = std::fs::metadata(&self.path).ok().map(|metadata| metadata.ino());
+        if now.is_some() && now != self.file.as_ref().and_then(inode) {
+            // The stream has begun anew.
+            self.file = File::open(&self.path).ok();
+            if let Some(file) = &mut self.file {
+                let _ = file.read_to_string(&mut lines);
+            }
+        }
+        lines
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_log_is_followed_from_its_end_and_into_its_successor() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("log.jsonl");
+        let mut none = LogTail::at_the_end(path.clone());
+        assert_eq!(none.read(), "");
+        std::fs::write(&path, "one\n").unwrap();
+        let mut tail = LogTail::at_the_end(path.clone());
+        assert_eq!((none.read(), tail.read()), ("one\n".to_owned(), String::new()));
+        std::fs::write(&path, "one\ntwo\n").unwrap();
+        std::fs::rename(&path, directory.path().join("old")).unwrap();
+        std::fs::write(&path, "three\n").unwrap();
+        assert_eq!(tail.read(), "two\nthree\n");
+        assert_eq!(tail.read(), "");
+    }
+}

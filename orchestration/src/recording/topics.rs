@@ -1,0 +1,134 @@
+use serde_json::{Value, json};
+
+/// A topic of a recording.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum RecordTopic {
+    /// Scans, in the frame of the laser.
+    Scan,
+    /// Poses in the map.
+    Pose,
+    /// Continuous poses in odom.
+    OdomPose,
+    /// How the frames lie to each other.
+    Transforms,
+    /// The grid that scans are matched to.
+    Grid,
+    /// Log lines.
+    Log,
+}
+
+impl RecordTopic {
+    /// All topics.
+    pub const ALL: [RecordTopic; 6] =
+        [Self::Scan, Self::Pose, Self::OdomPose, Self::Transforms, Self::Grid, Self::Log];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Scan => "/scan",
+            Self::Pose => "/pose",
+            Self::OdomPose => "/odom_pose",
+            Self::Transforms => "/tf",
+            Self::Grid => "/grid",
+            Self::Log => "/log",
+        }
+    }
+
+    /// Its place in [`Self::ALL`].
+    pub fn place(self) -> usize {
+        self as usize
+    }
+
+    /// Name of its schema.
+    pub fn schema_name(self) -> &'static str {
+        match self {
+            Self::Scan => "foxglove.LaserScan",
+            Self::Pose | Self::OdomPose => "foxglove.PoseInFrame",
+            Self::Transforms => "foxglove.FrameTransform",
+            Self::Grid => "foxglove.Grid",
+            Self::Log => "foxglove.Log",
+        }
+    }
+
+    /// Its schema, as JSON Schema.
+    pub fn schema(self) -> String {
+        let fields = match self {
+            Self::Scan => json!({
+                "timestamp": time(), "frame_id": text(), "pose": pose(), "start_angle": number(),
+                "end_angle": number(), "ranges": numbers(), "intensities": numbers(),
+            }),
+            Self::Pose | Self::OdomPose => json!({ "timestamp": time(), "frame_id": text(), "pose": pose() }),
+            Self::Transforms => json!({
+                "timestamp": time(), "parent_frame_id": text(), "child_frame_id": text(),
+                "translation": vector(), "rotation": quaternion(),
+            }),
+            Self::Grid => json!({
+                "timestamp": time(), "frame_id": text(), "pose": pose(), "column_count": whole(),
+                "cell_size": object("foxglove.Vector2", json!({ "x": number(), "y": number() })),
+                "row_stride": whole(), "cell_stride": whole(),
+                "fields": { "type": "array", "items": object("foxglove.PackedElementField", json!({
+                    "name": text(), "offset": whole(), "type": { "type": "integer" },
+                })) },
+                "data": { "type": "string", "contentEncoding": "base64" },
+            }),
+            Self::Log => json!({
+                "timestamp": time(), "level": { "type": "integer" }, "message": text(), "name": text(),
+                "file": text(), "line": whole(),
+            }),
+        };
+        object(self.schema_name(), fields).to_string()
+    }
+}
+
+fn object(title: &str, fields: Value) -> Value {
+    json!({ "title": title, "type": "object", "properties": fields })
+}
+
+fn time() -> Value {
+    let nanoseconds = json!({ "type": "integer", "minimum": 0, "maximum": 999_999_999 });
+    object("time", json!({ "sec": whole(), "nsec": nanoseconds }))
+}
+
+fn pose() -> Value {
+    object("foxglove.Pose", json!({ "position": vector(), "orientation": quaternion() }))
+}
+
+fn vector() -> Value {
+    object("foxglove.Vector3", json!({ "x": number(), "y": number(), "z": number() }))
+}
+
+fn quaternion() -> Value {
+    let fields = json!({ "x": number(), "y": number(), "z": number(), "w": number() });
+    object("foxglove.Quaternion", fields)
+}
+
+fn numbers() -> Value {
+    json!({ "type": "array", "items": number() })
+}
+
+fn number() -> Value {
+    json!({ "type": "number" })
+}
+
+fn whole() -> Value {
+    json!({ "type": "integer", "minimum": 0 })
+}
+
+fn text() -> Value {
+    json!({ "type": "string" })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn topics_stand_at_their_places_and_schemas_bear_their_names() {
+        for (place, topic) in RecordTopic::ALL.into_iter().enumerate() {
+            assert_eq!(topic.place(), place);
+            let schema: Value = serde_json::from_str(&topic.schema()).unwrap();
+            assert_eq!(schema["title"], topic.schema_name());
+            assert_eq!(schema["properties"]["timestamp"]["title"], "time");
+        }
+    }
+}
