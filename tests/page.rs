@@ -27,7 +27,7 @@ fn start(test: &str, directory: &Path, port: u16, more: &[&str]) -> LiveSet {
 fn page_pid(robot: &str) -> u32 {
     let serves = |pid: &u32| {
         let line = std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
-        line.split(|byte| *byte == 0).nth(1) == Some(b"page")
+        line.split(|byte| *byte == 0).nth(1) == Some(b"page".as_slice())
     };
     let set_dir = RuntimeDir::path_of(robot).display().to_string();
     wait_for("a page", || processes_of(&set_dir).into_iter().find(serves))

@@ -4,6 +4,7 @@ use super::{free_port, wait_for};
 use serde_json::{Value, json};
 use std::io::{Read, Write};
 use std::net::TcpStream;
+use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
@@ -18,22 +19,22 @@ pub struct Browser {
     _profile: tempfile::TempDir,
 }
 
-fn is_there(program: &str) -> bool {
-    let mut command = Command::new(program);
-    command.arg("--version").stdout(Stdio::null()).stderr(Stdio::null());
-    command.status().is_ok_and(|status| status.success())
+/// Where a program is to be found.
+fn path_of(program: &str) -> Option<PathBuf> {
+    let directories = std::env::var_os("PATH")?;
+    std::env::split_paths(&directories).map(|directory| directory.join(program)).find(|path| path.is_file())
 }
 
 impl Browser {
     /// Starts one; `None`, with a word about what is `left_out`, where there is no Chromium.
     pub fn start(left_out: &str) -> Option<Self> {
-        let chromium = CHROMIUM.into_iter().find(|name| is_there(name));
-        let (Some(chromium), true) = (chromium, is_there(DRIVER)) else {
+        let chromium = CHROMIUM.into_iter().find_map(path_of);
+        let (Some(chromium), Some(driver)) = (chromium, path_of(DRIVER)) else {
             println!("NOT TESTED: {left_out}: there is no Chromium with {DRIVER} here");
             return None;
         };
         let (port, profile) = (free_port(), tempfile::tempdir().unwrap());
-        let mut command = Command::new(DRIVER);
+        let mut command = Command::new(driver);
         command.arg(format!("--port={port}")).stdout(Stdio::null()).stderr(Stdio::null());
         let driver = command.spawn().unwrap();
         let mut browser = Self { driver, port, session: String::new(), _profile: profile };

@@ -87,25 +87,24 @@ impl Outbox {
 
     fn fill(&mut self, frame: &mut Frame, view: &View) {
         let Self { seen, replies, .. } = self;
-        let mut tell = |key: &str, seen: &mut u64, version: u64, value: &dyn Fn() -> Value| {
+        let mut tell = |key: &str, seen: &mut u64, version: u64, value: &dyn Fn(u64) -> Value| {
             if *seen != version {
+                frame.json.insert(key.to_owned(), value(*seen));
                 *seen = version;
-                frame.json.insert(key.to_owned(), value());
             }
         };
-        tell("robot", &mut seen.robot, view.robot.version(), &|| json!(view.robot.get()));
-        tell("layout", &mut seen.layout, view.layout.version(), &|| json!(view.layout.get()));
-        tell("tracks", &mut seen.tracks, view.tracks.version(), &|| json!(view.tracks.get()));
-        tell("catching_up", &mut seen.catching_up, view.is_catching_up.version(), &|| {
+        tell("robot", &mut seen.robot, view.robot.version(), &|_| json!(view.robot.get()));
+        tell("layout", &mut seen.layout, view.layout.version(), &|_| json!(view.layout.get()));
+        tell("tracks", &mut seen.tracks, view.tracks.version(), &|_| json!(view.tracks.get()));
+        tell("catching_up", &mut seen.catching_up, view.is_catching_up.version(), &|_| {
             json!(view.is_catching_up.get())
         });
-        tell("latencies", &mut seen.latencies.clone(), view.latencies.count(), &|| {
-            json!(view.latencies.since(seen.latencies).collect::<Vec<_>>())
+        tell("latencies", &mut seen.latencies, view.latencies.count(), &|known| {
+            json!(view.latencies.since(known).collect::<Vec<_>>())
         });
-        tell("events", &mut seen.events.clone(), view.events.count(), &|| {
-            json!(view.events.since(seen.events).collect::<Vec<_>>())
+        tell("events", &mut seen.events, view.events.count(), &|known| {
+            json!(view.events.since(known).collect::<Vec<_>>())
         });
-        (seen.latencies, seen.events) = (view.latencies.count(), view.events.count());
         if seen.health != Some(view.health.version()) {
             seen.health = Some(view.health.version());
             frame.json.insert("health".to_owned(), json!(view.health.get()));

@@ -55,7 +55,7 @@ pub struct Session {
     shader: Shader,
     ticks: u64,
     // The bus goes last.
-    _bus: Bus,
+    bus: Bus,
 }
 
 /// Tells versions of a file apart that replace one another.
@@ -88,16 +88,16 @@ impl Session {
             picture: FusedPicture::default(),
             shader: Shader::default(),
             ticks: 0,
-            _bus: bus,
+            bus,
         };
         session.ask_for_tiles()?;
         Ok(session)
     }
 
     fn ask_for_tiles(&self) -> Result<(), StageError> {
-        let control: Publisher<Control> = self._bus.publisher()?;
+        let control: Publisher<Control> = self.bus.publisher()?;
         control.send(&Control { kind: ControlKind::TilesWanted as u32, epoch: 0, value: 0 })?;
-        self._bus.ringer(Stage::Mapper.name())?.ring();
+        self.bus.ringer(Stage::Mapper.name())?.ring();
         Ok(())
     }
 

@@ -7,6 +7,7 @@ use crate::cli::PageArgs;
 use crate::supervisor::{Reply, Request, SetFile, ask};
 use flockslam_bus::RuntimeDir;
 use flockslam_page::{Health, PageError, Place, Service, SetAccess, Settings};
+use flockslam_stage::Mode;
 use std::path::{Path, PathBuf};
 
 /// The page yields to everything else.
@@ -30,6 +31,10 @@ pub fn run(args: &PageArgs) -> Result<(), CommandError> {
     }
     let runtime = RuntimeDir::open(&set_dir).map_err(CommandError::user)?;
     let set = SetFile::read(&runtime.configuration()).map_err(CommandError::failed)?;
+    if set.options.mode == Mode::Exact {
+        // Asking for tiles would be a message more than the run has without a page.
+        return Err(CommandError::user("an exact replay is not watched: run it with --live or --rate"));
+    }
     let settings = &set.configuration.page;
     let listen = args.listen.unwrap_or(settings.listen);
     let guard = Settings { listen, ..settings.clone() }.guard(&host_name()).map_err(CommandError::user)?;
