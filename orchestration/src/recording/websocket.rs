@@ -199,7 +199,9 @@ fn obey(request: &str, subscriptions: &mut Subscriptions) -> Vec<RecordTopic> {
             wanted.into_iter().map(|(_, topic)| topic).collect()
         }
         Some("unsubscribe") => {
-            list("subscriptionIds").iter().filter_map(number).for_each(|id| drop(subscriptions.remove(&id)));
+            for id in list("subscriptionIds").iter().filter_map(number) {
+                subscriptions.remove(&id);
+            }
             Vec::new()
         }
         _ => Vec::new(),
