@@ -2,6 +2,8 @@ use super::{Line, MomentGrid, PackedPoint, Placement};
 
 /// Cosine to the normal from which on it is clear which face of a wall is seen.
 const FACING_MIN: f64 = 0.1;
+/// Flatness from which on a line is a face of a wall; less is a corner, which has no sides.
+const FLAT_MIN: f64 = 0.8;
 
 /// How a cloud is fitted to a grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -160,6 +162,7 @@ impl Aligner {
 fn is_other_side(line: &Line, x: f64, y: f64) -> bool {
     let from_behind = line.normal_x * x + line.normal_y * y;
     line.facing > FACING_MIN
+        && line.flatness > FLAT_MIN
         && from_behind > 0.0
         && from_behind * from_behind > FACING_MIN * FACING_MIN * (x * x + y * y)
 }
