@@ -3,10 +3,12 @@
 mod support;
 
 use flockslam::store::SavedMap;
+use flockslam::supervisor::SetStatus;
 use flockslam_messages::Stage;
 use rustix::process::Signal;
 use std::fs;
 use std::path::Path;
+use std::process::Command;
 use support::{Drive, LiveSet, Outputs, flockslam, of, send, stderr, wait_for};
 
 const DRIVE: Drive = Drive { scan_rate_hz: 10.0, duration_s: 60.0, rate: 6.0 };
@@ -106,6 +108,47 @@ fn a_disk_that_refuses_leaves_the_poses_alone_and_is_told() {
     send(set.supervisor_pid(), Signal::TERM);
     assert_eq!(set.wait(), Some(0));
     assert!(SavedMap::at(&map).check().unwrap().problems.is_empty());
+}
+
+/// Mounts a small filesystem that only the set sees, fills it but for a few kilobytes, and becomes the set.
+const FULL_DISK: &str =
+    "mount -t tmpfs -o size=2m none \"$0\" && head -c 2040k /dev/zero > \"$0/ballast\" && exec \"$@\"";
+
+fn in_a_namespace() -> Command {
+    let mut command = Command::new("unshare");
+    command.args(["--mount", "--map-root-user"]);
+    command
+}
+
+#[test]
+fn a_full_disk_leaves_the_poses_alone_until_there_is_room_again() {
+    let directory = tempfile::tempdir().unwrap();
+    let disk = directory.path().join("disk");
+    fs::create_dir(&disk).unwrap();
+    let may_mount = in_a_namespace().args(["mount", "-t", "tmpfs", "none"]).arg(&disk).status();
+    if !may_mount.is_ok_and(|status| status.success()) {
+        println!("NOT TESTED: no filesystem may be mounted here");
+        return;
+    }
+    let mut command = in_a_namespace();
+    command.args(["sh", "-c", FULL_DISK]).arg(&disk).arg(env!("CARGO_BIN_EXE_flockslam"));
+    let mut set = LiveSet::start_by(command, "disk", directory.path(), LONG, &keeps(&disk.join("map")));
+    let problem = |status: &SetStatus| status.saved.as_ref().and_then(|saved| saved.problem.clone());
+    let status = set.wait_until("a full disk", |status| problem(status).is_some());
+    println!("{status}");
+    assert!(problem(&status).unwrap().contains("No space left"), "{status}");
+    let before = of(&status, Stage::ScanMatcher).handled;
+    let status = set.wait_until_handled(Stage::ScanMatcher, before + 60);
+    assert!(problem(&status).is_some(), "{status}");
+    // The set's own view of the disk.
+    let inside = format!("/proc/{}/root{}", set.supervisor_pid(), disk.display());
+    fs::remove_file(format!("{inside}/ballast")).unwrap();
+    set.wait_until("the map to be saved", |status| status.saved.as_ref().is_some_and(|saved| saved.durable));
+    let map = SavedMap::at(Path::new(&inside).join("map").as_path());
+    let found = wait_for("a whole map", || map.check().ok().filter(|found| found.poses > before + 60));
+    println!("saved once there was room: {found:?}");
+    set.command_well(&["down"]);
+    assert_eq!(set.wait(), Some(0));
 }
 
 /// Maps of formats that are or were in use, by name: each stays readable. A build that writes another format adds its own beside

@@ -3,6 +3,7 @@
 mod hint;
 mod range;
 
+use flockslam_messages::Stage;
 use flockslam_stage::{Mode, StageOptions};
 use hint::with_hint;
 use serde::{Deserialize, Serialize};
@@ -140,9 +141,34 @@ impl Configuration {
 
     /// What the stages need to know of it to start.
     pub fn stage_options(&self, mode: Mode) -> StageOptions {
-        let replicas = self.correlation_filter.replicas.max(2);
+        let most = Stage::ALL.into_iter().map(|stage| self.replicas(stage)).max();
+        let replicas = most.unwrap_or(1).max(2);
         let (window, live_tiles) = (self.set.window, self.set.live_tiles);
         StageOptions { mode, window, replicas, live_tiles, first_sequence: 0 }
+    }
+
+    /// Processes of a stage.
+    pub fn replicas(&self, stage: Stage) -> usize {
+        match stage {
+            Stage::LidarIngest => self.lidar_ingest.replicas,
+            Stage::CorrelationFilter => self.correlation_filter.replicas,
+            Stage::ScanMatcher => self.scan_matcher.replicas,
+            Stage::Mapper => self.mapper.replicas,
+            Stage::DynamicCleaner => self.dynamic_cleaner.replicas,
+            Stage::SyncManager => self.sync_manager.replicas,
+        }
+    }
+
+    /// Sets the number of processes of a stage.
+    pub fn set_replicas(&mut self, stage: Stage, replicas: usize) {
+        *match stage {
+            Stage::LidarIngest => &mut self.lidar_ingest.replicas,
+            Stage::CorrelationFilter => &mut self.correlation_filter.replicas,
+            Stage::ScanMatcher => &mut self.scan_matcher.replicas,
+            Stage::Mapper => &mut self.mapper.replicas,
+            Stage::DynamicCleaner => &mut self.dynamic_cleaner.replicas,
+            Stage::SyncManager => &mut self.sync_manager.replicas,
+        } = replicas;
     }
 
     fn check(&self) -> Result<(), ConfigurationError> {

@@ -1,13 +1,13 @@
 //! `cargo bench -p flockslam --bench faults`: the long form of the fault suite, as a table. A word behind `--` runs the rows that
-//! have it in their names, a number sets how often each stage is killed (100).
+//! have it in their names, a number sets how often each stage is killed (100). `journal` alone measures what the journal costs a pose.
 
 #[path = "../support/mod.rs"]
 mod support;
 
 use flockslam_messages::Stage;
 use support::faults::{
-    Trial, crashing_starts, everything_at_once, kills_of_each_stage, kills_while_saving, stops_of_each_stage,
-    storm,
+    JournalCost, Trial, crashing_starts, endless_loop, everything_at_once, jumping_clock,
+    kills_of_each_stage, kills_of_who_acts, kills_while_saving, stops_of_each_stage, storm,
 };
 
 const RUNS: usize = 100;
@@ -29,6 +29,14 @@ fn rows() -> Vec<Row> {
         "kill sync-manager".to_owned(),
         Box::new(|runs| kills_of_each_stage(&[Stage::SyncManager], runs, 1)),
     ));
+    for stage in [Stage::LidarIngest, Stage::ScanMatcher, Stage::SyncManager] {
+        let kills = move |runs: usize| kills_of_who_acts(stage, runs.div_ceil(2), 6);
+        rows.push((format!("turns {}", stage.name()), Box::new(kills)));
+    }
+    for stage in Stage::ALL.into_iter().filter(|stage| *stage != Stage::SyncManager) {
+        rows.push((format!("loop {}", stage.name()), Box::new(move |_| endless_loop(stage))));
+    }
+    rows.push(("clock".to_owned(), Box::new(|runs| jumping_clock(0.3 * runs as f64))));
     rows.push(("storm".to_owned(), Box::new(|runs| storm(0.6 * runs as f64, 3))));
     rows.push(("all at once".to_owned(), Box::new(|runs| everything_at_once(runs.div_ceil(10)))));
     rows.push(("saving".to_owned(), Box::new(|runs| kills_while_saving(runs, 5))));
@@ -40,12 +48,15 @@ fn main() {
     let words: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect();
     let runs = words.iter().find_map(|word| word.parse().ok()).unwrap_or(RUNS);
     let wanted: Vec<&String> = words.iter().filter(|word| word.parse::<usize>().is_err()).collect();
+    if wanted.iter().any(|word| *word == "journal") {
+        return println!("{}", JournalCost::measure(runs.div_ceil(10)).table());
+    }
     println!("{}", Trial::HEAD);
     for (name, trial) in rows() {
         if wanted.is_empty() || wanted.iter().any(|word| name.contains(word.as_str())) {
             let trial = trial(runs);
             println!("{}", trial.line());
-            trial.violations.iter().for_each(|violation| println!("VIOLATED: {violation}"));
+            trial.complaints().iter().for_each(|complaint| println!("VIOLATED: {complaint}"));
         }
     }
 }

@@ -4,7 +4,7 @@ use flockslam_bus::RuntimeDir;
 use flockslam_messages::Stage;
 use rustix::process::Signal;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Output, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 
 /// A process set started by `flockslam up`, in a directory of its own.
 pub struct LiveSet {
@@ -12,6 +12,7 @@ pub struct LiveSet {
     robot: String,
     directory: PathBuf,
     arguments: Vec<String>,
+    sabotage: String,
 }
 
 /// A simulated drive: scans a second, seconds, and simulated seconds a second.
@@ -47,13 +48,42 @@ impl LiveSet {
         Self::start_again(robot, directory, &[])
     }
 
+    /// As [`LiveSet::start`], with protections taken away from it.
+    pub fn start_sabotaged(
+        test: &str,
+        directory: &Path,
+        drive: Drive,
+        more: &str,
+        arguments: &[String],
+        sabotage: &str,
+    ) -> Self {
+        let robot = robot(test);
+        std::fs::write(directory.join("set.toml"), drive.description(&robot, more)).unwrap();
+        Self::spawn(robot, directory, arguments, sabotage)
+    }
+
     /// Starts the set that is described in `directory`.
     pub fn start_again(robot: String, directory: &Path, arguments: &[String]) -> Self {
+        Self::spawn(robot, directory, arguments, "")
+    }
+
+    /// As [`LiveSet::start`], by a command that ends in running the executable with what is added to it.
+    pub fn start_by(mut command: Command, test: &str, directory: &Path, drive: Drive, more: &str) -> Self {
+        let robot = robot(test);
+        std::fs::write(directory.join("set.toml"), drive.description(&robot, more)).unwrap();
+        command.arg("up").arg(directory.join("set.toml")).arg("--out").arg(directory.join("out"));
+        let child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+        Self { child, robot, directory: directory.to_owned(), arguments: Vec::new(), sabotage: String::new() }
+    }
+
+    fn spawn(robot: String, directory: &Path, arguments: &[String], sabotage: &str) -> Self {
         let mut command = flockslam();
+        command.env("FLOCKSLAM_SABOTAGE", sabotage);
         command.arg("up").arg(directory.join("set.toml")).arg("--out").arg(directory.join("out"));
         command.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
         let child = command.spawn().unwrap();
-        Self { child, robot, directory: directory.to_owned(), arguments: arguments.to_owned() }
+        let (directory, sabotage) = (directory.to_owned(), sabotage.to_owned());
+        Self { child, robot, directory, arguments: arguments.to_owned(), sabotage }
     }
 
     /// The name of the set.
@@ -120,7 +150,7 @@ impl LiveSet {
 
     /// Starts a set that is dead again.
     pub fn start_once_more(self) -> Self {
-        let again = Self::start_again(self.robot.clone(), &self.directory, &self.arguments);
+        let again = Self::spawn(self.robot.clone(), &self.directory, &self.arguments, &self.sabotage);
         // What is dropped here is dead already.
         std::mem::forget(self);
         again
@@ -159,7 +189,7 @@ impl LiveSet {
 
 /// What a status says of the first process of a stage.
 pub fn of(status: &SetStatus, stage: Stage) -> &StageStatus {
-    status.stages.iter().find(|found| found.stage == stage.name() && found.replica == 0).unwrap()
+    status.stages.iter().find(|found| found.stage == stage.name()).unwrap()
 }
 
 impl Drop for LiveSet {

@@ -15,7 +15,7 @@ mod running;
 pub use benchmark::{benchmark_file, evaluate_relations};
 pub use live::{Drive, LiveSet, of};
 pub use log::simulated_log;
-pub use outputs::{Outputs, truth_error_m};
+pub use outputs::{Outputs, known_truth_error_m, truth_error_m};
 pub use poses::{PoseWatch, SeenPose};
 pub use running::{RunningSet, send};
 

@@ -38,8 +38,13 @@ impl Outputs {
 
 /// Root mean square of the absolute translational error of the final trajectory, metres.
 pub fn truth_error_m(outputs: &Outputs) -> f64 {
+    known_truth_error_m(outputs).unwrap()
+}
+
+/// As [`truth_error_m`]; `None` when the trajectory is not one that can be compared.
+pub fn known_truth_error_m(outputs: &Outputs) -> Option<f64> {
     let report = evaluate_truth(&outputs.trajectory("trajectory.tum"), &outputs.trajectory("truth.tum"));
-    report.unwrap().absolute.translation_m.unwrap().rmse
+    Some(report.ok()?.absolute.translation_m?.rmse)
 }
 
 fn bytes_of(directory: &Path, name: &str) -> Vec<u8> {

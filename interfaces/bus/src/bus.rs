@@ -7,8 +7,8 @@ use crate::{
     SlicePublisher, SliceSubscriber, SliceTopic, Subscriber, Topic,
 };
 use flockslam_messages::{
-    Commit, Control, LayoutHeader, MarksHeader, PoseEstimate, Progress, ScanHeader, ScanTally, Stage,
-    SubmapClosed, TileMessage, Verdict,
+    Commit, Control, LayoutHeader, MarksHeader, PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally,
+    SectorHeader, Stage, SubmapClosed, TileMessage, Verdict,
 };
 use std::any::Any;
 
@@ -41,6 +41,7 @@ impl Bus {
             create::<ScanTally>(&bus)?,
             create::<PoseEstimate>(&bus)?,
             create::<Commit>(&bus)?,
+            create::<PartInserted>(&bus)?,
             create::<SubmapClosed>(&bus)?,
             create::<LayoutHeader>(&bus)?,
             create::<Control>(&bus)?,
@@ -49,6 +50,7 @@ impl Bus {
             bus.create_slice::<ScanHeader>()?,
             bus.create_slice::<LargeScanHeader>()?,
             bus.create_slice::<MarksHeader>()?,
+            bus.create_slice::<SectorHeader>()?,
             bus.create_bell(SUPERVISOR_BELL)?,
         ];
         for stage in Stage::ALL {

@@ -1,4 +1,5 @@
 use crate::memory::MemoryTopic;
+use crate::patience::Patience;
 use crate::shared::Service;
 use crate::wire::{Wire, unwrap_slice, unwrap_slice_mut};
 use crate::{BusError, SliceTopic, Topic};
@@ -67,7 +68,7 @@ impl<T: Topic> Publisher<T> {
 pub struct Subscriber<T: Topic>(pub(crate) SubscriberKind<T>);
 
 pub(crate) enum SubscriberKind<T: Topic> {
-    Shared(Box<subscriber::Subscriber<Service, Wire<T>, ()>>),
+    Shared(Box<subscriber::Subscriber<Service, Wire<T>, ()>>, Patience),
     Memory(Receiver<Arc<T>>),
 }
 
@@ -75,11 +76,11 @@ impl<T: Topic> Subscriber<T> {
     /// The next message, if one waits. It stays readable in the publisher's memory until the sample is dropped.
     ///
     /// # Errors
-    /// When more samples are held than the topic allows, or a connection is broken.
+    /// When more samples are held than the topic allows, or a publisher that was killed while it was made is not cleaned up.
     pub fn receive(&self) -> Result<Option<Sample<T>>, BusError> {
         match &self.0 {
-            SubscriberKind::Shared(subscriber) => {
-                let sample = subscriber.receive().map_err(|e| BusError::transfer(T::NAME, e))?;
+            SubscriberKind::Shared(subscriber, patience) => {
+                let sample = patience.bear(T::NAME, subscriber.receive())?;
                 Ok(sample.map(|sample| Sample(SampleKind::Shared(sample))))
             }
             SubscriberKind::Memory(receiver) => {
@@ -167,7 +168,7 @@ impl<H: SliceTopic> SlicePublisher<H> {
 pub struct SliceSubscriber<H: SliceTopic>(pub(crate) SliceSubscriberKind<H>);
 
 pub(crate) enum SliceSubscriberKind<H: SliceTopic> {
-    Shared(Box<SharedSliceSubscriber<H>>),
+    Shared(Box<SharedSliceSubscriber<H>>, Patience),
     Memory(Receiver<Arc<(H, Vec<H::Element>)>>),
 }
 
@@ -178,8 +179,8 @@ impl<H: SliceTopic> SliceSubscriber<H> {
     /// As [`Subscriber::receive`].
     pub fn receive(&self) -> Result<Option<SliceSample<H>>, BusError> {
         match &self.0 {
-            SliceSubscriberKind::Shared(subscriber) => {
-                let sample = subscriber.receive().map_err(|e| BusError::transfer(H::NAME, e))?;
+            SliceSubscriberKind::Shared(subscriber, patience) => {
+                let sample = patience.bear(H::NAME, subscriber.receive())?;
                 Ok(sample.map(|sample| SliceSample(SliceSampleKind::Shared(sample))))
             }
             SliceSubscriberKind::Memory(receiver) => {

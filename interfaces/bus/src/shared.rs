@@ -1,6 +1,7 @@
 //! iceoryx2 behind the ports: services with explicit limits, created by the host and opened by everybody else.
 
 use crate::bell::{BellRinger, Listener, ListenerKind, RingerKind};
+use crate::patience::Patience;
 use crate::port::{PublisherKind, SlicePublisherKind, SliceSubscriberKind, SubscriberKind};
 use crate::wire::Wire;
 use crate::{
@@ -133,7 +134,7 @@ impl SharedBus {
     pub fn subscriber<T: Topic>(&self) -> Result<Subscriber<T>, BusError> {
         let factory = self.open::<T>()?;
         let port = factory.subscriber_builder().create().map_err(|e| BusError::open(T::NAME, e))?;
-        Ok(Subscriber(SubscriberKind::Shared(Box::new(port))))
+        Ok(Subscriber(SubscriberKind::Shared(Box::new(port), Patience::default())))
     }
 
     pub fn slice_publisher<H: SliceTopic>(&self) -> Result<SlicePublisher<H>, BusError> {
@@ -153,7 +154,7 @@ impl SharedBus {
     pub fn slice_subscriber<H: SliceTopic>(&self) -> Result<SliceSubscriber<H>, BusError> {
         let factory = self.open_slice::<H>()?;
         let port = factory.subscriber_builder().create().map_err(|e| BusError::open(H::NAME, e))?;
-        Ok(SliceSubscriber(SliceSubscriberKind::Shared(Box::new(port))))
+        Ok(SliceSubscriber(SliceSubscriberKind::Shared(Box::new(port), Patience::default())))
     }
 
     pub fn listener(&self, name: &str) -> Result<Listener, BusError> {

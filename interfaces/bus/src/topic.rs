@@ -1,7 +1,7 @@
 use crate::tile_port::LANES;
 use flockslam_messages::{
-    ClearedCell, Commit, Control, Layout, LayoutHeader, MarksHeader, Message, PoseEstimate, Progress,
-    ScanHeader, ScanTally, SubmapClosed, TileMessage, Verdict,
+    ClearedCell, Commit, Control, JudgedCell, Layout, LayoutHeader, MarksHeader, Message, PartInserted,
+    PoseEstimate, Progress, ScanHeader, ScanTally, SectorHeader, SubmapClosed, TileMessage, Verdict,
 };
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
@@ -91,6 +91,9 @@ impl Topic for Commit {
 impl Topic for SubmapClosed {
     const NAME: &'static str = "submap-closed";
 }
+impl Topic for PartInserted {
+    const NAME: &'static str = "part-inserted";
+}
 impl Topic for LayoutHeader {
     const NAME: &'static str = "layout";
 }
@@ -149,6 +152,16 @@ impl SliceTopic for MarksHeader {
 
     fn limits(capacity: &Capacity) -> Limits {
         Limits { preallocated: Some(4 * capacity.window), ..Limits::small(capacity) }
+    }
+}
+
+impl SliceTopic for SectorHeader {
+    type Element = JudgedCell;
+    const NAME: &'static str = "sector";
+    const FIRST_LENGTH: usize = 1024;
+
+    fn limits(capacity: &Capacity) -> Limits {
+        Limits { buffer: 8, borrowed: 8, preallocated: Some(32), ..Limits::small(capacity) }
     }
 }
 

@@ -96,6 +96,11 @@ impl RecordReader {
         self.offset
     }
 
+    /// Goes on behind what was read before: up to there the journal is good.
+    pub(crate) fn skip_to(&mut self, good_bytes: u64) {
+        self.offset = self.offset.max(good_bytes);
+    }
+
     /// Reads the record at the offset into the buffer and gives its kind.
     fn advance(&mut self) -> io::Result<Option<u32>> {
         let left = self.file.metadata()?.len().saturating_sub(self.offset);

@@ -34,9 +34,18 @@ impl RecordWriter {
     /// # Errors
     /// When the file cannot be opened, is not a journal, or another writer has it.
     pub fn open(path: &Path) -> Result<Self, JournalError> {
+        Self::open_from(path, 0)
+    }
+
+    /// As [`Self::open`], by who has read the journal up to `good_bytes` already: only what lies behind is looked at.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_from(path: &Path, good_bytes: u64) -> Result<Self, JournalError> {
         let file = open_locked(path)?;
         let copy = file.try_clone().map_err(JournalError::io("open", path))?;
         let mut reader = RecordReader::over(copy, path)?;
+        reader.skip_to(good_bytes);
         while reader.next_record()?.is_some() {}
         let length = reader.good_bytes();
         if length < HEAD_BYTES as u64 {

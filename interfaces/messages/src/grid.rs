@@ -38,6 +38,23 @@ message! {
 }
 
 message! {
+    /// One of several mappers has inserted a scan into its tiles and sent them: the commit of all follows when every one has.
+    #[derive(Eq)]
+    pub struct PartInserted = "flockslam/part-inserted/v1" {
+        /// The scan.
+        pub id: ScanId,
+        /// Tiles published for it.
+        pub tiles: u32,
+        /// Which share of the tiles, from 0.
+        pub part: u32,
+        /// Number of shares.
+        pub parts: u32,
+        /// 1 when all tiles of the share were published once more.
+        pub all_tiles: u32,
+    }
+}
+
+message! {
     /// A submap was closed and stored; its file lies in the store of the set.
     pub struct SubmapClosed = "flockslam/submap-closed/v1" {
         /// First scan in it.

@@ -18,10 +18,10 @@ mod verdict;
 
 pub use control::{Control, ControlKind};
 pub use deskew::Deskew;
-pub use grid::{Commit, SubmapClosed, TileMessage};
+pub use grid::{Commit, PartInserted, SubmapClosed, TileMessage};
 pub use identity::{ScanId, Times};
 pub use layout::LayoutHeader;
-pub use marks::{ClearedCell, MarksHeader};
+pub use marks::{ClearedCell, JudgedCell, MarksHeader, SectorHeader};
 pub use message::{Layout, Message};
 pub use pose::{PoseEstimate, PoseFlags, Quality};
 pub use progress::{Progress, Stage};

@@ -27,3 +27,36 @@ message! {
         pub y: i32,
     }
 }
+
+message! {
+    /// What one replica of the dynamic cleaner has found in its sector of the circle around the lidar. A slice of [`JudgedCell`] follows.
+    pub struct SectorHeader = "flockslam/sector/v1" {
+        /// The scan.
+        pub id: ScanId,
+        /// Grid generation that was read.
+        pub generation: u64,
+        /// Beams of this part of the scan that lie on moving objects.
+        pub moving_beams: u32,
+        /// Which sector, from 0.
+        pub part: u32,
+        /// Number of sectors.
+        pub parts: u32,
+        /// Reserved, zero.
+        pub reserved: u32,
+    }
+}
+
+message! {
+    /// An occupied cell (index in the odom lattice) that a scan says something about.
+    #[derive(Eq)]
+    pub struct JudgedCell = "flockslam/judged-cell/v1" {
+        /// Column of cells.
+        pub x: i32,
+        /// Row of cells.
+        pub y: i32,
+        /// Its place among all occupied cells in reach: those of several sectors are put into this order.
+        pub place: u32,
+        /// 1: beams pass through it; 0: a beam ends at it.
+        pub seen_through: u32,
+    }
+}

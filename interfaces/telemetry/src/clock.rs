@@ -1,3 +1,4 @@
+use crate::is_sabotaged;
 use rustix::time::{ClockId, Timespec, clock_gettime};
 
 /// CLOCK_MONOTONIC, nanoseconds since boot: latency and deadlines, comparable between processes of one machine.
@@ -7,7 +8,14 @@ pub fn monotonic_ns() -> u64 {
 
 /// Wall clock, nanoseconds since 1970 UTC: for export only, it may jump.
 pub fn utc_ns() -> i64 {
-    nanoseconds(clock_gettime(ClockId::Realtime))
+    let utc_ns = nanoseconds(clock_gettime(ClockId::Realtime));
+    if is_sabotaged("wall-clock") { jumping(utc_ns, monotonic_ns()) } else { utc_ns }
+}
+
+/// A wall clock that somebody sets forward by an hour and back again every second.
+fn jumping(utc_ns: i64, monotonic_ns: u64) -> i64 {
+    let hour_ns = 3_600_000_000_000;
+    if (monotonic_ns / 1_000_000_000).is_multiple_of(2) { utc_ns + hour_ns } else { utc_ns - hour_ns }
 }
 
 fn nanoseconds(time: Timespec) -> i64 {
@@ -23,5 +31,6 @@ mod tests {
         let readings: Vec<u64> = (0..1000).map(|_| monotonic_ns()).collect();
         assert!(readings.is_sorted());
         assert!(utc_ns() > 1_500_000_000_000_000_000);
+        assert_eq!(jumping(5, 0) - jumping(5, 1_000_000_000), 7_200_000_000_000);
     }
 }

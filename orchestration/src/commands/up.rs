@@ -205,7 +205,9 @@ fn keep(map: SavedMap, set: &ProcessSet, head: &MapHead, every_s: f64) -> Result
 
 /// Where the session of a killed set began, when this one can go on with it.
 fn first_of_killed_set(runtime: &RuntimeDir, present: &Configuration) -> Result<u64, CommandError> {
-    let left = SetFile::read(&runtime.configuration()).map_err(SetError::from)?;
+    let mut left = SetFile::read(&runtime.configuration()).map_err(SetError::from)?;
+    // How many processes made it is of no account.
+    left.configuration.mapper.replicas = present.mapper.replicas;
     if left.configuration.mapper == present.mapper {
         return Ok(left.options.first_sequence);
     }

@@ -10,9 +10,14 @@ const SIGNED: [&str; 5] = [
 ];
 
 /// Keys that need more than "not negative": least and greatest value.
-const BOUNDED: [(&str, f64, f64); 16] = [
+const BOUNDED: [(&str, f64, f64); 21] = [
     ("set.window", 2.0, 4096.0),
     ("set.live_tiles", 64.0, 65_536.0),
+    ("lidar_ingest.replicas", 1.0, 8.0),
+    ("scan_matcher.replicas", 1.0, 8.0),
+    ("mapper.replicas", 1.0, 8.0),
+    ("dynamic_cleaner.replicas", 1.0, 8.0),
+    ("sync_manager.replicas", 1.0, 8.0),
     ("correlation_filter.window", 1.0, 64.0),
     ("correlation_filter.threads", 1.0, 64.0),
     ("correlation_filter.replicas", 1.0, 8.0),

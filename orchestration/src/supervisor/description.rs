@@ -7,6 +7,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+/// Most processes of one stage.
+const REPLICAS_MAX: usize = 8;
+
 /// A process set as a file describes it: what `flockslam up SET.toml` runs. Paths are relative to the file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -133,9 +136,10 @@ impl SetDescription {
             }
         };
         for (stage, limits) in self.supervision().limits {
-            if stage != Stage::CorrelationFilter && limits.replicas.is_some_and(|replicas| replicas != 1) {
+            if let Some(replicas) = limits.replicas.filter(|replicas| !(1..=REPLICAS_MAX).contains(replicas))
+            {
                 let key = format!("{}: stages.{}.replicas", path.display(), stage.name());
-                let reason = "only correlation-filter can have more than one process".to_owned();
+                let reason = format!("{replicas} is not between 1 and {REPLICAS_MAX}");
                 return Err(ConfigurationError::Value { key, reason });
             }
         }
@@ -156,8 +160,8 @@ impl SetDescription {
     pub fn configuration(&self, more: &[String]) -> Result<Configuration, ConfigurationError> {
         let assignments = [self.set.as_slice(), more].concat();
         let mut configuration = Configuration::load(Profile::Default, self.config.as_deref(), &assignments)?;
-        if let Some(replicas) = self.stages.correlation_filter.replicas {
-            configuration.correlation_filter.replicas = replicas;
+        for (stage, limits) in self.supervision().limits {
+            limits.replicas.into_iter().for_each(|replicas| configuration.set_replicas(stage, replicas));
         }
         Ok(configuration)
     }
@@ -238,7 +242,7 @@ mod tests {
         assert!(read("robot = \"r1\"\n[source]\nkind = \"ros\"\n").unwrap_err().contains("unknown variant"));
         assert!(read("robot = \"r1\"\nsave_every_s = 0.0\n").unwrap_err().contains("save_every_s"));
         assert!(read("save_every_s = 1.0").unwrap_err().contains("robot"));
-        let two = "robot = \"r1\"\n[stages.mapper]\nreplicas = 2\n";
-        assert!(read(two).unwrap_err().contains("only correlation-filter"));
+        let none = "robot = \"r1\"\n[stages.mapper]\nreplicas = 0\n";
+        assert!(read(none).unwrap_err().contains("stages.mapper.replicas: 0 is not between 1 and 8"));
     }
 }

@@ -15,6 +15,8 @@ use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
 use std::time::{Duration, Instant};
 
+mod scaling;
+
 /// Exit code of a stage whose source is not usable: a mistake of the user's.
 pub const EXIT_BAD_SOURCE: i32 = 2;
 const STOP_LIMIT: Duration = Duration::from_secs(2);
@@ -266,34 +268,6 @@ impl ProcessSet {
         prepared.map(|_| ())
     }
 
-    /// Changes the number of processes of a stage. All of them start anew, since each has to know its share; the others wait for
-    /// none of them meanwhile.
-    ///
-    /// # Errors
-    /// When the stage cannot have so many, or they cannot be started: why.
-    pub fn scale(&mut self, stage: Stage, replicas: usize) -> Result<(), String> {
-        let at_most = if stage == Stage::CorrelationFilter { self.set.options.replicas } else { 1 };
-        if replicas == 0 || replicas > at_most {
-            return Err(format!("{} can have 1 to {at_most} processes in this set", stage.name()));
-        }
-        if self.children.iter().filter(|child| child.stage == stage).count() == replicas {
-            return Ok(());
-        }
-        self.set.configuration.correlation_filter.replicas = replicas;
-        self.set.write(&self.runtime.configuration()).map_err(|error| error.to_string())?;
-        for child in self.children.iter_mut().filter(|child| child.stage == stage) {
-            child.end();
-        }
-        self.children.retain(|child| child.stage != stage);
-        self.clean();
-        let place = self.children.iter().position(|child| child.stage == Stage::LidarIngest).unwrap_or(0);
-        for replica in 0..replicas {
-            self.children.insert(place + replica, StageChild::new(stage, replica as u32));
-            self.spawn(place + replica).map_err(|error| error.to_string())?;
-        }
-        Ok(())
-    }
-
     /// The configuration of its stages.
     pub fn configuration(&self) -> &Configuration {
         &self.set.configuration
@@ -348,6 +322,7 @@ impl ProcessSet {
 
     /// Stops all stages: SIGTERM, and SIGKILL for who does not listen.
     pub fn stop(&mut self) {
+        self.dismiss_who_stands_by();
         self.children.iter().for_each(|child| child.signal(Signal::TERM));
         let limit = if self.supervision.live { STOP_LIMIT_LIVE } else { STOP_LIMIT };
         let deadline = Instant::now() + limit;
@@ -415,11 +390,9 @@ fn prune_reports(status_dir: &Path, stage: Stage) {
 
 /// One process for each stage, and further replicas where they are asked for.
 fn children(set: &SetFile) -> Vec<StageChild> {
-    let replicas = |stage| match stage {
-        Stage::CorrelationFilter => set.configuration.correlation_filter.replicas as u32,
-        _ => 1,
+    let of_stage = |stage| {
+        (0..set.configuration.replicas(stage) as u32).map(move |replica| StageChild::new(stage, replica))
     };
-    let of_stage = |stage| (0..replicas(stage)).map(move |replica| StageChild::new(stage, replica));
     Stage::ALL.into_iter().flat_map(of_stage).collect()
 }
 

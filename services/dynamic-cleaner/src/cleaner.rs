@@ -1,11 +1,14 @@
 use crate::Settings;
 use crate::cells::for_each_occupied;
 use crate::moving::moving_beams;
+use crate::sector::Sector;
 use crate::sight::Sight;
 use crate::votes::{Baseline, Votes};
 use flockslam_evidence::{CellIndex, Tile, TileGrid};
 use flockslam_geometry::{Point, Pose};
-use flockslam_messages::{ClearedCell, Deskew, MarksHeader, PoseEstimate, PoseFlags, Quality, ScanView};
+use flockslam_messages::{
+    ClearedCell, Deskew, JudgedCell, MarksHeader, PoseEstimate, PoseFlags, Quality, ScanView,
+};
 use std::f64::consts::SQRT_2;
 use std::ops::Deref;
 
@@ -21,9 +24,12 @@ pub struct DynamicCleaner {
     sight: Sight,
     votes: Votes,
     scans: u32,
+    /// Where the lidar was at the present scan.
+    odom_from_laser: Pose,
+    /// What the present scan says of occupied cells.
+    judged: Vec<JudgedCell>,
+    moving_beams: u32,
     seen_through: Vec<CellIndex>,
-    /// Cells that the present scan supports.
-    supported: usize,
     cleared: Vec<ClearedCell>,
 }
 
@@ -67,8 +73,10 @@ impl DynamicCleaner {
             sight: Sight::new(),
             votes: Votes::new(),
             scans: 0,
+            odom_from_laser: Pose::IDENTITY,
+            judged: Vec::with_capacity(SEEN_THROUGH_MAX),
+            moving_beams: 0,
             seen_through: Vec::with_capacity(SEEN_THROUGH_MAX),
-            supported: 0,
             cleared: Vec::with_capacity(settings.cleared_max),
             settings,
         }
@@ -84,59 +92,106 @@ impl DynamicCleaner {
         pose: &PoseEstimate,
         grid: &TileGrid<H>,
     ) -> Marks<'_> {
-        self.cleared.clear();
-        let mut moving = 0;
-        if self.settings.enabled && is_certain(pose) {
-            let odom_from_laser = pose.odom_from_base * scan.header().base_from_laser;
-            let deskew = Deskew::new(scan, pose.twist);
-            moving = moving_beams(scan, &deskew, odom_from_laser, grid, self.settings.radius_m);
-            self.sight.look(scan, &deskew);
-            self.judge(pose, odom_from_laser, grid);
-            if self.is_plausible() {
-                self.vote(odom_from_laser);
-            }
+        self.begin(scan, pose);
+        self.look(scan, pose, grid, Sector::WHOLE);
+        self.conclude(pose)
+    }
+
+    /// Whether anything is judged by a scan with this pose.
+    pub fn judges(&self, pose: &PoseEstimate) -> bool {
+        self.settings.enabled && is_certain(pose)
+    }
+
+    /// Begins with an inserted scan. [`Self::look`] follows for each sector of the circle, or [`Self::take`] for what another
+    /// process has found there, in any order, and then [`Self::conclude`]: the marks are the same however the circle was divided.
+    pub fn begin(&mut self, scan: ScanView<'_>, pose: &PoseEstimate) {
+        self.judged.clear();
+        self.moving_beams = 0;
+        self.odom_from_laser = pose.odom_from_base * scan.header().base_from_laser;
+        if self.judges(pose) {
+            self.sight.look(scan, &Deskew::new(scan, pose.twist));
         }
+    }
+
+    /// Judges the occupied cells of `grid` in a sector.
+    pub fn look<H: Deref<Target = Tile>>(
+        &mut self,
+        scan: ScanView<'_>,
+        pose: &PoseEstimate,
+        grid: &TileGrid<H>,
+        sector: Sector,
+    ) {
+        if !self.judges(pose) {
+            return;
+        }
+        let (at, radius_m) = (self.odom_from_laser, self.settings.radius_m);
+        let deskew = Deskew::new(scan, pose.twist);
+        let beams = sector.beams(scan.len());
+        self.moving_beams += moving_beams(scan, beams, &deskew, at, grid, radius_m);
+        let view = View::new(&self.settings, &self.sight, pose, at, grid.cell_size_m());
+        let (mut place, mut seen_through) = (0, 0);
+        for_each_occupied(grid, at.position(), radius_m, |cell, center| {
+            place += 1;
+            let finding = view.judge(center, sector);
+            let is_through = finding == Finding::SeenThrough;
+            if finding == Finding::Open || (is_through && seen_through == SEEN_THROUGH_MAX) {
+                return;
+            }
+            seen_through += usize::from(is_through);
+            self.judged.push(JudgedCell { x: cell.x, y: cell.y, place, seen_through: u32::from(is_through) });
+        });
+    }
+
+    /// What was found so far: beams on moving objects, and cells.
+    pub fn found(&self) -> (u32, &[JudgedCell]) {
+        (self.moving_beams, &self.judged)
+    }
+
+    /// Takes in what another process has found in a sector.
+    pub fn take(&mut self, moving_beams: u32, judged: &[JudgedCell]) {
+        self.moving_beams += moving_beams;
+        self.judged.extend_from_slice(judged);
+    }
+
+    /// The marks of the scan.
+    pub fn conclude(&mut self, pose: &PoseEstimate) -> Marks<'_> {
+        self.cleared.clear();
+        self.weigh(self.judges(pose));
         let header = MarksHeader {
             id: pose.id,
             times: pose.times,
             generation: pose.generation,
-            moving_beams: moving,
+            moving_beams: self.moving_beams,
             cleared: self.cleared.len() as u32,
         };
         Marks { header, cleared: &self.cleared }
     }
 
-    /// Collects the cells that the scan looks through and takes back votes against cells that it supports.
-    fn judge<H: Deref<Target = Tile>>(
-        &mut self,
-        pose: &PoseEstimate,
-        odom_from_laser: Pose,
-        grid: &TileGrid<H>,
-    ) {
+    /// Takes back votes against cells that the scan supports, and gives its votes against those that it looks through.
+    fn weigh(&mut self, judges: bool) {
+        if !self.judged.is_sorted_by_key(|cell| cell.place) {
+            self.judged.sort_unstable_by_key(|cell| cell.place);
+        }
         self.seen_through.clear();
-        self.supported = 0;
-        let view = View::new(&self.settings, &self.sight, pose, odom_from_laser, grid.cell_size_m());
-        for_each_occupied(
-            grid,
-            odom_from_laser.position(),
-            self.settings.radius_m,
-            |cell, center| match view.judge(center) {
-                Finding::SeenThrough if self.seen_through.len() < SEEN_THROUGH_MAX => {
-                    self.seen_through.push(cell)
-                }
-                Finding::Supported => {
-                    self.supported += 1;
-                    self.votes.forget(cell);
-                }
-                Finding::SeenThrough | Finding::Open => (),
-            },
-        );
+        let mut supported = 0;
+        for judged in &self.judged {
+            let cell = CellIndex::new(judged.x, judged.y);
+            if judged.seen_through == 0 {
+                supported += 1;
+                self.votes.forget(cell);
+            } else if self.seen_through.len() < SEEN_THROUGH_MAX {
+                self.seen_through.push(cell);
+            }
+        }
+        if judges && self.is_plausible(supported) {
+            self.vote(self.odom_from_laser);
+        }
     }
 
     /// What went away is a small part of what is there. When much of the grid is looked through, the scan or the grid
     /// is in the wrong place.
-    fn is_plausible(&self) -> bool {
-        let (contradicted, judged) = (self.seen_through.len(), self.seen_through.len() + self.supported);
+    fn is_plausible(&self, supported: usize) -> bool {
+        let (contradicted, judged) = (self.seen_through.len(), self.seen_through.len() + supported);
         contradicted as f64 <= self.settings.contradiction_max * judged as f64
     }
 
@@ -177,13 +232,16 @@ impl<'a> View<'a> {
 
     /// Whether the scan looks through the cell with its centre at `center`. Beside the beams through the cell itself
     /// those next to it must pass too: at a grazing angle one of them ends on the wall to which the cell belongs.
-    fn judge(&self, center: Point) -> Finding {
+    fn judge(&self, center: Point, sector: Sector) -> Finding {
         let (dx, dy) = (center.x_m - self.odom_from_laser.x_m, center.y_m - self.odom_from_laser.y_m);
         let distance_m = (dx * dx + dy * dy).sqrt();
         if distance_m < NEAR_M {
             return Finding::Open;
         }
         let direction = dy.atan2(dx) - self.odom_from_laser.heading_rad;
+        if !sector.has(direction) {
+            return Finding::Open;
+        }
         let half_width_rad = 0.5 * self.cell_size_m / distance_m;
         let margin_m = self.margin_m + self.margin_share * distance_m;
         if self.sight.range_m(direction) > distance_m + margin_m {

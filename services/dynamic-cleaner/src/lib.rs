@@ -8,9 +8,11 @@ mod moving;
 pub mod process;
 #[cfg(test)]
 mod scenarios;
+mod sector;
 mod settings;
 mod sight;
 mod votes;
 
 pub use cleaner::{DynamicCleaner, Marks};
+pub use sector::Sector;
 pub use settings::Settings;

@@ -2,15 +2,16 @@ use crate::cells::occupied_around;
 use flockslam_evidence::{Tile, TileGrid, WEIGHT_SCALE};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{Deskew, ScanView};
-use std::ops::Deref;
+use std::ops::{Deref, Range};
 
 /// A cell with this much evidence for "free" (nat) was looked through by several scans.
 const FREE_NAT: f64 = 1.5;
 
-/// Number of beams within `radius_m` that end where the grid knows free space and nothing near: they lie on something
+/// Number of these beams, within `radius_m` that end where the grid knows free space and nothing near: they lie on something
 /// that was not there before.
 pub(crate) fn moving_beams<H: Deref<Target = Tile>>(
     scan: ScanView<'_>,
+    beams: Range<usize>,
     deskew: &Deskew,
     odom_from_laser: Pose,
     grid: &TileGrid<H>,
@@ -25,5 +26,5 @@ pub(crate) fn moving_beams<H: Deref<Target = Tile>>(
         let cell = grid.cell_at(end);
         grid.cell(cell).free >= free && !occupied_around(grid, cell)
     };
-    (0..scan.len()).filter(ends_in_free_space).count() as u32
+    beams.filter(ends_in_free_space).count() as u32
 }

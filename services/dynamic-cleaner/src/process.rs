@@ -1,16 +1,25 @@
 //! The shell of dynamic-cleaner: joins accepted scans with the grid that they were matched to, publishes marks.
+//!
+//! Replica 0 concludes. The others judge the cells in their sectors of the circle and send it what they found.
 
-use crate::{DynamicCleaner, Settings};
-use flockslam_bus::{BellRinger, SlicePublisher};
+mod sectors;
+
+use crate::{DynamicCleaner, Sector, Settings};
+use flockslam_bus::{BellRinger, ScanSample, SlicePublisher};
 use flockslam_messages::{DropReason, MarksHeader, PoseEstimate, PoseFlags, Stage};
 use flockslam_stage::{
     Acknowledger, Actor, GridReader, Mode, PendingScans, PoseQueue, StageContext, StageError, run,
 };
 use flockslam_telemetry::monotonic_ns;
+use sectors::{Helper, Sectors};
 use std::time::Duration;
 
 /// Live: a grid that is not there by then is not waited for; the scan clears nothing.
 const GRID_DEADLINE_NS: u64 = 50_000_000;
+/// A sector that another replica has not sent after this is judged here: the same cells, only later.
+const SECTOR_DEADLINE_NS: u64 = 20_000_000;
+/// Counts sectors that had to be judged here.
+const SECTOR_LATE: &str = "sector-late";
 
 /// Runs the stage until it is asked to stop.
 ///
@@ -18,41 +27,94 @@ const GRID_DEADLINE_NS: u64 = 50_000_000;
 /// When the bus fails.
 pub fn run_stage(context: &mut StageContext, settings: Settings, cell_size_m: f64) -> Result<(), StageError> {
     let bell = context.bus.listener(Stage::DynamicCleaner.name())?;
-    let grid = GridReader::open(context, cell_size_m)?;
-    grid.ask_for_tiles()?;
+    let parts = settings.replicas.max(1) as u32;
+    let inputs = Inputs::open(context, settings, cell_size_m)?;
+    if context.replica > 0 {
+        // A number beyond the shares has none; it only waits to be told to end.
+        let sector = (context.replica < parts).then(|| Sector::new(context.replica, parts));
+        return run(context, &mut Helper::open(context, inputs, sector, parts)?, &bell);
+    }
     let mut actor = Cleaner {
-        logic: DynamicCleaner::new(settings),
-        scans: PendingScans::new(context.bus.scan_subscriber()?, context.capacity.window, 0),
-        poses: PoseQueue::new(context.bus.subscriber()?, 0),
-        grid,
+        inputs,
+        sectors: Sectors::open(context, parts)?,
+        waiting: None,
         marks: context.bus.slice_publisher()?,
         mapper: context.bus.ringer(Stage::Mapper.name())?,
         acknowledger: Acknowledger::open(context, 0)?,
-        waiting_since_ns: None,
         cleared: 0,
     };
     run(context, &mut actor, &bell)
 }
 
-struct Cleaner {
+/// What every replica joins.
+struct Inputs {
     logic: DynamicCleaner,
     scans: PendingScans,
     poses: PoseQueue,
     grid: GridReader,
+    waiting_since_ns: Option<u64>,
+}
+
+impl Inputs {
+    fn open(context: &StageContext, settings: Settings, cell_size_m: f64) -> Result<Self, StageError> {
+        let grid = GridReader::open(context, cell_size_m)?;
+        grid.ask_for_tiles()?;
+        Ok(Self {
+            logic: DynamicCleaner::new(settings),
+            scans: PendingScans::new(context.bus.scan_subscriber()?, context.capacity.window, 0),
+            poses: PoseQueue::new(context.bus.subscriber()?, 0),
+            grid,
+            waiting_since_ns: None,
+        })
+    }
+
+    fn drain(&mut self) -> Result<(), StageError> {
+        self.scans.drain()?;
+        self.poses.drain()?;
+        self.grid.drain()?;
+        Ok(())
+    }
+
+    /// Whether the grid that the pose was found in is the present one; `None` when it is still waited for.
+    fn grid_is_ready(&mut self, pose: &PoseEstimate, mode: Mode) -> Option<bool> {
+        let ready = self.generation() >= pose.generation;
+        if !ready {
+            let since_ns = *self.waiting_since_ns.get_or_insert_with(monotonic_ns);
+            let late = monotonic_ns().saturating_sub(since_ns) > GRID_DEADLINE_NS;
+            if mode == Mode::Exact || !late {
+                return None;
+            }
+        }
+        self.waiting_since_ns = None;
+        Some(ready)
+    }
+
+    /// Generation of the present grid.
+    fn generation(&self) -> u64 {
+        self.grid.committed().map_or(0, |commit| commit.generation)
+    }
+}
+
+/// The replica that concludes.
+struct Cleaner {
+    inputs: Inputs,
+    sectors: Sectors,
+    waiting: Option<Waiting>,
     marks: SlicePublisher<MarksHeader>,
     mapper: BellRinger,
     acknowledger: Acknowledger,
-    waiting_since_ns: Option<u64>,
     cleared: u64,
 }
 
-impl Cleaner {
-    /// Whether the grid that the pose was found in is the present one.
-    fn grid_is_ready(&self, pose: &PoseEstimate) -> bool {
-        let generation = self.grid.committed().map_or(0, |commit| commit.generation);
-        generation >= pose.generation
-    }
+/// A scan of which others judge their sectors.
+struct Waiting {
+    sample: ScanSample,
+    pose: PoseEstimate,
+    generation: u64,
+    started_ns: u64,
+}
 
+impl Cleaner {
     fn clean(
         &mut self,
         pose: &PoseEstimate,
@@ -60,48 +122,81 @@ impl Cleaner {
         context: &mut StageContext,
     ) -> Result<(), StageError> {
         let started_ns = monotonic_ns();
-        let sample = self.scans.take(pose.id.sequence);
+        let sample = self.inputs.scans.take(pose.id.sequence);
+        let generation = self.inputs.generation();
         let scan = sample.as_ref().and_then(|sample| sample.view().ok());
-        let nothing = MarksHeader {
-            id: pose.id,
-            times: pose.times,
-            generation: pose.generation,
-            ..MarksHeader::default()
-        };
         match scan.filter(|_| fresh) {
             Some(scan) => {
                 context.report.report.scan_address = scan.ranges().as_ptr() as u64;
-                let marks = self.logic.handle(scan, pose, self.grid.grid());
-                self.cleared += marks.cleared.len() as u64;
-                self.marks
-                    .send_with(&marks.header, marks.cleared.len(), |to| to.copy_from_slice(marks.cleared))?;
+                let logic = &mut self.inputs.logic;
+                logic.begin(scan, pose);
+                logic.look(scan, pose, self.inputs.grid.grid(), self.sectors.own());
+                if let Some(sample) = sample.filter(|_| self.sectors.parts() > 1 && logic.judges(pose)) {
+                    self.waiting = Some(Waiting { sample, pose: *pose, generation, started_ns });
+                    return Ok(());
+                }
+                self.conclude(pose)?;
             }
             None => {
                 context.dropped(DropReason::Deadline.name());
+                let (id, times, generation) = (pose.id, pose.times, pose.generation);
+                let nothing = MarksHeader { id, times, generation, ..MarksHeader::default() };
                 self.marks.send_with(&nothing, 0, |_| {})?;
             }
         }
+        self.end(pose, started_ns, context)
+    }
+
+    /// Ends with a shared scan when all sectors are judged; true when none waits.
+    fn finish_shared(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
+        let Some(waiting) = &self.waiting else { return Ok(true) };
+        let missing = self.sectors.collect(&waiting.pose, waiting.generation, &mut self.inputs.logic)?;
+        let late = monotonic_ns().saturating_sub(waiting.started_ns) > SECTOR_DEADLINE_NS;
+        if !missing.is_empty() && !late {
+            return Ok(false);
+        }
+        let Some(waiting) = self.waiting.take() else { return Ok(true) };
+        let pose = &waiting.pose;
+        if let Ok(scan) = waiting.sample.view() {
+            for sector in missing {
+                context.dropped(SECTOR_LATE);
+                self.inputs.logic.look(scan, pose, self.inputs.grid.grid(), sector);
+            }
+        }
+        self.sectors.forget();
+        self.conclude(pose)?;
+        self.end(pose, waiting.started_ns, context)?;
+        Ok(true)
+    }
+
+    fn conclude(&mut self, pose: &PoseEstimate) -> Result<(), StageError> {
+        let marks = self.inputs.logic.conclude(pose);
+        self.cleared += marks.cleared.len() as u64;
+        let copy = |to: &mut [_]| to.copy_from_slice(marks.cleared);
+        Ok(self.marks.send_with(&marks.header, marks.cleared.len(), copy)?)
+    }
+
+    fn end(
+        &mut self,
+        pose: &PoseEstimate,
+        started_ns: u64,
+        context: &mut StageContext,
+    ) -> Result<(), StageError> {
         self.mapper.ring();
         context.handled(pose.id.sequence, started_ns, pose.times.monotonic_ns);
-        Ok(())
+        self.inputs.poses.pop();
+        self.acknowledger.finished(pose.id.sequence + 1)
     }
 
     /// Handles the oldest pose; false when its join is not complete.
     fn step(&mut self, pose: &PoseEstimate, context: &mut StageContext) -> Result<bool, StageError> {
         if pose.has(PoseFlags::INSERT) {
-            let ready = self.grid_is_ready(pose);
-            if !ready {
-                let since_ns = *self.waiting_since_ns.get_or_insert_with(monotonic_ns);
-                let late = monotonic_ns().saturating_sub(since_ns) > GRID_DEADLINE_NS;
-                if context.mode == Mode::Exact || !late {
-                    return Ok(false);
-                }
-            }
-            self.waiting_since_ns = None;
-            self.clean(pose, ready, context)?;
-        } else {
-            self.scans.release_before(pose.id.sequence + 1);
+            let Some(fresh) = self.inputs.grid_is_ready(pose, context.mode) else { return Ok(false) };
+            self.clean(pose, fresh, context)?;
+            return Ok(true);
         }
+        self.inputs.scans.release_before(pose.id.sequence + 1);
+        self.inputs.poses.pop();
         self.acknowledger.finished(pose.id.sequence + 1)?;
         Ok(true)
     }
@@ -110,15 +205,12 @@ impl Cleaner {
 impl Actor for Cleaner {
     fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
         let mut any = false;
-        loop {
-            self.scans.drain()?;
-            self.poses.drain()?;
-            self.grid.drain()?;
-            let Some(pose) = self.poses.front().copied() else { break };
+        while self.finish_shared(context)? {
+            self.inputs.drain()?;
+            let Some(pose) = self.inputs.poses.front().copied() else { break };
             if !self.step(&pose, context)? {
                 break;
             }
-            self.poses.pop();
             any = true;
         }
         Ok(any)
@@ -127,13 +219,14 @@ impl Actor for Cleaner {
     fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.marks.refresh();
         context.report.count("cleared_cells", self.cleared);
-        if let Some(address) = self.grid.a_tile_address() {
+        if let Some(address) = self.inputs.grid.a_tile_address() {
             context.report.report.tile_address = address as u64;
         }
         self.acknowledger.send()
     }
 
     fn patience(&self) -> Duration {
-        Duration::from_millis(if self.waiting_since_ns.is_some() { 5 } else { 100 })
+        let waits = self.inputs.waiting_since_ns.is_some() || self.waiting.is_some();
+        Duration::from_millis(if waits { 5 } else { 100 })
     }
 }

@@ -1,6 +1,6 @@
 //! The cleaner in small worlds of straight walls, mapped and seen with simulated scans.
 
-use crate::{DynamicCleaner, Settings};
+use crate::{DynamicCleaner, Sector, Settings};
 use flockslam_evidence::{Cell, CellIndex, ObservedCells, SensorModel, Tile, TileGrid, TileKey};
 use flockslam_geometry::{Covariance, Point, Pose};
 use flockslam_messages::{ClearedCell, PoseEstimate, PoseFlags, ScanBuffer};
@@ -206,6 +206,34 @@ fn a_box_that_vanished_is_cleared_by_three_views() {
         assert!(share > 0.55, "{beams} beams: {share}");
         let more: Vec<Pose> = (0..12).map(|i| Pose::new(2.0 + 0.2 * f64::from(i), 2.4, 0.2)).collect();
         assert_eq!(cleared_on(&map, &ROOM, &more, beams, field_rad, Pose::IDENTITY), stale, "{beams} beams");
+    }
+}
+
+#[test]
+fn several_processes_come_to_the_same_marks_as_one() {
+    let with_box: Vec<Wall> = ROOM.into_iter().chain(square(6.0, 3.2, 0.6)).collect();
+    let map = mapped(&with_box, &tour(), 360, std::f64::consts::TAU);
+    let grid = map.grid();
+    for parts in 2..4 {
+        let new = || DynamicCleaner::new(Settings::default());
+        let (mut alone, mut first, mut others) = (new(), new(), vec![new(); parts as usize]);
+        let mut cleared = 0;
+        for (i, pose) in (1000..).zip(tour()) {
+            let scan = scan(&ROOM, pose, 360, std::f64::consts::TAU, i);
+            let (view, pose) = (scan.view().unwrap(), estimate(pose));
+            first.begin(view, &pose);
+            for part in (0..parts).rev() {
+                let other = &mut others[part as usize];
+                other.begin(view, &pose);
+                other.look(view, &pose, &grid, Sector::new(part, parts));
+                let (moving_beams, judged) = other.found();
+                first.take(moving_beams, judged);
+            }
+            let (together, expected) = (first.conclude(&pose), alone.handle(view, &pose, &grid));
+            assert_eq!((together.header, together.cleared), (expected.header, expected.cleared));
+            cleared += expected.cleared.len();
+        }
+        assert!(cleared > 0);
     }
 }
 

@@ -25,6 +25,8 @@ pub struct Settings {
     pub contradiction_max: f64,
     /// Cells cleared by one scan at most; the rest follow with the next ones.
     pub cleared_max: usize,
+    /// Processes of this stage, each of which judges the cells in its sector of the circle around the lidar.
+    pub replicas: usize,
 }
 
 impl Default for Settings {
@@ -40,6 +42,7 @@ impl Default for Settings {
             lateral_margin_m: 0.1,
             contradiction_max: 0.2,
             cleared_max: 4096,
+            replicas: 1,
         }
     }
 }

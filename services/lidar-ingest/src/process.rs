@@ -15,8 +15,8 @@ use feed::{Fed, Feed};
 pub use feed::count_scans;
 use flockslam_bus::{BellRinger, Publisher, ScanPublisher, Subscriber};
 use flockslam_messages::{Control, ControlKind, LARGE_SCAN_BEAMS, Progress, ScanBuffer, ScanId, Stage};
-use flockslam_stage::{Actor, Mode, StageContext, StageError, StreamEnd, run};
-use flockslam_telemetry::{monotonic_ns, utc_ns};
+use flockslam_stage::{Actor, Mode, StageContext, StageError, StreamEnd, Turn, run};
+use flockslam_telemetry::{is_sabotaged, monotonic_ns, utc_ns};
 use pacer::Pacer;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -78,8 +78,20 @@ fn first_stages(mode: Mode) -> &'static [Stage] {
 /// When the source is not usable ([`StageError::Source`]) or the bus fails.
 pub fn run_stage(context: &mut StageContext, task: Task) -> Result<(), StageError> {
     let bell = context.bus.listener(Stage::LidarIngest.name())?;
+    let mut sent = 0;
+    let turn = Turn::ask(context)?;
+    if !turn.stand_by(context, &bell, |context| followed(context, &mut sent))? {
+        return Ok(());
+    }
     let mut ingest = Ingest::open(context, task)?;
     run(context, &mut ingest, &bell)
+}
+
+/// Scans that the process that acts has sent since the last look. Nothing else is to be kept up with: where it is lies in the cursor.
+fn followed(context: &StageContext, sent: &mut u64) -> Result<u64, StageError> {
+    let next = Cursor::open(&context.status_dir, context.first_sequence)?.next_sequence();
+    let before = std::mem::replace(sent, next);
+    Ok(next.saturating_sub(before))
 }
 
 struct Ingest {
@@ -110,7 +122,8 @@ impl Ingest {
             Mode::Live => Some(Cursor::open(&context.status_dir, first)?),
             Mode::Exact => None,
         };
-        let resumed = cursor.as_ref().map_or(first, |cursor| cursor.next_sequence());
+        let resumed = cursor.as_ref().filter(|_| !is_sabotaged("no-cursor"));
+        let resumed = resumed.map_or(first, Cursor::next_sequence);
         let pacer = task.rate.map(|rate| Pacer::new(rate, cursor.as_ref().and_then(Cursor::anchor)));
         let mut feed = Feed::open(context, &task)?;
         feed.skip(resumed.saturating_sub(first))?;

@@ -19,6 +19,8 @@ pub struct Settings {
     pub max_bad_line_share: f64,
     /// Whether a log that ends in the middle of a line is taken as far as it goes instead of being refused.
     pub accept_truncated: bool,
+    /// Processes of this stage: one reads the source, the others stand by to go on in its place.
+    pub replicas: usize,
 
     /// Experiment: seed of everything random below.
     pub seed: u64,
@@ -47,6 +49,7 @@ impl Default for Settings {
             max_line_bytes: 64 << 20,
             max_bad_line_share: 0.01,
             accept_truncated: false,
+            replicas: 1,
             seed: 1,
             start_pose: None,
             odometry: true,

@@ -4,8 +4,10 @@ mod mapper;
 pub mod process;
 mod score;
 mod settings;
+mod share;
 mod window;
 mod window_tile;
 
 pub use mapper::{Insertion, Mapper};
 pub use settings::{ReadOut, SensorModelKind, Settings};
+pub use share::TileShare;

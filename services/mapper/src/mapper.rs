@@ -1,6 +1,7 @@
 use crate::settings::Settings;
+use crate::share::TileShare;
 use crate::window::Window;
-use flockslam_evidence::{CellIndex, SensorModel, Submap, Tile, TileKey};
+use flockslam_evidence::{CellIndex, SensorModel, Submap, SubmapTile, Tile, TileKey};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{ClearedCell, Deskew, PoseEstimate, ScanView};
 use std::collections::VecDeque;
@@ -49,9 +50,15 @@ pub struct Insertion<'a> {
 impl Mapper {
     /// An empty map.
     pub fn new(settings: Settings) -> Self {
+        Self::of_share(settings, TileShare::ALL)
+    }
+
+    /// An empty map of some tiles only: of several mappers that are given the same, each with its share, all tiles together are
+    /// those of one that has all.
+    pub fn of_share(settings: Settings, share: TileShare) -> Self {
         Self {
             model: settings.model(),
-            window: Window::new(&settings),
+            window: Window::new(&settings, share),
             closed: VecDeque::new(),
             left_cleared: Vec::new(),
             active: None,
@@ -115,6 +122,14 @@ impl Mapper {
             retired: self.window.retired(),
             active_submap: self.number,
             closed,
+        }
+    }
+
+    /// Adds to a closed submap the tiles that others look after, so that cells of them can be cleared in it.
+    pub fn complete(&mut self, number: u32, others: &[SubmapTile]) {
+        for submap in self.closed.iter_mut().filter(|submap| submap.number == number) {
+            submap.tiles.extend_from_slice(others);
+            submap.tiles.sort_unstable_by_key(|tile| tile.key);
         }
     }
 
@@ -386,6 +401,33 @@ mod tests {
         let mut resumed = Mapper::new(Settings::default());
         [before, vec![closed, last]].concat().into_iter().for_each(|submap| resumed.resume(submap, 41));
         assert_eq!(window_of(&resumed), window_of(&mapper));
+    }
+
+    #[test]
+    fn shares_of_several_mappers_are_together_what_one_has() {
+        let settings = Settings { window_m: 5.0, submap_length_m: 2.5, ..Settings::default() };
+        let mut alone = Mapper::new(settings.clone());
+        let whole = drive(&mut alone, 0..60);
+        for parts in 2..4 {
+            let share = |part| Mapper::of_share(settings.clone(), TileShare::new(part, parts));
+            let mut shares: Vec<_> = (0..parts).map(share).collect();
+            let mut closed: Vec<_> = shares.iter_mut().map(|mapper| drive(mapper, 0..60)).collect();
+            let mut tiles: Vec<_> = shares.iter().flat_map(window_of).collect();
+            tiles.sort_by_key(|(key, _)| *key);
+            let mut expected = window_of(&alone);
+            expected.sort_by_key(|(key, _)| *key);
+            assert_eq!(tiles, expected);
+            let others = closed.split_off(1);
+            for (place, mut submap) in closed.remove(0).into_iter().enumerate() {
+                for other in &others {
+                    shares[0].complete(submap.number, &other[place].tiles);
+                    submap.tiles.extend_from_slice(&other[place].tiles);
+                }
+                submap.tiles.sort_by_key(|tile| tile.key);
+                assert_eq!(submap, whole[place]);
+            }
+            assert_eq!(shares[0].closed, alone.closed);
+        }
     }
 
     #[test]

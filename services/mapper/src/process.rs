@@ -1,5 +1,9 @@
 //! The shell of mapper: joins accepted scans with marks, publishes changed tiles and then one commit, stores closed
 //! submaps, and rebuilds itself from journal and store when it starts.
+//!
+//! Of several processes each inserts every scan into its share of the tiles; the first commits for all.
+
+mod parts;
 
 use crate::{Mapper, Settings};
 use flockslam_bus::{BellRinger, Publisher, SliceSubscriber, TilePublisher};
@@ -12,12 +16,18 @@ use flockslam_stage::{
     Acknowledger, Actor, JournalReader, Mode, PendingScans, PoseQueue, StageContext, StageError, StreamEnd,
     SubmapStore, run,
 };
-use flockslam_telemetry::monotonic_ns;
+use flockslam_telemetry::{is_sabotaged, monotonic_ns};
+use parts::Parts;
 use std::collections::VecDeque;
 use std::time::Duration;
 
 /// Live: marks that are not there by then are not waited for; the scan is inserted without.
 const MARKS_DEADLINE_NS: u64 = 50_000_000;
+
+/// Live: tiles of another mapper that are not out by then are not waited for; they become valid with a later commit.
+const PARTS_DEADLINE_NS: u64 = 50_000_000;
+/// Counts commits without the tiles of another mapper.
+const PART_LATE: &str = "part-late";
 
 /// Runs the stage until it is asked to stop.
 ///
@@ -25,12 +35,34 @@ const MARKS_DEADLINE_NS: u64 = 50_000_000;
 /// When the bus, the journal or the store fails.
 pub fn run_stage(context: &mut StageContext, settings: Settings) -> Result<(), StageError> {
     let bell = context.bus.listener(Stage::Mapper.name())?;
-    let mut actor = MapperProcess::open(context, settings)?;
+    let parts = settings.replicas.max(1) as u32;
+    if context.replica >= parts {
+        return run(context, &mut Shareless, &bell);
+    }
+    let mut actor = MapperProcess::open(context, settings, Parts::open(context, parts)?)?;
     run(context, &mut actor, &bell)
+}
+
+/// A process with a number beyond the shares: it only waits to be told to end.
+struct Shareless;
+
+impl Actor for Shareless {
+    fn advance(&mut self, _context: &mut StageContext) -> Result<bool, StageError> {
+        Ok(false)
+    }
+
+    fn refresh(&mut self, _context: &mut StageContext) -> Result<(), StageError> {
+        Ok(())
+    }
 }
 
 struct MapperProcess {
     logic: Mapper,
+    parts: Parts,
+    /// An insertion of which the others have not sent their tiles yet, and since when.
+    uncommitted: Option<(Commit, u64)>,
+    /// All tiles are sent once more: so many others have not done it yet, since then.
+    republishing: Option<(u32, u64)>,
     cell_size_m: f64,
     store: SubmapStore,
     scans: PendingScans,
@@ -47,6 +79,9 @@ struct MapperProcess {
     journal: JournalReader,
     last: Option<PoseEstimate>,
     waiting_since_ns: Option<u64>,
+    /// The last submap is closed.
+    closing: bool,
+    /// … and stored.
     map_closed: bool,
 }
 
@@ -63,7 +98,7 @@ struct Output {
 }
 
 impl MapperProcess {
-    fn open(context: &mut StageContext, settings: Settings) -> Result<Self, StageError> {
+    fn open(context: &mut StageContext, settings: Settings, parts: Parts) -> Result<Self, StageError> {
         let bus = &context.bus;
         let output = Output {
             tiles: TilePublisher::open(bus)?,
@@ -76,7 +111,10 @@ impl MapperProcess {
         };
         let mut process = Self {
             cell_size_m: settings.cell_size_m,
-            logic: Mapper::new(settings),
+            logic: Mapper::of_share(settings, parts.share()),
+            parts,
+            uncommitted: None,
+            republishing: None,
             store: SubmapStore::new(&context.submap_dir),
             scans: PendingScans::new(bus.scan_subscriber()?, context.capacity.window, 0),
             poses: PoseQueue::new(bus.subscriber()?, 0),
@@ -90,6 +128,7 @@ impl MapperProcess {
             journal: JournalReader::open(&context.journal_dir)?,
             last: None,
             waiting_since_ns: None,
+            closing: false,
             map_closed: false,
         };
         process.recover(context)?;
@@ -99,25 +138,33 @@ impl MapperProcess {
     /// Rebuilds the map that a predecessor had: its closed submaps from the store, the active one from the journal.
     fn recover(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         let count = self.store.count();
+        if self.parts.is_first() {
+            self.store.remove_parts(count);
+        }
         let mut inserted = 0;
         for number in 0..count {
             let submap = self.store.load(number)?;
             inserted += u64::from(submap.insertions);
             self.applied = submap.last + 1;
-            self.output.tell_submap(&self.store.notice(&submap)?)?;
+            if self.parts.is_first() {
+                self.output.tell_submap(&self.store.notice(&submap)?)?;
+            }
             self.logic.resume(submap, inserted);
             context.alive();
+        }
+        if is_sabotaged("replay-twice") {
+            self.applied = 0;
         }
         self.catch_up(u64::MAX, context)?;
         if self.last.is_some() || count > 0 {
             self.republish(context)?;
         }
-        self.acknowledger.finished(self.expected)
+        self.done(self.expected)
     }
 
     /// Applies accepted scans of the journal before this sequence that are not in the map yet.
     fn catch_up(&mut self, before: u64, context: &mut StageContext) -> Result<(), StageError> {
-        while let Some(record) = self.journal.read_before(before)? {
+        while let Some(record) = self.journal.read_before(before)?.filter(|_| !is_sabotaged("no-replay")) {
             context.alive();
             self.expected = self.expected.max(record.pose.id.sequence + 1);
             let Some(scan) = record.scan.filter(|_| record.pose.id.sequence >= self.applied) else {
@@ -125,6 +172,9 @@ impl MapperProcess {
             };
             let Ok(scan) = scan.view() else { continue };
             self.apply(scan, &record.pose, &[])?;
+            // What the others have of it becomes valid with a later commit.
+            self.commit()?;
+            self.store_whole()?;
         }
         Ok(())
     }
@@ -144,38 +194,119 @@ impl MapperProcess {
             tiles: insertion.changed.len() as u32,
             active_submap: insertion.active_submap,
         };
-        let closed = insertion.closed;
+        let (closed, tiles) = (insertion.closed, insertion.changed.len());
         self.output.unsent.extend_from_slice(insertion.changed);
         self.output.retire(insertion.retired, commit.generation, self.cell_size_m)?;
         self.output.send_tiles(&self.logic, commit.generation, self.cell_size_m)?;
-        self.output.commits.send(&commit)?;
-        self.output.matcher.ring();
         self.applied = pose.id.sequence + 1;
         self.last = Some(*pose);
-        closed.iter().try_for_each(|submap| self.store_submap(submap))?;
+        closed.into_iter().try_for_each(|submap| self.parts.closed(submap, &self.store))?;
+        if self.parts.is_first() {
+            self.uncommitted = Some((commit, monotonic_ns()));
+            return Ok(());
+        }
+        self.logic.take_cleared();
+        self.parts.tell(pose, tiles, false)
+    }
+
+    /// Makes the last insertion valid when all have sent their tiles, or, live, are not waited for any longer; false while they are.
+    fn commit_when_whole(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
+        let Some((commit, since_ns)) = &mut self.uncommitted else { return Ok(true) };
+        if self.parts.others() > 0 {
+            self.parts.drain()?;
+            match self.parts.have_inserted(commit.id.sequence) {
+                Some(tiles) => commit.tiles += tiles,
+                None => {
+                    let late = monotonic_ns().saturating_sub(*since_ns) > PARTS_DEADLINE_NS;
+                    if context.mode == Mode::Exact || !late {
+                        return Ok(false);
+                    }
+                    context.dropped(PART_LATE);
+                }
+            }
+        }
+        self.commit()?;
+        self.store_whole()?;
+        Ok(true)
+    }
+
+    fn commit(&mut self) -> Result<(), StageError> {
+        let Some((commit, _)) = self.uncommitted.take() else { return Ok(()) };
+        self.output.commits.send(&commit)?;
+        self.output.matcher.ring();
+        Ok(())
+    }
+
+    /// Stores closed submaps of which all parts are there, and what was cleared in older ones.
+    fn store_whole(&mut self) -> Result<(), StageError> {
+        if !self.parts.is_first() {
+            return Ok(());
+        }
+        while let Some(submap) = self.parts.next_whole(&self.store, &mut self.logic)? {
+            self.store.save(&submap)?;
+            if self.parts.others() > 0 {
+                self.store.remove_parts(submap.number + 1);
+            }
+            self.output.tell_submap(&self.store.notice(&submap)?)?;
+        }
         self.store_cleared()
     }
 
     /// Replaces stored submaps by their form with cleared cells.
     fn store_cleared(&mut self) -> Result<(), StageError> {
-        self.logic.take_cleared().iter().try_for_each(|submap| self.store.save(submap))
-    }
-
-    fn store_submap(&mut self, submap: &Submap) -> Result<(), StageError> {
-        self.store.save(submap)?;
-        self.output.tell_submap(&self.store.notice(submap)?)
+        let stored = |submap: &&Submap| self.store.file(submap.number).exists();
+        // One that has left the window before all its parts were there is stored as it was closed.
+        self.logic.take_cleared().iter().filter(stored).try_for_each(|submap| self.store.save(submap))
     }
 
     /// Sends all live tiles and the last commit again: a reader has started and holds none.
     fn republish(&mut self, context: &StageContext) -> Result<(), StageError> {
         let Some(last) = self.last else { return Ok(()) };
+        self.send_all_tiles()?;
+        if !self.parts.is_first() {
+            return self.parts.tell(&last, self.logic.live_tiles().count(), true);
+        }
+        if self.parts.others() > 0 {
+            self.republishing = Some((self.parts.others(), monotonic_ns()));
+            return Ok(());
+        }
+        self.commit_again(context)
+    }
+
+    /// Makes all tiles valid once every mapper has sent its own again, or is not waited for any longer.
+    fn commit_again_when_whole(&mut self, context: &StageContext) -> Result<(), StageError> {
+        if self.parts.others() == 0 {
+            return Ok(());
+        }
+        self.parts.drain()?;
+        let republished = self.parts.take_republished();
+        let late = match &mut self.republishing {
+            Some((missing, since_ns)) => {
+                *missing = missing.saturating_sub(republished);
+                *missing == 0 || monotonic_ns().saturating_sub(*since_ns) > PARTS_DEADLINE_NS
+            }
+            // A mapper that has recovered.
+            None => republished > 0,
+        };
+        if late && self.uncommitted.is_none() {
+            self.republishing = None;
+            self.commit_again(context)?;
+        }
+        Ok(())
+    }
+
+    fn send_all_tiles(&mut self) -> Result<(), StageError> {
         self.output.unsent = self.logic.live_tiles().collect();
         let generation = self.logic.generation();
-        self.output.send_tiles(&self.logic, generation, self.cell_size_m)?;
+        self.output.send_tiles(&self.logic, generation, self.cell_size_m)
+    }
+
+    fn commit_again(&mut self, context: &StageContext) -> Result<(), StageError> {
+        let Some(last) = self.last else { return Ok(()) };
         let commit = Commit {
             id: last.id,
             times: last.times,
-            generation,
+            generation: self.logic.generation(),
             tiles: self.logic.live_tiles().count() as u32,
             active_submap: self.logic.active_submap(),
         };
@@ -219,8 +350,9 @@ impl MapperProcess {
         }
         self.expected = self.expected.max(sequence + 1);
         if !pose.has(PoseFlags::INSERT) || sequence < self.applied {
+            self.poses.pop();
             self.scans.release_before(sequence + 1);
-            self.acknowledger.finished(sequence + 1)?;
+            self.done(sequence + 1)?;
             return Ok(true);
         }
         let Some(cleared) = self.take_marks(sequence, context) else { return Ok(false) };
@@ -234,21 +366,37 @@ impl MapperProcess {
             // It was sent before this process listened; the journal has every accepted scan.
             None => self.catch_up(sequence + 1, context)?,
         }
+        self.poses.pop();
         context.handled(sequence, started_ns, pose.times.monotonic_ns);
-        self.acknowledger.finished(sequence + 1)?;
+        self.done(sequence + 1)?;
         Ok(true)
     }
 
-    fn close_map(&mut self) -> Result<(), StageError> {
-        if let Some(submap) = self.logic.close() {
-            self.store_submap(&submap)?;
+    /// Scans below this sequence are taken in. The first mapper speaks for all.
+    fn done(&mut self, sequence: u64) -> Result<(), StageError> {
+        if self.parts.is_first() {
+            return self.acknowledger.finished(sequence);
         }
-        self.store_cleared()?;
-        self.map_closed = true;
-        self.repeat_the_end()
+        self.acknowledger.note(sequence);
+        Ok(())
+    }
+
+    fn close_map(&mut self) -> Result<(), StageError> {
+        if !std::mem::replace(&mut self.closing, true)
+            && let Some(submap) = self.logic.close()
+        {
+            self.parts.closed(submap, &self.store)?;
+        }
+        self.parts.ring_first();
+        self.store_whole()?;
+        self.map_closed = !self.parts.waits_for_parts();
+        if self.map_closed { self.repeat_the_end() } else { Ok(()) }
     }
 
     fn repeat_the_end(&self) -> Result<(), StageError> {
+        if !self.parts.is_first() {
+            return Ok(());
+        }
         let value = u64::from(self.store.count());
         self.output.control.send(&Control { kind: ControlKind::MapClosed as u32, epoch: 0, value })?;
         self.output.sync_manager.ring();
@@ -294,7 +442,7 @@ impl Output {
 impl Actor for MapperProcess {
     fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
         let mut any = false;
-        loop {
+        while self.commit_when_whole(context)? {
             self.scans.drain()?;
             self.poses.drain()?;
             self.drain_marks()?;
@@ -302,14 +450,17 @@ impl Actor for MapperProcess {
             if !self.step(&pose, context)? {
                 break;
             }
-            self.poses.pop();
             any = true;
         }
+        self.commit_again_when_whole(context)?;
         self.stream.drain()?;
         if std::mem::take(&mut self.stream.tiles_wanted) {
             self.republish(context)?;
         }
-        if !self.map_closed && self.stream.reached(self.acknowledger.done(), context.mode) {
+        if self.uncommitted.is_none()
+            && !self.map_closed
+            && self.stream.reached(self.acknowledger.done(), context.mode)
+        {
             self.close_map()?;
         }
         Ok(any)
@@ -320,11 +471,17 @@ impl Actor for MapperProcess {
         self.output.commits.refresh();
         self.output.submaps.refresh();
         context.report.count("tiles", self.logic.live_tiles().count() as u64);
+        if !self.parts.is_first() {
+            return Ok(());
+        }
+        self.store_whole()?;
         self.acknowledger.send()?;
         if self.map_closed { self.repeat_the_end() } else { Ok(()) }
     }
 
     fn patience(&self) -> Duration {
-        Duration::from_millis(if self.waiting_since_ns.is_some() { 5 } else { 100 })
+        let waits =
+            self.waiting_since_ns.is_some() || self.uncommitted.is_some() || self.republishing.is_some();
+        Duration::from_millis(if waits { 5 } else { 100 })
     }
 }

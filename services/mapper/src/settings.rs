@@ -32,6 +32,8 @@ pub struct Settings {
     /// Travel that the closed submaps beside the active one cover in the grid that is matched, metres (rounded up to
     /// whole submaps of `submap_length_m`); 0 = all of them.
     pub window_m: f64,
+    /// Processes of this stage: each inserts every scan, into its share of the tiles.
+    pub replicas: usize,
 }
 
 /// Which evidence a beam leaves.
@@ -70,6 +72,7 @@ impl Default for Settings {
             submap_length_m: 5.0,
             submap_insertions: 200,
             window_m: 30.0,
+            replicas: 1,
         }
     }
 }

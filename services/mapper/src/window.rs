@@ -1,5 +1,6 @@
 use crate::score::Scores;
 use crate::settings::Settings;
+use crate::share::TileShare;
 use crate::window_tile::WindowTile;
 use flockslam_evidence::{
     Cell, CellIndex, CrossedCells, ObservedCells, PackedCell, Ray, Submap, SubmapTile, TILE_CELLS, Tile,
@@ -11,6 +12,8 @@ use flockslam_evidence::{
 pub(crate) struct Window {
     tiles: TileDirectory<Box<WindowTile>>,
     scores: Scores,
+    /// Only these tiles are there.
+    share: TileShare,
     scan: u32,
     /// Tiles that the active submap has evidence in.
     active: Vec<TileKey>,
@@ -24,8 +27,9 @@ pub(crate) struct Window {
 }
 
 impl Window {
-    pub(crate) fn new(settings: &Settings) -> Self {
+    pub(crate) fn new(settings: &Settings, share: TileShare) -> Self {
         Self {
+            share,
             tiles: TileDirectory::default(),
             scores: Scores::new(settings),
             scan: 0,
@@ -119,7 +123,8 @@ impl Window {
             if known.peek().is_none() {
                 continue;
             }
-            let Some(tile) = tile_at(&mut self.tiles, part.key, self.scores.unknown()) else { continue };
+            let tile = tile_at(&mut self.tiles, self.share, part.key, self.scores.unknown());
+            let Some(tile) = tile else { continue };
             for (offset, evidence) in known {
                 let sum = change(tile.sums[offset], evidence.unpack());
                 tile.set_sum(offset, sum, &mut self.scores);
@@ -165,13 +170,17 @@ impl Window {
     }
 }
 
-/// The tile of the window at a key, made if need be; `None` absurdly far away.
+/// The tile of the window at a key, made if need be; `None` absurdly far away, or when it belongs to another share.
 #[inline]
 fn tile_at(
     tiles: &mut TileDirectory<Box<WindowTile>>,
+    share: TileShare,
     key: TileKey,
     unknown_score: u16,
 ) -> Option<&mut WindowTile> {
+    if !share.has(key) {
+        return None;
+    }
     if tiles.get(key).is_none() {
         tiles.set(key, WindowTile::new(unknown_score)).ok()?;
     }
@@ -201,7 +210,8 @@ impl ObservedCells for Window {
     fn observe(&mut self, cell: CellIndex, evidence: Cell) {
         let key = cell.tile();
         // A cell absurdly far away is not part of any map.
-        let Some(tile) = tile_at(&mut self.tiles, key, self.scores.unknown()) else { return };
+        let tile = tile_at(&mut self.tiles, self.share, key, self.scores.unknown());
+        let Some(tile) = tile else { return };
         if tile.observe(cell.offset(), evidence, &mut self.scores) {
             note(key, tile, self.scan, &mut self.active, &mut self.changed);
         }
@@ -211,7 +221,8 @@ impl ObservedCells for Window {
     fn observe_ray(&mut self, mut ray: Ray, evidence: Cell) {
         self.crossing = evidence;
         while let Some(key) = ray.tile() {
-            let Some(tile) = tile_at(&mut self.tiles, key, self.scores.unknown()) else {
+            let tile = tile_at(&mut self.tiles, self.share, key, self.scores.unknown());
+            let Some(tile) = tile else {
                 ray.cross_tile(&mut self.nowhere);
                 continue;
             };

@@ -1,13 +1,16 @@
 //! The shell of scan-matcher: joins scan, verdict, grid and corrections, writes the journal, publishes poses.
+//!
+//! Of several processes one acts. The others hold scans, verdicts and grid as it does and follow its journal, so that one of them
+//! goes on with the next scan when it dies.
 
 use crate::{ScanMatcher, Settings};
 use flockslam_bus::{BellRinger, Publisher, ScanSample, Subscriber};
 use flockslam_messages::{DropReason, KeepReason, LayoutHeader, PoseEstimate, PoseFlags, Stage, Verdict};
 use flockslam_stage::{
     Acknowledger, Actor, GridReader, JournalReader, JournalWriter, Mode, PendingScans, StageContext,
-    StageError, StreamEnd, run,
+    StageError, StreamEnd, Turn, run,
 };
-use flockslam_telemetry::monotonic_ns;
+use flockslam_telemetry::{is_sabotaged, monotonic_ns};
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -34,7 +37,15 @@ pub const LOST: &str = "lost";
 /// When the bus or the journal fails.
 pub fn run_stage(context: &mut StageContext, settings: Settings, cell_size_m: f64) -> Result<(), StageError> {
     let bell = context.bus.listener(Stage::ScanMatcher.name())?;
+    let turn = Turn::ask(context)?;
     let mut actor = Matcher::open(context, settings, cell_size_m)?;
+    if !turn.is_ours() && context.mode == Mode::Live {
+        actor.grid.ask_for_tiles()?;
+    }
+    if !turn.stand_by(context, &bell, |context| actor.follow(context))? {
+        return Ok(());
+    }
+    actor.begin(context)?;
     run(context, &mut actor, &bell)
 }
 
@@ -45,13 +56,21 @@ struct Matcher {
     waiting_verdicts: VecDeque<Verdict>,
     layouts: Subscriber<LayoutHeader>,
     waiting_layouts: VecDeque<LayoutHeader>,
+    /// The one in force.
+    layout: Option<LayoutHeader>,
     /// sync-manager has finished with all submaps below this.
     finished_submaps: u32,
     grid: GridReader,
     /// Sequences of the accepted scans whose commits are awaited, and since when, oldest first.
     awaited: VecDeque<(u64, u64)>,
     poses: Publisher<PoseEstimate>,
-    journal: JournalWriter,
+    /// What a predecessor has written, up to its last pose.
+    past: JournalReader,
+    last: Option<PoseEstimate>,
+    /// Sequence of the last accepted scan of the journal.
+    accepted: Option<u64>,
+    /// Open as soon as this process acts.
+    journal: Option<JournalWriter>,
     bells: [BellRinger; 3],
     /// The chain of submaps, and the sequence of the accepted scan that it began with.
     chain: u32,
@@ -66,47 +85,99 @@ struct Matcher {
 
 impl Matcher {
     fn open(context: &mut StageContext, settings: Settings, cell_size_m: f64) -> Result<Self, StageError> {
-        let mut logic = ScanMatcher::new(settings);
-        let last = last_pose(context)?;
-        let next = last.as_ref().map_or(0, |pose| pose.id.sequence + 1);
         let bus = &context.bus;
-        let grid = GridReader::open(context, cell_size_m)?;
-        let poses = bus.publisher()?;
-        if let Some(last) = &last {
-            let is_of_this_session = next > context.first_sequence;
-            if is_of_this_session {
-                logic.resume(last)
-            } else {
-                logic.resume_elsewhere(last)
-            }
-            grid.ask_for_tiles()?;
-            // A predecessor may have died between the journal and this.
-            poses.send(last)?;
-        }
         Ok(Self {
-            logic,
-            scans: PendingScans::new(bus.scan_subscriber()?, context.capacity.window, next),
+            logic: ScanMatcher::new(settings),
+            scans: PendingScans::new(bus.scan_subscriber()?, context.capacity.window, 0),
             verdicts: bus.subscriber()?,
             waiting_verdicts: VecDeque::with_capacity(2 * context.capacity.window),
             layouts: bus.subscriber()?,
             waiting_layouts: VecDeque::new(),
+            layout: None,
             finished_submaps: 0,
-            grid,
+            grid: GridReader::open(context, cell_size_m)?,
             awaited: VecDeque::with_capacity(2 + LAG_LIVE),
-            poses,
-            journal: JournalWriter::open(&context.journal_dir)?,
+            poses: bus.publisher()?,
+            past: JournalReader::open(&context.journal_dir)?,
+            last: None,
+            accepted: None,
+            journal: None,
             bells: [
                 bus.ringer(Stage::Mapper.name())?,
                 bus.ringer(Stage::DynamicCleaner.name())?,
                 bus.ringer(Stage::SyncManager.name())?,
             ],
-            chain: last.as_ref().map_or(0, |pose| pose.chain),
+            chain: 0,
             chain_began: 0,
-            expected: next,
+            expected: 0,
             quiet_scans: (context.capacity.window as u64 / 8).max(1),
-            acknowledger: Acknowledger::open(context, next)?,
+            acknowledger: Acknowledger::open(context, 0)?,
             stream: StreamEnd::open(context)?,
         })
+    }
+
+    /// Keeps up with the process that acts; the number of its new poses.
+    fn follow(&mut self, context: &mut StageContext) -> Result<u64, StageError> {
+        self.drain(context)?;
+        let poses = self.read_journal(context)?;
+        let done = self.last.map_or(0, |last| last.id.sequence + 1);
+        self.scans.release_before(done);
+        while self.waiting_verdicts.front().is_some_and(|verdict| verdict.id.sequence < done) {
+            self.waiting_verdicts.pop_front();
+        }
+        Ok(poses)
+    }
+
+    fn read_journal(&mut self, context: &mut StageContext) -> Result<u64, StageError> {
+        let mut poses = 0;
+        while let Some(record) = self.past.read_next()? {
+            context.alive();
+            let pose = record.pose;
+            if pose.has(PoseFlags::INSERT) {
+                self.accepted = Some(pose.id.sequence);
+                if pose.chain != self.chain {
+                    (self.chain, self.chain_began) = (pose.chain, pose.id.sequence);
+                }
+            }
+            self.last = Some(pose);
+            poses += 1;
+        }
+        Ok(poses)
+    }
+
+    /// Goes on behind the last pose of the journal, which no other process writes any more.
+    fn begin(&mut self, context: &mut StageContext) -> Result<(), StageError> {
+        self.read_journal(context)?;
+        self.journal = Some(JournalWriter::open_behind(&context.journal_dir, &self.past)?);
+        if is_sabotaged("no-resume") {
+            return Ok(());
+        }
+        let Some(last) = self.last else { return Ok(()) };
+        let next = last.id.sequence + 1;
+        let is_of_this_session = next > context.first_sequence;
+        if is_of_this_session {
+            self.logic.resume(&last);
+        } else {
+            self.logic.resume_elsewhere(&last);
+        }
+        if let Some(commit) = self.grid.committed() {
+            // The grid is there already: it was followed.
+            self.logic.committed(commit);
+        } else {
+            self.grid.ask_for_tiles()?;
+        }
+        if let Some(layout) = self.layout.filter(|layout| layout.revision > last.layout_revision) {
+            self.logic.corrected(&layout);
+        }
+        // Without it the grid is that of a moment ago, or empty.
+        self.awaited.extend(self.accepted.map(|sequence| (sequence, monotonic_ns())));
+        // The predecessor may have died between the journal and this.
+        self.poses.send(&last)?;
+        self.ring();
+        self.chain = last.chain;
+        self.expected = next;
+        self.scans.release_before(next);
+        self.acknowledger.finished(next)
     }
 
     fn drain(&mut self, context: &StageContext) -> Result<(), StageError> {
@@ -133,7 +204,7 @@ impl Matcher {
                 return;
             }
             self.logic.corrected(layout);
-            self.waiting_layouts.pop_front();
+            self.layout = self.waiting_layouts.pop_front();
         }
     }
 
@@ -215,7 +286,9 @@ impl Matcher {
         };
         let pose = self.logic.handle(scan, verdict, self.grid.grid());
         // Before anybody hears of an accepted scan it lies outside of this process.
-        if let Err(error) = self.journal.append(&pose, scan) {
+        let journal = self.journal.as_mut().filter(|_| !is_sabotaged("no-journal"));
+        let journaled = journal.map(|journal| journal.append(&pose, scan));
+        if let Some(Err(error)) = journaled {
             tracing::error!(%error, "not durable");
             context.dropped("not-journaled");
         }

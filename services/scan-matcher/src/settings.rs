@@ -37,6 +37,8 @@ pub struct Settings {
     pub skip_isolated: bool,
     /// Of scans with more beams than this only every n-th is matched.
     pub beams_max: usize,
+    /// Processes of this stage: one matches, the others know what it knows and stand by to go on in its place.
+    pub replicas: usize,
     /// Score (0 … 1) where the grid has no tile: what the mapper's read-out gives for an unknown cell.
     pub unknown_score: f64,
     /// Seed of all random numbers.
@@ -124,6 +126,7 @@ impl Default for Settings {
             range_max_m: 30.0,
             skip_isolated: true,
             beams_max: 1000,
+            replicas: 1,
             unknown_score: 0.0,
             seed: 1,
         }

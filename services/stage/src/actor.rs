@@ -1,5 +1,6 @@
 use crate::{StageContext, StageError};
-use flockslam_bus::{Listener, Wake};
+use flockslam_bus::{Listener, Wake, half_made_publishers};
+use flockslam_messages::Stage;
 use std::time::Duration;
 
 /// A stage as its loop sees it.
@@ -44,15 +45,22 @@ const AWAKE_NS: u64 = 1_000_000;
 /// # Errors
 /// What the actor could not go on from.
 pub fn run(context: &mut StageContext, actor: &mut impl Actor, bell: &Listener) -> Result<(), StageError> {
+    let loops = loops_after(context.stage);
     let (mut refreshed_ns, mut worked_ns, mut awake_until_ns) = (0, 0, 0);
     context.ready();
     while !context.stop.is_set() {
         let idle = !actor.advance(context)?;
+        if loops.is_some_and(|scans| context.metrics.handled_count() >= scans) {
+            loop_once(context);
+        }
         // Behind the work: a scan that has just arrived does not wait for the housekeeping.
         let now_ns = flockslam_telemetry::monotonic_ns();
         if now_ns.saturating_sub(refreshed_ns) >= REFRESH.as_nanos() as u64 {
             refreshed_ns = now_ns;
             context.alive();
+            if half_made_publishers() > 0 {
+                context.report.count("half-made-publishers", half_made_publishers());
+            }
             actor.refresh(context)?;
         }
         context.report.write_sometimes(now_ns, idle);
@@ -75,4 +83,18 @@ pub fn run(context: &mut StageContext, actor: &mut impl Actor, bell: &Listener) 
     actor.close(context)?;
     context.report.write();
     Ok(())
+}
+
+/// The first process of a set that comes here does not leave.
+fn loop_once(context: &StageContext) {
+    let is_first = std::fs::File::create_new(context.status_dir.join("endless-loop")).is_ok();
+    while is_first {
+        std::hint::spin_loop();
+    }
+}
+
+/// A test may want a stage to hang in an endless loop after so many scans.
+fn loops_after(stage: Stage) -> Option<u64> {
+    let (name, scans) = flockslam_telemetry::sabotage("endless-loop")?.split_once('@')?;
+    scans.parse().ok().filter(|_| name == stage.name())
 }

@@ -102,6 +102,8 @@ pub struct StageContext {
     pub report: ReportWriter,
     runtime: PathBuf,
     heartbeat: Heartbeat,
+    /// Scans that were followed while another process acted.
+    followed: u64,
     _endpoint: MetricsEndpoint,
 }
 
@@ -154,6 +156,7 @@ impl StageContext {
             stop,
             metrics,
             report: ReportWriter::new(&status_dir, &name),
+            followed: 0,
             heartbeat: Heartbeat::open(&heartbeat_file(&status_dir, &name)).map_err(|e| telemetry(&e))?,
             _endpoint: endpoint.map_err(|e| telemetry(&e))?,
             status_dir,
@@ -185,6 +188,12 @@ impl StageContext {
         self.report.dropped(reason);
     }
 
+    /// A process that stands by has followed the one that acts for so many more scans.
+    pub fn followed(&mut self, scans: u64) {
+        self.followed += scans;
+        self.alive();
+    }
+
     /// The stage has recovered what a predecessor knew, and works from now on.
     pub fn ready(&mut self) {
         self.heartbeat.set_ready();
@@ -195,7 +204,7 @@ impl StageContext {
     pub fn alive(&mut self) {
         let now_ns = monotonic_ns();
         self.metrics.alive(now_ns);
-        if let Err(error) = self.heartbeat.beat(now_ns, self.metrics.handled_count()) {
+        if let Err(error) = self.heartbeat.beat(now_ns, self.metrics.handled_count() + self.followed) {
             tracing::warn!(%error, "no heartbeat");
         }
     }

@@ -14,6 +14,7 @@ mod report;
 pub mod results;
 mod scan_journal;
 mod submap_store;
+mod turn;
 
 pub use actor::{Actor, run};
 pub use context::{Mode, StageContext, StageOptions, StopFlag, heartbeat_file, metrics_socket};
@@ -26,3 +27,4 @@ pub use progress::{Acknowledger, StreamEnd};
 pub use report::{ProcessReport, read_reports};
 pub use scan_journal::{JournalReader, JournalWriter, Journaled, journal_file};
 pub use submap_store::SubmapStore;
+pub use turn::{Turn, whose_turn};

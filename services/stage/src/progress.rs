@@ -46,6 +46,11 @@ impl Acknowledger {
         if self.message.done >= self.sent + self.step { self.send() } else { Ok(()) }
     }
 
+    /// As [`Self::finished`], by a process that another one speaks for.
+    pub fn note(&mut self, done: u64) {
+        self.message.done = self.message.done.max(done);
+    }
+
     /// Says so now, also to a source that has just started.
     ///
     /// # Errors

@@ -28,6 +28,15 @@ impl JournalWriter {
         Ok(Self { records: RecordWriter::open(&journal_file(directory))? })
     }
 
+    /// Opens the journal behind what `reader` has read of it, which is not looked at again.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_behind(directory: &Path, reader: &JournalReader) -> Result<Self, StageError> {
+        let good_bytes = reader.records.as_ref().map_or(0, RecordReader::good_bytes);
+        Ok(Self { records: RecordWriter::open_from(&journal_file(directory), good_bytes)? })
+    }
+
     /// Appends a pose, with its scan when it is to be inserted.
     ///
     /// # Errors

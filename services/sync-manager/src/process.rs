@@ -1,5 +1,8 @@
 //! The shell of sync-manager: joins poses, accepted scans and closed submaps, publishes corrections, and at the end
 //! stores the final trajectory and the fused map.
+//!
+//! Of several processes one speaks. The others take in the same and come to the same conclusions in silence, so that one of them
+//! goes on when it dies: recovering what it knew takes as long as all its searches.
 
 use crate::fuse::Fuser;
 use crate::{PlacedScan, Settings, Solution, SyncManager};
@@ -11,7 +14,7 @@ use flockslam_messages::{
 use flockslam_stage::results::{self, LayoutRow, StampedPose, Summary};
 use flockslam_stage::{
     Acknowledger, Actor, JournalReader, Mode, PendingScans, PoseQueue, StageContext, StageError, StreamEnd,
-    SubmapStore, run,
+    SubmapStore, Turn, run,
 };
 use flockslam_telemetry::monotonic_ns;
 use std::collections::BTreeMap;
@@ -26,12 +29,21 @@ mod trajectories;
 /// When the bus, the journal or the store fails.
 pub fn run_stage(context: &mut StageContext, settings: Settings) -> Result<(), StageError> {
     let bell = context.bus.listener(Stage::SyncManager.name())?;
-    let mut actor = SyncProcess::open(context, settings)?;
+    let turn = Turn::ask(context)?;
+    if context.mode == Mode::Exact && !turn.stand_by(context, &bell, |_| Ok(0))? {
+        return Ok(());
+    }
+    let mut actor = SyncProcess::open(context, settings, turn)?;
     run(context, &mut actor, &bell)
 }
 
 struct SyncProcess {
     logic: SyncManager,
+    turn: Turn,
+    /// This process speaks; otherwise it stands by.
+    acts: bool,
+    /// The last conclusion.
+    layout: Option<LayoutHeader>,
     /// Scans are handed to the logic, which places them anew.
     optimises: bool,
     /// All scans are matched once more at the end.
@@ -60,13 +72,20 @@ struct SyncProcess {
 }
 
 impl SyncProcess {
-    fn open(context: &mut StageContext, settings: Settings) -> Result<Self, StageError> {
+    fn open(context: &mut StageContext, settings: Settings, turn: Turn) -> Result<Self, StageError> {
+        let acts = turn.is_ours();
+        let own = context.result_dir.join(format!("{}-{}", context.stage.name(), context.replica));
+        let result_dir = if acts { context.result_dir.clone() } else { own };
+        std::fs::create_dir_all(&result_dir).map_err(|e| StageError::file(&result_dir, e))?;
         let bus = &context.bus;
         let mut process = Self {
             optimises: settings.enabled,
             refines: settings.refine,
             fuser: Fuser::new(SubmapStore::new(&context.submap_dir), &settings),
             logic: SyncManager::new(settings),
+            turn,
+            acts,
+            layout: None,
             store: SubmapStore::new(&context.submap_dir),
             scans: PendingScans::new(bus.scan_subscriber()?, context.capacity.window, 0),
             poses: PoseQueue::new(bus.subscriber()?, 0),
@@ -81,7 +100,7 @@ impl SyncProcess {
             supervisor: bus.ringer(flockslam_bus::SUPERVISOR_BELL)?,
             acknowledger: Acknowledger::open(context, 0)?,
             stream: StreamEnd::open(context)?,
-            trajectories: Trajectories::create(&context.result_dir)?,
+            trajectories: Trajectories::create(&result_dir)?,
             summary: Summary::default(),
             finished: false,
         };
@@ -94,7 +113,28 @@ impl SyncProcess {
         self.catch_up(u64::MAX, context)?;
         self.poses = PoseQueue::new(context.bus.subscriber()?, self.expected);
         self.scans.release_before(self.expected);
-        self.acknowledger.finished(self.expected)
+        self.done(self.expected)
+    }
+
+    /// The process that spoke is gone: from here on this one does, beginning with the last conclusion, which may not have been heard.
+    fn take_over(&mut self, context: &StageContext) -> Result<(), StageError> {
+        tracing::info!(stage = context.stage.name(), replica = context.replica, "takes over");
+        self.trajectories.move_to(&context.result_dir)?;
+        self.acts = true;
+        if let Some(layout) = &self.layout {
+            self.layouts.send(layout)?;
+            self.matcher.ring();
+        }
+        self.acknowledger.send()
+    }
+
+    /// Scans below this sequence are taken in.
+    fn done(&mut self, sequence: u64) -> Result<(), StageError> {
+        if self.acts {
+            return self.acknowledger.finished(sequence);
+        }
+        self.acknowledger.note(sequence);
+        Ok(())
     }
 
     /// Takes in what the journal has of scans before this sequence.
@@ -141,6 +181,10 @@ impl SyncProcess {
         let layout = self.logic.submap_closed(notice);
         self.trajectories.settled(&self.logic.take_settled())?;
         self.next_submap = notice.number + 1;
+        self.layout = Some(layout);
+        if !self.acts {
+            return Ok(());
+        }
         self.layouts.send(&layout)?;
         self.matcher.ring();
         let retired = self.fuser.follow(&self.logic.layout(), self.next_submap)?;
@@ -181,8 +225,12 @@ impl SyncProcess {
         }
         self.take_in(pose, scan)?;
         self.expected = self.expected.max(pose.id.sequence + 1);
-        context.handled(pose.id.sequence, started_ns, pose.times.monotonic_ns);
-        self.acknowledger.finished(pose.id.sequence + 1)?;
+        if self.acts {
+            context.handled(pose.id.sequence, started_ns, pose.times.monotonic_ns);
+        } else {
+            context.followed(1);
+        }
+        self.done(pose.id.sequence + 1)?;
         Ok(true)
     }
 
@@ -238,6 +286,9 @@ impl SyncProcess {
 
 impl Actor for SyncProcess {
     fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
+        if !self.acts && self.turn.is_ours() {
+            self.take_over(context)?;
+        }
         let mut any = false;
         loop {
             self.drain()?;
@@ -249,7 +300,8 @@ impl Actor for SyncProcess {
             any = true;
         }
         self.stream.drain()?;
-        if !self.finished
+        if self.acts
+            && !self.finished
             && self.stream.reached(self.acknowledger.done(), context.mode)
             && self.stream.submaps.is_some()
         {
@@ -261,6 +313,9 @@ impl Actor for SyncProcess {
     fn refresh(&mut self, _context: &mut StageContext) -> Result<(), StageError> {
         self.layouts.refresh();
         self.control.refresh();
+        if !self.acts {
+            return Ok(());
+        }
         self.acknowledger.send()?;
         if self.finished { self.repeat_the_end() } else { Ok(()) }
     }

@@ -35,6 +35,8 @@ pub struct Settings {
     /// Whether all scans are matched once more at the end, to the map that they make together, and entered into submaps anew at the
     /// poses found: what `flockslam map --refine` does. Nothing is settled or retires in such a run.
     pub refine: bool,
+    /// Processes of this stage: one speaks, the others know what it knows and stand by to go on in its place.
+    pub replicas: usize,
 }
 
 impl Default for Settings {
@@ -54,6 +56,7 @@ impl Default for Settings {
             final_nodes: 3,
             retire_covered_by: 8,
             refine: false,
+            replicas: 1,
         }
     }
 }

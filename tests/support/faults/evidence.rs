@@ -14,21 +14,22 @@ pub struct Evidence {
     pub poses: Vec<PoseEstimate>,
     /// Scans whose evidence is in the submaps.
     pub inserted: u64,
+    /// What is wrong with the files.
+    pub damage: Vec<String>,
 }
 
 impl Evidence {
     /// Of the map that a set has saved at its end.
     pub fn of(map: &SavedMap) -> Self {
-        let findings = map.check().unwrap();
-        assert!(findings.problems.is_empty(), "{findings:?}");
+        let damage = map.check().unwrap().problems;
         let mut journal = JournalReader::open(map.directory()).unwrap();
         let mut poses = Vec::new();
         while let Some(record) = journal.read_next().unwrap() {
             poses.push(record.pose);
         }
         let store = map.submaps();
-        let insertions = |number| u64::from(store.load(number).unwrap().insertions);
-        Self { poses, inserted: (0..store.count()).map(insertions).sum() }
+        let insertions = |number| store.load(number).map_or(0, |submap| u64::from(submap.insertions));
+        Self { poses, inserted: (0..store.count()).map(insertions).sum(), damage }
     }
 
     /// Accepted scans.
@@ -43,7 +44,7 @@ impl Evidence {
 
     /// What must not be: one line each.
     pub fn violations(&self) -> Vec<String> {
-        let mut violations = Vec::new();
+        let mut violations = self.damage.clone();
         if self.lost() > 0 {
             violations.push(format!("{} accepted scans are not in the map", self.lost()));
         }

@@ -2,12 +2,15 @@
 //! one (a table) are made of these.
 
 mod evidence;
+mod journal_cost;
 mod trials;
 
 pub use evidence::Evidence;
+pub use journal_cost::JournalCost;
 pub use trials::{
-    Trial, crashing_starts, everything_at_once, kills_of_each_stage, kills_while_saving, stops_of_each_stage,
-    storm,
+    Trial, crashing_starts, descriptors, endless_loop, everything_at_once, jumping_clock,
+    kills_of_each_stage, kills_of_who_acts, kills_while_saving, left_behind, sabotaged, stops_of_each_stage,
+    storm, too_much_is_left,
 };
 
 /// A small generator of seeded random numbers (splitmix64): the same seed, the same faults.

@@ -1,14 +1,19 @@
 use super::{Evidence, Seeded};
-use crate::support::{Drive, LiveSet, PoseWatch, building, of, run_well, send, truth_error_m, wait_for};
+use crate::support::{
+    Drive, LiveSet, PoseWatch, building, known_truth_error_m, of, run_well, send, truth_error_m, wait_for,
+};
 use flockslam::store::SavedMap;
 use flockslam::supervisor::{SetStatus, StageState};
 use flockslam_messages::Stage;
+use flockslam_stage::whose_turn;
 use rustix::process::Signal;
 use std::path::Path;
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 const SCAN_RATE_HZ: f64 = 40.0;
+/// What dead processes leave is cleaned up within this.
+const CLEAN_LIMIT: Duration = Duration::from_secs(5);
 /// Between two faults the set works for at least so many scans.
 const CALM_SCANS: usize = 20;
 
@@ -36,6 +41,17 @@ impl Trial {
         sorted.sort_by(f64::total_cmp);
         let place = (share * sorted.len().saturating_sub(1) as f64).ceil() as usize;
         sorted.get(place).copied().unwrap_or(f64::NAN)
+    }
+
+    /// Everything that should not be, the error among it.
+    pub fn complaints(&self) -> Vec<String> {
+        let mut complaints = self.violations.clone();
+        if let Some((error_m, calm_m)) =
+            self.error_m.filter(|(error_m, calm_m)| *error_m > 1.2 * calm_m + 0.02)
+        {
+            complaints.push(format!("the error is {error_m:.3} m, undisturbed {calm_m:.3} m"));
+        }
+        complaints
     }
 
     /// One line of the table.
@@ -68,9 +84,26 @@ struct Subject {
 
 impl Subject {
     fn start(test: &str, directory: &Path, duration_s: f64) -> Self {
+        Self::start_sabotaged(test, directory, duration_s, "")
+    }
+
+    /// As [`Subject::start`], with protections taken away from it.
+    fn start_sabotaged(test: &str, directory: &Path, duration_s: f64, sabotage: &str) -> Self {
+        Self::start_with(test, directory, duration_s, "", &[], sabotage)
+    }
+
+    fn start_with(
+        test: &str,
+        directory: &Path,
+        duration_s: f64,
+        more: &str,
+        arguments: &[String],
+        sabotage: &str,
+    ) -> Self {
         let drive = Drive { scan_rate_hz: SCAN_RATE_HZ, duration_s, rate: 1.0 };
         let map = directory.join("map");
-        let mut set = LiveSet::start(test, directory, drive, &format!("map = {map:?}"));
+        let more = format!("map = {map:?}\n{more}");
+        let mut set = LiveSet::start_sabotaged(test, directory, drive, &more, arguments, sabotage);
         set.wait_until("a first map", |status| {
             let working = |stage| of(status, stage).handled > 0;
             Stage::ALL.into_iter().all(working)
@@ -110,7 +143,10 @@ impl Subject {
         let evidence = Evidence::of(&map);
         trial.lost = evidence.lost();
         trial.violations.extend(evidence.violations());
-        trial.error_m = Some((truth_error_m(&outputs), undisturbed_error_m(drive.duration_s)));
+        match known_truth_error_m(&outputs) {
+            Some(error_m) => trial.error_m = Some((error_m, undisturbed_error_m(drive.duration_s))),
+            None => trial.violations.push("the trajectory is none".to_owned()),
+        }
     }
 }
 
@@ -154,12 +190,96 @@ fn disturb_each(what: &str, stages: &[Stage], runs: usize, seed: u64, signal: Si
             trial.recoveries_ms.push(subject.disturb(*stage, signal));
             trial.runs += 1;
             let after = subject.set.status().unwrap();
-            for (before, after) in before.stages.iter().zip(&after.stages) {
-                if before.stage != stage.name() && before.pid != after.pid {
-                    trial.violations.push(format!("{} was restarted with {}", after.stage, stage.name()));
-                }
-            }
+            trial.violations.extend(restarted_beside(*stage, &before, &after));
         }
+    }
+    subject.conclude(&mut trial);
+    trial
+}
+
+/// Stages that have another process than before, beside the one that something was done to.
+pub fn restarted_beside(stage: Stage, before: &SetStatus, after: &SetStatus) -> Vec<String> {
+    let pairs = before.stages.iter().zip(&after.stages);
+    let others = pairs.filter(|(before, after)| before.stage != stage.name() && before.pid != after.pid);
+    others.map(|(_, after)| format!("{} was restarted with {}", after.stage, stage.name())).collect()
+}
+
+/// Kills these stages at once, in a set that protections were taken away from. How that is noticed shows that the checks are some.
+pub fn sabotaged(sabotage: &str, stages: &[Stage], settings: &[&str]) -> Trial {
+    let directory = tempfile::tempdir().unwrap();
+    let mut trial = Trial { fault: format!("sabotage: {sabotage}"), ..Trial::default() };
+    let arguments: Vec<String> = settings.iter().flat_map(|set| ["--set", set]).map(str::to_owned).collect();
+    let mut subject = Subject::start_with("sabotage", directory.path(), 20.0, "", &arguments, sabotage);
+    let closed = subject.set.runtime_dir().join("submaps/000000.submap");
+    wait_for("a closed submap", || closed.exists().then_some(()));
+    let before = subject.calm_down();
+    let pids: Vec<_> = stages.iter().map(|stage| subject.set.pid(*stage)).collect();
+    let since = Instant::now();
+    pids.iter().for_each(|pid| send(*pid, Signal::KILL));
+    trial.recoveries_ms.push(subject.poses.back_after_ms(since));
+    let after = subject.calm_down();
+    trial.violations.extend(restarted_beside(stages[0], &before, &after));
+    trial.runs = 1;
+    subject.conclude(&mut trial);
+    trial
+}
+
+/// A stage that falls into an endless loop once it has handled some scans.
+pub fn endless_loop(stage: Stage) -> Trial {
+    let directory = tempfile::tempdir().unwrap();
+    let mut trial = Trial { fault: format!("endless loop of {}", stage.name()), ..Trial::default() };
+    let sabotage = format!("endless-loop:{}@30", stage.name());
+    let mut subject = Subject::start_sabotaged("loop", directory.path(), 20.0, &sabotage);
+    let before = subject.set.status().unwrap();
+    let after = subject.set.wait_until("a hang and a successor", |status| {
+        of(status, stage).hangs > 0 && of(status, stage).state == StageState::Running
+    });
+    trial.runs = of(&after, stage).hangs as usize;
+    subject.calm_down();
+    let seen = subject.poses.seen();
+    let gaps_ns = seen.windows(2).map(|pair| pair[1].seen_ns - pair[0].seen_ns);
+    trial.recoveries_ms.push(gaps_ns.max().unwrap_or(0) as f64 * 1e-6);
+    trial.violations.extend(restarted_beside(stage, &before, &after));
+    subject.conclude(&mut trial);
+    trial
+}
+
+/// The wall clock jumps by two hours every second, to and fro.
+pub fn jumping_clock(duration_s: f64) -> Trial {
+    let directory = tempfile::tempdir().unwrap();
+    let mut trial = Trial { fault: "the wall clock jumps".to_owned(), ..Trial::default() };
+    let mut subject = Subject::start_sabotaged("clock", directory.path(), duration_s, "wall-clock");
+    let status = subject.calm_down();
+    let restarted = status.stages.iter().filter(|stage| stage.restarts > 0);
+    trial.violations.extend(restarted.map(|stage| format!("{} was restarted", stage.stage)));
+    let map = subject.map.clone();
+    subject.conclude(&mut trial);
+    let hour_ns = 3_600_000_000_000_u64;
+    let jumps = |pair: &[flockslam_messages::PoseEstimate]| {
+        pair[0].times.utc_ns.abs_diff(pair[1].times.utc_ns) > hour_ns
+    };
+    trial.runs = Evidence::of(&map).poses.windows(2).filter(|pair| jumps(pair)).count();
+    assert!(trial.runs > 0, "the clock has jumped");
+    trial
+}
+
+/// SIGKILL of the process of a stage that acts while another one stands by, so many times.
+pub fn kills_of_who_acts(stage: Stage, runs: usize, seed: u64) -> Trial {
+    let (directory, mut random) = (tempfile::tempdir().unwrap(), Seeded::new(seed));
+    let mut trial = Trial { fault: format!("kill {} beside a stand-in", stage.name()), ..Trial::default() };
+    let more = format!("stages.{}.replicas = 2", stage.name());
+    let duration_s = (12.0 + 1.6 * runs as f64).ceil();
+    let mut subject = Subject::start_with("turns", directory.path(), duration_s, &more, &[], "");
+    let status_dir = subject.set.runtime_dir().join("status");
+    for _ in 0..runs {
+        subject.calm_down();
+        std::thread::sleep(Duration::from_millis(random.below(25)));
+        let acts = whose_turn(&status_dir, stage.name()).unwrap();
+        let since = Instant::now();
+        send(acts, Signal::KILL);
+        trial.recoveries_ms.push(subject.poses.back_after_ms(since));
+        wait_for("a successor", || whose_turn(&status_dir, stage.name()).filter(|pid| *pid != acts));
+        trial.runs += 1;
     }
     subject.conclude(&mut trial);
     trial
@@ -240,7 +360,7 @@ pub fn kills_while_saving(runs: usize, seed: u64) -> Trial {
 }
 
 /// What the shared memory of a set consists of: objects, nodes, files.
-fn left_behind(robot: &str) -> usize {
+pub fn left_behind(robot: &str) -> usize {
     let count = |directory: &Path, wanted: &str| {
         let names = std::fs::read_dir(directory).map(|entries| entries.flatten().collect::<Vec<_>>());
         let named = |entry: &std::fs::DirEntry| entry.file_name().to_string_lossy().contains(wanted);
@@ -252,7 +372,27 @@ fn left_behind(robot: &str) -> usize {
     count(Path::new("/dev/shm"), robot) + inside
 }
 
-fn descriptors(pid: u32) -> usize {
+/// What a set leaves behind and holds more than at first, once it has had the time to clean up.
+pub fn too_much_is_left(set: &LiveSet, objects: usize, files: usize) -> Option<String> {
+    // 64 reports of dead processes are kept, and what they leave until then is cleaned up once a second.
+    let (objects_max, files_max) = (objects + 64 + 60, files + 8);
+    let since = Instant::now();
+    loop {
+        let found = (left_behind(set.robot()), descriptors(set.supervisor_pid()));
+        if found.0 <= objects_max && found.1 <= files_max {
+            return None;
+        }
+        if since.elapsed() > CLEAN_LIMIT {
+            return Some(format!(
+                "{} objects, {} descriptors; at first {objects}, {files}",
+                found.0, found.1
+            ));
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+pub fn descriptors(pid: u32) -> usize {
     std::fs::read_dir(format!("/proc/{pid}/fd")).map_or(0, Iterator::count)
 }
 
@@ -280,12 +420,7 @@ pub fn crashing_starts(stage: Stage, runs: usize, seed: u64) -> Trial {
         of(status, stage).handled > 0 && of(status, stage).state == StageState::Running
     });
     trial.recoveries_ms.push(since.elapsed().as_secs_f64() * 1e3);
-    // 64 reports of dead processes are kept, and what they leave until then is cleaned up once a second.
-    let (objects_max, files_max) = (objects + 64 + 60, files + 8);
-    wait_for("what is left behind to be cleaned up", || {
-        let found = (left_behind(set.robot()), descriptors(set.supervisor_pid()));
-        (found.0 <= objects_max && found.1 <= files_max).then_some(())
-    });
+    trial.violations.extend(too_much_is_left(&set, objects, files));
     set.command_well(&["down"]);
     assert_eq!(set.wait(), Some(0));
     trial

@@ -4,7 +4,7 @@ use super::last_pose;
 use crate::{ScanMatcher, Settings};
 use flockslam_bus::{Publisher, ScanSubscriber};
 use flockslam_messages::{PoseEstimate, Stage};
-use flockslam_stage::{Acknowledger, Actor, JournalWriter, StageContext, StageError, run};
+use flockslam_stage::{Acknowledger, Actor, JournalWriter, StageContext, StageError, Turn, run};
 use flockslam_telemetry::monotonic_ns;
 
 /// Runs in the place of the stage until it is asked to stop. Nothing is matched and nothing enters the map; each pose is `degraded`.
@@ -13,6 +13,11 @@ use flockslam_telemetry::monotonic_ns;
 /// When the bus fails.
 pub fn run_stand_in(context: &mut StageContext, settings: Settings) -> Result<(), StageError> {
     let bell = context.bus.listener(Stage::ScanMatcher.name())?;
+    // Another process of the stage may work well.
+    let turn = Turn::ask(context)?;
+    if !turn.stand_by(context, &bell, |_| Ok(0))? {
+        return Ok(());
+    }
     let mut logic = ScanMatcher::new(settings);
     // A journal that cannot be used may be why this process is needed.
     let last = last_pose(context).ok().flatten();

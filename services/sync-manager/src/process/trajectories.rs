@@ -38,6 +38,16 @@ impl Trajectories {
         })
     }
 
+    /// Goes on in another directory, in place of what lies there.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub fn move_to(&mut self, directory: &Path) -> Result<(), StageError> {
+        self.directory = directory.to_owned();
+        self.online.move_to(directory)?;
+        self.settled.move_to(directory)
+    }
+
     /// Adds a pose as it was published.
     ///
     /// # Errors
@@ -99,6 +109,13 @@ impl<T: FromBytes + IntoBytes + Immutable> RowFile<T> {
     fn create(path: PathBuf) -> Result<Self, StageError> {
         let file = File::create(&path).map_err(|e| StageError::file(&path, e))?;
         Ok(Self { file: BufWriter::new(file), path, rows: std::marker::PhantomData })
+    }
+
+    fn move_to(&mut self, directory: &Path) -> Result<(), StageError> {
+        let to = directory.join(self.path.file_name().expect("a file of rows has a name"));
+        std::fs::rename(&self.path, &to).map_err(|e| StageError::file(&self.path, e))?;
+        self.path = to;
+        Ok(())
     }
 
     fn push(&mut self, row: &T) -> Result<(), StageError> {

@@ -1,0 +1,114 @@
+use crate::{Mode, StageContext, StageError};
+use flockslam_bus::{BellRinger, Listener};
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
+
+/// Who stands by looks around so often when nothing rings.
+const LOOK: Duration = Duration::from_millis(100);
+
+/// The right to act for a stage of which several processes run, one of them at a time: a lock on a file, which the kernel takes
+/// from a process that dies, however it dies, and hands on to the next at once.
+pub struct Turn {
+    ours: Arc<AtomicBool>,
+    // Held as long as the process lives.
+    _file: Arc<File>,
+}
+
+impl Turn {
+    /// Asks for the turn of the process' stage. Should another process have it, a thread waits for that one's end and rings the
+    /// stage's bell then.
+    ///
+    /// # Errors
+    /// When the lock cannot be had for another reason than that.
+    pub fn ask(context: &StageContext) -> Result<Self, StageError> {
+        let path = turn_file(&context.status_dir, context.stage.name());
+        let options = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
+        let file = Arc::new(options.map_err(|e| StageError::file(&path, e))?);
+        let ours = Arc::new(AtomicBool::new(false));
+        match file.try_lock() {
+            Ok(()) => take(&file, &ours),
+            Err(TryLockError::WouldBlock) => {
+                let (file, ours, join) = (Arc::clone(&file), Arc::clone(&ours), context.joiner());
+                let bell = context.stage.name();
+                let waits = move || {
+                    let bus = join();
+                    let bell = bus.as_ref().and_then(|bus| bus.ringer(bell).ok());
+                    while let Err(error) = file.lock() {
+                        if error.kind() != std::io::ErrorKind::Interrupted {
+                            tracing::error!(%error, "the turn cannot be waited for");
+                            return;
+                        }
+                    }
+                    take(&file, &ours);
+                    bell.iter().for_each(BellRinger::ring);
+                };
+                let started = thread::Builder::new().name("turn".to_owned()).spawn(waits);
+                started.map_err(|e| StageError::file(&path, e))?;
+            }
+            Err(TryLockError::Error(error)) => return Err(StageError::file(&path, error)),
+        }
+        Ok(Self { ours, _file: file })
+    }
+
+    /// Whether it is this process that acts.
+    pub fn is_ours(&self) -> bool {
+        self.ours.load(Ordering::Acquire)
+    }
+
+    /// Stands by until the turn comes: `follow` is called whenever the stage's bell has rung, and gives the number of scans that it
+    /// has followed. False when the process shall end instead.
+    ///
+    /// # Errors
+    /// What `follow` could not go on from.
+    pub fn stand_by(
+        &self,
+        context: &mut StageContext,
+        bell: &Listener,
+        mut follow: impl FnMut(&mut StageContext) -> Result<u64, StageError>,
+    ) -> Result<bool, StageError> {
+        if self.is_ours() {
+            return Ok(true);
+        }
+        context.ready();
+        while context.mode == Mode::Exact {
+            // A death ends an exact replay, so there is nothing to follow and nothing to take over.
+            if context.stop.is_set() {
+                return Ok(false);
+            }
+            context.alive();
+            thread::sleep(LOOK);
+        }
+        while !self.is_ours() {
+            if context.stop.is_set() {
+                return Ok(false);
+            }
+            let followed = follow(context)?;
+            context.followed(followed);
+            bell.wait(LOOK)?;
+        }
+        tracing::info!(stage = context.stage.name(), replica = context.replica, "takes over");
+        Ok(true)
+    }
+}
+
+fn take(mut file: &File, ours: &AtomicBool) {
+    // Only a note for the supervisor, so that it can spare the process when it stops others.
+    let _ = file.set_len(0);
+    let _ = file.seek(SeekFrom::Start(0));
+    let _ = file.write_all(std::process::id().to_string().as_bytes());
+    ours.store(true, Ordering::Release);
+}
+
+fn turn_file(status_dir: &Path, stage: &str) -> PathBuf {
+    status_dir.join(format!("{stage}.turn"))
+}
+
+/// The process of a stage that has its turn, as far as is known.
+pub fn whose_turn(status_dir: &Path, stage: &str) -> Option<u32> {
+    std::fs::read_to_string(turn_file(status_dir, stage)).ok()?.trim().parse().ok()
+}

@@ -1,0 +1,64 @@
+//! Each check of the fault suite fails when the protection that it looks after is taken away, or what it reads is damaged.
+
+mod support;
+
+use flockslam_messages::Stage;
+use support::faults::{Trial, descriptors, left_behind, sabotaged, too_much_is_left};
+use support::{Drive, LiveSet};
+
+fn complains(trial: &Trial, of: &str) {
+    let complaints = trial.complaints();
+    println!("{}: {complaints:#?}", trial.fault);
+    assert!(
+        complaints.iter().any(|complaint| complaint.contains(of)),
+        "no word of \"{of}\": {complaints:#?}"
+    );
+}
+
+#[test]
+fn a_set_as_it_is_gives_no_reason_to_complain() {
+    let trial = sabotaged("nothing", &[Stage::Mapper], &[]);
+    assert!(trial.complaints().is_empty(), "{:#?}", trial.complaints());
+}
+
+#[test]
+fn a_mapper_that_does_not_replay_the_journal_loses_accepted_scans() {
+    complains(&sabotaged("no-replay", &[Stage::Mapper], &[]), "accepted scans are not in the map");
+}
+
+#[test]
+fn a_mapper_that_replays_what_it_has_in_store_has_scans_twice() {
+    complains(&sabotaged("replay-twice", &[Stage::Mapper], &[]), "scans are in the map twice");
+}
+
+#[test]
+fn a_matcher_that_begins_anew_is_not_where_it_was() {
+    // Without wheels that would tell it.
+    let trial = sabotaged("no-resume", &[Stage::ScanMatcher], &["lidar_ingest.odometry=false"]);
+    complains(&trial, "the pose jumps");
+    complains(&trial, "the error is");
+}
+
+#[test]
+fn a_source_and_a_matcher_that_forget_where_they_were_repeat_scans() {
+    let trial = sabotaged("no-resume,no-cursor", &[Stage::ScanMatcher, Stage::LidarIngest], &[]);
+    complains(&trial, "comes after scan");
+    complains(&trial, "lidar-ingest was restarted with scan-matcher");
+}
+
+#[test]
+fn litter_in_shared_memory_is_noticed() {
+    let directory = tempfile::tempdir().unwrap();
+    let drive = Drive { scan_rate_hz: 20.0, duration_s: 600.0, rate: 1.0 };
+    let mut set = LiveSet::start("litter", directory.path(), drive, "");
+    set.wait_until_handled(Stage::Mapper, 1);
+    let (objects, files) = (left_behind(set.robot()), descriptors(set.supervisor_pid()));
+    assert_eq!(too_much_is_left(&set, objects, files), None);
+    let status_dir = set.runtime_dir().join("status");
+    for i in 0..200 {
+        std::fs::write(status_dir.join(format!("{i}.litter")), b"").unwrap();
+    }
+    assert!(too_much_is_left(&set, objects, files).is_some());
+    set.command_well(&["down"]);
+    assert_eq!(set.wait(), Some(0));
+}

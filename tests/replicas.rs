@@ -1,0 +1,134 @@
+//! Several processes of a stage: the same bytes in exact replay, and none is missed when they come, go or die in a live set.
+
+mod support;
+
+use flockslam::store::SavedMap;
+use flockslam::supervisor::{SetStatus, StageState};
+use flockslam_messages::Stage;
+use flockslam_stage::whose_turn;
+use rustix::process::Signal;
+use std::path::Path;
+use std::time::Instant;
+use support::faults::Evidence;
+use support::{Drive, LiveSet, Outputs, PoseWatch, building, run_well, send, wait_for};
+
+const REPEATED: [&str; 4] = ["trajectory.tum", "trajectory_online.tum", "map.pgm", "map.yaml"];
+
+/// A world in which things move, so that the cleaner has something to clear, replayed with so many processes of some stages.
+fn replay(directory: &Path, stages: &[Stage], replicas: usize) -> Outputs {
+    let mut args = building(60);
+    args.extend(["--set".to_owned(), "simulation.walkers=4".to_owned()]);
+    for stage in stages {
+        let section = stage.name().replace('-', "_");
+        args.extend(["--set".to_owned(), format!("{section}.replicas={replicas}")]);
+    }
+    run_well("replicas", directory, &args)
+}
+
+#[test]
+fn exact_replay_gives_the_same_bytes_with_any_number_of_processes() {
+    let directory = tempfile::tempdir().unwrap();
+    let alone = replay(&directory.path().join("alone"), &[], 1);
+    let same = |name: String, outputs: Outputs, stages: &[Stage], replicas: usize| {
+        for file in REPEATED {
+            assert!(alone.bytes(file) == outputs.bytes(file), "{name}: {file} differs");
+        }
+        assert_eq!(alone.report.map_hash, outputs.report.map_hash, "{name}");
+        for stage in stages {
+            assert_eq!(outputs.report.stages[stage.name()].pids.len(), replicas, "{name}");
+        }
+    };
+    for stage in Stage::ALL {
+        let outputs = replay(&directory.path().join(stage.name()), &[stage], 2);
+        same(format!("two of {}", stage.name()), outputs, &[stage], 2);
+    }
+    let outputs = replay(&directory.path().join("all"), &Stage::ALL, 3);
+    same("three of each stage".to_owned(), outputs, &Stage::ALL, 3);
+}
+
+fn processes_of(status: &SetStatus, stage: Stage) -> Vec<(u32, StageState)> {
+    let of_stage = status.stages.iter().filter(|found| found.stage == stage.name());
+    of_stage.map(|found| (found.pid.unwrap_or(0), found.state)).collect()
+}
+
+fn others(status: &SetStatus, stage: Stage) -> Vec<(String, Option<u32>)> {
+    let others = status.stages.iter().filter(|found| found.stage != stage.name());
+    others.map(|found| (found.stage.clone(), found.pid)).collect()
+}
+
+/// A set that drives and keeps its map, and its poses.
+struct Subject {
+    set: LiveSet,
+    poses: PoseWatch,
+    map: SavedMap,
+}
+
+impl Subject {
+    fn start(directory: &Path, more: &str) -> Self {
+        let drive = Drive { scan_rate_hz: 20.0, duration_s: 60.0, rate: 2.0 };
+        let map = directory.join("map");
+        let mut set = LiveSet::start("replica", directory, drive, &format!("map = {map:?}\n{more}"));
+        set.wait_until_handled(Stage::Mapper, 1);
+        let poses = PoseWatch::start(&set.runtime_dir());
+        Self { set, poses, map: SavedMap::at(&map) }
+    }
+
+    fn wait_until_all_run(&mut self, stage: Stage, count: usize) -> SetStatus {
+        let what = format!("{count} of {} to run", stage.name());
+        let status = self.set.wait_until(&what, |status| {
+            let processes = processes_of(status, stage);
+            processes.len() == count && processes.iter().all(|(_, state)| *state == StageState::Running)
+        });
+        let seen = self.poses.seen().len();
+        wait_for("more poses", || (self.poses.seen().len() > seen + 10).then_some(()));
+        status
+    }
+
+    /// The drive ends; every scan has a pose, and every accepted one is in the map once.
+    fn conclude(self) {
+        let Self { set, poses, map } = self;
+        set.finish();
+        let sequences: Vec<_> = poses.seen().iter().map(|seen| seen.pose.id.sequence).collect();
+        let gaps: Vec<_> = sequences.windows(2).filter(|pair| pair[1] != pair[0] + 1).collect();
+        assert!(gaps.is_empty(), "every scan has a pose: {gaps:?}");
+        let evidence = Evidence::of(&map);
+        assert!(evidence.violations().is_empty(), "{:#?}", evidence.violations());
+        println!("{} poses, {} accepted scans in the map", evidence.poses.len(), evidence.inserted);
+    }
+}
+
+#[test]
+fn each_stage_gets_a_second_process_and_loses_it_again_without_a_lost_scan() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut subject = Subject::start(directory.path(), "");
+    for stage in Stage::ALL {
+        let before = subject.wait_until_all_run(stage, 1);
+        for count in [2, 1] {
+            subject.set.command_well(&["scale", &format!("{}={count}", stage.name())]);
+            let after = subject.wait_until_all_run(stage, count);
+            assert_eq!(others(&before, stage), others(&after, stage), "no other stage is restarted");
+        }
+    }
+    subject.conclude();
+}
+
+#[test]
+fn who_stands_by_goes_on_with_the_next_scan_when_the_one_that_acts_is_killed() {
+    let directory = tempfile::tempdir().unwrap();
+    let stages = [Stage::ScanMatcher, Stage::SyncManager, Stage::LidarIngest];
+    let twice: String =
+        stages.iter().map(|stage| format!("stages.{}.replicas = 2\n", stage.name())).collect();
+    let mut subject = Subject::start(directory.path(), &twice);
+    for stage in stages {
+        subject.wait_until_all_run(stage, 2);
+        let status_dir = subject.set.runtime_dir().join("status");
+        let acts = whose_turn(&status_dir, stage.name()).unwrap();
+        let since = Instant::now();
+        send(acts, Signal::KILL);
+        let back_ms = subject.poses.back_after_ms(since);
+        wait_for("another to act", || whose_turn(&status_dir, stage.name()).filter(|pid| *pid != acts));
+        println!("{} killed: the next pose after {back_ms:.0} ms", stage.name());
+        subject.wait_until_all_run(stage, 2);
+    }
+    subject.conclude();
+}
