@@ -6,11 +6,13 @@
 
 mod benchmark;
 mod log;
+mod moved_map;
 mod outputs;
 mod running;
 
 pub use benchmark::{benchmark_file, evaluate_relations};
 pub use log::simulated_log;
+pub use moved_map::{MapFigures, Share};
 pub use outputs::{Outputs, truth_error_m};
 pub use running::{RunningSet, send};
 

@@ -20,6 +20,7 @@ use flockslam_telemetry::{monotonic_ns, utc_ns};
 use pacer::Pacer;
 use std::path::PathBuf;
 use std::time::Duration;
+pub use world_file::read as read_world;
 
 /// Where scans come from.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]

@@ -1,6 +1,7 @@
+use crate::newcomers::Newcomers;
 use crate::settings::Settings;
 use crate::window::Window;
-use flockslam_evidence::{CellIndex, SensorModel, Submap, Tile, TileKey};
+use flockslam_evidence::{CellIndex, SensorModel, Submap, Tile, TileKey, floor};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{ClearedCell, Deskew, PoseEstimate, ScanView};
 use std::collections::VecDeque;
@@ -18,7 +19,11 @@ pub struct Mapper {
     number: u32,
     chain: u32,
     generation: u64,
+    newcomers: Newcomers,
+    /// Where the beams of the scan at hand end, in odom.
     ends: Vec<Point>,
+    /// Those of them that are not known to be more than somebody who walks by.
+    held_back: Vec<Point>,
 }
 
 #[derive(Debug)]
@@ -58,7 +63,9 @@ impl Mapper {
             number: 0,
             chain: 0,
             generation: 0,
+            newcomers: Newcomers::default(),
             ends: Vec::new(),
+            held_back: Vec::new(),
             settings,
         }
     }
@@ -96,10 +103,12 @@ impl Mapper {
         let odom_from_base = pose.odom_from_base;
         let odom_from_laser = odom_from_base * scan.header().base_from_laser;
         self.take_ends(scan, pose);
-        self.model.insert(
+        let hits = self.hold_back_newcomers(pose.times.sensor_ns);
+        self.model.insert_hits(
             self.settings.cell_size_m,
             odom_from_laser.position(),
             &self.ends,
+            hits,
             &mut self.window,
         );
         self.window.end_rays();
@@ -175,6 +184,39 @@ impl Mapper {
         }
     }
 
+    /// Moves the ends that need to be seen again behind the others; gives the number of the others. Where something has been
+    /// seen often enough, the map forgets that nothing stood there.
+    fn hold_back_newcomers(&mut self, stamp_ns: i64) -> usize {
+        let views = self.settings.newcomer_views;
+        if views <= 1 {
+            return self.ends.len();
+        }
+        let (mut ends, mut held_back) = (std::mem::take(&mut self.ends), std::mem::take(&mut self.held_back));
+        let scan = self.generation as u32 + 1;
+        ends.retain(|end| {
+            let cell = self.cell_at(*end);
+            if !self.window.is_clear(cell) {
+                return true;
+            }
+            let stays = self.newcomers.seen(cell, scan, stamp_ns) >= views;
+            if stays {
+                self.forget(cell);
+            } else {
+                held_back.push(*end);
+            }
+            stays
+        });
+        let hits = ends.len();
+        ends.append(&mut held_back);
+        (self.ends, self.held_back) = (ends, held_back);
+        hits
+    }
+
+    fn cell_at(&self, point: Point) -> CellIndex {
+        let index = |metres: f64| floor(metres / self.settings.cell_size_m);
+        CellIndex::new(index(point.x_m), index(point.y_m))
+    }
+
     /// Counts the scan into the active submap; true when it was its last.
     fn advance(&mut self, sequence: u64, pose: Pose) -> bool {
         let active = self.active.get_or_insert(ActiveSubmap {
@@ -239,6 +281,16 @@ impl Mapper {
     /// Takes stale evidence out of a cell: the active submap loses what says "occupied", closed ones get it masked.
     fn clear(&mut self, cell: CellIndex) {
         self.window.clear(cell);
+        self.mask(cell);
+    }
+
+    /// Takes all evidence out of a cell: something stands where nothing stood.
+    fn forget(&mut self, cell: CellIndex) {
+        self.window.forget(cell);
+        self.mask(cell);
+    }
+
+    fn mask(&mut self, cell: CellIndex) {
         for submap in &mut self.closed {
             submap.clear(cell);
         }

@@ -19,6 +19,9 @@ pub struct Settings {
     pub range_max_m: f64,
     /// Whether returns with nothing near beside them (dust, rain, false returns; never those within 2 m) are not inserted.
     pub skip_isolated: bool,
+    /// What stands where the map knows free space enters it once so many scans, at least 0.3 s apart, have seen it there: who
+    /// walks by leaves no trail. 1 = at once.
+    pub newcomer_views: u8,
     /// Score that the matcher reads.
     pub read_out: ReadOut,
     /// Evidence for "occupied" counts at most this much in the score, nat.
@@ -64,6 +67,7 @@ impl Default for Settings {
             range_min_m: 0.4,
             range_max_m: 30.0,
             skip_isolated: true,
+            newcomer_views: 3,
             read_out: ReadOut::Occupied,
             occupied_cap_nat: 20.0,
             free_cap_nat: 5.0,
@@ -82,6 +86,7 @@ impl Settings {
             sensor_model: SensorModelKind::Vinyslam,
             range_min_m: 0.0,
             skip_isolated: false,
+            newcomer_views: 1,
             read_out: ReadOut::Vinyslam,
             occupied_cap_nat: 16.0,
             free_cap_nat: 16.0,

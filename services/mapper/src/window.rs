@@ -3,8 +3,15 @@ use crate::settings::Settings;
 use crate::window_tile::WindowTile;
 use flockslam_evidence::{
     Cell, CellIndex, CrossedCells, ObservedCells, PackedCell, Ray, Submap, SubmapTile, TILE_CELLS, Tile,
-    TileDirectory, TileKey,
+    TileDirectory, TileKey, WEIGHT_SCALE,
 };
+
+/// A cell with this much evidence for "free", nat, was looked through by several scans.
+const CLEAR_NAT: f64 = 1.5;
+/// A score above the middle: the evidence for "occupied" outweighs that for "free".
+const OCCUPIED_SCORE: u16 = u16::MAX / 2;
+/// What stands within this distance of a cell, cells, may be what was seen in it.
+const NEAR_CELLS: i32 = 2;
 
 /// The grid that is matched: the integer sum of the active submap and of closed ones, with its published form.
 #[derive(Debug)]
@@ -87,11 +94,39 @@ impl Window {
         self.tiles.iter().map(|(key, _)| key)
     }
 
+    /// Whether a cell is known to be free, with nothing that stands near it.
+    pub(crate) fn is_clear(&self, cell: CellIndex) -> bool {
+        let tile_of = |cell: CellIndex| self.tiles.get(cell.tile());
+        let stands = |cell: CellIndex| {
+            tile_of(cell).is_some_and(|tile| tile.published.score[cell.offset()] > OCCUPIED_SCORE)
+        };
+        let known_free = tile_of(cell).is_some_and(|tile| {
+            f64::from(tile.published.cells[cell.offset()].free) >= CLEAR_NAT * WEIGHT_SCALE
+        });
+        let around = -NEAR_CELLS..=NEAR_CELLS;
+        known_free
+            && around.clone().all(|dy| {
+                around
+                    .clone()
+                    .all(|dx| !stands(CellIndex::new(cell.x.saturating_add(dx), cell.y.saturating_add(dy))))
+            })
+    }
+
     /// Leaves of a cell's evidence only the active submap's for "free".
     pub(crate) fn clear(&mut self, cell: CellIndex) {
+        self.leave(cell, |active| PackedCell { occupied: 0, ..active });
+    }
+
+    /// Leaves nothing of a cell's evidence.
+    pub(crate) fn forget(&mut self, cell: CellIndex) {
+        self.leave(cell, |_| PackedCell::UNKNOWN);
+    }
+
+    /// Leaves of a cell's evidence a part of the active submap's.
+    fn leave(&mut self, cell: CellIndex, part: impl Fn(PackedCell) -> PackedCell) {
         if let Some(tile) = self.tiles.get_mut(cell.tile()) {
             let active = &mut tile.active[cell.offset()];
-            active.occupied = 0;
+            *active = part(*active);
             let left = active.unpack();
             tile.set_sum(cell.offset(), left, &mut self.scores);
             self.touch(cell.tile());

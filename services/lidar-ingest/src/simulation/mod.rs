@@ -12,6 +12,7 @@ mod drawing;
 mod drive;
 mod dynamics;
 mod floor_plan;
+mod ground_truth;
 mod image;
 mod index;
 mod label;
@@ -24,6 +25,7 @@ mod wheels;
 mod world;
 
 pub use dynamics::MoverTruth;
+pub use ground_truth::{CellTruth, GroundTruth};
 pub use image::{ImageWorld, SimulationError};
 pub use label::BeamLabel;
 pub use settings::{Settings, WorldName};
@@ -113,6 +115,11 @@ impl Simulation {
     /// What each beam of the last scan ended on: exact, for measurements. No message carries it.
     pub fn labels(&self) -> &[BeamLabel] {
         self.lidar.labels()
+    }
+
+    /// Exact pose `world_from_laser`, so many seconds after the last scan's stamp.
+    pub fn laser_at(&self, seconds: f64) -> Pose {
+        self.drive.last_turn().pose_after(seconds) * self.lidar.mount()
     }
 
     /// Who moved, and how, at the last scan's stamp: exact, for measurements. No message carries it.
