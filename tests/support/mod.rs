@@ -12,7 +12,7 @@ mod running;
 
 pub use benchmark::{benchmark_file, evaluate_relations};
 pub use log::simulated_log;
-pub use moved_map::{MapFigures, Share};
+pub use moved_map::{MapFigures, occupied_cells};
 pub use outputs::{Outputs, truth_error_m};
 pub use running::{RunningSet, send};
 

@@ -10,6 +10,8 @@ use std::fmt;
 const OFF_CELLS: i32 = 2;
 /// What has left this near to something that stands cannot be told from it, cells.
 const NEAR_CELLS: i32 = 3;
+/// The true trajectory of a simulated drive.
+const TRUTH: &str = "truth.tum";
 /// Views after which what has left should be gone.
 pub const VIEWS: u8 = 3;
 
@@ -23,12 +25,14 @@ pub struct Share {
 /// Figures of a map.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct MapFigures {
-    /// Cells of the world itself that the map has.
+    /// Cells of the world itself that the map has, of those that a map has from which nothing is removed.
     pub kept: Share,
     /// Of those, cells that were seen at grazing angles or from far away alone.
     pub kept_hard: Share,
     /// Cells that something has left, viewed free at least three times since, that the map does not show as occupied.
     pub removed: Share,
+    /// Of those, cells that a map shows from which nothing is removed.
+    pub removed_ghosts: Share,
 }
 
 impl Share {
@@ -44,19 +48,24 @@ impl Share {
 }
 
 impl MapFigures {
-    /// Compares the map of a run with the truth of its drive.
-    pub fn of(outputs: &Outputs, truth: &GroundTruth) -> Self {
-        let map = Map::read(outputs);
+    /// Compares the map of a run with the truth of its drive, and with the map of a run that removed nothing.
+    pub fn of(outputs: &Outputs, uncleaned: &Outputs, truth: &GroundTruth) -> Self {
+        let (map, uncleaned) = (Map::read(outputs, Some(TRUTH)), Map::read(uncleaned, Some(TRUTH)));
         let mut figures = Self::default();
         for (index, cell) in truth.cells() {
-            if cell.is_static() {
-                let kept = map.shows(truth.center(index), cell.met_by, OFF_CELLS);
+            let shown_in = |map: &Map, reach: i32| map.shows(truth.center(index), cell.met_by, reach);
+            if cell.is_static() && shown_in(&uncleaned, 0) {
+                let kept = shown_in(&map, OFF_CELLS);
                 figures.kept.count(kept);
                 if !cell.is_plain {
                     figures.kept_hard.count(kept);
                 }
             } else if has_left(cell) && !stands_near(truth, index) {
-                figures.removed.count(!map.shows(truth.center(index), cell.met_by, 0));
+                let removed = !shown_in(&map, 0);
+                figures.removed.count(removed);
+                if shown_in(&uncleaned, 0) {
+                    figures.removed_ghosts.count(removed);
+                }
             }
         }
         figures
@@ -73,13 +82,15 @@ impl fmt::Display for MapFigures {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "SA {:.2} % of {} (hard to see: {:.2} % of {}), DA {:.2} % of {}, HA {:.2}",
+            "SA {:.2} % of {} (hard to see: {:.2} % of {}), DA {:.2} % of {} (of ghosts otherwise: {:.2} % of {}), HA {:.2}",
             self.kept.percent(),
             self.kept.of,
             self.kept_hard.percent(),
             self.kept_hard.of,
             self.removed.percent(),
             self.removed.of,
+            self.removed_ghosts.percent(),
+            self.removed_ghosts.of,
             self.harmonic()
         )
     }
@@ -108,15 +119,17 @@ struct Map {
 }
 
 impl Map {
-    fn read(outputs: &Outputs) -> Self {
+    /// Reads a map; `truth` is the name of the true trajectory, if it matters where a scan saw something.
+    fn read(outputs: &Outputs, truth: Option<&str>) -> Self {
         let yaml = String::from_utf8(outputs.bytes("map.yaml")).unwrap();
         let value =
             |key: &str| yaml.lines().find_map(|line| line.strip_prefix(key)).unwrap().trim().to_owned();
         let origin = value("origin:");
         let numbers: Vec<f64> =
             origin.trim_matches(['[', ']']).split(',').map(|number| number.trim().parse().unwrap()).collect();
-        let (poses, truth) = (outputs.trajectory("trajectory.tum"), outputs.trajectory("truth.tum"));
-        assert_eq!(poses.len(), truth.len());
+        let truth = truth.map_or_else(Vec::new, |name| outputs.trajectory(name));
+        let poses = outputs.trajectory("trajectory.tum");
+        assert!(truth.is_empty() || poses.len() == truth.len());
         let map_from_world = poses.iter().zip(&truth);
         Self {
             picture: image::open(outputs.directory.join("map.pgm")).unwrap().into_luma8(),
@@ -141,4 +154,20 @@ impl Map {
         let inside = (0..width).contains(&cell.x) && (0..height).contains(&cell.y);
         inside && self.picture.get_pixel(cell.x as u32, (height - 1 - cell.y) as u32).0[0] == 0
     }
+
+    /// Centres of all occupied cells, in the frame of the map.
+    fn occupied(&self) -> Vec<Point> {
+        let (width, height) = (self.picture.width() as i32, self.picture.height() as i32);
+        let cells = (0..height).flat_map(|y| (0..width).map(move |x| CellIndex::new(x, y)));
+        let middle = |origin: f64, index: i32| origin + (f64::from(index) + 0.5) * self.cell_size_m;
+        cells
+            .filter(|cell| self.is_occupied(*cell))
+            .map(|cell| Point::new(middle(self.origin.x_m, cell.x), middle(self.origin.y_m, cell.y)))
+            .collect()
+    }
+}
+
+/// Centres of the occupied cells of a run's map, in the frame of the map.
+pub fn occupied_cells(outputs: &Outputs) -> impl Iterator<Item = Point> {
+    Map::read(outputs, None).occupied().into_iter()
 }

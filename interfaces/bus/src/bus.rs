@@ -8,7 +8,7 @@ use crate::{
 };
 use flockslam_messages::{
     Commit, Control, LayoutHeader, MarksHeader, PoseEstimate, Progress, ScanHeader, ScanTally, Stage,
-    SubmapClosed, TileMessage, Verdict,
+    SubmapClosed, TileMessage, TracksHeader, Verdict,
 };
 use std::any::Any;
 
@@ -49,6 +49,7 @@ impl Bus {
             bus.create_slice::<ScanHeader>()?,
             bus.create_slice::<LargeScanHeader>()?,
             bus.create_slice::<MarksHeader>()?,
+            bus.create_slice::<TracksHeader>()?,
             bus.create_bell(SUPERVISOR_BELL)?,
         ];
         for stage in Stage::ALL {

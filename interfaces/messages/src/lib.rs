@@ -14,6 +14,7 @@ mod pose;
 mod progress;
 mod scan;
 mod tally;
+mod tracks;
 mod verdict;
 
 pub use control::{Control, ControlKind};
@@ -27,4 +28,5 @@ pub use pose::{PoseEstimate, PoseFlags, Quality};
 pub use progress::{Progress, Stage};
 pub use scan::{LARGE_SCAN_BEAMS, ScanBuffer, ScanHeader, ScanProblem, ScanSections, ScanView};
 pub use tally::{ScanTally, TALLY_BINS, TALLY_SECTORS};
+pub use tracks::{Track, TracksHeader};
 pub use verdict::{DropReason, KeepReason, Verdict};

@@ -1,11 +1,16 @@
 use crate::Settings;
 use crate::cells::for_each_occupied;
-use crate::moving::moving_beams;
+use crate::moving::find_moving;
+use crate::sectors::{Ray, SectorScan};
+use crate::settings::Method;
 use crate::sight::Sight;
+use crate::tracking::Tracker;
 use crate::votes::{Baseline, Votes};
 use flockslam_evidence::{CellIndex, Tile, TileGrid};
 use flockslam_geometry::{Point, Pose};
-use flockslam_messages::{ClearedCell, Deskew, MarksHeader, PoseEstimate, PoseFlags, Quality, ScanView};
+use flockslam_messages::{
+    ClearedCell, Deskew, MarksHeader, PoseEstimate, PoseFlags, Quality, ScanView, Track,
+};
 use std::f64::consts::SQRT_2;
 use std::ops::Deref;
 
@@ -19,12 +24,16 @@ const SEEN_THROUGH_MAX: usize = 1 << 14;
 pub struct DynamicCleaner {
     settings: Settings,
     sight: Sight,
+    sectors: SectorScan,
     votes: Votes,
     scans: u32,
     seen_through: Vec<CellIndex>,
     /// Cells that the present scan supports.
     supported: usize,
     cleared: Vec<ClearedCell>,
+    tracker: Tracker,
+    /// Ends of the present scan's beams that lie on something that was not there before.
+    moving: Vec<Point>,
 }
 
 /// What the cleaner says of a scan.
@@ -65,13 +74,32 @@ impl DynamicCleaner {
     pub fn new(settings: Settings) -> Self {
         Self {
             sight: Sight::new(),
+            sectors: SectorScan::new(),
             votes: Votes::new(),
             scans: 0,
             seen_through: Vec::with_capacity(SEEN_THROUGH_MAX),
             supported: 0,
             cleared: Vec::with_capacity(settings.cleared_max),
+            tracker: Tracker::default(),
+            moving: Vec::new(),
             settings,
         }
+    }
+
+    /// Follows who moves, by any scan whose place is certain, matched or not: gives everybody believed to be there.
+    pub fn watch<H: Deref<Target = Tile>>(
+        &mut self,
+        scan: ScanView<'_>,
+        pose: &PoseEstimate,
+        grid: &TileGrid<H>,
+    ) -> &[Track] {
+        self.moving.clear();
+        let odom_from_laser = pose.odom_from_base * scan.header().base_from_laser;
+        if is_tracked(pose) {
+            let deskew = Deskew::new(scan, pose.twist);
+            find_moving(scan, &deskew, odom_from_laser, grid, self.settings.radius_m, &mut self.moving);
+        }
+        self.tracker.follow(pose.times.sensor_ns, &self.moving, odom_from_laser.position())
     }
 
     /// Judges the occupied cells of `grid` (the grid that the scan was matched to, in the odom lattice) by an inserted
@@ -89,8 +117,13 @@ impl DynamicCleaner {
         if self.settings.enabled && is_certain(pose) {
             let odom_from_laser = pose.odom_from_base * scan.header().base_from_laser;
             let deskew = Deskew::new(scan, pose.twist);
-            moving = moving_beams(scan, &deskew, odom_from_laser, grid, self.settings.radius_m);
-            self.sight.look(scan, &deskew);
+            let radius_m = self.settings.radius_m;
+            find_moving(scan, &deskew, odom_from_laser, grid, radius_m, &mut self.moving);
+            moving = self.moving.len() as u32;
+            match self.settings.method {
+                Method::Beams => self.sight.look(scan, &deskew),
+                Method::Sectors => self.sectors.look(scan, &deskew, self.settings.join_m),
+            }
             self.judge(pose, odom_from_laser, grid);
             if self.is_plausible() {
                 self.vote(odom_from_laser);
@@ -116,11 +149,20 @@ impl DynamicCleaner {
         self.seen_through.clear();
         self.supported = 0;
         let view = View::new(&self.settings, &self.sight, pose, odom_from_laser, grid.cell_size_m());
+        let laser_from_odom = odom_from_laser.inverse();
+        let judge = |center: Point| match self.settings.method {
+            Method::Beams => view.judge(center),
+            Method::Sectors => match self.sectors.ray_to(laser_from_odom.apply(center)) {
+                Ray::Free => Finding::SeenThrough,
+                Ray::Met => Finding::Supported,
+                Ray::Shadowed | Ray::Unseen => Finding::Open,
+            },
+        };
         for_each_occupied(
             grid,
             odom_from_laser.position(),
             self.settings.radius_m,
-            |cell, center| match view.judge(center) {
+            |cell, center| match judge(center) {
                 Finding::SeenThrough if self.seen_through.len() < SEEN_THROUGH_MAX => {
                     self.seen_through.push(cell)
                 }
@@ -204,10 +246,14 @@ impl<'a> View<'a> {
     }
 }
 
+/// Whether the robot knows where it is: lost, it takes walls for movers.
+fn is_tracked(pose: &PoseEstimate) -> bool {
+    pose.quality == Quality::Tracking as u32 && pose.odom_from_base.is_finite()
+}
+
 fn is_certain(pose: &PoseEstimate) -> bool {
     let covariance = pose.covariance;
     pose.has(PoseFlags::MATCHED)
-        && pose.quality == Quality::Tracking as u32
-        && pose.odom_from_base.is_finite()
+        && is_tracked(pose)
         && [covariance.xx, covariance.yy, covariance.tt].into_iter().all(|v| v.is_finite() && v >= 0.0)
 }

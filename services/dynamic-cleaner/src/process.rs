@@ -2,7 +2,7 @@
 
 use crate::{DynamicCleaner, Settings};
 use flockslam_bus::{BellRinger, SlicePublisher};
-use flockslam_messages::{DropReason, MarksHeader, PoseEstimate, PoseFlags, Stage};
+use flockslam_messages::{DropReason, MarksHeader, PoseEstimate, PoseFlags, ScanView, Stage, TracksHeader};
 use flockslam_stage::{
     Acknowledger, Actor, GridReader, Mode, PendingScans, PoseQueue, StageContext, StageError, run,
 };
@@ -26,6 +26,7 @@ pub fn run_stage(context: &mut StageContext, settings: Settings, cell_size_m: f6
         poses: PoseQueue::new(context.bus.subscriber()?, 0),
         grid,
         marks: context.bus.slice_publisher()?,
+        tracks: context.bus.slice_publisher()?,
         mapper: context.bus.ringer(Stage::Mapper.name())?,
         acknowledger: Acknowledger::open(context, 0)?,
         waiting_since_ns: None,
@@ -40,6 +41,7 @@ struct Cleaner {
     poses: PoseQueue,
     grid: GridReader,
     marks: SlicePublisher<MarksHeader>,
+    tracks: SlicePublisher<TracksHeader>,
     mapper: BellRinger,
     acknowledger: Acknowledger,
     waiting_since_ns: Option<u64>,
@@ -71,6 +73,7 @@ impl Cleaner {
         match scan.filter(|_| fresh) {
             Some(scan) => {
                 context.report.report.scan_address = scan.ranges().as_ptr() as u64;
+                self.watch(scan, pose)?;
                 let marks = self.logic.handle(scan, pose, self.grid.grid());
                 self.cleared += marks.cleared.len() as u64;
                 self.marks
@@ -86,10 +89,22 @@ impl Cleaner {
         Ok(())
     }
 
+    /// Publishes who moves at a scan.
+    fn watch(&mut self, scan: ScanView<'_>, pose: &PoseEstimate) -> Result<(), StageError> {
+        let tracks = self.logic.watch(scan, pose, self.grid.grid());
+        let count = tracks.len() as u32;
+        let header = TracksHeader { id: pose.id, times: pose.times, count, reserved: 0 };
+        Ok(self.tracks.send_with(&header, tracks.len(), |to| to.copy_from_slice(tracks))?)
+    }
+
     /// Handles the oldest pose; false when its join is not complete.
     fn step(&mut self, pose: &PoseEstimate, context: &mut StageContext) -> Result<bool, StageError> {
-        if pose.has(PoseFlags::INSERT) {
-            let ready = self.grid_is_ready(pose);
+        let inserted = pose.has(PoseFlags::INSERT);
+        let ready = self.grid_is_ready(pose);
+        if !inserted && !ready && context.mode == Mode::Exact {
+            return Ok(false);
+        }
+        if inserted {
             if !ready {
                 let since_ns = *self.waiting_since_ns.get_or_insert_with(monotonic_ns);
                 let late = monotonic_ns().saturating_sub(since_ns) > GRID_DEADLINE_NS;
@@ -99,8 +114,10 @@ impl Cleaner {
             }
             self.waiting_since_ns = None;
             self.clean(pose, ready, context)?;
-        } else {
-            self.scans.release_before(pose.id.sequence + 1);
+        } else if let Some(sample) = self.scans.take(pose.id.sequence)
+            && let Ok(scan) = sample.view()
+        {
+            self.watch(scan, pose)?;
         }
         self.acknowledger.finished(pose.id.sequence + 1)?;
         Ok(true)
@@ -126,6 +143,7 @@ impl Actor for Cleaner {
 
     fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.marks.refresh();
+        self.tracks.refresh();
         context.report.count("cleared_cells", self.cleared);
         if let Some(address) = self.grid.a_tile_address() {
             context.report.report.tile_address = address as u64;

@@ -96,6 +96,20 @@ impl Settings {
         }
     }
 
+    /// Points in cells: one map for all scans, in which the cells of a point-to-distribution matcher hold at most 256 points, one
+    /// for each cell of the grid. A beam that passes tells free cells from unknown ones, but never outweighs a point.
+    pub fn ndt() -> Self {
+        Self {
+            cell_size_m: 0.0225,
+            miss_nat: 0.001,
+            skip_isolated: false,
+            newcomer_views: 1,
+            submap_insertions: 2000,
+            window_m: 0.0,
+            ..Self::default()
+        }
+    }
+
     /// Closed submaps in the grid that is matched; `None` = all.
     pub(crate) fn window_submaps(&self) -> Option<usize> {
         (self.window_m > 0.0)

@@ -100,7 +100,11 @@ impl ScanMatcher {
         verdict: &Verdict,
         grid: &TileGrid<H>,
     ) -> PoseEstimate {
-        let prediction = self.motion.predict(scan);
+        let mut prediction = self.motion.predict(scan);
+        if self.settings.rescue.below == 0.0 {
+            // Nothing is searched: the wheels alone say where the scan is matched from.
+            prediction.steady = None;
+        }
         let withheld = scan.header().withheld == 1;
         let overridden = verdict.keep == 0 && !withheld && self.overrules(&prediction);
         let mut estimate = self.predicted(scan, verdict, &prediction);

@@ -63,7 +63,7 @@ pub enum Strategy {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Rescue {
-    /// Search when the score falls below this share of its running mean; 0 = never.
+    /// Search when the score falls below this share of its running mean; 0 = never, and wheels are believed whatever they say.
     pub below: f64,
     /// Reach of the search, metres to each side; it grows up to three times while the robot is lost.
     pub reach_m: f64,
@@ -154,6 +154,18 @@ impl Default for Gate {
 }
 
 impl Settings {
+    /// Point-to-distribution matching from the odometry guess alone, every scan inserted (Trubin et al. 2020).
+    pub fn ndt() -> Self {
+        Self {
+            strategy: Strategy::Ndt,
+            gate: Gate { travel_m: 0.0, turn_rad: 0.0, ..Gate::default() },
+            rescue: Rescue { below: 0.0, lost_scans_max: 0, ..Rescue::default() },
+            fits_velocity: false,
+            skip_isolated: false,
+            ..Self::default()
+        }
+    }
+
     /// What the program vinySLAM does, with hill climbing and odometry rotated into the corrected heading.
     pub fn vinyslam() -> Self {
         Self {

@@ -34,7 +34,7 @@ pub use world::World;
 use crate::random::Random;
 use drive::Drive;
 use dynamics::Dynamics;
-use flockslam_geometry::Pose;
+use flockslam_geometry::{Pose, Twist};
 use flockslam_messages::{ScanBuffer, ScanId, Times};
 use lidar::Lidar;
 use wheels::Wheels;
@@ -115,6 +115,11 @@ impl Simulation {
     /// What each beam of the last scan ended on: exact, for measurements. No message carries it.
     pub fn labels(&self) -> &[BeamLabel] {
         self.lidar.labels()
+    }
+
+    /// The robot's exact velocity at the last scan's stamp.
+    pub fn twist(&self) -> Twist {
+        self.drive.last_turn().twists().next().unwrap_or_default()
     }
 
     /// Exact pose `world_from_laser`, so many seconds after the last scan's stamp.
