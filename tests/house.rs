@@ -123,6 +123,21 @@ fn logic_reaches_for_nothing_outside_of_its_inputs() {
     assert!(looked_at > 40, "only {looked_at} files were found");
 }
 
+/// What reads the wall clock, and the one place that puts it into a message, for exports.
+const WALL_CLOCK: [&str; 2] = ["telemetry/src/clock.rs", "lidar-ingest/src/process.rs"];
+
+#[test]
+fn nothing_but_exports_knows_the_wall_clock() {
+    for top in ["interfaces", "services", "orchestration/src"] {
+        for file in rust_files(&repository().join(top)) {
+            let text = product_part(&file);
+            let reads = ["SystemTime", "Realtime", "utc_ns()"].iter().any(|name| text.contains(name));
+            let may = WALL_CLOCK.iter().any(|known| file.ends_with(known));
+            assert!(!reads || may, "{} reads the wall clock", file.display());
+        }
+    }
+}
+
 #[test]
 fn files_are_short() {
     let mut longest = (0, PathBuf::new());

@@ -2,6 +2,7 @@
 
 use crate::commands::{self, CommandError};
 use crate::configuration::Profile;
+use crate::supervisor::known_stage;
 use clap::{Args, Parser, Subcommand};
 use flockslam_messages::Stage;
 use std::path::PathBuf;
@@ -21,6 +22,19 @@ enum Command {
     Map(MapArgs),
     /// The same from a simulated building, with its error against the exact truth
     Demo(DemoArgs),
+    /// Runs a process set until it is told to stop
+    Up(UpArgs),
+    /// Saves and stops a running set
+    Down(RobotArgs),
+    /// Prints how a running set is
+    Status(StatusArgs),
+    /// Replaces the processes of a stage of a running set
+    Restart(StageOrderArgs),
+    /// Changes how many processes a stage of a running set has
+    Scale(ScaleArgs),
+    /// Looks after saved maps
+    #[command(subcommand)]
+    Store(StoreCommand),
     /// Measures a trajectory against ground truth
     Evaluate(EvaluateArgs),
     /// Prints the configuration in force as TOML
@@ -96,6 +110,110 @@ pub struct DemoArgs {
     pub run: RunArgs,
 }
 
+/// `flockslam up`.
+#[derive(Clone, Debug, Args)]
+pub struct UpArgs {
+    /// Description of the process set (TOML)
+    #[arg(value_name = "SET.toml")]
+    pub set: PathBuf,
+    /// Continue the map in this directory, when there is one, and save it there while the set runs
+    #[arg(long, value_name = "DIR")]
+    pub map: Option<PathBuf>,
+    /// When the source ends, write the outputs of `map` into this directory
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// One setting, for example --set mapper.cell_size_m=0.1; may be given many times
+    #[arg(long = "set", value_name = "SECTION.KEY=VALUE")]
+    pub assignments: Vec<String>,
+}
+
+/// `flockslam store`.
+#[derive(Clone, Debug, Subcommand)]
+pub enum StoreCommand {
+    /// Looks at every byte of a saved map; exit code 1 when something is damaged
+    Check(MapDirArgs),
+    /// Saves the map of a running set
+    Save(MapOrderArgs),
+    /// Lets a running set go on with a saved map instead of its own
+    Load(MapOrderArgs),
+    /// Makes the files of `flockslam map` from a saved map
+    Export(ExportArgs),
+}
+
+/// `flockslam store check`.
+#[derive(Clone, Debug, Args)]
+pub struct MapDirArgs {
+    /// Directory of the map
+    #[arg(value_name = "DIR")]
+    pub directory: PathBuf,
+}
+
+/// `flockslam store save` and `load`.
+#[derive(Clone, Debug, Args)]
+pub struct MapOrderArgs {
+    /// Directory of the map
+    #[arg(value_name = "DIR")]
+    pub directory: PathBuf,
+    /// Which set
+    #[command(flatten)]
+    pub robot: RobotArgs,
+}
+
+/// `flockslam store export`.
+#[derive(Clone, Debug, Args)]
+pub struct ExportArgs {
+    /// Directory of the map
+    #[arg(value_name = "DIR")]
+    pub directory: PathBuf,
+    /// Directory for the outputs; made when it is not there
+    #[arg(long, value_name = "DIR", default_value = "flockslam-out")]
+    pub out: PathBuf,
+    /// How the map was made
+    #[command(flatten)]
+    pub configuration: ConfigurationArgs,
+}
+
+/// Which running set is meant.
+#[derive(Clone, Debug, Args)]
+pub struct RobotArgs {
+    /// Name of the set; not needed while only one is running
+    #[arg(long, value_name = "NAME")]
+    pub robot: Option<String>,
+}
+
+/// `flockslam status`.
+#[derive(Clone, Debug, Args)]
+pub struct StatusArgs {
+    /// Which set
+    #[command(flatten)]
+    pub robot: RobotArgs,
+    /// As JSON, for programs
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `flockslam restart`.
+#[derive(Clone, Debug, Args)]
+pub struct StageOrderArgs {
+    /// Which stage
+    #[arg(value_parser = known_stage)]
+    pub stage: Stage,
+    /// Which set
+    #[command(flatten)]
+    pub robot: RobotArgs,
+}
+
+/// `flockslam scale`.
+#[derive(Clone, Debug, Args)]
+pub struct ScaleArgs {
+    /// How many processes of which stage
+    #[arg(value_name = "STAGE=N", value_parser = stage_and_number)]
+    pub wanted: (Stage, usize),
+    /// Which set
+    #[command(flatten)]
+    pub robot: RobotArgs,
+}
+
 /// `flockslam evaluate`.
 #[derive(Clone, Debug, Args)]
 pub struct EvaluateArgs {
@@ -117,7 +235,7 @@ pub struct EvaluateArgs {
 #[derive(Clone, Debug, Args)]
 pub struct StageArgs {
     /// Which stage
-    #[arg(value_parser = stage)]
+    #[arg(value_parser = known_stage)]
     pub stage: Stage,
     /// Directory of the running set
     #[arg(long, value_name = "DIR")]
@@ -128,6 +246,9 @@ pub struct StageArgs {
     /// Process to die with
     #[arg(long)]
     pub parent: Option<u32>,
+    /// Run what stands in for the stage when it does not get up
+    #[arg(long)]
+    pub stand_in: bool,
 }
 
 fn positive(text: &str) -> Result<f64, String> {
@@ -135,9 +256,10 @@ fn positive(text: &str) -> Result<f64, String> {
     if value.is_finite() && value > 0.0 { Ok(value) } else { Err("it must be positive".to_owned()) }
 }
 
-fn stage(text: &str) -> Result<Stage, String> {
-    let names = || Stage::ALL.map(Stage::name).join(", ");
-    Stage::from_name(text).ok_or_else(|| format!("'{text}' is not a stage; there are {}", names()))
+fn stage_and_number(text: &str) -> Result<(Stage, usize), String> {
+    let (stage, number) = text.split_once('=').ok_or("write it as STAGE=N")?;
+    let number = number.parse().map_err(|_| format!("'{number}' is not a number"))?;
+    Ok((known_stage(stage)?, number))
 }
 
 /// Parses the command line and runs it. What a user did wrong ends with exit code 2, what went wrong here with 1.
@@ -147,6 +269,12 @@ pub fn main() -> ExitCode {
         Command::Stage(args) => return commands::stage::run(&args),
         Command::Map(args) => commands::map::run(&args),
         Command::Demo(args) => commands::demo::run(&args),
+        Command::Up(args) => commands::up::run(&args),
+        Command::Down(args) => commands::control::down(&args),
+        Command::Status(args) => commands::control::status(&args),
+        Command::Restart(args) => commands::control::restart(&args),
+        Command::Scale(args) => commands::control::scale(&args),
+        Command::Store(command) => commands::store::run(&command),
         Command::Evaluate(args) => commands::evaluate::run(&args),
         Command::Config(args) => commands::config::run(&args),
     };

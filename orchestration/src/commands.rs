@@ -2,12 +2,15 @@
 
 mod accounting;
 pub mod config;
+pub mod control;
 pub mod demo;
 pub mod evaluate;
 pub mod map;
 mod progress_bar;
 mod run;
 pub mod stage;
+pub mod store;
+pub mod up;
 
 use crate::configuration::ConfigurationError;
 use crate::supervisor::SetError;

@@ -152,7 +152,8 @@ impl Configuration {
     /// What the stages need to know of it to start.
     pub fn stage_options(&self, mode: Mode) -> StageOptions {
         let replicas = self.correlation_filter.replicas.max(2);
-        StageOptions { mode, window: self.set.window, replicas, live_tiles: self.set.live_tiles }
+        let (window, live_tiles) = (self.set.window, self.set.live_tiles);
+        StageOptions { mode, window, replicas, live_tiles, first_sequence: 0 }
     }
 
     fn check(&self) -> Result<(), ConfigurationError> {
@@ -168,6 +169,15 @@ impl Configuration {
 }
 
 fn read_file(path: &Path) -> Result<Table, ConfigurationError> {
+    parse_file::<Configuration>(path)?;
+    parse_file(path)
+}
+
+/// A TOML file as a type that refuses unknown keys.
+///
+/// # Errors
+/// When it cannot be read or is not of that type: with line, reason and a hint.
+pub fn parse_file<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, ConfigurationError> {
     let unreadable = |source| ConfigurationError::Unreadable { path: path.to_owned(), source };
     let text = std::fs::read_to_string(path).map_err(unreadable)?;
     let wrong = |error: toml::de::Error| {
@@ -175,7 +185,6 @@ fn read_file(path: &Path) -> Result<Table, ConfigurationError> {
         let line = before.matches('\n').count() + 1;
         ConfigurationError::File { path: path.to_owned(), line, reason: with_hint(error.message()) }
     };
-    toml::from_str::<Configuration>(&text).map_err(wrong)?;
     toml::from_str(&text).map_err(wrong)
 }
 

@@ -6,6 +6,7 @@ pub mod configuration;
 pub mod epoch;
 pub mod evaluation;
 pub mod outputs;
+pub mod store;
 pub mod supervisor;
 
 /// Version of this build.

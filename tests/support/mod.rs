@@ -5,15 +5,20 @@
 #![allow(dead_code, unused_imports)]
 
 mod benchmark;
+pub mod faults;
+mod live;
 mod log;
 mod moved_map;
 mod outputs;
+mod poses;
 mod running;
 
 pub use benchmark::{benchmark_file, evaluate_relations};
+pub use live::{Drive, LiveSet, of};
 pub use log::simulated_log;
 pub use moved_map::{MapFigures, occupied_cells};
 pub use outputs::{Outputs, truth_error_m};
+pub use poses::{PoseWatch, SeenPose};
 pub use running::{RunningSet, send};
 
 use flockslam_messages::Stage;

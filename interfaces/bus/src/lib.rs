@@ -16,7 +16,7 @@ mod tile_port;
 mod topic;
 mod wire;
 
-pub use bell::{BellRinger, Listener};
+pub use bell::{BellRinger, Listener, Wake};
 pub use bus::{Bus, SUPERVISOR_BELL};
 pub use error::BusError;
 pub use port::{Publisher, Sample, SlicePublisher, SliceSample, SliceSubscriber, Subscriber};

@@ -5,15 +5,22 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// Where POSIX shared memory objects appear as files.
 const SHARED_MEMORY: &str = "/dev/shm";
+/// A living process gives a shared object that it has begun its size within this.
+const FINISHED_WITHIN: Duration = Duration::from_millis(20);
 const DIRECTORY_PREFIX: &str = "flockslam-";
 const LOCK_FILE: &str = "lock";
 /// Begins the names of folders on disk that belong to sets.
 const SPILL_PREFIX: &str = "flockslam-spill-";
 /// In a set's directory: leads to its folder on disk.
 const SPILL_LINK: &str = "spill";
+/// In a set's directory: its state outlives the supervisor, for the next set of its name.
+const KEPT_MARK: &str = "kept";
+/// Of the status of a dead set only this is of use to the next: how far the source had come.
+const CURSOR_ENDING: &str = ".cursor";
 
 /// Why a set's runtime directory cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -52,6 +59,8 @@ pub struct RuntimeDir {
     // Held for as long as the set lives: the locks go with the process, whatever kills it.
     lock: Option<File>,
     _spill_lock: Option<File>,
+    /// Everything goes when this is dropped.
+    wiped_at_end: bool,
 }
 
 impl RuntimeDir {
@@ -69,29 +78,96 @@ impl RuntimeDir {
     /// # Errors
     /// When a set of this name runs, the folder cannot be made or written, or the system refuses.
     pub fn create_spilling(name: &str, spill_dir: Option<&Path>) -> Result<Self, RuntimeError> {
-        let good = |c: char| c.is_ascii_alphanumeric() || c == '-';
-        if name.is_empty() || name.len() > 40 || !name.chars().all(good) {
+        if !is_good_name(name) {
             return Err(RuntimeError::BadName(name.to_owned()));
         }
-        let path = Path::new(SHARED_MEMORY).join(format!("{DIRECTORY_PREFIX}{name}"));
+        let path = Self::path_of(name);
         let turn = take_turn();
         sweep_abandoned();
         fs::create_dir_all(&path).map_err(|source| io_error(&path, source))?;
         let lock = take_lock(&path)?.ok_or_else(|| RuntimeError::Running(name.to_owned()))?;
         drop(turn);
-        let mut runtime =
-            Self { spill: path.clone(), path, name: name.to_owned(), lock: Some(lock), _spill_lock: None };
+        let mut runtime = Self {
+            spill: path.clone(),
+            path,
+            name: name.to_owned(),
+            lock: Some(lock),
+            _spill_lock: None,
+            wiped_at_end: true,
+        };
         runtime.wipe_contents();
         if let Some(spill_dir) = spill_dir {
             runtime.spill_into(spill_dir)?;
         }
-        for directory in
-            [runtime.bus(), runtime.journal(), runtime.submaps(), runtime.status(), runtime.results()]
-        {
+        runtime.make_directories()?;
+        Ok(runtime)
+    }
+
+    /// As [`RuntimeDir::create_spilling`], for a set whose state shall outlive its supervisor. When one of this name was killed, its
+    /// journal, submaps, results and source cursor are taken over, and only what has to do with its processes is removed: true.
+    ///
+    /// # Errors
+    /// As [`RuntimeDir::create_spilling`].
+    pub fn create_or_take_over(name: &str, spill_dir: Option<&Path>) -> Result<(Self, bool), RuntimeError> {
+        let path = Self::path_of(name);
+        let left = is_good_name(name) && path.join(KEPT_MARK).exists() && path.join("set.json").exists();
+        let runtime =
+            if left { Self::take_over(name, path)? } else { Self::create_spilling(name, spill_dir)? };
+        let mark = runtime.path.join(KEPT_MARK);
+        File::create(&mark).map_err(|source| io_error(&mark, source))?;
+        Ok((runtime, left))
+    }
+
+    fn take_over(name: &str, path: PathBuf) -> Result<Self, RuntimeError> {
+        let running = || RuntimeError::Running(name.to_owned());
+        let lock = take_lock(&path)?.ok_or_else(running)?;
+        let spill = spill_folder(&path);
+        let spill_lock = match &spill {
+            Some(folder) => Some(take_lock(folder)?.ok_or_else(running)?),
+            None => None,
+        };
+        let runtime = Self {
+            spill: spill.unwrap_or_else(|| path.clone()),
+            name: name.to_owned(),
+            lock: Some(lock),
+            _spill_lock: spill_lock,
+            // Until it is known that it is not needed any more.
+            wiped_at_end: false,
+            path,
+        };
+        remove(&runtime.bus());
+        remove_objects(&runtime.object_prefix());
+        for entry in entries(&runtime.status()) {
+            if !file_name(&entry).ends_with(CURSOR_ENDING) {
+                remove(&entry);
+            }
+        }
+        runtime.make_directories()?;
+        Ok(runtime)
+    }
+
+    fn make_directories(&self) -> Result<(), RuntimeError> {
+        for directory in [self.bus(), self.journal(), self.submaps(), self.status(), self.results()] {
             fs::create_dir_all(&directory).map_err(|source| io_error(&directory, source))?;
         }
-        runtime.write_bus_configuration()?;
-        Ok(runtime)
+        self.write_bus_configuration()
+    }
+
+    /// The directory of the set of this name, whether it runs or not.
+    pub fn path_of(name: &str) -> PathBuf {
+        Path::new(SHARED_MEMORY).join(format!("{DIRECTORY_PREFIX}{name}"))
+    }
+
+    /// Names of all sets that run on this machine.
+    pub fn running() -> Vec<String> {
+        let name = |path: &PathBuf| file_name(path).strip_prefix(DIRECTORY_PREFIX).map(str::to_owned);
+        let held = |path: &PathBuf| {
+            File::open(path.join(LOCK_FILE)).is_ok_and(|lock| lock.try_lock_shared().is_err())
+        };
+        let mut names: Vec<_> =
+            entries(Path::new(SHARED_MEMORY)).iter().filter(|path| held(path)).filter_map(name).collect();
+        names.sort();
+        names
     }
 
     /// The directory of a set that somebody else created.
@@ -103,7 +179,38 @@ impl RuntimeDir {
         let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         let name = name.strip_prefix(DIRECTORY_PREFIX).unwrap_or(&name).to_owned();
         let spill = spill_folder(path).unwrap_or_else(|| path.to_owned());
-        Ok(Self { path: path.to_owned(), name, spill, lock: None, _spill_lock: None })
+        Ok(Self { path: path.to_owned(), name, spill, lock: None, _spill_lock: None, wiped_at_end: false })
+    }
+
+    /// Removes what the stages know: journal, submaps, results, and how far the source had come.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn forget_state(&self) -> Result<(), RuntimeError> {
+        let cursors =
+            entries(&self.status()).into_iter().filter(|path| file_name(path).ends_with(CURSOR_ENDING));
+        cursors.for_each(|path| remove(&path));
+        for directory in [self.journal(), self.submaps(), self.results()] {
+            fs::remove_dir_all(&directory)
+                .and_then(|()| fs::create_dir_all(&directory))
+                .map_err(|source| io_error(&directory, source))?;
+        }
+        Ok(())
+    }
+
+    /// Whether everything goes when this is dropped, or stays for the next set of this name.
+    pub fn wipe_at_end(&mut self, wipes: bool) {
+        self.wiped_at_end = wipes;
+    }
+
+    /// The name of the set.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Where the supervisor of the set takes orders.
+    pub fn control_socket(&self) -> PathBuf {
+        self.path.join("control")
     }
 
     /// The directory itself.
@@ -148,6 +255,29 @@ impl RuntimeDir {
             .filter(|path| file_name(path).starts_with(&self.object_prefix()))
             .map(|path| allocated_bytes(&path));
         objects.sum::<u64>() + directory_bytes(&self.path)
+    }
+
+    /// Removes shared objects that a process began and gave no size, since it was killed in between; gives how many. iceoryx2 0.10
+    /// waits for such an object without end, also while it cleans up after the dead. A process that lives takes microseconds to get
+    /// past this state, so what is still in it after a while is nobody's.
+    pub fn remove_unfinished_objects(&self) -> usize {
+        let unfinished = || -> Vec<(PathBuf, u64)> {
+            let own = entries(Path::new(SHARED_MEMORY)).into_iter();
+            let own = own.filter(|path| file_name(path).starts_with(&self.object_prefix()));
+            own.filter_map(|path| {
+                let metadata = fs::metadata(&path).ok()?;
+                (metadata.len() == 0).then(|| (path, metadata.ino()))
+            })
+            .collect()
+        };
+        let before = unfinished();
+        if before.is_empty() {
+            return 0;
+        }
+        std::thread::sleep(FINISHED_WITHIN);
+        let after = unfinished();
+        let left = before.iter().filter(|object| after.contains(object));
+        left.filter(|(path, _)| fs::remove_file(path).is_ok()).count()
     }
 
     /// Points iceoryx2 at this set; must come before any other use of it in a process.
@@ -226,7 +356,7 @@ impl RuntimeDir {
 
 impl Drop for RuntimeDir {
     fn drop(&mut self) {
-        if self.lock.is_some() {
+        if self.lock.is_some() && self.wiped_at_end {
             let _turn = take_turn();
             self.wipe_contents();
             remove(&self.path);
@@ -234,15 +364,22 @@ impl Drop for RuntimeDir {
     }
 }
 
-/// Removes what sets left whose supervisor was killed: nobody holds their lock.
+fn is_good_name(name: &str) -> bool {
+    let good = |c: char| c.is_ascii_alphanumeric() || c == '-';
+    !name.is_empty() && name.len() <= 40 && name.chars().all(good)
+}
+
+/// Removes what sets left whose supervisor was killed: nobody holds their lock. What is kept for the next of its name stays.
 fn sweep_abandoned() {
     for path in entries(Path::new(SHARED_MEMORY)) {
         let Some(name) = file_name(&path).strip_prefix(DIRECTORY_PREFIX).map(str::to_owned) else { continue };
-        if !path.join(LOCK_FILE).exists() {
+        if !path.join(LOCK_FILE).exists() || path.join(KEPT_MARK).exists() {
             continue;
         }
         if let Ok(Some(lock)) = take_lock(&path) {
-            RuntimeDir { spill: path.clone(), path, name, lock: Some(lock), _spill_lock: None }.remove();
+            let spill = path.clone();
+            RuntimeDir { spill, path, name, lock: Some(lock), _spill_lock: None, wiped_at_end: true }
+                .remove();
         }
     }
 }
@@ -321,60 +458,4 @@ fn io_error(path: &Path, source: io::Error) -> RuntimeError {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn name(test: &str) -> String {
-        format!("{test}-{}", std::process::id())
-    }
-
-    #[test]
-    fn without_a_folder_on_disk_everything_lies_in_the_directory() {
-        let runtime = RuntimeDir::create(&name("nospill")).unwrap();
-        assert_eq!(runtime.spill(), runtime.path());
-        assert!(runtime.submaps().starts_with(runtime.path()) && runtime.submaps().is_dir());
-    }
-
-    #[test]
-    fn a_folder_on_disk_comes_and_goes_with_the_set_and_those_of_dead_sets_go_first() {
-        let disk = tempfile::tempdir().unwrap();
-        let spill_dir = disk.path().join("deep/spill");
-        let dead = spill_dir.join("flockslam-spill-dead");
-        fs::create_dir_all(dead.join("submaps")).unwrap();
-        fs::write(dead.join(LOCK_FILE), b"").unwrap();
-        fs::create_dir_all(spill_dir.join("not-ours")).unwrap();
-        let runtime = RuntimeDir::create_spilling(&name("spill"), Some(&spill_dir)).unwrap();
-        assert!(!dead.exists() && spill_dir.join("not-ours").exists());
-        fs::write(runtime.submaps().join("x"), vec![0; 1 << 20]).unwrap();
-        assert!(runtime.submaps().starts_with(&spill_dir));
-        assert!(runtime.occupied_bytes() < 1 << 20, "what lies on disk occupies no memory");
-        let joined = RuntimeDir::open(runtime.path()).unwrap();
-        assert_eq!(joined.spill(), runtime.spill());
-        // Another set leaves the folder of a living one alone.
-        let other = RuntimeDir::create_spilling(&name("other"), Some(&spill_dir)).unwrap();
-        assert!(runtime.submaps().join("x").exists());
-        drop(other);
-        drop(runtime);
-        assert_eq!(fs::read_dir(&spill_dir).unwrap().count(), 1);
-    }
-
-    #[test]
-    fn a_killed_sets_folder_is_removed_by_the_next_of_its_name() {
-        let disk = tempfile::tempdir().unwrap();
-        let mut killed = RuntimeDir::create_spilling(&name("killed"), Some(disk.path())).unwrap();
-        // What a kill leaves: everything but the locks.
-        (killed.lock, killed._spill_lock) = (None, None);
-        fs::write(killed.submaps().join("x"), b"").unwrap();
-        let again = RuntimeDir::create(&name("killed")).unwrap();
-        assert!(!killed.submaps().exists() && again.submaps().exists());
-    }
-
-    #[test]
-    fn a_folder_that_cannot_be_made_is_named() {
-        let disk = tempfile::tempdir().unwrap();
-        let file = disk.path().join("file");
-        fs::write(&file, b"").unwrap();
-        let error = RuntimeDir::create_spilling(&name("bad"), Some(&file)).err().unwrap().to_string();
-        assert!(error.starts_with("set.spill_dir: ") && error.contains("file"), "{error}");
-    }
-}
+mod tests;

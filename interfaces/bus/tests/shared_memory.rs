@@ -1,6 +1,6 @@
 //! The bus over real shared memory. One test function: a process belongs to one set only.
 
-use flockslam_bus::{Bus, BusError, Capacity, RuntimeDir, RuntimeError};
+use flockslam_bus::{Bus, BusError, Capacity, RuntimeDir, RuntimeError, Wake};
 use flockslam_messages::{PoseEstimate, ScanBuffer, TileMessage};
 use std::time::Duration;
 
@@ -31,10 +31,13 @@ fn a_set_carries_scans_tiles_and_rings_and_leaves_nothing() {
     assert_eq!(held.tile.score[17], 9, "a held tile outlives its publisher");
 
     let (listener, ringer) = (host.listener("mapper").unwrap(), member.ringer("mapper").unwrap());
-    assert!(!listener.wait(Duration::from_millis(1)).unwrap());
+    assert_eq!(listener.wait(Duration::from_millis(1)).unwrap(), Wake::TimedOut);
+    ringer.announce();
+    assert_eq!(listener.wait(Duration::from_secs(5)).unwrap(), Wake::Announced);
     ringer.ring();
+    ringer.announce();
     ringer.ring();
-    assert!(listener.wait(Duration::from_secs(5)).unwrap());
+    assert_eq!(listener.wait(Duration::from_secs(5)).unwrap(), Wake::Rung);
 
     // Overflow: the newest data wins and nobody blocks.
     let (poses, pose_reader) = (member.publisher().unwrap(), host.subscriber::<PoseEstimate>().unwrap());

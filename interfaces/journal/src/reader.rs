@@ -92,7 +92,7 @@ impl RecordReader {
     }
 
     /// Where the last good record ends, bytes from the start of the file.
-    pub(crate) fn good_bytes(&self) -> u64 {
+    pub fn good_bytes(&self) -> u64 {
         self.offset
     }
 

@@ -5,15 +5,17 @@ use std::path::{Path, PathBuf};
 
 /// A heartbeat is written at most this often.
 const PERIOD_NS: u64 = 100_000_000;
-/// Pid, time, count, and a check word that tells a torn or foreign file.
+/// Pid and readiness, time, count, and a check word that tells a torn or foreign file.
 const BYTES: usize = 32;
-const CHECK: u64 = u64::from_le_bytes(*b"flkbeat1");
+const CHECK: u64 = u64::from_le_bytes(*b"flkbeat2");
 
 /// A sign of life.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Beat {
     /// Process that gave it.
     pub pid: u32,
+    /// Whether the process has recovered what its predecessor knew and works.
+    pub ready: bool,
     /// CLOCK_MONOTONIC when it was given, nanoseconds.
     pub monotonic_ns: u64,
     /// Scans handled by the process until then.
@@ -34,6 +36,8 @@ pub struct Heartbeat {
     file: File,
     path: PathBuf,
     last_ns: Option<u64>,
+    ready: bool,
+    has_handled: bool,
 }
 
 impl Heartbeat {
@@ -48,19 +52,28 @@ impl Heartbeat {
             .truncate(false)
             .open(path)
             .map_err(|source| HeartbeatError { path: path.to_owned(), source })?;
-        Ok(Self { file, path: path.to_owned(), last_ns: None })
+        Ok(Self { file, path: path.to_owned(), last_ns: None, ready: false, has_handled: false })
     }
 
-    /// Gives a sign of life at CLOCK_MONOTONIC `now_ns`; cheap, since only one in 100 ms is written.
+    /// From now on the process is ready: the next sign of life says so at once.
+    pub fn set_ready(&mut self) {
+        self.ready = true;
+        self.last_ns = None;
+    }
+
+    /// Gives a sign of life at CLOCK_MONOTONIC `now_ns`; cheap, since only one in 100 ms is written, and that of the first scan:
+    /// whether a process that died had ever worked decides how it is restarted.
     ///
     /// # Errors
     /// When the file cannot be written.
     pub fn beat(&mut self, now_ns: u64, handled: u64) -> Result<(), HeartbeatError> {
-        if self.last_ns.is_some_and(|last| now_ns.saturating_sub(last) < PERIOD_NS) {
+        let begins = handled > 0 && !self.has_handled;
+        if !begins && self.last_ns.is_some_and(|last| now_ns.saturating_sub(last) < PERIOD_NS) {
             return Ok(());
         }
+        self.has_handled |= begins;
         self.last_ns = Some(now_ns);
-        let beat = Beat { pid: std::process::id(), monotonic_ns: now_ns, handled };
+        let beat = Beat { pid: std::process::id(), ready: self.ready, monotonic_ns: now_ns, handled };
         self.file
             .write_all_at(&encode(beat), 0)
             .map_err(|source| HeartbeatError { path: self.path.clone(), source })
@@ -88,7 +101,7 @@ pub fn read_heartbeat(path: &Path) -> Result<Option<Beat>, HeartbeatError> {
 }
 
 fn encode(beat: Beat) -> [u8; BYTES] {
-    let words = [u64::from(beat.pid), beat.monotonic_ns, beat.handled];
+    let words = [u64::from(beat.pid) | u64::from(beat.ready) << 32, beat.monotonic_ns, beat.handled];
     let check = words.iter().fold(CHECK, |check, word| check.rotate_left(7) ^ word);
     let mut bytes = [0; BYTES];
     for (to, word) in bytes.chunks_exact_mut(8).zip(words.into_iter().chain([check])) {
@@ -99,7 +112,8 @@ fn encode(beat: Beat) -> [u8; BYTES] {
 
 fn decode(bytes: &[u8; BYTES]) -> Option<Beat> {
     let word = |i: usize| u64::from_le_bytes(bytes[8 * i..8 * i + 8].try_into().expect("eight bytes"));
-    let beat = Beat { pid: u32::try_from(word(0)).ok()?, monotonic_ns: word(1), handled: word(2) };
+    let (pid, ready) = (word(0) as u32, word(0) >> 32 != 0);
+    let beat = Beat { pid, ready, monotonic_ns: word(1), handled: word(2) };
     (encode(beat) == *bytes).then_some(beat)
 }
 
@@ -123,15 +137,32 @@ mod tests {
             (100_000_006, 4, 100_000_005, 3),
         ] {
             heart.beat(now_ns, handled).unwrap();
-            let expected = Beat { pid, monotonic_ns: read_ns, handled: read_handled };
+            let expected = Beat { pid, ready: false, monotonic_ns: read_ns, handled: read_handled };
             assert_eq!(read_heartbeat(&path).unwrap(), Some(expected));
         }
     }
 
+    #[test]
+    fn readiness_and_the_first_scan_are_told_at_once() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("mapper.beat");
+        let mut heart = Heartbeat::open(&path).unwrap();
+        let told = |path: &Path| read_heartbeat(path).unwrap().map(|beat| (beat.ready, beat.handled));
+        heart.beat(5, 0).unwrap();
+        assert_eq!(told(&path), Some((false, 0)));
+        heart.set_ready();
+        heart.beat(6, 0).unwrap();
+        assert_eq!(told(&path), Some((true, 0)));
+        heart.beat(7, 1).unwrap();
+        assert_eq!(told(&path), Some((true, 1)));
+        heart.beat(8, 2).unwrap();
+        assert_eq!(told(&path), Some((true, 1)));
+    }
+
     proptest! {
         #[test]
-        fn a_damaged_beat_is_no_beat(pid: u32, monotonic_ns: u64, handled: u64, bit in 0..8 * BYTES) {
-            let beat = Beat { pid, monotonic_ns, handled };
+        fn a_damaged_beat_is_no_beat(pid: u32, ready: bool, monotonic_ns: u64, handled: u64, bit in 0..8 * BYTES) {
+            let beat = Beat { pid, ready, monotonic_ns, handled };
             let mut bytes = encode(beat);
             prop_assert_eq!(decode(&bytes), Some(beat));
             bytes[bit / 8] ^= 1 << (bit % 8);

@@ -59,15 +59,30 @@ pub const STAGE_UP: Metric =
 pub const SHARED_MEMORY: Metric =
     Metric { name: "flockslam_shared_memory_bytes", help: "Shared memory of the whole process set" };
 
+/// Supervisor's counter of stages that were replaced because they gave no sign of life, by `stage`.
+pub const STAGE_HANGS: Metric =
+    Metric { name: "flockslam_stage_hangs_total", help: "Replacements of the stage because it hung" };
+/// Supervisor's gauge: 1 when the stage does not get up and the set goes on without it, by `stage`.
+pub const STAGE_DEGRADED: Metric = Metric {
+    name: "flockslam_stage_degraded",
+    help: "1 when the stage does not get up and the set goes on without it",
+};
+/// Supervisor's gauge: 1 when the map cannot be saved to disk.
+pub const NOT_DURABLE: Metric =
+    Metric { name: "flockslam_not_durable", help: "1 when the map cannot be saved to disk" };
+
 /// All metrics, in the order of their names.
-pub const ALL: [Metric; 10] = [
+pub const ALL: [Metric; 13] = [
     DROPPED,
     HEARTBEAT,
     KEPT,
     LAST_SCAN_SEQUENCE,
+    NOT_DURABLE,
     SCAN_TO_OUTPUT,
     SCANS_HANDLED,
     SHARED_MEMORY,
+    STAGE_DEGRADED,
+    STAGE_HANGS,
     STAGE_LATENCY,
     STAGE_RESTARTS,
     STAGE_UP,

@@ -14,7 +14,10 @@ use flockslam_lidar_ingest::process::Source;
 pub fn run(args: &DemoArgs) -> Result<(), CommandError> {
     let absolute = |path| std::path::absolute(path).map_err(CommandError::user);
     let world = args.world.as_deref().map(absolute).transpose()?;
-    let outcome = run_set(&args.run, Run { source: Source::Simulation, world, scans: None, refine: false })?;
+    let outcome = run_set(
+        &args.run,
+        Run { source: Source::Simulation, world, scans: None, refine: false, continues: None },
+    )?;
     say(&summary(&args.run.out, &outcome.report));
     let truth = outcome.truth.ok_or_else(|| CommandError::failed("the simulation left no truth"))?;
     let truth = points(&truth);

@@ -25,7 +25,8 @@ pub fn run(args: &MapArgs) -> Result<(), CommandError> {
             )));
         }
     };
-    let outcome = run_set(&args.run, Run { source, world: None, scans, refine: args.refine })?;
+    let outcome =
+        run_set(&args.run, Run { source, world: None, scans, refine: args.refine, continues: None })?;
     say(&summary(&args.run.out, &outcome.report));
     Ok(())
 }

@@ -10,7 +10,8 @@ use crate::outputs::{
     CellState, LatencyMicroseconds, LoopClosures, OccupancyImage, PictureTracks, Report, StageReport,
     TrajectoryPoint, map_hash, write_map, write_picture, write_report, write_trajectory,
 };
-use crate::supervisor::{ProcessSet, SetEvent, SetFile};
+use crate::store::{MapHead, SavedMap};
+use crate::supervisor::{ProcessSet, SetEvent, SetFile, Supervision};
 use flockslam_bus::RuntimeDir;
 use flockslam_lidar_ingest::process::Source;
 use flockslam_messages::Stage;
@@ -36,6 +37,8 @@ pub struct Run {
     pub scans: Option<u64>,
     /// Whether all scans are matched once more at the end.
     pub refine: bool,
+    /// A saved map to begin with.
+    pub continues: Option<SavedMap>,
 }
 
 /// What a run gave.
@@ -73,15 +76,22 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
     let interrupts = count_interrupts()?;
     let name = args.robot.clone().unwrap_or_else(|| format!("run-{}", std::process::id()));
     let started = Instant::now();
+    let spill_dir = configuration.set.spill_dir.as_deref();
+    let runtime = RuntimeDir::create_spilling(&name, spill_dir).map_err(CommandError::user)?;
+    let mut options = configuration.stage_options(mode);
+    if let Some(map) = &run.continues {
+        let head = MapHead::of_this_build(&name, configuration.mapper.cell_size_m);
+        options.first_sequence = map.restore(&runtime, &head).map_err(CommandError::user)?.next_sequence;
+    }
     let file = SetFile {
         version: crate::VERSION.to_owned(),
-        options: configuration.stage_options(mode),
+        options,
         source: run.source.clone(),
         rate,
         world: run.world,
         configuration: configuration.clone(),
     };
-    let mut set = ProcessSet::start(&name, file)?;
+    let mut set = ProcessSet::start(runtime, file, Supervision::of_one_run())?;
     let _metrics = args.metrics_port.map(|port| serve_metrics(&set, port)).transpose()?;
     let mut shared_memory = SharedMemoryPeak::default();
     watch(&mut set, run.scans, &interrupts, &mut shared_memory)?;
@@ -142,7 +152,8 @@ fn watch(
     Ok(())
 }
 
-fn count_interrupts() -> Result<Arc<AtomicUsize>, CommandError> {
+/// Counts SIGINT and SIGTERM from now on.
+pub(super) fn count_interrupts() -> Result<Arc<AtomicUsize>, CommandError> {
     let count = Arc::new(AtomicUsize::new(0));
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
         let counter = Arc::clone(&count);
@@ -156,7 +167,7 @@ fn count_interrupts() -> Result<Arc<AtomicUsize>, CommandError> {
 }
 
 /// Makes the directory, and finds out now, not after the run, whether it can be written.
-fn prepare_directory(directory: &Path) -> Result<(), CommandError> {
+pub(super) fn prepare_directory(directory: &Path) -> Result<(), CommandError> {
     let wrong = |error: std::io::Error| CommandError::user(format!("{}: {error}", directory.display()));
     std::fs::create_dir_all(directory).map_err(wrong)?;
     let probe = directory.join(format!(".flockslam-{}", std::process::id()));
@@ -165,7 +176,7 @@ fn prepare_directory(directory: &Path) -> Result<(), CommandError> {
 }
 
 /// Gathers the metrics of all stages and of the supervisor on one port.
-fn serve_metrics(set: &ProcessSet, port: u16) -> Result<MetricsEndpoint, CommandError> {
+pub(super) fn serve_metrics(set: &ProcessSet, port: u16) -> Result<MetricsEndpoint, CommandError> {
     let (metrics, runtime) = (set.metrics().clone(), RuntimeDir::open(set.runtime().path()));
     let runtime = runtime.map_err(CommandError::failed)?;
     MetricsEndpoint::on_loopback(port, move || {
@@ -188,19 +199,28 @@ fn describe(source: &Source) -> String {
         Source::Log(path) => path.display().to_string(),
         Source::Pipe => "standard input".to_owned(),
         Source::Simulation => "simulated building".to_owned(),
+        Source::Nothing => "nothing".to_owned(),
     }
 }
 
-struct Finished<'a> {
-    set: &'a ProcessSet,
-    started: Instant,
-    shared_memory_bytes: u64,
-    own_memory: MemoryUse,
-    source: String,
-    configuration: Configuration,
+/// A run whose results are stored.
+pub(super) struct Finished<'a> {
+    /// The set, its stages stopped.
+    pub set: &'a ProcessSet,
+    /// When the run began.
+    pub started: Instant,
+    /// Peak of its shared memory, bytes.
+    pub shared_memory_bytes: u64,
+    /// What the supervisor itself takes.
+    pub own_memory: MemoryUse,
+    /// Where scans came from, for people.
+    pub source: String,
+    /// What was in force.
+    pub configuration: Configuration,
 }
 
-fn write_outputs(out: &Path, run: &Finished<'_>) -> Result<Outcome, CommandError> {
+/// Writes what the set found out into a directory.
+pub(super) fn write_outputs(out: &Path, run: &Finished<'_>) -> Result<Outcome, CommandError> {
     let directory = run.set.runtime().results();
     let read = |name| results::read_trajectory(&directory, name).map_err(CommandError::failed);
     let last = points(&read(results::FINAL_TRAJECTORY)?);

@@ -18,7 +18,7 @@ pub fn run(args: &StageArgs) -> ExitCode {
     if orphan {
         return ExitCode::FAILURE;
     }
-    match run_stage(args.stage, args.replica, &args.set_dir) {
+    match run_stage(args.stage, args.replica, &args.set_dir, args.stand_in) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             tell(args, &error);

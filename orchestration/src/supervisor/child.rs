@@ -1,16 +1,32 @@
+use super::hang::hangs;
+use super::restarts::{AfterDeath, RestartPolicy};
+use super::supervision::ProcessLimits;
 use flockslam_messages::Stage;
-use rustix::process::{Pid, PidfdFlags, getpriority_process, pidfd_open, setpriority_process};
+use flockslam_stage::heartbeat_file;
+use flockslam_telemetry::{Beat, monotonic_ns, read_heartbeat};
+use rustix::process::{
+    Pid, PidfdFlags, Resource, Rlimit, Signal, getpriority_process, pidfd_open, prlimit, setpriority_process,
+};
+use rustix::thread::{CpuSet, sched_setaffinity};
 use std::os::fd::OwnedFd;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-/// Deaths in a row, each soon after its start, after which a stage is given up.
-const HASTY_DEATHS_MAX: u32 = 5;
-/// A process that lived for less than this died soon after its start.
-const HASTY: Duration = Duration::from_secs(1);
-const BACK_OFF_FIRST: Duration = Duration::from_millis(100);
-const BACK_OFF_MAX: Duration = Duration::from_secs(5);
+/// A process that lived for so long has worked, whether there was a scan for it or not.
+const PROVEN: Duration = Duration::from_secs(10);
+/// A stand-in that died is started again after this.
+const STAND_IN_PAUSE: Duration = Duration::from_millis(500);
+
+/// What a child is started with.
+pub struct StartOrder<'a> {
+    /// The executable.
+    pub executable: &'a Path,
+    /// Directory of the set.
+    pub set_dir: &'a Path,
+    /// What the process may use.
+    pub limits: &'a ProcessLimits,
+}
 
 /// One stage's process, and its predecessors.
 pub struct StageChild {
@@ -20,10 +36,22 @@ pub struct StageChild {
     pub replica: u32,
     /// Processes so far; the last one is or was the present one.
     pub pids: Vec<u32>,
+    /// How often it was replaced because it hung.
+    pub hangs: u64,
     process: Option<(Child, OwnedFd)>,
     started: Instant,
-    hasty_deaths: u32,
+    started_ns: u64,
+    policy: RestartPolicy,
     due: Option<Instant>,
+    given_up: Option<GivenUp>,
+}
+
+/// A stage that does not get up.
+#[derive(Clone, Copy, Debug)]
+struct GivenUp {
+    retry_at: Instant,
+    /// What runs now, or will, is the stage's stand-in.
+    stands_in: bool,
 }
 
 impl StageChild {
@@ -33,36 +61,35 @@ impl StageChild {
             stage,
             replica,
             pids: Vec::new(),
+            hangs: 0,
             process: None,
             started: Instant::now(),
-            hasty_deaths: 0,
+            started_ns: 0,
+            policy: RestartPolicy::default(),
             due: None,
+            given_up: None,
         }
     }
 
-    /// Starts a process of this executable as the stage, so many steps of niceness behind this one.
-    pub fn start(
-        &mut self,
-        executable: &Path,
-        set_dir: &Path,
-        reads_stdin: bool,
-        niceness: i32,
-    ) -> std::io::Result<()> {
-        let mut command = Command::new(executable);
-        command.args(["stage", self.stage.name(), "--set-dir"]).arg(set_dir);
+    /// Starts a process of the executable as the stage, or as its stand-in.
+    pub fn start(&mut self, order: &StartOrder<'_>) -> std::io::Result<()> {
+        let mut command = Command::new(order.executable);
+        command.args(["stage", self.stage.name(), "--set-dir"]).arg(order.set_dir);
         command.args(["--replica", &self.replica.to_string()]);
         command.arg("--parent").arg(std::process::id().to_string());
+        if self.given_up.is_some_and(|given_up| given_up.stands_in) {
+            command.arg("--stand-in");
+        }
+        let reads_stdin = self.stage == Stage::LidarIngest;
         command.stdin(if reads_stdin { Stdio::inherit() } else { Stdio::null() }).stdout(Stdio::null());
         let child = command.spawn()?;
         let pid = Pid::from_child(&child);
         let death = pidfd_open(pid, PidfdFlags::empty())?;
-        if niceness > 0 {
-            // A process that has ended already needs none; its end is noticed by its descriptor.
-            let _ = setpriority_process(Some(pid), getpriority_process(None)? + niceness);
-        }
+        // A process that has ended already needs none; its end is noticed by its descriptor.
+        let _ = limit(pid, order.limits);
         self.pids.push(child.id());
         self.process = Some((child, death));
-        self.started = Instant::now();
+        (self.started, self.started_ns) = (Instant::now(), monotonic_ns());
         self.due = None;
         Ok(())
     }
@@ -80,17 +107,80 @@ impl StageChild {
         Some(status)
     }
 
-    /// Plans the next start: at once the first time, later and later when processes keep dying young. False when it is
-    /// given up.
-    pub fn plan_restart(&mut self) -> bool {
-        let young = self.started.elapsed() < HASTY;
-        self.hasty_deaths = if young { self.hasty_deaths + 1 } else { 0 };
-        let wait = match self.hasty_deaths {
-            0 | 1 => Duration::ZERO,
-            deaths => (BACK_OFF_FIRST * 2_u32.saturating_pow(deaths - 2)).min(BACK_OFF_MAX),
-        };
-        self.due = Some(Instant::now() + wait);
-        self.hasty_deaths < HASTY_DEATHS_MAX
+    /// Name of the stage's process in files and metrics.
+    pub fn name(&self) -> String {
+        format!("{}-{}", self.stage.name(), self.replica)
+    }
+
+    /// The last sign of life of the present (or last) process.
+    pub fn beat(&self, status_dir: &Path) -> Option<Beat> {
+        let beat = read_heartbeat(&self.heartbeat(status_dir)).ok()??;
+        (Some(&beat.pid) == self.pids.last()).then_some(beat)
+    }
+
+    fn heartbeat(&self, status_dir: &Path) -> PathBuf {
+        heartbeat_file(status_dir, &self.name())
+    }
+
+    /// Plans the start that follows the death of the process; false when the stage is given up.
+    pub fn plan_restart(&mut self, status_dir: &Path) -> bool {
+        if let Some(given_up) = &self.given_up {
+            let pause = if given_up.stands_in { STAND_IN_PAUSE } else { Duration::ZERO };
+            self.due = Some(Instant::now() + pause);
+            return given_up.stands_in;
+        }
+        let worked = self.beat(status_dir).is_some_and(|beat| beat.handled > 0);
+        let after = self.policy.died(worked || self.started.elapsed() > PROVEN);
+        if let AfterDeath::Restart(wait) = after {
+            self.due = Some(Instant::now() + wait);
+        }
+        after != AfterDeath::GiveUp
+    }
+
+    /// The stage does not get up: it is tried again after `retry`, and until then something stands in for it, when there is
+    /// something.
+    pub fn give_up(&mut self, retry: Duration) {
+        let retry_at = Instant::now() + retry;
+        let stands_in = self.stage == Stage::ScanMatcher;
+        self.given_up = Some(GivenUp { retry_at, stands_in });
+        self.due = Some(if stands_in { Instant::now() } else { retry_at });
+    }
+
+    /// Ends the time of a stand-in that is over.
+    pub fn retry_when_due(&mut self) {
+        let Some(given_up) = &mut self.given_up else { return };
+        if given_up.stands_in && given_up.retry_at <= Instant::now() {
+            given_up.stands_in = false;
+            self.due = Some(Instant::now());
+            self.signal(Signal::KILL);
+        }
+    }
+
+    /// Takes note that the present process works; true when the stage had been given up.
+    pub fn note_work(&mut self, status_dir: &Path) -> bool {
+        if self.given_up.is_some_and(|given_up| given_up.stands_in) || !self.is_running() {
+            return false;
+        }
+        let works = self.beat(status_dir).is_some_and(|beat| beat.handled > 0);
+        if works {
+            self.policy.works();
+        }
+        works && self.given_up.take().is_some()
+    }
+
+    /// Whether the stage does not get up and is done without.
+    pub fn is_given_up(&self) -> bool {
+        self.given_up.is_some()
+    }
+
+    /// Kills the process when it has been silent for too long; true when it has.
+    pub fn kill_if_it_hangs(&mut self, status_dir: &Path, now_ns: u64, deadline: Duration) -> bool {
+        if !self.is_running() || !hangs(self.beat(status_dir), self.started_ns, now_ns, deadline) {
+            return false;
+        }
+        self.hangs += 1;
+        self.signal(Signal::KILL);
+        true
     }
 
     /// Whether a planned start is due.
@@ -104,14 +194,39 @@ impl StageChild {
     }
 
     /// Sends a signal, if it lives.
-    pub fn signal(&self, signal: rustix::process::Signal) {
+    pub fn signal(&self, signal: Signal) {
         if let Some((child, _)) = &self.process {
             let _ = rustix::process::kill_process(Pid::from_child(child), signal);
         }
+    }
+
+    /// Kills the process and waits for its end.
+    pub fn end(&mut self) {
+        if let Some((child, _)) = &mut self.process {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+        (self.process, self.due) = (None, None);
     }
 
     /// How often it was started again.
     pub fn restarts(&self) -> u64 {
         self.pids.len().saturating_sub(1) as u64
     }
+}
+
+fn limit(pid: Pid, limits: &ProcessLimits) -> rustix::io::Result<()> {
+    if let Some(nice) = limits.nice.filter(|nice| *nice > 0) {
+        setpriority_process(Some(pid), getpriority_process(None)? + nice)?;
+    }
+    if let Some(bytes) = limits.memory_max_bytes {
+        // Private writable memory: what is shared with the set counts for nobody.
+        prlimit(Some(pid), Resource::Data, Rlimit { current: Some(bytes), maximum: Some(bytes) })?;
+    }
+    if !limits.cpus.is_empty() {
+        let mut set = CpuSet::new();
+        limits.cpus.iter().filter(|cpu| **cpu < CpuSet::MAX_CPU).for_each(|cpu| set.set(*cpu));
+        sched_setaffinity(Some(pid), &set)?;
+    }
+    Ok(())
 }

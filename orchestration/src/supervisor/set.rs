@@ -1,68 +1,28 @@
-use super::SetFile;
-use super::child::StageChild;
-use flockslam_bus::{BellRinger, Bus, BusError, Publisher, RuntimeDir, RuntimeError, Subscriber};
+use super::child::{StageChild, StartOrder};
+use super::error::{READY_LIMIT, SetError};
+use super::hang::HangWatch;
+use super::status::{SetState, SetStatus, StageState, StageStatus};
+use super::{ProcessLimits, SetFile, Supervision};
+use crate::configuration::Configuration;
+use flockslam_bus::{BellRinger, Bus, BusError, Publisher, RuntimeDir, Subscriber};
 use flockslam_messages::{Control, ControlKind, Progress, Stage};
-use flockslam_stage::{Mode, StageError, heartbeat_file};
-use flockslam_telemetry::{SupervisorMetrics, read_heartbeat};
+use flockslam_stage::Mode;
+use flockslam_telemetry::{SupervisorMetrics, monotonic_ns};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::process::Signal;
-use std::io;
 use std::os::unix::process::ExitStatusExt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
 use std::time::{Duration, Instant};
 
 /// Exit code of a stage whose source is not usable: a mistake of the user's.
 pub const EXIT_BAD_SOURCE: i32 = 2;
-const READY_LIMIT: Duration = Duration::from_secs(20);
 const STOP_LIMIT: Duration = Duration::from_secs(2);
+/// What a set that lives knows lies outside of its stages, so none of them is waited for.
+const STOP_LIMIT_LIVE: Duration = Duration::from_millis(500);
+/// Reports of processes that are kept for each stage.
+const REPORTS_MAX: usize = 64;
 const CLEAN_PERIOD: Duration = Duration::from_secs(1);
-
-/// Why a process set failed.
-#[derive(Debug, thiserror::Error)]
-pub enum SetError {
-    /// The bus failed.
-    #[error(transparent)]
-    Bus(#[from] BusError),
-    /// The runtime directory failed.
-    #[error(transparent)]
-    Runtime(#[from] RuntimeError),
-    /// A file of the set failed.
-    #[error(transparent)]
-    Stage(#[from] StageError),
-    /// A process could not be started or watched.
-    #[error("cannot start {stage}: {source}")]
-    Start {
-        /// Which stage.
-        stage: &'static str,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// A stage did not get ready.
-    #[error("{0} was not ready within {limit} s", limit = READY_LIMIT.as_secs())]
-    NotReady(&'static str),
-    /// The source of scans is not usable.
-    #[error("{0}")]
-    Source(String),
-    /// A stage ended in exact replay, which has no restarts.
-    #[error("{stage} ended during an exact replay ({how}): run it again, or replay live with --rate")]
-    Ended {
-        /// Which stage.
-        stage: &'static str,
-        /// Its exit status.
-        how: String,
-    },
-    /// A stage keeps dying.
-    #[error("{stage} died {times} times in a row soon after its start ({how})")]
-    GivenUp {
-        /// Which stage.
-        stage: &'static str,
-        /// How often it was started.
-        times: usize,
-        /// Its last exit status.
-        how: String,
-    },
-}
 
 /// What happened in a running set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -84,7 +44,10 @@ pub struct ProcessSet {
     orders: Publisher<Control>,
     source_bell: BellRinger,
     set: SetFile,
+    supervision: Supervision,
+    hang_watch: HangWatch,
     executable: PathBuf,
+    started: Instant,
     cleaned: Instant,
     // The bus goes before the directory that it lies in.
     bus: Bus,
@@ -92,14 +55,14 @@ pub struct ProcessSet {
 }
 
 impl ProcessSet {
-    /// Creates shared memory and starts all stages: consumers first, the source when everybody listens.
+    /// Creates shared memory in a directory, which may hold what an earlier set knew, and starts all stages: consumers first, the
+    /// source when everybody listens.
     ///
     /// # Errors
-    /// When a set of this name runs, or a stage cannot be started.
-    pub fn start(name: &str, set: SetFile) -> Result<Self, SetError> {
+    /// When shared memory cannot be prepared, or a stage cannot be started.
+    pub fn start(runtime: RuntimeDir, set: SetFile, supervision: Supervision) -> Result<Self, SetError> {
         let executable =
             std::env::current_exe().map_err(|source| SetError::Start { stage: "flockslam", source })?;
-        let runtime = RuntimeDir::create_spilling(name, set.configuration.set.spill_dir.as_deref())?;
         let bus = Bus::host(&runtime, set.options.capacity())?;
         set.write(&runtime.configuration())?;
         let mut started = Self {
@@ -110,7 +73,10 @@ impl ProcessSet {
             orders: bus.publisher()?,
             source_bell: bus.ringer(Stage::LidarIngest.name())?,
             executable,
+            started: Instant::now(),
             cleaned: Instant::now(),
+            hang_watch: HangWatch::default(),
+            supervision,
             set,
             bus,
             runtime,
@@ -133,31 +99,66 @@ impl ProcessSet {
     }
 
     fn spawn(&mut self, at: usize) -> Result<(), SetError> {
-        let mode = self.set.options.mode;
         let child = &mut self.children[at];
-        let reads_stdin = child.stage == Stage::LidarIngest;
-        let stage = child.stage.name();
-        child
-            .start(&self.executable, self.runtime.path(), reads_stdin, niceness(child.stage, mode))
-            .map_err(|source| SetError::Start { stage, source })
+        let given = self.supervision.limits(child.stage);
+        let nice = given.nice.or(Some(niceness(child.stage, self.set.options.mode)));
+        let limits = ProcessLimits { nice, ..given };
+        let order =
+            StartOrder { executable: &self.executable, set_dir: self.runtime.path(), limits: &limits };
+        prune_reports(&self.runtime.status(), child.stage);
+        child.start(&order).map_err(|source| SetError::Start { stage: child.stage.name(), source })
     }
 
     fn wait_until_ready(&mut self, children: &[usize]) -> Result<(), SetError> {
         let deadline = Instant::now() + READY_LIMIT;
         for at in children {
-            let StageChild { stage, replica, .. } = self.children[*at];
-            let heartbeat = heartbeat_file(&self.runtime.status(), &format!("{}-{replica}", stage.name()));
-            while !matches!(read_heartbeat(&heartbeat), Ok(Some(_))) {
-                if let Some(status) = self.children[*at].reap() {
-                    return Err(self.ended(stage, status));
+            while !self.children[*at].beat(&self.runtime.status()).is_some_and(|beat| beat.ready) {
+                if self.supervision.live {
+                    self.look_after()?;
+                } else if let Some(status) = self.children[*at].reap() {
+                    return Err(self.ended(self.children[*at].stage, status));
                 }
-                if Instant::now() > deadline {
-                    return Err(SetError::NotReady(stage.name()));
+                if Instant::now() > deadline || self.children[*at].is_given_up() {
+                    if self.supervision.live {
+                        // The others do without it.
+                        break;
+                    }
+                    return Err(SetError::NotReady(self.children[*at].stage.name()));
                 }
                 std::thread::sleep(Duration::from_millis(1));
             }
         }
         Ok(())
+    }
+
+    /// Restarts what has died, replaces what hangs, and frees what dead processes hold.
+    fn look_after(&mut self) -> Result<(), SetError> {
+        self.handle_deaths()?;
+        if self.supervision.live {
+            self.look_for_hangs();
+        }
+        if self.cleaned.elapsed() > CLEAN_PERIOD {
+            self.clean();
+        }
+        Ok(())
+    }
+
+    fn look_for_hangs(&mut self) {
+        let (now_ns, status_dir) = (monotonic_ns(), self.runtime.status());
+        let may_judge = self.hang_watch.look(now_ns);
+        for child in &mut self.children {
+            child.retry_when_due();
+            let stage = child.stage;
+            if child.note_work(&status_dir) {
+                tracing::info!(stage = stage.name(), "works again");
+                self.metrics.set_degraded(stage.name(), false);
+            }
+            let deadline = self.supervision.limits(stage).deadline(stage);
+            if may_judge && child.kill_if_it_hangs(&status_dir, now_ns, deadline) {
+                tracing::warn!(stage = stage.name(), "gives no sign of life and is replaced");
+                self.metrics.hung(stage.name());
+            }
+        }
     }
 
     /// Waits up to `limit` for something to happen; restarts what has died.
@@ -166,10 +167,19 @@ impl ProcessSet {
     /// When the set cannot go on.
     pub fn watch(&mut self, limit: Duration) -> Result<SetEvent, SetError> {
         self.wait_for_deaths(limit);
-        self.handle_deaths()?;
-        if self.cleaned.elapsed() > CLEAN_PERIOD {
-            self.clean();
+        self.look_after()?;
+        match self.hear() {
+            // A publisher that was killed while it was made may be seen half; it is cleaned up, and the set lives on.
+            Err(error) if self.supervision.live => {
+                tracing::warn!(%error, "a message of a stage was not received");
+                Ok(SetEvent::Quiet)
+            }
+            heard => Ok(heard?),
         }
+    }
+
+    /// Takes in what the stages have said.
+    fn hear(&mut self) -> Result<SetEvent, BusError> {
         let mut event = SetEvent::Quiet;
         while let Some(progress) = self.progress.receive()? {
             if progress.stage == Stage::ScanMatcher as u32 {
@@ -206,9 +216,8 @@ impl ProcessSet {
                     return Err(self.ended(stage, status));
                 }
                 tracing::warn!(stage = stage.name(), how = describe(status), "restarting");
-                if !self.children[at].plan_restart() {
-                    let times = self.children[at].pids.len();
-                    return Err(SetError::GivenUp { stage: stage.name(), times, how: describe(status) });
+                if !self.children[at].plan_restart(&self.runtime.status()) {
+                    self.give_up(at, status)?;
                 }
             }
             if self.children[at].is_due() {
@@ -217,6 +226,92 @@ impl ProcessSet {
             }
         }
         Ok(())
+    }
+
+    /// A stage does not get up: one run ends with that, a live set goes on without.
+    fn give_up(&mut self, at: usize, status: ExitStatus) -> Result<(), SetError> {
+        let child = &mut self.children[at];
+        let stage = child.stage.name();
+        if !self.supervision.live {
+            return Err(SetError::GivenUp { stage, times: child.pids.len(), how: describe(status) });
+        }
+        child.give_up(self.supervision.retry);
+        self.metrics.set_degraded(stage, true);
+        tracing::error!(stage, how = describe(status), "does not get up: the set goes on without it");
+        Ok(())
+    }
+
+    /// Kills all processes of a stage, which are started again at once; false when there is none.
+    pub fn restart(&self, stage: Stage) -> bool {
+        let of_stage = self.children.iter().filter(|child| child.stage == stage && child.is_running());
+        of_stage.map(|child| child.signal(Signal::KILL)).count() > 0
+    }
+
+    /// Stops all stages, forgets what they know, lets `prepare` put something else into the directory (it gives the sequence of the
+    /// first scan that follows), and starts them again.
+    ///
+    /// # Errors
+    /// What `prepare` or the start could not do.
+    pub fn begin_anew<E: From<SetError>>(
+        &mut self,
+        prepare: impl FnOnce(&RuntimeDir) -> Result<u64, E>,
+    ) -> Result<(), E> {
+        self.stop();
+        self.runtime.forget_state().map_err(SetError::from)?;
+        let prepared = prepare(&self.runtime);
+        // Should it have failed, the stages begin with nothing.
+        self.set.options.first_sequence = *prepared.as_ref().unwrap_or(&0);
+        self.set.write(&self.runtime.configuration()).map_err(SetError::from)?;
+        self.start_stages()?;
+        prepared.map(|_| ())
+    }
+
+    /// Changes the number of processes of a stage. All of them start anew, since each has to know its share; the others wait for
+    /// none of them meanwhile.
+    ///
+    /// # Errors
+    /// When the stage cannot have so many, or they cannot be started: why.
+    pub fn scale(&mut self, stage: Stage, replicas: usize) -> Result<(), String> {
+        let at_most = if stage == Stage::CorrelationFilter { self.set.options.replicas } else { 1 };
+        if replicas == 0 || replicas > at_most {
+            return Err(format!("{} can have 1 to {at_most} processes in this set", stage.name()));
+        }
+        if self.children.iter().filter(|child| child.stage == stage).count() == replicas {
+            return Ok(());
+        }
+        self.set.configuration.correlation_filter.replicas = replicas;
+        self.set.write(&self.runtime.configuration()).map_err(|error| error.to_string())?;
+        for child in self.children.iter_mut().filter(|child| child.stage == stage) {
+            child.end();
+        }
+        self.children.retain(|child| child.stage != stage);
+        self.clean();
+        let place = self.children.iter().position(|child| child.stage == Stage::LidarIngest).unwrap_or(0);
+        for replica in 0..replicas {
+            self.children.insert(place + replica, StageChild::new(stage, replica as u32));
+            self.spawn(place + replica).map_err(|error| error.to_string())?;
+        }
+        Ok(())
+    }
+
+    /// The configuration of its stages.
+    pub fn configuration(&self) -> &Configuration {
+        &self.set.configuration
+    }
+
+    /// How the set and each of its processes is.
+    pub fn status(&self) -> SetStatus {
+        let status_dir = self.runtime.status();
+        let stages: Vec<_> = self.children.iter().map(|child| StageStatus::of(child, &status_dir)).collect();
+        let degraded = stages.iter().any(|stage| stage.state == StageState::Degraded);
+        SetStatus {
+            robot: self.runtime.name().to_owned(),
+            pid: std::process::id(),
+            state: if degraded { SetState::Degraded } else { SetState::Running },
+            uptime_s: self.started.elapsed().as_secs_f64(),
+            saved: None,
+            stages,
+        }
     }
 
     fn ended(&self, stage: Stage, status: ExitStatus) -> SetError {
@@ -231,6 +326,10 @@ impl ProcessSet {
 
     fn clean(&mut self) {
         self.cleaned = Instant::now();
+        let unfinished = self.runtime.remove_unfinished_objects();
+        if unfinished > 0 {
+            tracing::info!(unfinished, "shared memory that dead processes had only begun was removed");
+        }
         let (cleaned, failed) = self.bus.clean_dead_nodes();
         if cleaned + failed > 0 {
             tracing::info!(cleaned, failed, "dead processes cleaned up");
@@ -250,7 +349,8 @@ impl ProcessSet {
     /// Stops all stages: SIGTERM, and SIGKILL for who does not listen.
     pub fn stop(&mut self) {
         self.children.iter().for_each(|child| child.signal(Signal::TERM));
-        let deadline = Instant::now() + STOP_LIMIT;
+        let limit = if self.supervision.live { STOP_LIMIT_LIVE } else { STOP_LIMIT };
+        let deadline = Instant::now() + limit;
         while self.children.iter().any(StageChild::is_running) {
             if Instant::now() > deadline {
                 self.children.iter().for_each(|child| child.signal(Signal::KILL));
@@ -265,6 +365,11 @@ impl ProcessSet {
     /// The set's directory.
     pub fn runtime(&self) -> &RuntimeDir {
         &self.runtime
+    }
+
+    /// Whether all state goes with the set, or stays for the next one of its name.
+    pub fn wipe_at_end(&mut self, wipes: bool) {
+        self.runtime.wipe_at_end(wipes);
     }
 
     /// What the supervisor itself tells about the set; clones share the numbers.
@@ -294,6 +399,20 @@ impl Drop for ProcessSet {
     }
 }
 
+/// Removes the oldest reports of a stage's dead processes: thousands of restarts shall not fill the memory.
+fn prune_reports(status_dir: &Path, stage: Stage) {
+    let Ok(entries) = std::fs::read_dir(status_dir) else { return };
+    let is_report = |name: &str| name.starts_with(stage.name()) && name.ends_with(".report");
+    let reports = entries.flatten().filter(|entry| is_report(&entry.file_name().to_string_lossy()));
+    let mut reports: Vec<_> =
+        reports.filter_map(|entry| Some((entry.metadata().ok()?.modified().ok()?, entry.path()))).collect();
+    reports.sort();
+    for (_, path) in &reports[..reports.len().saturating_sub(REPORTS_MAX)] {
+        // Should it stay, it is tried again with the next start.
+        let _ = std::fs::remove_file(path);
+    }
+}
+
 /// One process for each stage, and further replicas where they are asked for.
 fn children(set: &SetFile) -> Vec<StageChild> {
     let replicas = |stage| match stage {
@@ -304,9 +423,16 @@ fn children(set: &SetFile) -> Vec<StageChild> {
     Stage::ALL.into_iter().flat_map(of_stage).collect()
 }
 
-/// Steps that a stage yields to the others of its set: live, a pose is awaited, and a loop closure can be a little later.
+/// Steps that a stage yields to the others of its set: live, a pose is awaited, the map of it and a loop closure can be a
+/// little later.
 fn niceness(stage: Stage, mode: Mode) -> i32 {
-    if mode == Mode::Live && stage == Stage::SyncManager { 10 } else { 0 }
+    match (mode, stage) {
+        (Mode::Exact, _) => 0,
+        (Mode::Live, Stage::LidarIngest | Stage::CorrelationFilter | Stage::ScanMatcher) => 0,
+        (Mode::Live, Stage::Mapper) => 5,
+        (Mode::Live, Stage::DynamicCleaner) => 8,
+        (Mode::Live, Stage::SyncManager) => 15,
+    }
 }
 
 /// Where a stage writes why it could not go on.

@@ -5,15 +5,19 @@ use flockslam_messages::Stage;
 use flockslam_stage::{StageContext, StageError, StopFlag};
 use std::path::Path;
 
-/// Runs one stage of the set in `set_dir` in this process, until SIGTERM.
+/// Runs one stage of the set in `set_dir`, or what stands in for it, in this process, until SIGTERM.
 ///
 /// # Errors
 /// What the stage could not go on from.
-pub fn run_stage(stage: Stage, replica: u32, set_dir: &Path) -> Result<(), StageError> {
+pub fn run_stage(stage: Stage, replica: u32, set_dir: &Path, stands_in: bool) -> Result<(), StageError> {
     let stop = StopFlag::on_signals()?;
     let runtime = RuntimeDir::open(set_dir)?;
     let set = SetFile::read(&runtime.configuration())?;
     let mut context = StageContext::join(stage, replica, &runtime, &set.options, stop)?;
+    if stands_in && stage == Stage::ScanMatcher {
+        let settings = set.configuration.scan_matcher;
+        return flockslam_scan_matcher::process::run_stand_in(&mut context, settings);
+    }
     run_in(&mut context, set)
 }
 

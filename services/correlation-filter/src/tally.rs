@@ -5,16 +5,16 @@ use std::ops::Range;
 
 /// Units of range in a metre.
 pub(crate) const UNITS_PER_M: f32 = 1024.0;
-/// Ranges beyond count as this, metres: a block's sum stays within 32 bits.
+/// Ranges beyond count as this, metres: in units they stay below [`ONES`].
 const RANGE_CAP_M: f32 = 8191.0;
-/// Beams that are taken together where they all fall into one sector.
-const BLOCK: usize = 256;
-/// Scans with fewer beams are taken beam by beam: their sectors are narrower than a block.
-const BLOCKS_FROM: usize = 16_384;
-/// Of so many beams one enters the histogram there: a histogram of a thousand is as good as one of all.
-const BIN_EVERY: usize = 16;
-/// What stands for a range that is not valid.
-const INVALID: i32 = -1;
+/// From here to twice as much the numbers of single precision are the whole ones: what is added to this is rounded to units.
+const ONES: f32 = 8_388_608.0;
+/// Beams that are taken together at most, where they all fall into one place.
+const BLOCK: usize = 4096;
+/// Ranges of which the sum in units stays within 32 bits.
+const CHUNK: usize = 256;
+/// Beams that enter the histogram at least: one of a thousand is as good as one of all.
+const BINNED: usize = 1024;
 
 /// Adds up the beams of `beams`; a pair of neighbours belongs to its first beam. The sum over any division of a scan into
 /// ranges is the same to the bit.
@@ -22,25 +22,36 @@ pub fn tally(scan: ScanView<'_>, beams: Range<usize>) -> ScanTally {
     let mut tally = ScanTally { id: scan.header().id, parts: 1, ..ScanTally::default() };
     let places = Places::of(scan);
     let beams = beams.start..beams.end.min(scan.len());
-    let length = places.block(scan);
-    let is_large = scan.len() >= BLOCKS_FROM && length == BLOCK;
-    let bin_every = if is_large { BIN_EVERY } else { 1 };
+    let (length, last) = (places.block(scan), scan.len().saturating_sub(1));
     let mut at = beams.start;
+    if at >= beams.end {
+        return tally;
+    }
+    let mut place = places.of_beam(scan, at);
     while at < beams.end {
         let end = (at + length).min(beams.end);
-        let place = places.of_beam(scan, at);
-        let is_one_place = length > 1 && place == places.of_beam(scan, end - 1);
-        if is_one_place && is_large {
-            take_block(&mut tally, scan, at..end, place);
-        } else {
-            for beam in at..end {
-                let place = if is_one_place { place } else { places.of_beam(scan, beam) };
-                take_beam(&mut tally, scan, beam, place, bin_every);
-            }
-        }
-        at = end;
+        let next_place = places.of_beam(scan, end.min(last));
+        take_run(&mut tally, scan, &places, at..end, (place, next_place));
+        (at, place) = (end, next_place);
     }
     tally
+}
+
+/// Adds the beams of a block, given the places of its first beam and of the one that follows: halves until a part lies in one.
+fn take_run(
+    tally: &mut ScanTally,
+    scan: ScanView<'_>,
+    places: &Places,
+    beams: Range<usize>,
+    (place, next_place): (Place, Place),
+) {
+    if place == next_place || beams.len() == 1 {
+        return take_beams(tally, scan, beams, place);
+    }
+    let middle = beams.start + beams.len() / 2;
+    let middle_place = places.of_beam(scan, middle);
+    take_run(tally, scan, places, beams.start..middle, (place, middle_place));
+    take_run(tally, scan, places, middle..beams.end, (middle_place, next_place));
 }
 
 /// Where a beam counts: its sector, and which sign falling ranges have along a corridor.
@@ -61,7 +72,8 @@ impl Places {
         Self { turned_rad: mounted_rad + heading_rad, mounted_rad }
     }
 
-    /// Beams in a row, at most [`BLOCK`], over which even angles change so little that equal places at both ends are equal in between.
+    /// Beams in a row, at most [`BLOCK`], over which even angles change so little that equal places at its beginning and at that
+    /// of the next are equal in between.
     fn block(&self, scan: ScanView<'_>) -> usize {
         let header = scan.header();
         if header.sections & flockslam_messages::ScanSections::ANGLES != 0 {
@@ -69,7 +81,7 @@ impl Places {
         }
         let sector_rad = TAU / TALLY_SECTORS as f64;
         let is_narrow = |length: &usize| header.angle_increment_rad.abs() * (*length as f64) < sector_rad;
-        [BLOCK, BLOCK / 8, 8, 4].into_iter().find(is_narrow).unwrap_or(1)
+        [BLOCK, CHUNK, 64, 16, 8, 4].into_iter().find(is_narrow).unwrap_or(1)
     }
 
     fn of_beam(&self, scan: ScanView<'_>, beam: usize) -> Place {
@@ -86,66 +98,125 @@ fn sector_of(angle_rad: f64) -> usize {
     ((share * TALLY_SECTORS as f64) as usize).min(TALLY_SECTORS - 1)
 }
 
-/// A range in units; [`INVALID`] for one that is not valid.
-fn units(range_m: f32, limits_m: (f32, f32)) -> i32 {
-    let valid = limits_m.0 <= range_m && range_m <= limits_m.1;
-    if valid { (range_m.clamp(0.0, RANGE_CAP_M) * UNITS_PER_M) as i32 } else { INVALID }
+/// A range in units, rounded.
+#[inline(always)]
+fn units(range_m: f32) -> u32 {
+    let capped_m = if range_m < RANGE_CAP_M { range_m } else { RANGE_CAP_M };
+    (capped_m * UNITS_PER_M + ONES).to_bits().wrapping_sub(ONES.to_bits())
+}
+
+/// Of so many beams one enters the histogram.
+fn bin_every(beams: usize) -> usize {
+    (beams / BINNED).checked_ilog2().map_or(1, |power| 1 << power)
 }
 
 /// Bins are 0.4 m wide; the last takes all ranges from 11.6 m on.
-fn bin_of(units: i32) -> usize {
-    ((units * 5) >> 11).min(TALLY_BINS as i32 - 1) as usize
+fn bin_of(units: u32) -> usize {
+    ((units * 5) >> 11).min(TALLY_BINS as u32 - 1) as usize
 }
 
-fn take_beam(tally: &mut ScanTally, scan: ScanView<'_>, beam: usize, place: Place, bin_every: usize) {
-    let limits_m = (scan.header().range_min_m, scan.header().range_max_m);
-    let here = units(scan.ranges()[beam], limits_m);
-    if here == INVALID {
-        return;
-    }
-    tally.range_sums[place.0] += here as u64;
-    tally.counts[place.0] += 1;
-    if beam.is_multiple_of(bin_every) {
-        tally.bins[bin_of(here)] += 1;
-    }
-    let next = scan.ranges().get(beam + 1).map_or(INVALID, |range| units(*range, limits_m));
-    if next != INVALID {
-        let falls = i64::from(here > next) - i64::from(here < next);
-        tally.corridor += if place.1 { falls } else { -falls };
-        tally.pairs += 1;
-    }
-}
-
-/// The same for beams of one place, in loops that the compiler can vectorise.
-fn take_block(tally: &mut ScanTally, scan: ScanView<'_>, beams: Range<usize>, place: Place) {
-    let limits_m = (scan.header().range_min_m, scan.header().range_max_m);
-    let mut here = [INVALID; BLOCK + 1];
+/// Adds beams that share a place.
+fn take_beams(tally: &mut ScanTally, scan: ScanView<'_>, beams: Range<usize>, (sector, rises): Place) {
+    let limits_m = (scan.header().range_min_m.max(0.0), scan.header().range_max_m);
     let seen = &scan.ranges()[beams.start..(beams.end + 1).min(scan.len())];
-    here.iter_mut().zip(seen).for_each(|(here, range)| *here = units(*range, limits_m));
-    let (first, second) = (&here[..beams.len()], &here[1..=beams.len()]);
-    // Nothing wraps: a block has 256 ranges below 2^23. Said so, the compiler need not look.
-    let (mut sum, mut valid, mut falls, mut pairs) = (0_i32, 0_i32, 0_i32, 0_i32);
-    for (a, b) in first.iter().zip(second) {
-        let (a_valid, b_valid) = (i32::from(*a >= 0), i32::from(*b >= 0));
-        sum = sum.wrapping_add((*a).max(0));
-        valid = valid.wrapping_add(a_valid);
-        let fall = i32::from(*a > *b).wrapping_sub(i32::from(*a < *b));
-        falls = falls.wrapping_add((a_valid & b_valid).wrapping_mul(fall));
-        pairs = pairs.wrapping_add(a_valid & b_valid);
+    let ranges_m = &seen[..beams.len()];
+    // Behind the last beam of a scan there is none: as if that one were not valid.
+    let is_last = seen.len() == beams.len();
+    let paired = if is_last { beams.len() - 1 } else { beams.len() };
+    let mut sums = Sums::default();
+    for (first, second) in ranges_m[..paired].chunks(CHUNK).zip(seen[1..].chunks(CHUNK)) {
+        sums.add(first, second, limits_m);
     }
-    tally.range_sums[place.0] += sum as u64;
-    tally.counts[place.0] += valid as u32;
-    tally.corridor += i64::from(if place.1 { falls } else { -falls });
-    tally.pairs += pairs as u64;
-    let to_first = beams.start.next_multiple_of(BIN_EVERY) - beams.start;
-    let picked = first.iter().skip(to_first).step_by(BIN_EVERY).filter(|units| **units != INVALID);
-    picked.for_each(|units| tally.bins[bin_of(*units)] += 1);
+    if is_last {
+        sums.add(&ranges_m[paired..], &[f32::NAN], limits_m);
+    }
+    tally.range_sums[sector] += sums.units;
+    tally.counts[sector] += sums.valid;
+    tally.corridor += i64::from(if rises { sums.falls } else { -sums.falls });
+    tally.pairs += u64::from(sums.pairs);
+    let every = bin_every(scan.len());
+    let to_first = beams.start.next_multiple_of(every) - beams.start;
+    let picked = ranges_m.iter().skip(to_first).step_by(every);
+    for range_m in picked.filter(|range_m| limits_m.0 <= **range_m && **range_m <= limits_m.1) {
+        tally.bins[bin_of(units(*range_m))] += 1;
+    }
+}
+
+/// What beams of one place add up to.
+#[derive(Debug, Default)]
+struct Sums {
+    units: u64,
+    valid: u32,
+    /// Pairs of which the second range is the smaller one, less those of which it is the larger.
+    falls: i32,
+    pairs: u32,
+}
+
+impl Sums {
+    /// Adds ranges and the neighbour of each, the next one; at most [`CHUNK`].
+    fn add(&mut self, first_m: &[f32], second_m: &[f32], limits_m: (f32, f32)) {
+        #[cfg(target_arch = "x86_64")]
+        if first_m.len() == CHUNK && std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has what the function was compiled for.
+            return unsafe { self.add_with_avx2(first_m, second_m, limits_m) };
+        }
+        self.add_plainly(first_m, second_m, limits_m);
+    }
+
+    /// The same, for processors that handle eight numbers at once.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn add_with_avx2(&mut self, first_m: &[f32], second_m: &[f32], limits_m: (f32, f32)) {
+        self.add_plainly(first_m, second_m, limits_m);
+    }
+
+    #[inline(always)]
+    fn add_plainly(&mut self, first_m: &[f32], second_m: &[f32], limits_m: (f32, f32)) {
+        let is_valid = |range_m: f32| (limits_m.0 <= range_m) & (range_m <= limits_m.1);
+        let valid = first_m.iter().fold(0_u32, |valid, a| valid + u32::from(is_valid(*a)));
+        if valid as usize == first_m.len() && second_m.last().is_none_or(|last| is_valid(*last)) {
+            self.add_valid(first_m, second_m);
+        } else {
+            self.add_mixed(first_m, second_m, is_valid);
+        }
+        self.valid += valid;
+    }
+
+    /// Valid ranges. A loop without branches, for the compiler to vectorise, as the next one.
+    #[inline(always)]
+    fn add_valid(&mut self, first_m: &[f32], second_m: &[f32]) {
+        // Nothing wraps: a chunk has 256 ranges of less than 2^23 units. Said so, the compiler need not look.
+        let (mut sum, mut falls) = (0_u32, 0_i32);
+        for (a, b) in first_m.iter().zip(second_m) {
+            sum = sum.wrapping_add(units(*a));
+            falls = falls.wrapping_add(i32::from(a > b).wrapping_sub(i32::from(a < b)));
+        }
+        self.units += u64::from(sum);
+        self.falls += falls;
+        self.pairs += first_m.len() as u32;
+    }
+
+    /// Ranges of which some are not valid.
+    #[inline(always)]
+    fn add_mixed(&mut self, first_m: &[f32], second_m: &[f32], is_valid: impl Fn(f32) -> bool) {
+        let (mut sum, mut falls, mut pairs) = (0_u32, 0_i32, 0_u32);
+        for (a, b) in first_m.iter().zip(second_m) {
+            let (a_valid, both_valid) = (is_valid(*a), is_valid(*a) & is_valid(*b));
+            sum = sum.wrapping_add(if a_valid { units(*a) } else { 0 });
+            let fall = i32::from(both_valid & (a > b)).wrapping_sub(i32::from(both_valid & (a < b)));
+            falls = falls.wrapping_add(fall);
+            pairs = pairs.wrapping_add(u32::from(both_valid));
+        }
+        self.units += u64::from(sum);
+        self.falls += falls;
+        self.pairs += pairs;
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flockslam_messages::ScanBuffer;
+    use flockslam_messages::{ScanBuffer, ScanSections};
     use proptest::prelude::*;
 
     #[test]
@@ -170,6 +241,16 @@ mod tests {
     }
 
     #[test]
+    fn beams_may_have_angles_of_their_own() {
+        let even = ScanBuffer::from_ranges(&[2.0, 1.5, 4.0, 3.0], -3.0, 1.5);
+        let mut own = even.clone();
+        own.header.sections = ScanSections::ANGLES;
+        own.numbers.extend([-3.0, -1.5, 0.0, 1.5]);
+        assert_eq!(tally(own.view().unwrap(), 0..4), tally(even.view().unwrap(), 0..4));
+        assert_eq!(tally(own.view().unwrap(), 4..4).valid(), 0);
+    }
+
+    #[test]
     fn sectors_turn_with_the_wheels() {
         let look = |heading_rad: f64| {
             let mut scan = ScanBuffer::from_ranges(&[3.0], 0.05 - heading_rad, 0.0);
@@ -179,19 +260,19 @@ mod tests {
         assert_eq!(look(0.0), look(1.0));
     }
 
-    /// A scan of many beams with all kinds of ranges.
+    /// A scan of many beams with all kinds of ranges, and stretches of only valid ones between.
     fn large(beams: usize, seed: u64) -> ScanBuffer {
         let mut state = seed | 1;
-        let mut range = || {
+        let mut range = |beam: usize| {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            match state >> 60 {
+            match if beam / 700 % 2 == 0 { 15 } else { state >> 60 } {
                 0 => f32::NAN,
                 1 => f32::INFINITY,
                 2 => 0.001,
                 _ => (state >> 40) as f32 * 1e-6,
             }
         };
-        let ranges: Vec<f32> = (0..beams).map(|_| range()).collect();
+        let ranges: Vec<f32> = (0..beams).map(range).collect();
         let mut scan = ScanBuffer::from_ranges(&ranges, -PI, TAU / beams.max(1) as f64);
         (scan.header.range_min_m, scan.header.range_max_m) = (0.05, 16.0);
         scan
@@ -204,7 +285,7 @@ mod tests {
         let mut one_by_one = ScanTally { parts: 1, ..ScanTally::default() };
         let places = Places::of(view);
         (0..view.len()).for_each(|beam| {
-            take_beam(&mut one_by_one, view, beam, places.of_beam(view, beam), BIN_EVERY);
+            take_beams(&mut one_by_one, view, beam..beam + 1, places.of_beam(view, beam));
         });
         assert_eq!(tally(view, 0..view.len()), one_by_one);
     }

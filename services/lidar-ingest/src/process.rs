@@ -32,6 +32,8 @@ pub enum Source {
     Pipe,
     /// The simulated world.
     Simulation,
+    /// Nothing: the stream ends before its first scan. What a continued map holds is all there is.
+    Nothing,
 }
 
 /// Everything that the stage is told.
@@ -56,6 +58,9 @@ const CONSUMERS: [Stage; 5] =
 const EPOCH: u32 = 1;
 /// Large scans on their way at once: their topic has a buffer of two.
 const LARGE_CREDIT: u64 = 2;
+
+/// Live replay: a scan is announced so long before it is due, as the first bytes from a sensor would do it.
+const ANNOUNCED_AHEAD: Duration = Duration::from_micros(200);
 
 /// Who is woken for each scan. Live, the matcher wakes up while the filter judges: one after the other they would take as
 /// long again as the matching itself. The matcher comes first: the filter, once woken, may take this very processor, and its
@@ -91,6 +96,8 @@ struct Ingest {
     scan: ScanBuffer,
     /// A scan is in `scan` and not yet sent.
     loaded: bool,
+    /// It has been announced.
+    announced: bool,
     sequence: u64,
     ended: bool,
     stream: StreamEnd,
@@ -98,11 +105,15 @@ struct Ingest {
 
 impl Ingest {
     fn open(context: &StageContext, task: Task) -> Result<Self, StageError> {
-        let cursor = if context.mode == Mode::Live { Some(Cursor::open(&context.status_dir)?) } else { None };
-        let resumed = cursor.as_ref().map_or(0, |cursor| cursor.next_sequence());
+        let first = context.first_sequence;
+        let cursor = match context.mode {
+            Mode::Live => Some(Cursor::open(&context.status_dir, first)?),
+            Mode::Exact => None,
+        };
+        let resumed = cursor.as_ref().map_or(first, |cursor| cursor.next_sequence());
         let pacer = task.rate.map(|rate| Pacer::new(rate, cursor.as_ref().and_then(Cursor::anchor)));
         let mut feed = Feed::open(context, &task)?;
-        feed.skip(resumed)?;
+        feed.skip(resumed.saturating_sub(first))?;
         let bells =
             CONSUMERS.iter().map(|stage| context.bus.ringer(stage.name())).collect::<Result<_, _>>()?;
         Ok(Self {
@@ -120,6 +131,7 @@ impl Ingest {
             done: [0; CONSUMERS.len()],
             scan: ScanBuffer::default(),
             loaded: false,
+            announced: false,
             sequence: resumed,
             ended: false,
             stream: StreamEnd::open(context)?,
@@ -150,6 +162,19 @@ impl Ingest {
         }
     }
 
+    /// Until the loaded scan is due.
+    fn ahead(&self) -> Option<Duration> {
+        let pacer = self.pacer.as_ref().filter(|_| self.loaded)?;
+        Some(pacer.wait(self.scan.header.times.sensor_ns, monotonic_ns()))
+    }
+
+    fn announce(&mut self) {
+        if !self.announced && self.ahead().is_some_and(|ahead| ahead <= ANNOUNCED_AHEAD) {
+            self.announced = true;
+            self.first.iter().for_each(BellRinger::announce);
+        }
+    }
+
     fn publish(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         let now_ns = monotonic_ns();
         let header = &mut self.scan.header;
@@ -163,7 +188,7 @@ impl Ingest {
             // Whoever was woken may wait for this very processor: reading the next scan has time.
             std::thread::yield_now();
         }
-        self.loaded = false;
+        (self.loaded, self.announced) = (false, false);
         self.sequence += 1;
         if let Some(cursor) = &mut self.cursor {
             cursor.advance(self.sequence, self.pacer.as_ref().and_then(Pacer::anchor))?;
@@ -220,6 +245,7 @@ impl Actor for Ingest {
                 }
             }
             if !self.is_due(context) {
+                self.announce();
                 return Ok(any);
             }
             self.publish(context)?;
@@ -237,9 +263,8 @@ impl Actor for Ingest {
     }
 
     fn patience(&self) -> Duration {
-        match &self.pacer {
-            Some(pacer) if self.loaded => pacer.wait(self.scan.header.times.sensor_ns, monotonic_ns()),
-            _ => Duration::from_millis(100),
-        }
+        let until_announcement = if self.announced { Duration::ZERO } else { ANNOUNCED_AHEAD };
+        let ahead = self.ahead().map(|ahead| ahead.saturating_sub(until_announcement));
+        ahead.unwrap_or(Duration::from_millis(100))
     }
 }

@@ -42,6 +42,9 @@ struct MapperProcess {
     stream: StreamEnd,
     /// Accepted scans with a sequence below this are in the map.
     applied: u64,
+    /// The scan whose pose comes next when none is missed.
+    expected: u64,
+    journal: JournalReader,
     last: Option<PoseEstimate>,
     waiting_since_ns: Option<u64>,
     map_closed: bool,
@@ -83,6 +86,8 @@ impl MapperProcess {
             acknowledger: Acknowledger::open(context, 0)?,
             stream: StreamEnd::open(context)?,
             applied: 0,
+            expected: 0,
+            journal: JournalReader::open(&context.journal_dir)?,
             last: None,
             waiting_since_ns: None,
             map_closed: false,
@@ -92,30 +97,29 @@ impl MapperProcess {
     }
 
     /// Rebuilds the map that a predecessor had: its closed submaps from the store, the active one from the journal.
-    fn recover(&mut self, context: &StageContext) -> Result<(), StageError> {
+    fn recover(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         let count = self.store.count();
         let mut inserted = 0;
         for number in 0..count {
             let submap = self.store.load(number)?;
             inserted += u64::from(submap.insertions);
             self.applied = submap.last + 1;
-            self.logic.resume(submap, inserted);
-        }
-        self.catch_up(context)?;
-        for number in 0..count {
-            let submap = self.store.load(number)?;
             self.output.tell_submap(&self.store.notice(&submap)?)?;
+            self.logic.resume(submap, inserted);
+            context.alive();
         }
+        self.catch_up(u64::MAX, context)?;
         if self.last.is_some() || count > 0 {
             self.republish(context)?;
         }
-        Ok(())
+        self.acknowledger.finished(self.expected)
     }
 
-    /// Applies accepted scans of the journal that are not in the map yet.
-    fn catch_up(&mut self, context: &StageContext) -> Result<(), StageError> {
-        let mut journal = JournalReader::open(&context.journal_dir)?;
-        while let Some(record) = journal.read_next()? {
+    /// Applies accepted scans of the journal before this sequence that are not in the map yet.
+    fn catch_up(&mut self, before: u64, context: &mut StageContext) -> Result<(), StageError> {
+        while let Some(record) = self.journal.read_before(before)? {
+            context.alive();
+            self.expected = self.expected.max(record.pose.id.sequence + 1);
             let Some(scan) = record.scan.filter(|_| record.pose.id.sequence >= self.applied) else {
                 continue;
             };
@@ -209,6 +213,11 @@ impl MapperProcess {
     /// Handles the oldest pose; false when its join is not complete.
     fn step(&mut self, pose: &PoseEstimate, context: &mut StageContext) -> Result<bool, StageError> {
         let sequence = pose.id.sequence;
+        if context.mode == Mode::Live && sequence > self.expected {
+            // Poses were missed while this process was held up; what they accepted is in the journal.
+            self.catch_up(sequence, context)?;
+        }
+        self.expected = self.expected.max(sequence + 1);
         if !pose.has(PoseFlags::INSERT) || sequence < self.applied {
             self.scans.release_before(sequence + 1);
             self.acknowledger.finished(sequence + 1)?;
@@ -223,7 +232,7 @@ impl MapperProcess {
                 self.apply(scan, pose, &cleared)?;
             }
             // It was sent before this process listened; the journal has every accepted scan.
-            None => self.catch_up(context)?,
+            None => self.catch_up(sequence + 1, context)?,
         }
         context.handled(sequence, started_ns, pose.times.monotonic_ns);
         self.acknowledger.finished(sequence + 1)?;

@@ -39,6 +39,8 @@ pub struct ScanMatcher {
     chain: u32,
     /// Nothing but driving connects the chain with the map.
     detached: bool,
+    /// The grid belongs to a chain before this one: it is not matched.
+    begins_elsewhere: bool,
     /// Where a wide search found nothing.
     searched: Option<Pose>,
     generation: u64,
@@ -78,6 +80,7 @@ impl ScanMatcher {
             slips: false,
             chain: 0,
             detached: false,
+            begins_elsewhere: false,
             searched: None,
             generation: 0,
             active_submap: 0,
@@ -121,8 +124,9 @@ impl ScanMatcher {
             self.motion.advance(scan, prediction.pose, prediction.covariance, false);
             return estimate;
         }
-        if grid.is_empty() {
-            estimate.quality = Quality::Tracking as u32;
+        if grid.is_empty() || self.begins_elsewhere {
+            estimate.quality = if self.detached { Quality::Degraded } else { Quality::Tracking } as u32;
+            self.begins_elsewhere = false;
         } else {
             let field = GridField::new(grid, self.settings.unknown_score);
             let (prediction, fit) = self.settled(&field, prediction, scan);
@@ -171,6 +175,25 @@ impl ScanMatcher {
         self.inserted = Some(last.odom_from_base);
         self.chain = last.chain;
         (self.mean_score, self.last_score) = (last.score, last.score);
+    }
+
+    /// Continues a saved map: the robot may be anywhere by now, so a new chain of submaps begins at its next scan, which a closure
+    /// may attach.
+    pub fn resume_elsewhere(&mut self, last: &PoseEstimate) {
+        self.resume(last);
+        self.motion.resume(last.odom_from_base, Covariance::default(), None, last.times.sensor_ns);
+        (self.chain, self.detached, self.begins_elsewhere) = (last.chain + 1, true, true);
+        (self.inserted, self.mean_score, self.last_score) = (None, 0.0, 0.0);
+    }
+
+    /// The pose of a scan by the wheels alone: for when there is nothing to match it with.
+    pub fn follow_wheels(&mut self, scan: ScanView<'_>) -> PoseEstimate {
+        let header = scan.header();
+        let verdict = Verdict { id: header.id, times: header.times, ..Verdict::default() };
+        let prediction = self.motion.predict(scan);
+        self.motion.advance(scan, prediction.pose, prediction.covariance, false);
+        let quality = Quality::Degraded as u32;
+        PoseEstimate { quality, ..self.predicted(scan, &verdict, &prediction) }
     }
 
     fn take_points(&mut self, scan: ScanView<'_>, twist: Twist) {

@@ -11,6 +11,10 @@ use flockslam_telemetry::monotonic_ns;
 use std::collections::VecDeque;
 use std::time::Duration;
 
+mod stand_in;
+
+pub use stand_in::run_stand_in;
+
 /// Live: a verdict that is later than this after its scan is not waited for; the scan is processed.
 const VERDICT_DEADLINE_NS: u64 = 20_000_000;
 /// Live: so long after a scan its verdict, expected any moment, is looked for without sleeping: waking up takes longer.
@@ -67,9 +71,17 @@ impl Matcher {
         let next = last.as_ref().map_or(0, |pose| pose.id.sequence + 1);
         let bus = &context.bus;
         let grid = GridReader::open(context, cell_size_m)?;
+        let poses = bus.publisher()?;
         if let Some(last) = &last {
-            logic.resume(last);
+            let is_of_this_session = next > context.first_sequence;
+            if is_of_this_session {
+                logic.resume(last)
+            } else {
+                logic.resume_elsewhere(last)
+            }
             grid.ask_for_tiles()?;
+            // A predecessor may have died between the journal and this.
+            poses.send(last)?;
         }
         Ok(Self {
             logic,
@@ -81,7 +93,7 @@ impl Matcher {
             finished_submaps: 0,
             grid,
             awaited: VecDeque::with_capacity(2 + LAG_LIVE),
-            poses: bus.publisher()?,
+            poses,
             journal: JournalWriter::open(&context.journal_dir)?,
             bells: [
                 bus.ringer(Stage::Mapper.name())?,
@@ -268,10 +280,11 @@ impl Actor for Matcher {
     }
 }
 
-fn last_pose(context: &StageContext) -> Result<Option<PoseEstimate>, StageError> {
+fn last_pose(context: &mut StageContext) -> Result<Option<PoseEstimate>, StageError> {
     let mut journal = JournalReader::open(&context.journal_dir)?;
     let mut last = None;
     while let Some(record) = journal.read_next()? {
+        context.alive();
         last = Some(record.pose);
     }
     Ok(last)

@@ -1,5 +1,5 @@
 use crate::{StageContext, StageError};
-use flockslam_bus::Listener;
+use flockslam_bus::{Listener, Wake};
 use std::time::Duration;
 
 /// A stage as its loop sees it.
@@ -35,13 +35,17 @@ const REFRESH: Duration = Duration::from_millis(100);
 const RESTING_NS: u64 = 1_000_000_000;
 /// … it looks only so often.
 const RESTING: Duration = Duration::from_millis(300);
+/// What was announced is waited for awake, at most so long: going to sleep and waking up takes a processor longer than
+/// the matching of a scan.
+const AWAKE_NS: u64 = 1_000_000;
 
 /// Runs a stage until it is asked to stop: work while there is work, sleep on the bell while there is none.
 ///
 /// # Errors
 /// What the actor could not go on from.
 pub fn run(context: &mut StageContext, actor: &mut impl Actor, bell: &Listener) -> Result<(), StageError> {
-    let (mut refreshed_ns, mut worked_ns) = (0, 0);
+    let (mut refreshed_ns, mut worked_ns, mut awake_until_ns) = (0, 0, 0);
+    context.ready();
     while !context.stop.is_set() {
         let idle = !actor.advance(context)?;
         // Behind the work: a scan that has just arrived does not wait for the housekeeping.
@@ -53,13 +57,20 @@ pub fn run(context: &mut StageContext, actor: &mut impl Actor, bell: &Listener) 
         }
         context.report.write_sometimes(now_ns, idle);
         if !idle {
-            worked_ns = now_ns;
+            (worked_ns, awake_until_ns) = (now_ns, 0);
+            continue;
+        }
+        if now_ns < awake_until_ns {
+            // Whoever brings it may wait for this very processor.
+            std::thread::yield_now();
             continue;
         }
         let patience = actor.patience();
         // A stage that has had nothing to do for a while is called by its bell when there is.
         let rests = now_ns.saturating_sub(worked_ns) > RESTING_NS && patience >= REFRESH;
-        bell.wait(if rests { RESTING } else { patience.min(REFRESH) })?;
+        if bell.wait(if rests { RESTING } else { patience.min(REFRESH) })? == Wake::Announced {
+            awake_until_ns = flockslam_telemetry::monotonic_ns() + AWAKE_NS;
+        }
     }
     actor.close(context)?;
     context.report.write();

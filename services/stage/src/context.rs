@@ -28,6 +28,9 @@ pub struct StageOptions {
     pub replicas: usize,
     /// Greatest number of live tiles.
     pub live_tiles: usize,
+    /// Sequence of the first scan of this session: what comes before belongs to a map that is continued.
+    #[serde(default)]
+    pub first_sequence: u64,
 }
 
 impl StageOptions {
@@ -81,6 +84,8 @@ pub struct StageContext {
     pub mode: Mode,
     /// Sizes of the set.
     pub capacity: Capacity,
+    /// Sequence of the first scan of this session: what comes before belongs to a map that is continued.
+    pub first_sequence: u64,
     /// Journal of scans and poses.
     pub journal_dir: PathBuf,
     /// Store of closed submaps.
@@ -141,6 +146,7 @@ impl StageContext {
             bus,
             mode: options.mode,
             capacity: options.capacity(),
+            first_sequence: options.first_sequence,
             runtime: runtime.path().to_owned(),
             journal_dir: runtime.journal(),
             submap_dir: runtime.submaps(),
@@ -168,12 +174,21 @@ impl StageContext {
             (now_ns.saturating_sub(started_ns), now_ns.saturating_sub(captured_ns));
         self.metrics.handled(sequence, latency_ns, since_capture_ns);
         self.report.handled(latency_ns, since_capture_ns);
+        if self.report.report.handled == 1 {
+            self.alive();
+        }
     }
 
     /// Counts a drop.
     pub fn dropped(&mut self, reason: &'static str) {
         self.metrics.dropped(reason);
         self.report.dropped(reason);
+    }
+
+    /// The stage has recovered what a predecessor knew, and works from now on.
+    pub fn ready(&mut self) {
+        self.heartbeat.set_ready();
+        self.alive();
     }
 
     /// A sign of life; cheap when called often.

@@ -24,5 +24,5 @@ pub use pending::PendingScans;
 pub use pose_queue::PoseQueue;
 pub use progress::{Acknowledger, StreamEnd};
 pub use report::{ProcessReport, read_reports};
-pub use scan_journal::{JournalReader, JournalWriter, Journaled};
+pub use scan_journal::{JournalReader, JournalWriter, Journaled, journal_file};
 pub use submap_store::SubmapStore;

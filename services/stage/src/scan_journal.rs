@@ -1,5 +1,5 @@
 use crate::StageError;
-use flockslam_journal::{JournalError, RecordReader, RecordWriter};
+use flockslam_journal::{Ending, JournalError, RecordReader, RecordWriter};
 use flockslam_messages::{PoseEstimate, PoseFlags, ScanBuffer, ScanHeader, ScanView};
 use std::path::{Path, PathBuf};
 use zerocopy::{FromBytes, IntoBytes};
@@ -9,7 +9,8 @@ const POSE: u32 = 1;
 /// A pose with its scan: accepted, its evidence belongs into the map.
 const ACCEPTED: u32 = 2;
 
-fn journal_file(directory: &Path) -> PathBuf {
+/// The journal in a directory.
+pub fn journal_file(directory: &Path) -> PathBuf {
     directory.join("scans.journal")
 }
 
@@ -50,9 +51,12 @@ pub struct Journaled {
     pub scan: Option<ScanBuffer>,
 }
 
-/// Reads the journal from its beginning; it may still be growing.
+/// Reads the journal from its beginning; it may still be growing, or not be there yet.
 pub struct JournalReader {
+    path: PathBuf,
     records: Option<RecordReader>,
+    /// Read, but not given away yet.
+    ahead: Option<Journaled>,
 }
 
 impl JournalReader {
@@ -61,9 +65,35 @@ impl JournalReader {
     /// # Errors
     /// When the file is there but cannot be read.
     pub fn open(directory: &Path) -> Result<Self, StageError> {
-        let path = journal_file(directory);
-        let empty = std::fs::metadata(&path).map_or(true, |metadata| metadata.len() == 0);
-        Ok(Self { records: if empty { None } else { Some(RecordReader::open(&path)?) } })
+        let mut reader = Self { path: journal_file(directory), records: None, ahead: None };
+        reader.open_once_there()?;
+        Ok(reader)
+    }
+
+    fn open_once_there(&mut self) -> Result<(), StageError> {
+        let empty = || std::fs::metadata(&self.path).map_or(true, |metadata| metadata.len() == 0);
+        if self.records.is_none() && !empty() {
+            self.records = Some(RecordReader::open(&self.path)?);
+        }
+        Ok(())
+    }
+
+    /// What lies behind the last good record, once the end was reached.
+    pub fn ending(&self) -> Ending {
+        self.records.as_ref().map_or(Ending::Clean, RecordReader::ending)
+    }
+
+    /// The next record when it is of a scan before this sequence: what a reader that was told of `sequence` has missed.
+    ///
+    /// # Errors
+    /// As [`Self::read_next`].
+    pub fn read_before(&mut self, sequence: u64) -> Result<Option<Journaled>, StageError> {
+        let next = self.read_next()?;
+        if next.as_ref().is_some_and(|record| record.pose.id.sequence >= sequence) {
+            self.ahead = next;
+            return Ok(None);
+        }
+        Ok(next)
     }
 
     /// The next record; `None` at the present end.
@@ -71,6 +101,10 @@ impl JournalReader {
     /// # Errors
     /// When the file cannot be read, or a record is whole but not what this build writes.
     pub fn read_next(&mut self) -> Result<Option<Journaled>, StageError> {
+        if self.ahead.is_some() {
+            return Ok(self.ahead.take());
+        }
+        self.open_once_there()?;
         let Some(records) = &mut self.records else { return Ok(None) };
         let Some(record) = records.next_record()? else { return Ok(None) };
         let foreign = || StageError::file("scans.journal", "a record was written by another build");
@@ -105,7 +139,8 @@ mod tests {
     #[test]
     fn poses_and_accepted_scans_come_back_and_reopening_appends() {
         let directory = tempfile::tempdir().unwrap();
-        assert!(JournalReader::open(directory.path()).unwrap().read_next().unwrap().is_none());
+        let mut early = JournalReader::open(directory.path()).unwrap();
+        assert!(early.read_next().unwrap().is_none());
         let scan = ScanBuffer::from_ranges(&[1.0, 2.0, f32::INFINITY], -1.0, 1.0);
         for (submap, flags) in [(1, 0), (2, PoseFlags::INSERT)] {
             let mut writer = JournalWriter::open(directory.path()).unwrap();
@@ -118,5 +153,22 @@ mod tests {
         let second = reader.read_next().unwrap().unwrap();
         assert!(second.pose.submap == 2 && second.scan == Some(scan));
         assert!(reader.read_next().unwrap().is_none());
+        assert!(early.read_next().unwrap().is_some(), "a journal that came later is read");
+    }
+
+    #[test]
+    fn what_was_missed_is_read_up_to_what_was_told() {
+        let directory = tempfile::tempdir().unwrap();
+        let scan = ScanBuffer::from_ranges(&[1.0], 0.0, 1.0);
+        let mut writer = JournalWriter::open(directory.path()).unwrap();
+        for sequence in [3, 4, 7] {
+            let mut pose = PoseEstimate::default();
+            pose.id.sequence = sequence;
+            writer.append(&pose, scan.view().unwrap()).unwrap();
+        }
+        let mut reader = JournalReader::open(directory.path()).unwrap();
+        let mut before = |sequence| reader.read_before(sequence).unwrap().map(|r| r.pose.id.sequence);
+        assert_eq!([before(5), before(5), before(5), before(5)], [Some(3), Some(4), None, None]);
+        assert_eq!([before(7), before(8), before(8)], [None, Some(7), None]);
     }
 }

@@ -53,10 +53,13 @@ impl Fuser {
         Ok(self.fusion.map().map_or_else(StoredMap::empty, StoredMap::of))
     }
 
-    /// Number of submaps that have been in the map or are in it: those of the final layout and those that have retired.
+    /// Number of submaps that have been in the map or are in it: those of the final layout that are stored (the last scans may
+    /// carry the number of one that nothing was inserted in), and those that have retired.
     pub fn known(&self, layout: &[PlacedSubmap]) -> u64 {
+        let closed = self.store.count();
         let placed = |number: &u32| layout.binary_search_by_key(number, |placed| placed.number).is_ok();
-        (layout.len() + self.fusion.retired().filter(|number| !placed(number)).count()) as u64
+        let stored = layout.iter().filter(|placed| placed.number < closed).count();
+        (stored + self.fusion.retired().filter(|number| !placed(number)).count()) as u64
     }
 
     /// Tells of the submaps, once the map is finished.

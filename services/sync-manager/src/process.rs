@@ -40,6 +40,9 @@ struct SyncProcess {
     fuser: Fuser,
     scans: PendingScans,
     poses: PoseQueue,
+    /// The scan whose pose comes next when none is missed.
+    expected: u64,
+    journal: JournalReader,
     submaps: Subscriber<SubmapClosed>,
     /// Closed submaps that the logic has not seen, by number.
     waiting_submaps: BTreeMap<u32, SubmapClosed>,
@@ -67,6 +70,8 @@ impl SyncProcess {
             store: SubmapStore::new(&context.submap_dir),
             scans: PendingScans::new(bus.scan_subscriber()?, context.capacity.window, 0),
             poses: PoseQueue::new(bus.subscriber()?, 0),
+            expected: 0,
+            journal: JournalReader::open(&context.journal_dir)?,
             submaps: bus.subscriber()?,
             waiting_submaps: BTreeMap::new(),
             next_submap: 0,
@@ -86,9 +91,19 @@ impl SyncProcess {
 
     /// Takes in again what a predecessor had seen: the journal has every pose and every accepted scan.
     fn recover(&mut self, context: &mut StageContext) -> Result<(), StageError> {
-        let mut journal = JournalReader::open(&context.journal_dir)?;
-        let mut next = 0;
-        while let Some(record) = journal.read_next()? {
+        self.catch_up(u64::MAX, context)?;
+        self.poses = PoseQueue::new(context.bus.subscriber()?, self.expected);
+        self.scans.release_before(self.expected);
+        self.acknowledger.finished(self.expected)
+    }
+
+    /// Takes in what the journal has of scans before this sequence.
+    fn catch_up(&mut self, before: u64, context: &mut StageContext) -> Result<(), StageError> {
+        while let Some(record) = self.journal.read_before(before)? {
+            context.alive();
+            if record.pose.id.sequence < self.expected {
+                continue;
+            }
             for number in self.next_submap..record.pose.submap.min(self.store.count()) {
                 let submap = self.store.load(number)?;
                 let notice = self.store.notice(&submap)?;
@@ -96,11 +111,9 @@ impl SyncProcess {
             }
             let scan = record.scan.as_ref().and_then(|scan| scan.view().ok());
             self.take_in(&record.pose, scan)?;
-            next = record.pose.id.sequence + 1;
+            self.expected = record.pose.id.sequence + 1;
         }
-        self.poses = PoseQueue::new(context.bus.subscriber()?, next);
-        self.scans.release_before(next);
-        self.acknowledger.finished(next)
+        Ok(())
     }
 
     fn take_in(&mut self, pose: &PoseEstimate, scan: Option<ScanView<'_>>) -> Result<(), StageError> {
@@ -149,6 +162,10 @@ impl SyncProcess {
     /// Handles the oldest pose; false when its join is not complete. A submap is concluded at a fixed place: before the first
     /// scan that enters a later one.
     fn step(&mut self, pose: &PoseEstimate, context: &mut StageContext) -> Result<bool, StageError> {
+        if context.mode == Mode::Live && pose.id.sequence > self.expected {
+            // Poses were missed while this process was held up; the journal has them.
+            self.catch_up(pose.id.sequence, context)?;
+        }
         while self.next_submap < pose.submap && pose.has(PoseFlags::INSERT) {
             match self.waiting_submaps.remove(&self.next_submap) {
                 Some(notice) => self.conclude(&notice)?,
@@ -163,6 +180,7 @@ impl SyncProcess {
             context.report.report.scan_address = scan.ranges().as_ptr() as u64;
         }
         self.take_in(pose, scan)?;
+        self.expected = self.expected.max(pose.id.sequence + 1);
         context.handled(pose.id.sequence, started_ns, pose.times.monotonic_ns);
         self.acknowledger.finished(pose.id.sequence + 1)?;
         Ok(true)

@@ -16,13 +16,13 @@ pub struct Cursor {
 const BYTES: usize = 24;
 
 impl Cursor {
-    /// Opens the cursor of a set; one that does not exist yet begins at 0.
-    pub fn open(status_dir: &Path) -> Result<Self, StageError> {
+    /// Opens the cursor of a set; one that does not exist yet begins at `first`.
+    pub fn open(status_dir: &Path, first: u64) -> Result<Self, StageError> {
         let path = status_dir.join("lidar-ingest.cursor");
         let options = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
         let file = options.map_err(|e| StageError::file(&path, e))?;
         let mut bytes = [0; BYTES];
-        let (mut next, mut anchor) = (0, None);
+        let (mut next, mut anchor) = (first, None);
         if file.read_exact_at(&mut bytes, 0).is_ok() {
             let word =
                 |i: usize| u64::from_le_bytes(bytes[8 * i..8 * i + 8].try_into().expect("eight bytes"));
@@ -62,12 +62,12 @@ mod tests {
     #[test]
     fn a_new_process_goes_on_where_the_last_one_was() {
         let directory = tempfile::tempdir().unwrap();
-        let mut cursor = Cursor::open(directory.path()).unwrap();
-        assert_eq!((cursor.next_sequence(), cursor.anchor()), (0, None));
+        let mut cursor = Cursor::open(directory.path(), 7).unwrap();
+        assert_eq!((cursor.next_sequence(), cursor.anchor()), (7, None));
         let anchor = Anchor { monotonic_ns: 5, stamp_ns: -7 };
         cursor.advance(41, Some(anchor)).unwrap();
         cursor.advance(42, None).unwrap();
-        let cursor = Cursor::open(directory.path()).unwrap();
+        let cursor = Cursor::open(directory.path(), 7).unwrap();
         assert_eq!((cursor.next_sequence(), cursor.anchor()), (42, Some(anchor)));
     }
 }

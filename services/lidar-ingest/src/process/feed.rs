@@ -1,6 +1,6 @@
 use super::pipe::{Pipe, Piped};
 use super::truth::TruthWriter;
-use super::{Source, Task, world_file};
+use super::{Source, Task, first_stages, world_file};
 use crate::carmen::{CarmenReader, Tally};
 use crate::experiment::Experiment;
 use crate::simulation::{Simulation, World};
@@ -20,6 +20,7 @@ enum Kind {
     Log(Box<CarmenReader<BufReader<File>>>),
     Pipe(Pipe),
     Simulation { simulation: Box<Simulation>, truth: TruthWriter },
+    Nothing,
 }
 
 /// What a feed gave.
@@ -45,7 +46,10 @@ impl Feed {
                 let name = path.display().to_string();
                 (Kind::Log(Box::new(CarmenReader::new(reader, name, task.settings.clone()))), expected)
             }
-            Source::Pipe => (Kind::Pipe(Pipe::start(context, task.settings.clone())?), 0),
+            Source::Pipe => {
+                let first = first_stages(context.mode);
+                (Kind::Pipe(Pipe::start(context, task.settings.clone(), first)?), 0)
+            }
             Source::Simulation => {
                 let built_in = || Ok(World::built_in(task.simulation.world));
                 let world = task.world.as_deref().map_or_else(built_in, world_file::read)?;
@@ -54,6 +58,7 @@ impl Feed {
                 let total = simulation.scans() as u64;
                 (Kind::Simulation { simulation, truth: TruthWriter::create(&context.result_dir)? }, total)
             }
+            Source::Nothing => (Kind::Nothing, 0),
         };
         Ok(Self { kind, experiment: Experiment::new(&task.settings, expected) })
     }
@@ -99,6 +104,7 @@ impl Feed {
                 }
                 None => Fed::End,
             },
+            Kind::Nothing => Fed::End,
         };
         if fed == Fed::Scan {
             self.experiment.apply(scan);
@@ -111,7 +117,7 @@ impl Feed {
         match &self.kind {
             Kind::Log(reader) => Some(reader.tally().clone()),
             Kind::Pipe(pipe) => Some(pipe.tally()),
-            Kind::Simulation { .. } => None,
+            Kind::Simulation { .. } | Kind::Nothing => None,
         }
     }
 

@@ -4,7 +4,7 @@ use crossbeam::channel::{Receiver, Sender, TryRecvError, bounded};
 use flockslam_bus::BellRinger;
 use flockslam_messages::{ScanBuffer, Stage};
 use flockslam_stage::{StageContext, StageError};
-use std::io::stdin;
+use std::io::{self, BufReader, Read, stdin};
 use std::sync::{Arc, Mutex};
 use std::thread;
 
@@ -28,8 +28,13 @@ pub enum Piped {
 const AHEAD: usize = 16;
 
 impl Pipe {
-    /// Starts reading; the stage's bell rings with every scan.
-    pub fn start(context: &StageContext, settings: Settings) -> Result<Self, StageError> {
+    /// Starts reading. The stage's bell rings with every scan, and the first bytes of a line announce one to the stage
+    /// itself and to `first`.
+    pub fn start(
+        context: &StageContext,
+        settings: Settings,
+        first: &'static [Stage],
+    ) -> Result<Self, StageError> {
         let (sender, scans) = bounded(AHEAD);
         let tally = Arc::new(Mutex::new(Tally::default()));
         let shared = Arc::clone(&tally);
@@ -37,8 +42,11 @@ impl Pipe {
         let reader = thread::Builder::new().name("pipe".to_owned()).spawn(move || {
             // The bus must outlive the bell: it holds the thread's place in the set.
             let bus = join();
-            let bell = bus.as_ref().and_then(|bus| bus.ringer(Stage::LidarIngest.name()).ok());
-            read(settings, &sender, &shared, bell.as_ref());
+            let ringer = |stage: &Stage| bus.as_ref().and_then(|bus| bus.ringer(stage.name()).ok());
+            let bell = ringer(&Stage::LidarIngest);
+            let announced = [Stage::LidarIngest].iter().chain(first).filter_map(ringer).collect();
+            let input = Announced { input: stdin().lock(), bells: announced };
+            read(input, settings, &sender, &shared, bell.as_ref());
             drop(sender);
             if let Some(bell) = bell {
                 bell.ring();
@@ -64,13 +72,32 @@ impl Pipe {
     }
 }
 
+/// An input of which arriving bytes are announced: a scan will soon be read from them.
+struct Announced<R> {
+    input: R,
+    bells: Vec<BellRinger>,
+}
+
+impl<R: Read> Read for Announced<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let count = self.input.read(buffer)?;
+        self.bells.iter().for_each(BellRinger::announce);
+        Ok(count)
+    }
+}
+
+/// Room for several scans: a smaller one would be announced several times.
+const BUFFER_BYTES: usize = 1 << 16;
+
 fn read(
+    input: impl Read,
     settings: Settings,
     scans: &Sender<Result<ScanBuffer, String>>,
     tally: &Mutex<Tally>,
     bell: Option<&BellRinger>,
 ) {
-    let mut reader = CarmenReader::new(stdin().lock(), "standard input", settings);
+    let mut reader =
+        CarmenReader::new(BufReader::with_capacity(BUFFER_BYTES, input), "standard input", settings);
     loop {
         let mut scan = ScanBuffer::default();
         let read = reader.next_scan(&mut scan);

@@ -276,3 +276,32 @@ fn scans_that_take_time_and_end_outside_the_map_are_fitted_by_every_strategy() {
         }
     }
 }
+
+#[test]
+fn a_continued_map_begins_a_chain_of_its_own_wherever_the_robot_is_by_now() {
+    let mut before = FrontEnd::new(Settings::default());
+    let last = (0..40).map(|i| before.step(&look(i, truth(i), Some(wheels(i))), true)).last().unwrap();
+    let mut after = FrontEnd { matcher: ScanMatcher::new(Settings::default()), ..before };
+    after.matcher.resume_elsewhere(&last);
+    // Carried to the start of the drive and turned; the wheels count from somewhere else.
+    let carried = |i: u64| Pose::new(-1.0, -1.0, 2.0) * truth(i);
+    for i in 0..30 {
+        let estimate = after.step(&look(40 + i, carried(i), Some(truth(i))), true);
+        assert_eq!((estimate.chain, estimate.has(PoseFlags::MATCHED)), (last.chain + 1, i > 0));
+        assert_eq!(estimate.quality, Quality::Degraded as u32, "nothing connects it with the map yet");
+        let moved = last.odom_from_base.to(estimate.odom_from_base);
+        let expected = carried(0).to(carried(i));
+        assert!(moved.distance_m(expected) < 0.05, "{i}: {moved:?} for {expected:?}");
+    }
+}
+
+#[test]
+fn without_a_grid_the_wheels_are_followed() {
+    let mut matcher = ScanMatcher::new(Settings::default());
+    for i in 0..20 {
+        let estimate = matcher.follow_wheels(look(i, truth(i), Some(wheels(i))).view().unwrap());
+        let expected = wheels(0).to(wheels(i));
+        assert!(estimate.odom_from_base.distance_m(expected) < 1e-9, "{i}: {estimate:?}");
+        assert_eq!((estimate.quality, estimate.flags), (Quality::Degraded as u32, PoseFlags::HAS_ODOMETRY));
+    }
+}

@@ -1,0 +1,89 @@
+//! `flockslam down`, `status`, `restart` and `scale`: orders to a running set.
+
+use super::{CommandError, say};
+use crate::cli::{RobotArgs, ScaleArgs, StageOrderArgs, StatusArgs};
+use crate::supervisor::{Reply, Request, ask};
+use flockslam_bus::RuntimeDir;
+use std::time::{Duration, Instant};
+
+/// A set that was told to stop has ended after this.
+const DOWN_LIMIT: Duration = Duration::from_secs(10);
+
+/// Stops a set and waits for its end.
+///
+/// # Errors
+/// When there is no such set, or it does not stop.
+pub fn down(args: &RobotArgs) -> Result<(), CommandError> {
+    let robot = choose(args)?;
+    order(&robot, &Request::Down)?;
+    let deadline = Instant::now() + DOWN_LIMIT;
+    while RuntimeDir::running().contains(&robot) {
+        if Instant::now() > deadline {
+            return Err(CommandError::failed(format!("{robot} has not ended yet")));
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    Ok(())
+}
+
+/// Prints how a set is.
+///
+/// # Errors
+/// When there is no such set.
+pub fn status(args: &StatusArgs) -> Result<(), CommandError> {
+    let robot = choose(&args.robot)?;
+    let Reply::Status(status) = order(&robot, &Request::Status)? else {
+        return Err(CommandError::failed("the set answered something else"));
+    };
+    if args.json {
+        let json = serde_json::to_string_pretty(&status).map_err(CommandError::failed)?;
+        say(&format!("{json}\n"));
+    } else {
+        say(&status.to_string());
+    }
+    Ok(())
+}
+
+/// Replaces the processes of a stage.
+///
+/// # Errors
+/// When there is no such set, or the stage does not run.
+pub fn restart(args: &StageOrderArgs) -> Result<(), CommandError> {
+    order(&choose(&args.robot)?, &Request::Restart(args.stage.name().to_owned())).map(drop)
+}
+
+/// Changes the number of processes of a stage.
+///
+/// # Errors
+/// When there is no such set, or it cannot run so many.
+pub fn scale(args: &ScaleArgs) -> Result<(), CommandError> {
+    let (stage, replicas) = args.wanted;
+    order(&choose(&args.robot)?, &Request::Scale(stage.name().to_owned(), replicas)).map(drop)
+}
+
+/// Asks a running set; what it refuses is an error.
+///
+/// # Errors
+/// When it does not answer or refuses.
+pub(super) fn order(robot: &str, request: &Request) -> Result<Reply, CommandError> {
+    let socket = RuntimeDir::path_of(robot).join("control");
+    match ask(&socket, request).map_err(CommandError::failed)? {
+        Reply::Refused(reason) => Err(CommandError::user(reason)),
+        reply => Ok(reply),
+    }
+}
+
+/// The set that is meant: the one that was named, or the only one that runs.
+pub(super) fn choose(args: &RobotArgs) -> Result<String, CommandError> {
+    let running = RuntimeDir::running();
+    match (&args.robot, running.as_slice()) {
+        (Some(robot), running) if running.contains(robot) => Ok(robot.clone()),
+        (Some(robot), _) => Err(CommandError::user(format!("no set named {robot} is running here"))),
+        (None, [only]) => Ok(only.clone()),
+        (None, []) => Err(CommandError::user("no set is running here")),
+        (None, several) => {
+            let names = several.join(", ");
+            Err(CommandError::user(format!("several sets are running: name one with --robot ({names})")))
+        }
+    }
+}

@@ -1,0 +1,68 @@
+//! `flockslam store`: saved maps are checked, saved, loaded and exported.
+
+use super::control::{choose, order};
+use super::run::{Run, run as run_set, summary};
+use super::{CommandError, say};
+use crate::cli::{ExportArgs, MapDirArgs, MapOrderArgs, RunArgs, StoreCommand};
+use crate::store::{SavedMap, StoreError};
+use crate::supervisor::Request;
+use flockslam_lidar_ingest::process::Source;
+use std::path::{Path, PathBuf};
+
+/// Runs one of the commands.
+///
+/// # Errors
+/// When the map or the set is not usable, or what is asked for fails.
+pub fn run(command: &StoreCommand) -> Result<(), CommandError> {
+    match command {
+        StoreCommand::Check(args) => check(args),
+        StoreCommand::Save(args) => give(args, Request::Save),
+        StoreCommand::Load(args) => give(args, Request::Load),
+        StoreCommand::Export(args) => export(args),
+    }
+}
+
+fn check(args: &MapDirArgs) -> Result<(), CommandError> {
+    let findings = SavedMap::at(&args.directory).check().map_err(|error| match error {
+        StoreError::Absent(_) => CommandError::user(error),
+        error => CommandError::failed(error),
+    })?;
+    say(&format!(
+        "{}: {} poses, {} scans in the map, {} closed submaps\n",
+        args.directory.display(),
+        findings.poses,
+        findings.accepted,
+        findings.submaps
+    ));
+    match findings.problems.as_slice() {
+        [] => Ok(()),
+        problems => Err(CommandError::failed(format!("damaged: {}", problems.join("; ")))),
+    }
+}
+
+fn give(args: &MapOrderArgs, request: impl Fn(PathBuf) -> Request) -> Result<(), CommandError> {
+    let directory = std::path::absolute(&args.directory).map_err(CommandError::user)?;
+    order(&choose(&args.robot)?, &request(directory)).map(drop)
+}
+
+/// A run without a source: every stage takes in what the map knows, and the results are those of its end.
+fn export(args: &ExportArgs) -> Result<(), CommandError> {
+    let map = existing(&args.directory)?;
+    let run_args = RunArgs {
+        out: args.out.clone(),
+        rate: None,
+        live: false,
+        robot: None,
+        metrics_port: None,
+        configuration: args.configuration.clone(),
+    };
+    let run = Run { source: Source::Nothing, world: None, scans: None, refine: false, continues: Some(map) };
+    let outcome = run_set(&run_args, run)?;
+    say(&summary(&args.out, &outcome.report));
+    Ok(())
+}
+
+fn existing(directory: &Path) -> Result<SavedMap, CommandError> {
+    let map = SavedMap::at(directory);
+    if map.exists() { Ok(map) } else { Err(CommandError::user(StoreError::Absent(directory.to_owned()))) }
+}

@@ -1,0 +1,216 @@
+//! `flockslam up`: a process set that lives until it is told to stop.
+
+use super::CommandError;
+use super::run::{Finished, count_interrupts, points, prepare_directory, serve_metrics, write_outputs};
+use crate::cli::UpArgs;
+use crate::configuration::Configuration;
+use crate::outputs::write_trajectory;
+use crate::store::{Findings, MapHead, MapKeeper, Mirror, SavedMap, StoreError};
+use crate::supervisor::{
+    ControlSocket, Order, ProcessSet, Reply, Request, ServiceManager, SetDescription, SetError, SetEvent,
+    SetFile, known_stage,
+};
+use flockslam_bus::RuntimeDir;
+use flockslam_stage::{MemoryUse, Mode};
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+/// The supervisor looks around at least this often; deaths wake it at once.
+const LOOK: Duration = Duration::from_millis(50);
+/// At the end the disk is waited for no longer than this: all in all it shall take less than 2 s.
+const LAST_SAVE_LIMIT: Duration = Duration::from_millis(1200);
+
+/// Runs the command: until SIGTERM, `flockslam down`, or the end of the source.
+///
+/// # Errors
+/// When the description or the map is not usable, or the set cannot be kept running.
+pub fn run(args: &UpArgs) -> Result<(), CommandError> {
+    flockslam_telemetry::init_tracing("supervisor");
+    let interrupts = count_interrupts()?;
+    let description = SetDescription::read(&args.set)?;
+    args.out.as_deref().map(prepare_directory).transpose()?;
+    let started = Instant::now();
+    let mut live = LiveSet::start(args, &description)?;
+    let control = ControlSocket::open(&live.set.runtime().control_socket()).map_err(CommandError::failed)?;
+    let _metrics = description.metrics_port.map(|port| serve_metrics(&live.set, port)).transpose()?;
+    let has_ended = live.attend(&control, &interrupts)?;
+    live.stop_and_save();
+    match &args.out {
+        Some(out) if has_ended => {
+            let finished = Finished {
+                set: &live.set,
+                started,
+                shared_memory_bytes: live.set.runtime().occupied_bytes(),
+                own_memory: MemoryUse::of_this_process(),
+                source: args.set.display().to_string(),
+                configuration: live.set.configuration().clone(),
+            };
+            let truth = write_outputs(out, &finished)?.truth;
+            // A simulation knows it.
+            truth.map_or(Ok(()), |truth| {
+                write_trajectory(&out.join("truth.tum"), &points(&truth)).map_err(CommandError::failed)
+            })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// A set, and the keeper of its map.
+struct LiveSet {
+    set: ProcessSet,
+    keeper: Option<MapKeeper>,
+    head: MapHead,
+}
+
+impl LiveSet {
+    fn start(args: &UpArgs, description: &SetDescription) -> Result<Self, CommandError> {
+        let configuration = description.configuration(&args.assignments)?;
+        let head = MapHead::of_this_build(&description.robot, configuration.mapper.cell_size_m);
+        let spill_dir = configuration.set.spill_dir.as_deref();
+        let (runtime, taken_over) =
+            RuntimeDir::create_or_take_over(&description.robot, spill_dir).map_err(CommandError::user)?;
+        let map = args.map.as_ref().or(description.map.as_ref()).map(|directory| SavedMap::at(directory));
+        let first_sequence = match &map {
+            _ if taken_over => first_of_killed_set(&runtime, &configuration)?,
+            Some(map) if map.exists() => {
+                let findings = restore(map, &runtime, &head).map_err(CommandError::user)?;
+                map.set_damage_aside(&findings).map_err(CommandError::failed)?;
+                findings.next_sequence
+            }
+            _ => 0,
+        };
+        let mut options = configuration.stage_options(Mode::Live);
+        options.first_sequence = first_sequence;
+        let task = description.source();
+        let file = SetFile {
+            version: crate::VERSION.to_owned(),
+            options,
+            source: task.source,
+            rate: task.rate,
+            world: task.world,
+            configuration,
+        };
+        let mut set = ProcessSet::start(runtime, file, description.supervision())?;
+        // From here on only an end in good order removes what the set knows.
+        set.wipe_at_end(false);
+        let keeper = map.map(|map| keep(map, &set, &head, description.save_every_s)).transpose()?;
+        Ok(Self { set, keeper, head })
+    }
+
+    /// Watches over the set until it shall stop; true when its source has ended and its results are stored.
+    fn attend(&mut self, control: &ControlSocket, interrupts: &AtomicUsize) -> Result<bool, CommandError> {
+        let mut manager = ServiceManager::from_environment();
+        manager.ready();
+        loop {
+            if self.set.watch(LOOK)? == SetEvent::Finished {
+                return Ok(true);
+            }
+            manager.alive();
+            if let Some(keeper) = &self.keeper {
+                self.set.metrics().set_not_durable(keeper.status().problem.is_some());
+            }
+            let mut ends = interrupts.load(Ordering::Relaxed) > 0;
+            while let Some(order) = control.next() {
+                ends |= order.request == Request::Down;
+                self.obey(order);
+            }
+            if ends {
+                manager.stopping();
+                return Ok(false);
+            }
+        }
+    }
+
+    fn obey(&mut self, order: Order) {
+        let outcome = match order.request.clone() {
+            Request::Status => {
+                let mut status = self.set.status();
+                status.saved = self.keeper.as_ref().map(MapKeeper::status);
+                return order.answer(Reply::Status(status));
+            }
+            Request::Down => Ok(()),
+            Request::Restart(name) => known_stage(&name).and_then(|stage| {
+                let any = self.set.restart(stage);
+                any.then_some(()).ok_or_else(|| format!("no process of {name} runs just now"))
+            }),
+            Request::Scale(name, replicas) => {
+                known_stage(&name).and_then(|stage| self.set.scale(stage, replicas))
+            }
+            Request::Save(directory) => return self.save_elsewhere(&directory, order),
+            Request::Load(directory) => self.load(&directory),
+        };
+        order.answer(outcome.map_or_else(Reply::Refused, |()| Reply::Done));
+    }
+
+    /// Saves into a directory of the user's choice; the set is not held up meanwhile.
+    fn save_elsewhere(&self, directory: &Path, order: Order) {
+        let mut mirror = mirror(&self.set, SavedMap::at(directory), &self.head);
+        std::thread::spawn(move || {
+            let saved = mirror.bring_up();
+            order.answer(saved.map_or_else(|error| Reply::Refused(error.to_string()), |()| Reply::Done));
+        });
+    }
+
+    fn load(&mut self, directory: &Path) -> Result<(), String> {
+        if let Some(keeper) = &self.keeper {
+            let own = keeper.status().directory;
+            return Err(format!("this set keeps its map in {own}: stop it and start it with another --map"));
+        }
+        let map = SavedMap::at(directory);
+        let head = &self.head;
+        // What is refused leaves the set as it is.
+        let fits = MapHead::read(directory).and_then(|found| found.fits(directory, head));
+        fits.map_err(|error| error.to_string())?;
+        let loaded: Result<(), CommandError> = self.set.begin_anew(|runtime| {
+            let findings = restore(&map, runtime, head).map_err(CommandError::user)?;
+            Ok(findings.next_sequence)
+        });
+        loaded.map_err(|error| error.to_string())
+    }
+
+    fn stop_and_save(&mut self) {
+        // Nothing is accepted any more once the stages have ended, so that what is saved then is everything.
+        self.set.stop();
+        if let Some(keeper) = &self.keeper
+            && !keeper.save_now(LAST_SAVE_LIMIT)
+        {
+            tracing::error!(
+                "the map could not be saved at the end: it stays in memory for the next set of this name"
+            );
+            return;
+        }
+        self.set.wipe_at_end(true);
+    }
+}
+
+/// Puts what is good of a saved map into the directory of a set.
+fn restore(map: &SavedMap, runtime: &RuntimeDir, head: &MapHead) -> Result<Findings, StoreError> {
+    let findings = map.restore(runtime, head)?;
+    for problem in &findings.problems {
+        tracing::warn!(problem, "the saved map is damaged; what is good of it is used");
+    }
+    Ok(findings)
+}
+
+fn mirror(set: &ProcessSet, map: SavedMap, head: &MapHead) -> Mirror {
+    Mirror::new(&set.runtime().journal(), &set.runtime().submaps(), map, head.clone())
+}
+
+fn keep(map: SavedMap, set: &ProcessSet, head: &MapHead, every_s: f64) -> Result<MapKeeper, CommandError> {
+    let directory = map.directory().to_owned();
+    let period = Duration::from_secs_f64(every_s);
+    MapKeeper::start(mirror(set, map, head), directory, period).map_err(CommandError::failed)
+}
+
+/// Where the session of a killed set began, when this one can go on with it.
+fn first_of_killed_set(runtime: &RuntimeDir, present: &Configuration) -> Result<u64, CommandError> {
+    let left = SetFile::read(&runtime.configuration()).map_err(SetError::from)?;
+    if left.configuration.mapper == present.mapper {
+        return Ok(left.options.first_sequence);
+    }
+    Err(CommandError::user(format!(
+        "{}: a killed set left a map made with other settings of [mapper]; start it with those, or remove the directory",
+        runtime.path().display()
+    )))
+}

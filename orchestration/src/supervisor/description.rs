@@ -1,0 +1,244 @@
+use super::{ProcessLimits, Supervision};
+use crate::configuration::{Configuration, ConfigurationError, Profile, parse_file};
+use flockslam_lidar_ingest::process::Source;
+use flockslam_messages::Stage;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// A process set as a file describes it: what `flockslam up SET.toml` runs. Paths are relative to the file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SetDescription {
+    /// Name of the set on this machine.
+    pub robot: String,
+    /// Where the map is kept on disk: continued from there, and saved there.
+    pub map: Option<PathBuf>,
+    /// The map is saved so often, seconds.
+    #[serde(default = "save_every_s")]
+    pub save_every_s: f64,
+    /// A stage that does not get up is tried again after so long, seconds.
+    #[serde(default = "retry_s")]
+    pub retry_s: f64,
+    /// Port on 127.0.0.1 that serves the metrics of all stages.
+    pub metrics_port: Option<u16>,
+    /// File with the configuration of the stages.
+    pub config: Option<PathBuf>,
+    /// Single settings over it, as for `--set`.
+    #[serde(default)]
+    pub set: Vec<String>,
+    /// Where scans come from.
+    #[serde(default)]
+    pub source: SourceDescription,
+    /// What each stage may use.
+    #[serde(default)]
+    pub stages: StageLimits,
+}
+
+/// Where the scans of a set come from.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", tag = "kind", deny_unknown_fields)]
+pub enum SourceDescription {
+    /// CARMEN lines on the standard input: a driver's output.
+    #[default]
+    Stdin,
+    /// A CARMEN log.
+    Log {
+        /// The log.
+        path: PathBuf,
+        /// Log seconds per second.
+        #[serde(default = "rate")]
+        rate: f64,
+    },
+    /// The simulated world.
+    Simulation {
+        /// A map (nav2 YAML) to simulate in, in place of a built-in world.
+        world: Option<PathBuf>,
+        /// Simulated seconds per second.
+        #[serde(default = "rate")]
+        rate: f64,
+    },
+}
+
+/// What the processes of each stage may use.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", default, deny_unknown_fields)]
+pub struct StageLimits {
+    /// Of lidar-ingest.
+    pub lidar_ingest: ProcessLimits,
+    /// Of correlation-filter.
+    pub correlation_filter: ProcessLimits,
+    /// Of scan-matcher.
+    pub scan_matcher: ProcessLimits,
+    /// Of mapper.
+    pub mapper: ProcessLimits,
+    /// Of dynamic-cleaner.
+    pub dynamic_cleaner: ProcessLimits,
+    /// Of sync-manager.
+    pub sync_manager: ProcessLimits,
+}
+
+/// What a source is to the stage that reads it.
+pub struct SourceTask {
+    /// Where scans come from.
+    pub source: Source,
+    /// Log seconds per second; `None` for what has a pace of its own.
+    pub rate: Option<f64>,
+    /// A map to simulate in.
+    pub world: Option<PathBuf>,
+}
+
+fn save_every_s() -> f64 {
+    5.0
+}
+
+fn retry_s() -> f64 {
+    60.0
+}
+
+fn rate() -> f64 {
+    1.0
+}
+
+impl SetDescription {
+    /// Reads a description.
+    ///
+    /// # Errors
+    /// When it cannot be read, or has a key or value that is not known: with line, reason and a hint.
+    pub fn read(path: &Path) -> Result<Self, ConfigurationError> {
+        let mut description: Self = parse_file(path)?;
+        description.check(path)?;
+        let base = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+        let base = base.parent().unwrap_or(Path::new("/")).to_owned();
+        let beside = |path: &mut PathBuf| *path = base.join(&*path);
+        description.map.iter_mut().for_each(beside);
+        description.config.iter_mut().for_each(beside);
+        match &mut description.source {
+            SourceDescription::Log { path, .. } => beside(path),
+            SourceDescription::Simulation { world, .. } => world.iter_mut().for_each(beside),
+            SourceDescription::Stdin => {}
+        }
+        Ok(description)
+    }
+
+    fn check(&self, path: &Path) -> Result<(), ConfigurationError> {
+        let positive = |key: &str, value: f64| {
+            let reason = format!("{value} is not a positive number");
+            let key = format!("{}: {key}", path.display());
+            if value.is_finite() && value > 0.0 {
+                Ok(())
+            } else {
+                Err(ConfigurationError::Value { key, reason })
+            }
+        };
+        for (stage, limits) in self.supervision().limits {
+            if stage != Stage::CorrelationFilter && limits.replicas.is_some_and(|replicas| replicas != 1) {
+                let key = format!("{}: stages.{}.replicas", path.display(), stage.name());
+                let reason = "only correlation-filter can have more than one process".to_owned();
+                return Err(ConfigurationError::Value { key, reason });
+            }
+        }
+        positive("save_every_s", self.save_every_s)?;
+        positive("retry_s", self.retry_s)?;
+        match self.source {
+            SourceDescription::Log { rate, .. } | SourceDescription::Simulation { rate, .. } => {
+                positive("source.rate", rate)
+            }
+            SourceDescription::Stdin => Ok(()),
+        }
+    }
+
+    /// The configuration of its stages, with more settings over it.
+    ///
+    /// # Errors
+    /// When its file or a setting is not usable.
+    pub fn configuration(&self, more: &[String]) -> Result<Configuration, ConfigurationError> {
+        let assignments = [self.set.as_slice(), more].concat();
+        let mut configuration = Configuration::load(Profile::Default, self.config.as_deref(), &assignments)?;
+        if let Some(replicas) = self.stages.correlation_filter.replicas {
+            configuration.correlation_filter.replicas = replicas;
+        }
+        Ok(configuration)
+    }
+
+    /// How the set is watched over.
+    pub fn supervision(&self) -> Supervision {
+        let stages = &self.stages;
+        let limits = BTreeMap::from([
+            (Stage::LidarIngest, stages.lidar_ingest.clone()),
+            (Stage::CorrelationFilter, stages.correlation_filter.clone()),
+            (Stage::ScanMatcher, stages.scan_matcher.clone()),
+            (Stage::Mapper, stages.mapper.clone()),
+            (Stage::DynamicCleaner, stages.dynamic_cleaner.clone()),
+            (Stage::SyncManager, stages.sync_manager.clone()),
+        ]);
+        Supervision { live: true, limits, retry: Duration::from_secs_f64(self.retry_s) }
+    }
+
+    /// What its source is to lidar-ingest.
+    pub fn source(&self) -> SourceTask {
+        match self.source.clone() {
+            SourceDescription::Stdin => SourceTask { source: Source::Pipe, rate: None, world: None },
+            SourceDescription::Log { path, rate } => {
+                SourceTask { source: Source::Log(path), rate: Some(rate), world: None }
+            }
+            SourceDescription::Simulation { world, rate } => {
+                SourceTask { source: Source::Simulation, rate: Some(rate), world }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Result<SetDescription, String> {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("set.toml");
+        std::fs::write(&path, text).unwrap();
+        let name = path.display().to_string();
+        SetDescription::read(&path).map_err(|error| error.to_string().replace(&name, "set.toml"))
+    }
+
+    #[test]
+    fn a_name_is_enough() {
+        let description = read("robot = \"r1\"").unwrap();
+        assert_eq!((description.source, description.save_every_s), (SourceDescription::Stdin, 5.0));
+        assert_eq!(description.stages.mapper.deadline(Stage::Mapper), Duration::from_millis(500));
+    }
+
+    #[test]
+    fn everything_can_be_said_and_paths_are_beside_the_file() {
+        let description = read(
+            "robot = \"r1\"\nmap = \"maps/r1\"\nset = [\"mapper.cell_size_m=0.1\"]\n\
+             [source]\nkind = \"log\"\npath = \"drive.log\"\nrate = 2.0\n\
+             [stages.mapper]\ncpus = [0]\nmemory_max_bytes = 100000000\nnice = 5\ndeadline_ms = 2000\n",
+        )
+        .unwrap();
+        assert!(description.map.as_ref().unwrap().is_absolute());
+        assert_eq!(description.configuration(&[]).unwrap().mapper.cell_size_m, 0.1);
+        let supervision = description.supervision();
+        let mapper = supervision.limits(Stage::Mapper);
+        assert_eq!((mapper.nice, mapper.cpus.as_slice()), (Some(5), [0].as_slice()));
+        assert_eq!(mapper.deadline(Stage::Mapper), Duration::from_secs(2));
+        let task = description.source();
+        assert!(matches!(task.source, Source::Log(path) if path.ends_with("drive.log")));
+        assert_eq!(task.rate, Some(2.0));
+    }
+
+    #[test]
+    fn unknown_keys_and_bad_values_are_refused_with_line_and_hint() {
+        let wrong = read("robot = \"r1\"\n[stages.maper]\nnice = 1\n").unwrap_err();
+        assert!(wrong.starts_with("set.toml:2: ") && wrong.contains("did you mean `mapper`?"), "{wrong}");
+        let wrong = read("robot = \"r1\"\n\n[stages.mapper]\nnise = 1\n").unwrap_err();
+        assert!(wrong.starts_with("set.toml:4: ") && wrong.contains("did you mean `nice`?"), "{wrong}");
+        assert!(read("robto = \"r1\"").unwrap_err().contains("did you mean `robot`?"));
+        assert!(read("robot = \"r1\"\n[source]\nkind = \"ros\"\n").unwrap_err().contains("unknown variant"));
+        assert!(read("robot = \"r1\"\nsave_every_s = 0.0\n").unwrap_err().contains("save_every_s"));
+        assert!(read("save_every_s = 1.0").unwrap_err().contains("robot"));
+        let two = "robot = \"r1\"\n[stages.mapper]\nreplicas = 2\n";
+        assert!(read(two).unwrap_err().contains("only correlation-filter"));
+    }
+}

@@ -1,0 +1,53 @@
+use flockslam_bus::{BusError, RuntimeError};
+use flockslam_stage::StageError;
+use std::io;
+use std::time::Duration;
+
+/// A stage that takes longer than this to get ready is not waited for.
+pub(super) const READY_LIMIT: Duration = Duration::from_secs(20);
+
+/// Why a process set failed.
+#[derive(Debug, thiserror::Error)]
+pub enum SetError {
+    /// The bus failed.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// The runtime directory failed.
+    #[error(transparent)]
+    Runtime(#[from] RuntimeError),
+    /// A file of the set failed.
+    #[error(transparent)]
+    Stage(#[from] StageError),
+    /// A process could not be started or watched.
+    #[error("cannot start {stage}: {source}")]
+    Start {
+        /// Which stage.
+        stage: &'static str,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// A stage did not get ready.
+    #[error("{0} was not ready within {limit} s", limit = READY_LIMIT.as_secs())]
+    NotReady(&'static str),
+    /// The source of scans is not usable.
+    #[error("{0}")]
+    Source(String),
+    /// A stage ended in exact replay, which has no restarts.
+    #[error("{stage} ended during an exact replay ({how}): run it again, or replay live with --rate")]
+    Ended {
+        /// Which stage.
+        stage: &'static str,
+        /// Its exit status.
+        how: String,
+    },
+    /// A stage keeps dying.
+    #[error("{stage} died {times} times in a row soon after its start ({how})")]
+    GivenUp {
+        /// Which stage.
+        stage: &'static str,
+        /// How often it was started.
+        times: usize,
+        /// Its last exit status.
+        how: String,
+    },
+}

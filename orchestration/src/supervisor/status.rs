@@ -1,0 +1,145 @@
+use super::child::StageChild;
+use flockslam_telemetry::{Beat, monotonic_ns};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::path::Path;
+
+/// How a running set is: what `flockslam status --json` prints.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SetStatus {
+    /// Name of the set.
+    pub robot: String,
+    /// Process of the supervisor.
+    pub pid: u32,
+    /// Whether all stages work.
+    pub state: SetState,
+    /// Seconds since the start of the supervisor.
+    pub uptime_s: f64,
+    /// How the map is saved to disk, when it is.
+    pub saved: Option<SaveStatus>,
+    /// All processes, in the order of their start.
+    pub stages: Vec<StageStatus>,
+}
+
+/// How a set is as a whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SetState {
+    /// All stages work, or are being restarted.
+    Running,
+    /// A stage does not get up, and the set goes on without it.
+    Degraded,
+}
+
+/// How the map of a set is saved.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SaveStatus {
+    /// Where.
+    pub directory: String,
+    /// Whether the last attempt succeeded.
+    pub durable: bool,
+    /// Seconds since the last success; `None` before the first.
+    pub age_s: Option<f64>,
+    /// Why the last attempt failed.
+    pub problem: Option<String>,
+}
+
+/// How one process of a set is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StageStatus {
+    /// Which stage.
+    pub stage: String,
+    /// Which replica of it.
+    pub replica: u32,
+    /// The process, while there is one.
+    pub pid: Option<u32>,
+    /// What it does.
+    pub state: StageState,
+    /// How often it was started again.
+    pub restarts: u64,
+    /// How often it was replaced because it hung.
+    pub hangs: u64,
+    /// Scans that the present process has handled.
+    pub handled: u64,
+    /// Seconds since its last sign of life.
+    pub silent_s: Option<f64>,
+}
+
+/// What a process of a set does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum StageState {
+    /// It recovers what its predecessor knew.
+    Starting,
+    /// It works.
+    Running,
+    /// It died and waits for its restart.
+    Down,
+    /// It does not get up; it is tried again now and then.
+    Degraded,
+}
+
+impl StageStatus {
+    /// Of a child, as it is now.
+    pub(super) fn of(child: &StageChild, status_dir: &Path) -> Self {
+        let beat = child.beat(status_dir);
+        let state = match (&beat, child.is_running()) {
+            _ if child.is_given_up() => StageState::Degraded,
+            (_, false) => StageState::Down,
+            (Some(beat), true) if beat.ready => StageState::Running,
+            _ => StageState::Starting,
+        };
+        let silent_ns = |beat: Beat| monotonic_ns().saturating_sub(beat.monotonic_ns);
+        Self {
+            stage: child.stage.name().to_owned(),
+            replica: child.replica,
+            pid: child.pids.last().copied().filter(|_| child.is_running()),
+            state,
+            restarts: child.restarts(),
+            hangs: child.hangs,
+            handled: beat.map_or(0, |beat| beat.handled),
+            silent_s: beat.map(|beat| silent_ns(beat) as f64 * 1e-9),
+        }
+    }
+}
+
+impl StageState {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Starting => "starting",
+            Self::Running => "running",
+            Self::Down => "down",
+            Self::Degraded => "degraded",
+        }
+    }
+}
+
+impl fmt::Display for SetStatus {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let state = if self.state == SetState::Degraded { "DEGRADED" } else { "running" };
+        writeln!(f, "{}: {state}, supervisor {}, up {:.0} s", self.robot, self.pid, self.uptime_s)?;
+        for stage in &self.stages {
+            writeln!(
+                f,
+                "  {:<18} {:>2}  {:<9} pid {:<8} restarts {:<4} hangs {:<3} scans {}",
+                stage.stage,
+                stage.replica,
+                stage.state.name(),
+                stage.pid.map_or("-".to_owned(), |pid| pid.to_string()),
+                stage.restarts,
+                stage.hangs,
+                stage.handled
+            )?;
+        }
+        match &self.saved {
+            Some(SaveStatus { directory, durable: true, age_s: Some(age_s), .. }) => {
+                writeln!(f, "  map saved in {directory} {age_s:.0} s ago")
+            }
+            Some(SaveStatus { directory, problem: Some(problem), .. }) => {
+                writeln!(f, "  NOT DURABLE: {directory}: {problem}")
+            }
+            Some(SaveStatus { directory, .. }) => writeln!(f, "  map not yet saved in {directory}"),
+            None => writeln!(f, "  the map is not saved: give --map DIR"),
+        }
+    }
+}

@@ -1,0 +1,57 @@
+use flockslam_messages::Stage;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// How a set is watched over.
+#[derive(Clone, Debug, Default)]
+pub struct Supervision {
+    /// The set lives on its own: its state outlives the supervisor, stages that hang are replaced, and one that does not get up is
+    /// done without. Otherwise the set is one run, which ends with what does not work.
+    pub live: bool,
+    /// What each stage may use, by stage; the default where there is none.
+    pub limits: BTreeMap<Stage, ProcessLimits>,
+    /// A stage that was given up is tried again after this.
+    pub retry: Duration,
+}
+
+impl Supervision {
+    /// Of one run of a recorded or live source, from its start to its results.
+    pub fn of_one_run() -> Self {
+        Self::default()
+    }
+
+    /// What a stage may use.
+    pub fn limits(&self, stage: Stage) -> ProcessLimits {
+        self.limits.get(&stage).cloned().unwrap_or_default()
+    }
+}
+
+/// What each process of a stage may use.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ProcessLimits {
+    /// Processes of the stage.
+    pub replicas: Option<usize>,
+    /// Processors that it may run on; all when empty.
+    pub cpus: Vec<usize>,
+    /// Memory of its own (not what is shared) that it may take, bytes.
+    pub memory_max_bytes: Option<u64>,
+    /// Niceness, 0 … 19: the higher, the more it yields to others.
+    pub nice: Option<i32>,
+    /// Without a sign of life for so long it is taken to hang and is replaced, milliseconds.
+    pub deadline_ms: Option<u64>,
+}
+
+/// Deadlines where nothing else is said. One call of sync-manager searches and solves for as long as it takes; all others come
+/// round several times a second.
+const DEADLINE: Duration = Duration::from_millis(500);
+const DEADLINE_OF_SYNC_MANAGER: Duration = Duration::from_secs(60);
+
+impl ProcessLimits {
+    /// How long a process of this stage may be silent.
+    pub fn deadline(&self, stage: Stage) -> Duration {
+        let usual = if stage == Stage::SyncManager { DEADLINE_OF_SYNC_MANAGER } else { DEADLINE };
+        self.deadline_ms.map_or(usual, Duration::from_millis)
+    }
+}

@@ -1,0 +1,65 @@
+//! What goes on when the matcher cannot: poses by the wheels alone, so that a robot that has lost its matcher is not blind.
+
+use super::last_pose;
+use crate::{ScanMatcher, Settings};
+use flockslam_bus::{Publisher, ScanSubscriber};
+use flockslam_messages::{PoseEstimate, Stage};
+use flockslam_stage::{Acknowledger, Actor, JournalWriter, StageContext, StageError, run};
+use flockslam_telemetry::monotonic_ns;
+
+/// Runs in the place of the stage until it is asked to stop. Nothing is matched and nothing enters the map; each pose is `degraded`.
+///
+/// # Errors
+/// When the bus fails.
+pub fn run_stand_in(context: &mut StageContext, settings: Settings) -> Result<(), StageError> {
+    let bell = context.bus.listener(Stage::ScanMatcher.name())?;
+    let mut logic = ScanMatcher::new(settings);
+    // A journal that cannot be used may be why this process is needed.
+    let last = last_pose(context).ok().flatten();
+    last.iter().for_each(|last| logic.resume(last));
+    let next = last.map_or(context.first_sequence, |last| last.id.sequence + 1);
+    let mut actor = StandIn {
+        logic,
+        scans: context.bus.scan_subscriber()?,
+        poses: context.bus.publisher()?,
+        journal: JournalWriter::open(&context.journal_dir).ok(),
+        acknowledger: Acknowledger::open(context, next)?,
+    };
+    run(context, &mut actor, &bell)
+}
+
+struct StandIn {
+    logic: ScanMatcher,
+    scans: ScanSubscriber,
+    poses: Publisher<PoseEstimate>,
+    journal: Option<JournalWriter>,
+    acknowledger: Acknowledger,
+}
+
+impl Actor for StandIn {
+    fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
+        let mut any = false;
+        while let Some(sample) = self.scans.receive()? {
+            let (header, started_ns) = (*sample.header(), monotonic_ns());
+            let Ok(scan) = sample.view() else { continue };
+            if header.id.sequence < self.acknowledger.done() {
+                continue;
+            }
+            let pose = self.logic.follow_wheels(scan);
+            let journaled = self.journal.as_mut().is_some_and(|journal| journal.append(&pose, scan).is_ok());
+            if !journaled {
+                context.dropped("not-journaled");
+            }
+            self.poses.send(&pose)?;
+            context.handled(header.id.sequence, started_ns, header.times.monotonic_ns);
+            self.acknowledger.finished(header.id.sequence + 1)?;
+            any = true;
+        }
+        Ok(any)
+    }
+
+    fn refresh(&mut self, _context: &mut StageContext) -> Result<(), StageError> {
+        self.poses.refresh();
+        self.acknowledger.send()
+    }
+}

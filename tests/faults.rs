@@ -1,0 +1,80 @@
+//! Faults, in short: each kind a few times, seeded, against real processes. `cargo bench -p flockslam --bench faults` is the long
+//! form, which prints a table. How long a set takes to recover is printed here and not judged.
+
+mod support;
+
+use flockslam_geometry::Pose;
+use flockslam_messages::{PoseEstimate, PoseFlags, Stage};
+use support::faults::{
+    Evidence, Trial, crashing_starts, everything_at_once, kills_of_each_stage, kills_while_saving,
+    stops_of_each_stage, storm,
+};
+
+fn judge(trial: &Trial) {
+    println!("{}\n{}", Trial::HEAD, trial.line());
+    assert!(trial.violations.is_empty(), "{:#?}", trial.violations);
+    if let Some((error_m, calm_m)) = trial.error_m {
+        assert!(error_m <= 1.2 * calm_m + 0.02, "{error_m} m, undisturbed {calm_m} m");
+    }
+}
+
+#[test]
+fn any_stage_may_be_killed() {
+    judge(&kills_of_each_stage(&Stage::ALL, 1, 1));
+}
+
+#[test]
+fn any_stage_may_hang() {
+    judge(&stops_of_each_stage(&[Stage::CorrelationFilter, Stage::DynamicCleaner], 1, 2));
+}
+
+#[test]
+fn a_storm_of_kills() {
+    judge(&storm(8.0, 3));
+}
+
+#[test]
+fn all_stages_and_the_supervisor_may_be_killed() {
+    judge(&everything_at_once(1));
+}
+
+#[test]
+fn kills_while_a_stage_starts_leave_nothing_that_grows() {
+    judge(&crashing_starts(Stage::DynamicCleaner, 40, 4));
+}
+
+#[test]
+fn a_kill_while_the_map_is_saved_leaves_a_good_map() {
+    judge(&kills_while_saving(5, 5));
+}
+
+/// Ten poses along a line, every second one with an accepted scan.
+fn sound() -> Evidence {
+    let pose = |i: u64| {
+        let flags = if i.is_multiple_of(2) { PoseFlags::INSERT } else { 0 };
+        let mut pose = PoseEstimate {
+            flags,
+            odom_from_base: Pose::new(0.02 * i as f64, 0.0, 0.0),
+            ..PoseEstimate::default()
+        };
+        pose.id.sequence = i;
+        pose.times.sensor_ns = i as i64 * 25_000_000;
+        pose
+    };
+    Evidence { poses: (0..10).map(pose).collect(), inserted: 5 }
+}
+
+#[test]
+fn the_checker_finds_what_it_looks_for() {
+    assert!(sound().violations().is_empty(), "{:?}", sound().violations());
+    let told = |break_it: fn(&mut Evidence)| {
+        let mut broken = sound();
+        break_it(&mut broken);
+        broken.violations().join("; ")
+    };
+    assert!(told(|evidence| evidence.inserted -= 1).contains("1 accepted scans are not in the map"));
+    assert!(told(|evidence| evidence.inserted += 1).contains("1 scans are in the map twice"));
+    assert!(told(|evidence| evidence.poses.swap(3, 4)).contains("scan 3 comes after scan 4"));
+    assert!(told(|evidence| evidence.poses[6].odom_from_base.x_m += 0.5).contains("jumps by 0.5"));
+    assert!(told(|evidence| evidence.poses[6].odom_from_base.heading_rad += 1.0).contains("1.00 rad"));
+}

@@ -1,0 +1,103 @@
+//! One function for each reader of bytes from outside: whatever the bytes, it returns. The fuzz targets beside this and the bounded
+//! run in `tests/fuzzing.rs` share them.
+
+use flockslam::configuration::Configuration;
+use flockslam::evaluation::parse_tum;
+use flockslam::store::{MapHead, SavedMap};
+use flockslam::supervisor::{Request, SetDescription};
+use flockslam_evidence::Submap;
+use flockslam_lidar_ingest::Settings;
+use flockslam_lidar_ingest::carmen::CarmenReader;
+use flockslam_messages::ScanBuffer;
+use flockslam_stage::JournalReader;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// A reader under test, by the name of its corpus.
+pub type Entry = (&'static str, fn(&[u8]));
+
+/// All of them.
+pub const ENTRIES: [Entry; 6] = [
+    ("carmen", carmen),
+    ("configuration", configuration),
+    ("journal", journal),
+    ("submap", submap),
+    ("saved_map", saved_map),
+    ("trajectory", trajectory),
+];
+
+/// A CARMEN log, or what comes through a pipe.
+pub fn carmen(bytes: &[u8]) {
+    // As a log is read when much of it may be wrong: the reader goes on behind bad lines.
+    let settings = Settings { max_bad_line_share: 1.0, max_beams: 10_000, ..Settings::default() };
+    let mut reader = CarmenReader::new(bytes, "fuzz", settings);
+    let mut scan = ScanBuffer::default();
+    while let Ok(true) = reader.next_scan(&mut scan) {
+        let view = scan.view().expect("a scan that is given out is whole");
+        assert!((0..view.len()).filter_map(|beam| view.valid_range_m(beam)).all(f64::is_finite));
+    }
+}
+
+/// A configuration, a description of a set, an order to a running set.
+pub fn configuration(bytes: &[u8]) {
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    let _ = toml::from_str::<Configuration>(text);
+    let _ = toml::from_str::<SetDescription>(text);
+    let _ = serde_json::from_str::<Request>(text);
+    if let Some(line) = text.lines().next() {
+        let _ = Configuration::load(flockslam::configuration::Profile::Default, None, &[line.to_owned()]);
+    }
+}
+
+/// A journal of scans and poses.
+pub fn journal(bytes: &[u8]) {
+    let directory = scratch("journal");
+    fs::write(directory.join("scans.journal"), bytes).expect("tmpfs can be written");
+    if let Ok(mut journal) = JournalReader::open(&directory) {
+        while let Ok(Some(record)) = journal.read_next() {
+            assert!(record.scan.is_none_or(|scan| scan.view().is_ok()));
+        }
+    }
+}
+
+/// A stored submap, as it is and with its checksum put right, so that what is behind it is reached.
+pub fn submap(bytes: &[u8]) {
+    let _ = Submap::decode(bytes);
+    let mut sealed = bytes.to_vec();
+    if let Some((head, checked)) = sealed.split_at_mut_checked(9) {
+        head[5..9].copy_from_slice(&crc32fast::hash(checked).to_le_bytes());
+    }
+    if let Ok(submap) = Submap::decode(&sealed) {
+        let again = Submap::decode(&submap.encode()).expect("what was decoded can be stored");
+        assert_eq!(again.encode(), submap.encode());
+    }
+}
+
+/// The head of a saved map beside a journal of the same bytes.
+pub fn saved_map(bytes: &[u8]) {
+    let directory = scratch("saved-map");
+    fs::write(directory.join("map.head"), bytes).expect("tmpfs can be written");
+    fs::write(directory.join("scans.journal"), bytes).expect("tmpfs can be written");
+    let _ = MapHead::read(&directory);
+    let _ = SavedMap::at(&directory).check();
+}
+
+/// A trajectory that is to be evaluated.
+pub fn trajectory(bytes: &[u8]) {
+    let _ = parse_tum("fuzz", bytes);
+}
+
+/// A directory for files that a reader wants, of this process and thread alone.
+fn scratch(reader: &str) -> PathBuf {
+    let name = format!("flockslam-fuzz-{reader}-{}", std::process::id());
+    let directory = Path::new("/dev/shm").join(name);
+    fs::create_dir_all(&directory).expect("tmpfs can be written");
+    directory
+}
+
+/// Removes what the entries of this process have left.
+pub fn clean_up() {
+    for reader in ["journal", "saved-map"] {
+        let _ = fs::remove_dir_all(scratch(reader));
+    }
+}

@@ -1,0 +1,185 @@
+//! A live set: it takes orders, replaces what hangs, goes on without what does not get up, and outlives its supervisor.
+
+mod support;
+
+use flockslam::supervisor::{SetState, StageState};
+use flockslam_messages::Stage;
+use rustix::process::Signal;
+use std::time::{Duration, Instant};
+use support::{Drive, LiveSet, PoseWatch, of, send, truth_error_m, wait_for};
+
+/// A drive that no test sees the end of.
+const LONG: Drive = Drive { scan_rate_hz: 20.0, duration_s: 600.0, rate: 1.0 };
+
+fn pids(status: &flockslam::supervisor::SetStatus) -> Vec<(String, Option<u32>)> {
+    status.stages.iter().map(|stage| (stage.stage.clone(), stage.pid)).collect()
+}
+
+#[test]
+fn it_takes_orders_and_stops_within_two_seconds() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut set = LiveSet::start("orders", directory.path(), LONG, "");
+    let before = set.wait_until_handled(Stage::Mapper, 3);
+    assert!(before.stages.iter().all(|stage| stage.state == StageState::Running), "{before}");
+    set.command_well(&["restart", "mapper"]);
+    let mapper = of(&before, Stage::Mapper).pid;
+    let after = set.wait_until("a new mapper", |status| {
+        let stage = of(status, Stage::Mapper);
+        stage.state == StageState::Running && stage.pid != mapper
+    });
+    let others = |status| pids(status).into_iter().filter(|(stage, _)| stage != "mapper").collect::<Vec<_>>();
+    assert_eq!(others(&before), others(&after), "no other stage is restarted");
+    let wrong = set.command(&["restart", "maper"]);
+    assert_eq!(wrong.status.code(), Some(2));
+    let too_many = set.command(&["scale", "sync-manager=5"]);
+    assert_eq!((too_many.status.code(), support::stderr(&too_many).lines().count()), (Some(2), 1));
+    let json = set.command_well(&["status", "--json"]).stdout;
+    let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
+    assert_eq!(json["state"], "running");
+    let told = Instant::now();
+    set.command_well(&["down"]);
+    assert_eq!(set.wait(), Some(0));
+    println!("down after {:.2} s", told.elapsed().as_secs_f64());
+}
+
+#[test]
+fn a_second_set_of_the_same_name_and_a_missing_set_are_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut set = LiveSet::start("twice", directory.path(), LONG, "");
+    set.pid(Stage::Mapper);
+    let second = support::flockslam().arg("up").arg(directory.path().join("set.toml")).output().unwrap();
+    assert_eq!(second.status.code(), Some(2), "{}", support::stderr(&second));
+    assert!(support::stderr(&second).contains("already running"));
+    let nobody = support::flockslam().args(["status", "--robot", "nobody"]).output().unwrap();
+    assert_eq!(nobody.status.code(), Some(2));
+    send(set.supervisor_pid(), Signal::TERM);
+    assert_eq!(set.wait(), Some(0));
+}
+
+#[test]
+fn processes_get_no_more_than_they_may_use() {
+    let directory = tempfile::tempdir().unwrap();
+    let more = "stages.dynamic-cleaner = { nice = 7, cpus = [0], memory_max_bytes = 300_000_000 }";
+    let mut set = LiveSet::start("limits", directory.path(), LONG, more);
+    set.wait_until_handled(Stage::DynamicCleaner, 1);
+    let pid = set.pid(Stage::DynamicCleaner);
+    let read_of = |pid: u32, name: &str| std::fs::read_to_string(format!("/proc/{pid}/{name}")).unwrap();
+    let read = |name: &str| read_of(pid, name);
+    let limits = read("limits");
+    let data = limits.lines().find(|line| line.starts_with("Max data size")).unwrap();
+    assert!(data.contains("300000000"), "{data}");
+    assert!(read("status").lines().any(|line| line == "Cpus_allowed_list:\t0"));
+    // Behind the name, which is in brackets, the niceness is the 17th field.
+    let niceness = |pid: u32| {
+        let stat = read_of(pid, "stat");
+        stat.rsplit(')').next().unwrap().split_whitespace().nth(16).unwrap().parse::<i32>().unwrap()
+    };
+    assert_eq!(niceness(pid), 7 + niceness(set.supervisor_pid()));
+}
+
+#[test]
+fn the_filter_gets_a_second_process_and_loses_it_again_without_a_lost_scan() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut set = LiveSet::start("scale", directory.path(), LONG, "");
+    let before = set.wait_until_handled(Stage::ScanMatcher, 20);
+    let poses = PoseWatch::start(&set.runtime_dir());
+    for processes in [2, 1] {
+        set.command_well(&["scale", &format!("correlation-filter={processes}")]);
+        let status = set.wait_until("the filter to run", |status| {
+            let filters = status.stages.iter().filter(|stage| stage.stage == "correlation-filter");
+            filters.clone().count() == processes && filters.clone().all(|f| f.state == StageState::Running)
+        });
+        let seen = poses.seen().len();
+        wait_for("more poses", || (poses.seen().len() > seen + 10).then_some(()));
+        let others = |status| {
+            pids(status).into_iter().filter(|(stage, _)| stage != "correlation-filter").collect::<Vec<_>>()
+        };
+        assert_eq!(others(&before), others(&status));
+    }
+    let sequences: Vec<_> = poses.seen().iter().map(|seen| seen.pose.id.sequence).collect();
+    assert!(sequences.windows(2).all(|pair| pair[1] == pair[0] + 1), "every scan has a pose: {sequences:?}");
+}
+
+/// A stage that is stopped is found out by its silence and replaced; poses go on.
+fn a_stopped_stage_is_replaced(stage: Stage) {
+    let directory = tempfile::tempdir().unwrap();
+    let mut set = LiveSet::start("hang", directory.path(), LONG, "");
+    set.wait_until_handled(stage, 2);
+    let poses = PoseWatch::start(&set.runtime_dir());
+    let stopped = set.pid(stage);
+    let since = Instant::now();
+    send(stopped, Signal::STOP);
+    let status = set.wait_until("a successor", |status| {
+        let found = of(status, stage);
+        found.state == StageState::Running && found.pid != Some(stopped)
+    });
+    let replaced_s = since.elapsed().as_secs_f64();
+    let found = of(&status, stage);
+    assert_eq!((found.hangs, found.restarts), (1, 1));
+    for other in status.stages.iter().filter(|other| other.stage != stage.name()) {
+        assert_eq!(other.restarts, 0, "{status}");
+    }
+    let back_ms = poses.back_after_ms(since);
+    println!("{} stopped: replaced after {replaced_s:.2} s, poses back after {back_ms:.0} ms", stage.name());
+}
+
+#[test]
+fn a_stopped_source_is_replaced() {
+    a_stopped_stage_is_replaced(Stage::LidarIngest);
+}
+
+#[test]
+fn a_stopped_matcher_is_replaced() {
+    a_stopped_stage_is_replaced(Stage::ScanMatcher);
+}
+
+#[test]
+fn a_stopped_mapper_is_replaced() {
+    a_stopped_stage_is_replaced(Stage::Mapper);
+}
+
+#[test]
+fn without_a_matcher_the_wheels_are_followed_until_it_gets_up() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut set = LiveSet::start("degraded", directory.path(), LONG, "retry_s = 2.0");
+    set.wait_until_handled(Stage::ScanMatcher, 5);
+    // Dead on sight, whenever it is started: but for the first one, none lives to handle a scan.
+    let mut killed = None;
+    let status = wait_for("the stage to be given up", || {
+        let status = set.status()?;
+        let matcher = of(&status, Stage::ScanMatcher);
+        if matcher.state != StageState::Degraded && matcher.pid.is_some() && matcher.pid != killed {
+            killed = matcher.pid;
+            send(killed.unwrap(), Signal::KILL);
+        }
+        (status.state == SetState::Degraded).then_some(status)
+    });
+    println!("{status}");
+    assert!(of(&status, Stage::ScanMatcher).restarts >= 4);
+    let poses = PoseWatch::start(&set.runtime_dir());
+    let degraded = wait_for("poses by the wheels", || poses.seen().first().map(|seen| seen.pose));
+    assert!(!degraded.has(flockslam_messages::PoseFlags::MATCHED));
+    assert_eq!(degraded.quality, flockslam_messages::Quality::Degraded as u32);
+    set.wait_until("the matcher to get up again", |status| status.state == SetState::Running);
+    wait_for("matched poses", || {
+        poses.seen().iter().any(|seen| seen.pose.has(flockslam_messages::PoseFlags::MATCHED)).then_some(())
+    });
+}
+
+#[test]
+fn a_set_whose_supervisor_was_killed_goes_on_with_what_it_knew() {
+    let directory = tempfile::tempdir().unwrap();
+    let drive = Drive { scan_rate_hz: 20.0, duration_s: 40.0, rate: 4.0 };
+    let mut set = LiveSet::start("heir", directory.path(), drive, "");
+    set.wait_until_handled(Stage::ScanMatcher, 200);
+    let since = Instant::now();
+    let mut set = set.kill_and_start_again();
+    set.wait_until_handled(Stage::ScanMatcher, 1);
+    println!("mapping again {:.2} s after SIGKILL of the supervisor", since.elapsed().as_secs_f64());
+    let outputs = set.finish();
+    let (lines, error_m) = (outputs.lines("trajectory.tum").len(), truth_error_m(&outputs));
+    println!("{lines} of {} scans, {error_m:.3} m against the truth", drive.scans());
+    assert!(lines * 100 >= drive.scans() * 90 && error_m < 0.3);
+    assert_eq!(outputs.report.chains, 1, "the robot is where it was");
+    assert!(since.elapsed() < Duration::from_secs(90));
+}

@@ -1,0 +1,292 @@
+use super::{Evidence, Seeded};
+use crate::support::{Drive, LiveSet, PoseWatch, building, of, run_well, send, truth_error_m, wait_for};
+use flockslam::store::SavedMap;
+use flockslam::supervisor::{SetStatus, StageState};
+use flockslam_messages::Stage;
+use rustix::process::Signal;
+use std::path::Path;
+use std::sync::OnceLock;
+use std::time::{Duration, Instant};
+
+const SCAN_RATE_HZ: f64 = 40.0;
+/// Between two faults the set works for at least so many scans.
+const CALM_SCANS: usize = 20;
+
+/// What was done to sets and what came of it.
+#[derive(Default)]
+pub struct Trial {
+    /// The fault, for people.
+    pub fault: String,
+    /// How often it was done.
+    pub runs: usize,
+    /// How long poses of new scans were missing after each, milliseconds.
+    pub recoveries_ms: Vec<f64>,
+    /// Accepted scans that are not in the map.
+    pub lost: u64,
+    /// What must not be.
+    pub violations: Vec<String>,
+    /// Error against the truth, metres, and that of an undisturbed drive.
+    pub error_m: Option<(f64, f64)>,
+}
+
+impl Trial {
+    /// A quantile of the recoveries, milliseconds.
+    pub fn recovery_ms(&self, share: f64) -> f64 {
+        let mut sorted = self.recoveries_ms.clone();
+        sorted.sort_by(f64::total_cmp);
+        let place = (share * sorted.len().saturating_sub(1) as f64).ceil() as usize;
+        sorted.get(place).copied().unwrap_or(f64::NAN)
+    }
+
+    /// One line of the table.
+    pub fn line(&self) -> String {
+        let (error_m, calm_m) = self.error_m.unwrap_or((f64::NAN, f64::NAN));
+        format!(
+            "| {} | {} | {:.0} | {:.0} | {} | {:.3} | {:.3} |",
+            self.fault,
+            self.runs,
+            self.recovery_ms(0.5),
+            self.recovery_ms(0.99),
+            self.lost,
+            error_m,
+            calm_m
+        )
+    }
+
+    /// The head of the table.
+    pub const HEAD: &str = "| fault | runs | back after, p50 ms | p99 ms | accepted scans lost | error, m | undisturbed, m |\n\
+         |---|---|---|---|---|---|---|";
+}
+
+/// A set that drives at 40 Hz, and what is seen of it.
+struct Subject {
+    set: LiveSet,
+    poses: PoseWatch,
+    map: SavedMap,
+    drive: Drive,
+}
+
+impl Subject {
+    fn start(test: &str, directory: &Path, duration_s: f64) -> Self {
+        let drive = Drive { scan_rate_hz: SCAN_RATE_HZ, duration_s, rate: 1.0 };
+        let map = directory.join("map");
+        let mut set = LiveSet::start(test, directory, drive, &format!("map = {map:?}"));
+        set.wait_until("a first map", |status| {
+            let working = |stage| of(status, stage).handled > 0;
+            Stage::ALL.into_iter().all(working)
+        });
+        let poses = PoseWatch::start(&set.runtime_dir());
+        Self { set, poses, map: SavedMap::at(&map), drive }
+    }
+
+    /// Waits until the set has worked undisturbed for a while and everybody runs.
+    fn calm_down(&mut self) -> SetStatus {
+        let status = self.set.wait_until("all stages to run", |status| {
+            status.stages.iter().all(|stage| stage.state == StageState::Running)
+        });
+        let before = self.poses.seen().len();
+        wait_for("some poses", || (self.poses.seen().len() >= before + CALM_SCANS).then_some(()));
+        status
+    }
+
+    /// Does something to the process of a stage; how long new scans were without a pose.
+    fn disturb(&mut self, stage: Stage, signal: Signal) -> f64 {
+        let pid = self.set.pid(stage);
+        let since = Instant::now();
+        send(pid, signal);
+        let back_ms = self.poses.back_after_ms(since);
+        self.set.wait_until("a successor", |status| {
+            let found = of(status, stage);
+            found.state == StageState::Running && found.pid != Some(pid)
+        });
+        back_ms
+    }
+
+    /// Lets the drive end, and looks at what is left.
+    fn conclude(self, trial: &mut Trial) {
+        let Self { set, poses, map, drive } = self;
+        drop(poses);
+        let outputs = set.finish();
+        let evidence = Evidence::of(&map);
+        trial.lost = evidence.lost();
+        trial.violations.extend(evidence.violations());
+        trial.error_m = Some((truth_error_m(&outputs), undisturbed_error_m(drive.duration_s)));
+    }
+}
+
+/// Error of the same drive when nothing happens to it.
+fn undisturbed_error_m(duration_s: f64) -> f64 {
+    static ERRORS: OnceLock<std::sync::Mutex<Vec<(u64, f64)>>> = OnceLock::new();
+    let errors = ERRORS.get_or_init(Default::default);
+    let mut errors = errors.lock().unwrap();
+    if let Some((_, error_m)) = errors.iter().find(|(of, _)| *of == duration_s.to_bits()) {
+        return *error_m;
+    }
+    let directory = tempfile::tempdir().unwrap();
+    let mut args = building(duration_s as u32);
+    args.extend(["--set".to_owned(), format!("simulation.scan_rate_hz={SCAN_RATE_HZ}")]);
+    let error_m = truth_error_m(&run_well("calm", directory.path(), &args));
+    errors.push((duration_s.to_bits(), error_m));
+    error_m
+}
+
+/// SIGKILL of one stage after the other, each so many times; no other stage may be restarted.
+pub fn kills_of_each_stage(stages: &[Stage], runs: usize, seed: u64) -> Trial {
+    disturb_each("kill", stages, runs, seed, Signal::KILL)
+}
+
+/// SIGSTOP of one stage after the other: a hang, that is found out.
+pub fn stops_of_each_stage(stages: &[Stage], runs: usize, seed: u64) -> Trial {
+    disturb_each("stop", stages, runs, seed, Signal::STOP)
+}
+
+fn disturb_each(what: &str, stages: &[Stage], runs: usize, seed: u64, signal: Signal) -> Trial {
+    let (directory, mut random) = (tempfile::tempdir().unwrap(), Seeded::new(seed));
+    let names: Vec<_> = stages.iter().map(|stage| stage.name()).collect();
+    let mut trial = Trial { fault: format!("{what} {}", names.join(", ")), ..Trial::default() };
+    // A fault and its aftermath take about 1.6 s; the drive ends some time after the last one.
+    let duration_s = (12.0 + 1.6 * (runs * stages.len()) as f64).ceil();
+    let mut subject = Subject::start(what, directory.path(), duration_s);
+    for _ in 0..runs {
+        for stage in stages {
+            let before = subject.calm_down();
+            std::thread::sleep(Duration::from_millis(random.below(25)));
+            trial.recoveries_ms.push(subject.disturb(*stage, signal));
+            trial.runs += 1;
+            let after = subject.set.status().unwrap();
+            for (before, after) in before.stages.iter().zip(&after.stages) {
+                if before.stage != stage.name() && before.pid != after.pid {
+                    trial.violations.push(format!("{} was restarted with {}", after.stage, stage.name()));
+                }
+            }
+        }
+    }
+    subject.conclude(&mut trial);
+    trial
+}
+
+/// A random stage every 500 ± 250 ms.
+pub fn storm(duration_s: f64, seed: u64) -> Trial {
+    let (directory, mut random) = (tempfile::tempdir().unwrap(), Seeded::new(seed));
+    let mut trial = Trial { fault: format!("storm of kills for {duration_s} s"), ..Trial::default() };
+    let mut subject = Subject::start("storm", directory.path(), duration_s + 15.0);
+    let begun = Instant::now();
+    while begun.elapsed().as_secs_f64() < duration_s {
+        let stage = Stage::ALL[random.below(6) as usize];
+        let since = Instant::now();
+        send(subject.set.pid(stage), Signal::KILL);
+        trial.runs += 1;
+        trial.recoveries_ms.push(subject.poses.back_after_ms(since));
+        let pause = Duration::from_millis(250 + random.below(501));
+        std::thread::sleep(pause.saturating_sub(since.elapsed()));
+    }
+    subject.conclude(&mut trial);
+    trial
+}
+
+/// All stages at once, and then the supervisor, so many times.
+pub fn everything_at_once(runs: usize) -> Trial {
+    let directory = tempfile::tempdir().unwrap();
+    let mut trial = Trial { fault: "kill all stages, then the supervisor".to_owned(), ..Trial::default() };
+    let mut subject = Subject::start("all", directory.path(), 12.0 + 3.0 * runs as f64);
+    for _ in 0..runs {
+        let status = subject.calm_down();
+        let since = Instant::now();
+        status.stages.iter().filter_map(|stage| stage.pid).for_each(|pid| send(pid, Signal::KILL));
+        trial.recoveries_ms.push(subject.poses.back_after_ms(since));
+        subject.calm_down();
+        let since = Instant::now();
+        subject.set = subject.set.kill_and_start_again();
+        trial.recoveries_ms.push(subject.poses.back_after_ms(since));
+        trial.runs += 2;
+    }
+    subject.conclude(&mut trial);
+    trial
+}
+
+/// SIGKILL of the supervisor while it saves the map, again and again: the map on disk is whole but for one record that was being
+/// written, and never less than it was.
+pub fn kills_while_saving(runs: usize, seed: u64) -> Trial {
+    let (directory, mut random) = (tempfile::tempdir().unwrap(), Seeded::new(seed));
+    let mut trial = Trial { fault: "kill while the map is saved".to_owned(), ..Trial::default() };
+    let drive = Drive { scan_rate_hz: SCAN_RATE_HZ, duration_s: 3600.0, rate: 1.0 };
+    let map = directory.path().join("map");
+    let more = format!("map = {map:?}\nsave_every_s = 0.001");
+    let mut set = LiveSet::start("saving", directory.path(), drive, &more);
+    let map = SavedMap::at(&map);
+    let mut saved = 0;
+    for _ in 0..runs {
+        set.wait_until_handled(Stage::ScanMatcher, 10);
+        std::thread::sleep(Duration::from_millis(random.below(50)));
+        let since = Instant::now();
+        send(set.supervisor_pid(), Signal::KILL);
+        set.wait_for_death();
+        let found = map.check().unwrap();
+        let is_tail = |problem: &&String| problem.starts_with("scans.journal");
+        trial.violations.extend(found.problems.iter().filter(|problem| !is_tail(problem)).cloned());
+        if found.poses < saved {
+            trial.violations.push(format!("{} poses are saved, there were {saved}", found.poses));
+        }
+        saved = found.poses;
+        set = set.start_once_more();
+        set.wait_until_handled(Stage::ScanMatcher, 1);
+        trial.recoveries_ms.push(since.elapsed().as_secs_f64() * 1e3);
+        trial.runs += 1;
+    }
+    set.command_well(&["down"]);
+    assert_eq!(set.wait(), Some(0));
+    trial.violations.extend(map.check().unwrap().problems);
+    trial
+}
+
+/// What the shared memory of a set consists of: objects, nodes, files.
+fn left_behind(robot: &str) -> usize {
+    let count = |directory: &Path, wanted: &str| {
+        let names = std::fs::read_dir(directory).map(|entries| entries.flatten().collect::<Vec<_>>());
+        let named = |entry: &std::fs::DirEntry| entry.file_name().to_string_lossy().contains(wanted);
+        names.unwrap_or_default().iter().filter(|entry| named(entry)).count()
+    };
+    let set = flockslam_bus::RuntimeDir::path_of(robot);
+    let inside = ["bus/nodes", "bus/services", "status", "journal"];
+    let inside = inside.iter().map(|name| count(&set.join(name), "")).sum::<usize>();
+    count(Path::new("/dev/shm"), robot) + inside
+}
+
+fn descriptors(pid: u32) -> usize {
+    std::fs::read_dir(format!("/proc/{pid}/fd")).map_or(0, Iterator::count)
+}
+
+/// A stage is killed within its first 20 ms, again and again: what that leaves is bounded, and it gets up in the end.
+pub fn crashing_starts(stage: Stage, runs: usize, seed: u64) -> Trial {
+    let (directory, mut random) = (tempfile::tempdir().unwrap(), Seeded::new(seed));
+    let mut trial = Trial { fault: format!("kill {} while it starts", stage.name()), ..Trial::default() };
+    let drive = Drive { scan_rate_hz: SCAN_RATE_HZ, duration_s: 3600.0, rate: 1.0 };
+    // Given up again and again, it is tried again soon.
+    let mut set = LiveSet::start("starts", directory.path(), drive, "retry_s = 0.001");
+    set.wait_until_handled(stage, 1);
+    let (objects, files) = (left_behind(set.robot()), descriptors(set.supervisor_pid()));
+    let mut pid = set.pid(stage);
+    for _ in 0..runs {
+        send(pid, Signal::KILL);
+        let killed = Some(pid);
+        let is_next = |next: Option<u32>| next.is_some() && next != killed;
+        let status = set.wait_until("a successor", |status| is_next(of(status, stage).pid));
+        pid = of(&status, stage).pid.unwrap();
+        std::thread::sleep(Duration::from_millis(random.below(20)));
+        trial.runs += 1;
+    }
+    let since = Instant::now();
+    set.wait_until("the stage to get up", |status| {
+        of(status, stage).handled > 0 && of(status, stage).state == StageState::Running
+    });
+    trial.recoveries_ms.push(since.elapsed().as_secs_f64() * 1e3);
+    // 64 reports of dead processes are kept, and what they leave until then is cleaned up once a second.
+    let (objects_max, files_max) = (objects + 64 + 60, files + 8);
+    wait_for("what is left behind to be cleaned up", || {
+        let found = (left_behind(set.robot()), descriptors(set.supervisor_pid()));
+        (found.0 <= objects_max && found.1 <= files_max).then_some(())
+    });
+    set.command_well(&["down"]);
+    assert_eq!(set.wait(), Some(0));
+    trial
+}

@@ -1,0 +1,177 @@
+use super::{Outputs, assert_nothing_left, flockslam, processes_of, robot, send, stderr, wait_for};
+use flockslam::supervisor::{Reply, Request, SetStatus, StageStatus, ask};
+use flockslam_bus::RuntimeDir;
+use flockslam_messages::Stage;
+use rustix::process::Signal;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Output, Stdio};
+
+/// A process set started by `flockslam up`, in a directory of its own.
+pub struct LiveSet {
+    child: Child,
+    robot: String,
+    directory: PathBuf,
+    arguments: Vec<String>,
+}
+
+/// A simulated drive: scans a second, seconds, and simulated seconds a second.
+#[derive(Clone, Copy)]
+pub struct Drive {
+    pub scan_rate_hz: f64,
+    pub duration_s: f64,
+    pub rate: f64,
+}
+
+impl Drive {
+    /// The description of a set that drives it, with `more` lines of TOML at the front.
+    pub fn description(&self, robot: &str, more: &str) -> String {
+        let Self { scan_rate_hz, duration_s, rate } = self;
+        format!(
+            "robot = \"{robot}\"\n{more}\n\
+             set = [\"sync_manager.retire_covered_by=0\", \"simulation.duration_s={duration_s:?}\", \"simulation.scan_rate_hz={scan_rate_hz:?}\"]\n\
+             [source]\nkind = \"simulation\"\nrate = {rate:?}\n"
+        )
+    }
+
+    /// Scans that the robot takes on the way.
+    pub fn scans(&self) -> usize {
+        (self.scan_rate_hz * self.duration_s) as usize
+    }
+}
+
+impl LiveSet {
+    /// Starts a drive under a name of its own; the description and all that is written lie in `directory`.
+    pub fn start(test: &str, directory: &Path, drive: Drive, more: &str) -> Self {
+        let robot = robot(test);
+        std::fs::write(directory.join("set.toml"), drive.description(&robot, more)).unwrap();
+        Self::start_again(robot, directory, &[])
+    }
+
+    /// Starts the set that is described in `directory`.
+    pub fn start_again(robot: String, directory: &Path, arguments: &[String]) -> Self {
+        let mut command = flockslam();
+        command.arg("up").arg(directory.join("set.toml")).arg("--out").arg(directory.join("out"));
+        command.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+        let child = command.spawn().unwrap();
+        Self { child, robot, directory: directory.to_owned(), arguments: arguments.to_owned() }
+    }
+
+    /// The name of the set.
+    pub fn robot(&self) -> &str {
+        &self.robot
+    }
+
+    /// Its directory in shared memory.
+    pub fn runtime_dir(&self) -> PathBuf {
+        RuntimeDir::path_of(&self.robot)
+    }
+
+    /// The supervisor's process.
+    pub fn supervisor_pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Asks the supervisor; `None` while nobody answers.
+    pub fn ask(&self, request: &Request) -> Option<Reply> {
+        ask(&self.runtime_dir().join("control"), request).ok()
+    }
+
+    /// How the set is; `None` while nobody answers.
+    pub fn status(&self) -> Option<SetStatus> {
+        match self.ask(&Request::Status)? {
+            Reply::Status(status) => Some(status),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// Waits until the set is as asked for.
+    pub fn wait_until(&mut self, what: &str, is: impl Fn(&SetStatus) -> bool) -> SetStatus {
+        wait_for(what, || {
+            let ended = self.child.try_wait().unwrap();
+            assert!(ended.is_none(), "{what}: the set has ended: {ended:?}");
+            self.status().filter(&is)
+        })
+    }
+
+    /// Waits until a stage has handled so many scans in its present process.
+    pub fn wait_until_handled(&mut self, stage: Stage, scans: u64) -> SetStatus {
+        let what = format!("{scans} scans of {}", stage.name());
+        self.wait_until(&what, |status| of(status, stage).handled >= scans)
+    }
+
+    /// The process of a stage, once it is there.
+    pub fn pid(&mut self, stage: Stage) -> u32 {
+        let status = self.wait_until("a process", |status| of(status, stage).pid.is_some());
+        of(&status, stage).pid.unwrap()
+    }
+
+    /// Kills the supervisor, waits until nothing of the set is alive, and starts it again.
+    pub fn kill_and_start_again(mut self) -> Self {
+        send(self.supervisor_pid(), Signal::KILL);
+        self.wait_for_death();
+        self.start_once_more()
+    }
+
+    /// Waits until nothing of a set whose supervisor was killed is alive.
+    pub fn wait_for_death(&mut self) {
+        self.child.wait().unwrap();
+        wait_for("the death of all stages", || processes_of(&self.runtime_name()).is_empty().then_some(()));
+    }
+
+    /// Starts a set that is dead again.
+    pub fn start_once_more(self) -> Self {
+        let again = Self::start_again(self.robot.clone(), &self.directory, &self.arguments);
+        // What is dropped here is dead already.
+        std::mem::forget(self);
+        again
+    }
+
+    /// What the command lines of its stages have in them.
+    fn runtime_name(&self) -> String {
+        self.runtime_dir().display().to_string()
+    }
+
+    /// Waits for the end; its exit code. Nothing is left.
+    pub fn wait(&mut self) -> Option<i32> {
+        let status = wait_for("the end of the set", || self.child.try_wait().unwrap());
+        assert_nothing_left(&self.robot);
+        status.code()
+    }
+
+    /// Waits for the end of its source and reads the outputs.
+    pub fn finish(mut self) -> Outputs {
+        assert_eq!(self.wait(), Some(0));
+        Outputs::read(&self.directory.join("out"))
+    }
+
+    /// Runs another command of the executable on this set.
+    pub fn command(&self, args: &[&str]) -> Output {
+        flockslam().args(args).args(["--robot", &self.robot]).output().unwrap()
+    }
+
+    /// As [`LiveSet::command`], and it must succeed.
+    pub fn command_well(&self, args: &[&str]) -> Output {
+        let output = self.command(args);
+        assert!(output.status.success(), "{args:?}: {}", stderr(&output));
+        output
+    }
+}
+
+/// What a status says of the first process of a stage.
+pub fn of(status: &SetStatus, stage: Stage) -> &StageStatus {
+    status.stages.iter().find(|found| found.stage == stage.name() && found.replica == 0).unwrap()
+}
+
+impl Drop for LiveSet {
+    fn drop(&mut self) {
+        if matches!(self.child.try_wait(), Ok(None)) {
+            let _ = self.child.kill();
+            let _ = self.child.wait();
+            wait_for("the death of all stages", || {
+                processes_of(&self.runtime_name()).is_empty().then_some(())
+            });
+            // The state of a killed set outlives it; that of a failed test is of no use.
+            let _ = std::fs::remove_file(self.runtime_dir().join("kept"));
+        }
+    }
+}
