@@ -5,6 +5,7 @@
 #![allow(dead_code, unused_imports)]
 
 mod benchmark;
+pub mod experiments;
 pub mod faults;
 mod live;
 mod log;

@@ -7,8 +7,8 @@ use crate::{
     SlicePublisher, SliceSubscriber, SliceTopic, Subscriber, Topic,
 };
 use flockslam_messages::{
-    Commit, Control, LayoutHeader, MarksHeader, PoseEstimate, Progress, ScanHeader, ScanTally, Stage,
-    SubmapClosed, TileMessage, TracksHeader, Verdict,
+    Commit, Control, LayoutHeader, MarksHeader, MovingBeamsHeader, PoseEstimate, Progress, ScanHeader,
+    ScanTally, Stage, SubmapClosed, TileMessage, TracksHeader, Verdict,
 };
 use std::any::Any;
 
@@ -50,6 +50,7 @@ impl Bus {
             bus.create_slice::<LargeScanHeader>()?,
             bus.create_slice::<MarksHeader>()?,
             bus.create_slice::<TracksHeader>()?,
+            bus.create_slice::<MovingBeamsHeader>()?,
             bus.create_bell(SUPERVISOR_BELL)?,
         ];
         for stage in Stage::ALL {

@@ -1,7 +1,7 @@
 use crate::tile_port::LANES;
 use flockslam_messages::{
-    ClearedCell, Commit, Control, Layout, LayoutHeader, MarksHeader, Message, PoseEstimate, Progress,
-    ScanHeader, ScanTally, SubmapClosed, TileMessage, Track, TracksHeader, Verdict,
+    BeamRange, ClearedCell, Commit, Control, Layout, LayoutHeader, MarksHeader, Message, MovingBeamsHeader,
+    PoseEstimate, Progress, ScanHeader, ScanTally, SubmapClosed, TileMessage, Track, TracksHeader, Verdict,
 };
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
@@ -156,6 +156,16 @@ impl SliceTopic for TracksHeader {
     type Element = Track;
     const NAME: &'static str = "tracks";
     const FIRST_LENGTH: usize = 32;
+
+    fn limits(capacity: &Capacity) -> Limits {
+        Limits { preallocated: Some(4 * capacity.window), ..Limits::small(capacity) }
+    }
+}
+
+impl SliceTopic for MovingBeamsHeader {
+    type Element = BeamRange;
+    const NAME: &'static str = "moving-beams";
+    const FIRST_LENGTH: usize = 64;
 
     fn limits(capacity: &Capacity) -> Limits {
         Limits { preallocated: Some(4 * capacity.window), ..Limits::small(capacity) }

@@ -5,11 +5,11 @@ use crate::sectors::{Ray, SectorScan};
 use crate::settings::Method;
 use crate::sight::Sight;
 use crate::tracking::Tracker;
-use crate::votes::{Baseline, Votes};
+use crate::votes::{Counts, Votes};
 use flockslam_evidence::{CellIndex, Tile, TileGrid};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{
-    ClearedCell, Deskew, MarksHeader, PoseEstimate, PoseFlags, Quality, ScanView, Track,
+    ClearedCell, Deskew, MarksHeader, PoseEstimate, PoseFlags, Quality, ScanId, ScanView, Track,
 };
 use std::f64::consts::SQRT_2;
 use std::ops::Deref;
@@ -18,6 +18,10 @@ use std::ops::Deref;
 const NEAR_M: f64 = 0.3;
 /// Cells that one scan may look through; more than these wait for the next scan.
 const SEEN_THROUGH_MAX: usize = 1 << 14;
+/// Of a robot that stands, scans so far apart vote, nanoseconds …
+const STANDING_APART_NS: u64 = 300_000_000;
+/// … and it stands when it has moved less than this since the last vote, metres and radians.
+const STANDING: (f64, f64) = (0.05, 0.05);
 
 /// Finds cells whose evidence for "occupied" is stale.
 #[derive(Clone, Debug)]
@@ -27,6 +31,8 @@ pub struct DynamicCleaner {
     sectors: SectorScan,
     votes: Votes,
     scans: u32,
+    /// Where and when the last scan was judged.
+    judged: Option<(Pose, i64)>,
     seen_through: Vec<CellIndex>,
     /// Cells that the present scan supports.
     supported: usize,
@@ -34,6 +40,8 @@ pub struct DynamicCleaner {
     tracker: Tracker,
     /// Ends of the present scan's beams that lie on something that was not there before.
     moving: Vec<Point>,
+    /// The scan that they were found in.
+    watched: Option<ScanId>,
 }
 
 /// What the cleaner says of a scan.
@@ -77,11 +85,13 @@ impl DynamicCleaner {
             sectors: SectorScan::new(),
             votes: Votes::new(),
             scans: 0,
+            judged: None,
             seen_through: Vec::with_capacity(SEEN_THROUGH_MAX),
             supported: 0,
             cleared: Vec::with_capacity(settings.cleared_max),
             tracker: Tracker::default(),
             moving: Vec::new(),
+            watched: None,
             settings,
         }
     }
@@ -94,6 +104,7 @@ impl DynamicCleaner {
         grid: &TileGrid<H>,
     ) -> &[Track] {
         self.moving.clear();
+        self.watched = Some(pose.id);
         let odom_from_laser = pose.odom_from_base * scan.header().base_from_laser;
         if is_tracked(pose) {
             let deskew = Deskew::new(scan, pose.twist);
@@ -117,16 +128,16 @@ impl DynamicCleaner {
         if self.settings.enabled && is_certain(pose) {
             let odom_from_laser = pose.odom_from_base * scan.header().base_from_laser;
             let deskew = Deskew::new(scan, pose.twist);
-            let radius_m = self.settings.radius_m;
-            find_moving(scan, &deskew, odom_from_laser, grid, radius_m, &mut self.moving);
-            moving = self.moving.len() as u32;
-            match self.settings.method {
-                Method::Beams => self.sight.look(scan, &deskew),
-                Method::Sectors => self.sectors.look(scan, &deskew, self.settings.join_m),
+            if self.watched != Some(pose.id) {
+                let radius_m = self.settings.radius_m;
+                find_moving(scan, &deskew, odom_from_laser, grid, radius_m, &mut self.moving);
             }
+            moving = self.moving.len() as u32;
+            self.look(scan, &deskew);
             self.judge(pose, odom_from_laser, grid);
             if self.is_plausible() {
-                self.vote(odom_from_laser);
+                let Settings { vote_distance_m: distance_m, vote_turn_rad: turn_rad, .. } = self.settings;
+                self.vote(odom_from_laser, Counts::FromElsewhere { distance_m, turn_rad });
             }
         }
         let header = MarksHeader {
@@ -139,6 +150,37 @@ impl DynamicCleaner {
         Marks { header, cleared: &self.cleared }
     }
 
+    /// Lets a scan vote that does not enter the map, while the robot stands. What it looks through is cleared once an inserted scan
+    /// looks through it too.
+    pub fn look_on<H: Deref<Target = Tile>>(
+        &mut self,
+        scan: ScanView<'_>,
+        pose: &PoseEstimate,
+        grid: &TileGrid<H>,
+    ) {
+        let odom_from_laser = pose.odom_from_base * scan.header().base_from_laser;
+        let stands = self.judged.is_some_and(|(last, stamp_ns)| {
+            last.distance_m(odom_from_laser) < STANDING.0
+                && last.turn_rad(odom_from_laser) < STANDING.1
+                && pose.times.sensor_ns.abs_diff(stamp_ns) >= STANDING_APART_NS
+        });
+        if !self.settings.enabled || !stands || !is_certain(pose) {
+            return;
+        }
+        self.look(scan, &Deskew::new(scan, pose.twist));
+        self.judge(pose, odom_from_laser, grid);
+        if self.is_plausible() {
+            self.vote(odom_from_laser, Counts::UpTo(self.settings.votes.saturating_sub(1)));
+        }
+    }
+
+    fn look(&mut self, scan: ScanView<'_>, deskew: &Deskew) {
+        match self.settings.method {
+            Method::Beams => self.sight.look(scan, deskew),
+            Method::Sectors => self.sectors.look(scan, deskew, self.settings.join_m),
+        }
+    }
+
     /// Collects the cells that the scan looks through and takes back votes against cells that it supports.
     fn judge<H: Deref<Target = Tile>>(
         &mut self,
@@ -148,6 +190,7 @@ impl DynamicCleaner {
     ) {
         self.seen_through.clear();
         self.supported = 0;
+        self.judged = Some((odom_from_laser, pose.times.sensor_ns));
         let view = View::new(&self.settings, &self.sight, pose, odom_from_laser, grid.cell_size_m());
         let laser_from_odom = odom_from_laser.inverse();
         let judge = |center: Point| match self.settings.method {
@@ -182,13 +225,12 @@ impl DynamicCleaner {
         contradicted as f64 <= self.settings.contradiction_max * judged as f64
     }
 
-    fn vote(&mut self, odom_from_laser: Pose) {
+    fn vote(&mut self, odom_from_laser: Pose, counts: Counts) {
         self.scans = self.scans.saturating_add(1);
-        let Settings { vote_distance_m: distance_m, vote_turn_rad: turn_rad, .. } = self.settings;
-        let baseline = Baseline { distance_m, turn_rad };
+        let decides = matches!(counts, Counts::FromElsewhere { .. });
         for cell in &self.seen_through {
-            let votes = self.votes.add(*cell, odom_from_laser, self.scans, baseline);
-            if votes >= self.settings.votes && self.cleared.len() < self.settings.cleared_max {
+            let votes = self.votes.add(*cell, odom_from_laser, self.scans, counts);
+            if decides && votes >= self.settings.votes && self.cleared.len() < self.settings.cleared_max {
                 self.cleared.push(ClearedCell { x: cell.x, y: cell.y });
                 self.votes.forget(*cell);
             }

@@ -118,6 +118,9 @@ impl Cleaner {
             && let Ok(scan) = sample.view()
         {
             self.watch(scan, pose)?;
+            if ready {
+                self.logic.look_on(scan, pose, self.grid.grid());
+            }
         }
         self.acknowledger.finished(pose.id.sequence + 1)?;
         Ok(true)

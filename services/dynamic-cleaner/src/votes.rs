@@ -16,11 +16,18 @@ struct Vote {
     heading_rad: f32,
 }
 
-/// How far apart the lidar must be for two votes to count.
+/// When a vote counts beside the last one.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Baseline {
-    pub distance_m: f64,
-    pub turn_rad: f64,
+pub(crate) enum Counts {
+    /// When the lidar has moved so far between them.
+    FromElsewhere {
+        /// Metres.
+        distance_m: f64,
+        /// Radians.
+        turn_rad: f64,
+    },
+    /// Always, up to so many votes.
+    UpTo(u8),
 }
 
 impl Votes {
@@ -28,14 +35,17 @@ impl Votes {
         Self::default()
     }
 
-    /// Adds a vote for a cell, given from `laser` in scan number `scan`, unless the last one came from nearly the same
-    /// place; gives the number of votes.
-    pub fn add(&mut self, cell: CellIndex, laser: Pose, scan: u32, baseline: Baseline) -> u8 {
+    /// Adds a vote for a cell, given from `laser` in scan number `scan`, if it counts; gives the number of votes.
+    pub fn add(&mut self, cell: CellIndex, laser: Pose, scan: u32, counts: Counts) -> u8 {
         let vote = self.cells.touch(cell, scan);
         let last = Pose::new(f64::from(vote.x_m), f64::from(vote.y_m), f64::from(vote.heading_rad));
-        let moved =
-            laser.distance_m(last) >= baseline.distance_m || laser.turn_rad(last) >= baseline.turn_rad;
-        if vote.count == 0 || moved {
+        let counts = match counts {
+            Counts::FromElsewhere { distance_m, turn_rad } => {
+                laser.distance_m(last) >= distance_m || laser.turn_rad(last) >= turn_rad
+            }
+            Counts::UpTo(most) => vote.count < most,
+        };
+        if vote.count == 0 || counts {
             vote.count = vote.count.saturating_add(1);
             (vote.x_m, vote.y_m) = (laser.x_m as f32, laser.y_m as f32);
             vote.heading_rad = laser.heading_rad as f32;
@@ -53,7 +63,7 @@ impl Votes {
 mod tests {
     use super::*;
 
-    const BASELINE: Baseline = Baseline { distance_m: 0.1, turn_rad: 0.2 };
+    const BASELINE: Counts = Counts::FromElsewhere { distance_m: 0.1, turn_rad: 0.2 };
 
     #[test]
     fn votes_from_one_place_count_once_and_support_takes_them_back() {
@@ -65,5 +75,8 @@ mod tests {
         assert_eq!(votes.add(cell, at(0.12, 0.4), 4, BASELINE), 3);
         votes.forget(cell);
         assert_eq!(votes.add(cell, at(0.12, 0.4), 5, BASELINE), 1);
+        // Of a robot that stands, scans count so far that one from elsewhere decides.
+        assert_eq!([6, 7, 8].map(|scan| votes.add(cell, at(0.12, 0.4), scan, Counts::UpTo(2))), [2, 2, 2]);
+        assert_eq!(votes.add(cell, at(0.32, 0.4), 9, BASELINE), 3);
     }
 }

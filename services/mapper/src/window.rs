@@ -8,8 +8,8 @@ use flockslam_evidence::{
 
 /// A cell with this much evidence for "free", nat, was looked through by several scans.
 const CLEAR_NAT: f64 = 1.5;
-/// A score above the middle: the evidence for "occupied" outweighs that for "free".
-const OCCUPIED_SCORE: u16 = u16::MAX / 2;
+/// What has this much evidence for "occupied", nat, and more than for "free", was hit by several scans: it stands there.
+const ESTABLISHED_NAT: f64 = 4.0;
 /// What stands within this distance of a cell, cells, may be what was seen in it.
 const NEAR_CELLS: i32 = 2;
 
@@ -98,7 +98,11 @@ impl Window {
     pub(crate) fn is_clear(&self, cell: CellIndex) -> bool {
         let tile_of = |cell: CellIndex| self.tiles.get(cell.tile());
         let stands = |cell: CellIndex| {
-            tile_of(cell).is_some_and(|tile| tile.published.score[cell.offset()] > OCCUPIED_SCORE)
+            tile_of(cell).is_some_and(|tile| {
+                let evidence = tile.published.cells[cell.offset()];
+                f64::from(evidence.occupied) >= ESTABLISHED_NAT * WEIGHT_SCALE
+                    && evidence.occupied > evidence.free
+            })
         };
         let known_free = tile_of(cell).is_some_and(|tile| {
             f64::from(tile.published.cells[cell.offset()].free) >= CLEAR_NAT * WEIGHT_SCALE

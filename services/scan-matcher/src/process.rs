@@ -1,8 +1,10 @@
 //! The shell of scan-matcher: joins scan, verdict, grid and corrections, writes the journal, publishes poses.
 
 use crate::{ScanMatcher, Settings};
-use flockslam_bus::{BellRinger, Publisher, ScanSample, Subscriber};
-use flockslam_messages::{DropReason, KeepReason, LayoutHeader, PoseEstimate, PoseFlags, Stage, Verdict};
+use flockslam_bus::{BellRinger, Publisher, ScanSample, SlicePublisher, Subscriber};
+use flockslam_messages::{
+    DropReason, KeepReason, LayoutHeader, MovingBeamsHeader, PoseEstimate, PoseFlags, Stage, Verdict,
+};
 use flockslam_stage::{
     Acknowledger, Actor, GridReader, JournalReader, JournalWriter, Mode, PendingScans, StageContext,
     StageError, StreamEnd, run,
@@ -51,6 +53,7 @@ struct Matcher {
     /// Sequences of the accepted scans whose commits are awaited, and since when, oldest first.
     awaited: VecDeque<(u64, u64)>,
     poses: Publisher<PoseEstimate>,
+    moving_beams: SlicePublisher<MovingBeamsHeader>,
     journal: JournalWriter,
     bells: [BellRinger; 3],
     /// The chain of submaps, and the sequence of the accepted scan that it began with.
@@ -94,6 +97,7 @@ impl Matcher {
             grid,
             awaited: VecDeque::with_capacity(2 + LAG_LIVE),
             poses,
+            moving_beams: bus.slice_publisher()?,
             journal: JournalWriter::open(&context.journal_dir)?,
             bells: [
                 bus.ringer(Stage::Mapper.name())?,
@@ -219,6 +223,7 @@ impl Matcher {
             tracing::error!(%error, "not durable");
             context.dropped("not-journaled");
         }
+        self.publish_moving_beams(&pose, context);
         self.poses.send(&pose)?;
         context.handled(header.id.sequence, started_ns, header.times.monotonic_ns);
         let accepted = pose.has(PoseFlags::INSERT);
@@ -233,6 +238,21 @@ impl Matcher {
         }
         context.report.report.scan_address = scan.ranges().as_ptr() as u64;
         self.acknowledger.finished(header.id.sequence + 1)
+    }
+
+    /// Who hears of a pose has heard of its moving beams.
+    fn publish_moving_beams(&self, pose: &PoseEstimate, context: &mut StageContext) {
+        let beams = self.logic.moving_beams();
+        if beams.is_empty() {
+            return;
+        }
+        let header =
+            MovingBeamsHeader { id: pose.id, times: pose.times, count: beams.len() as u32, reserved: 0 };
+        let sent = self.moving_beams.send_with(&header, beams.len(), |to| to.copy_from_slice(beams));
+        if let Err(error) = sent {
+            tracing::warn!(%error, "moving beams are not told");
+            context.dropped("moving-beams-unsent");
+        }
     }
 
     fn ring(&self) {
@@ -268,6 +288,7 @@ impl Actor for Matcher {
 
     fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.poses.refresh();
+        self.moving_beams.refresh();
         if let Some(address) = self.grid.a_tile_address() {
             context.report.report.tile_address = address as u64;
         }

@@ -35,6 +35,9 @@ pub struct Settings {
     pub range_max_m: f64,
     /// Whether returns with nothing near beside them (dust, rain, false returns; never those within 2 m) are not matched.
     pub skip_isolated: bool,
+    /// Beams that end where the grid knows free space, with nothing near, lie on what moves: they are set aside before a scan is
+    /// fitted, unless they are more than this share of it or the robot is lost; 0 = none ever is.
+    pub moving_share_max: f64,
     /// Of scans with more beams than this only every n-th is matched.
     pub beams_max: usize,
     /// Score (0 … 1) where the grid has no tile: what the mapper's read-out gives for an unknown cell.
@@ -123,6 +126,7 @@ impl Default for Settings {
             range_min_m: 0.4,
             range_max_m: 30.0,
             skip_isolated: true,
+            moving_share_max: 0.5,
             beams_max: 1000,
             unknown_score: 0.0,
             seed: 1,
@@ -162,6 +166,7 @@ impl Settings {
             rescue: Rescue { below: 0.0, lost_scans_max: 0, ..Rescue::default() },
             fits_velocity: false,
             skip_isolated: false,
+            moving_share_max: 0.0,
             ..Self::default()
         }
     }
@@ -175,6 +180,7 @@ impl Settings {
             fits_velocity: false,
             range_min_m: 0.0,
             skip_isolated: false,
+            moving_share_max: 0.0,
             unknown_score: 0.5,
             ..Self::default()
         }

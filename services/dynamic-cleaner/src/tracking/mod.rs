@@ -19,6 +19,9 @@ const SIGHTINGS_MIN: u32 = 3;
 const FORGOTTEN_S: (f64, f64) = (1.5, 0.35);
 /// After a pause of this many seconds nobody is known any more.
 const PAUSE_MAX_S: f64 = 3.0;
+/// Somebody hidden who turns or stops there comes out elsewhere than expected: within this distance of where they were seen last,
+/// metres, and so much farther for each second …
+const REACH: (f64, f64) = (0.4, 1.8);
 /// Nobody new is followed beyond so many.
 const TRACKS_MAX: usize = 256;
 
@@ -39,6 +42,8 @@ pub(crate) struct Tracker {
 struct Followed {
     id: u64,
     motion: Motion,
+    /// Where the last sighting was.
+    seen: Point,
     sightings: u32,
     age_s: f64,
     unseen_s: f64,
@@ -52,6 +57,7 @@ impl Tracker {
         find_centers(points, laser, &mut self.centers);
         self.associate();
         self.welcome();
+        self.recognise();
         self.followed.retain(|followed| !followed.is_forgotten());
         self.tracks.clear();
         let believed = self.followed.iter().filter(|followed| followed.sightings >= SIGHTINGS_MIN);
@@ -92,6 +98,7 @@ impl Tracker {
             if !self.taken[*sighting] && (followed.unseen_s > 0.0 || followed.sightings == 0) {
                 self.taken[*sighting] = true;
                 followed.motion.correct(self.centers[*sighting]);
+                followed.seen = self.centers[*sighting];
                 followed.sightings += 1;
                 followed.unseen_s = 0.0;
             }
@@ -104,14 +111,53 @@ impl Tracker {
             if !taken && self.followed.len() < TRACKS_MAX {
                 let motion = Motion::at(*center);
                 let id = self.next_id;
-                self.followed.push(Followed { id, motion, sightings: 1, age_s: 0.0, unseen_s: 0.0 });
+                self.followed.push(Followed {
+                    id,
+                    motion,
+                    seen: *center,
+                    sightings: 1,
+                    age_s: 0.0,
+                    unseen_s: 0.0,
+                });
                 self.next_id += 1;
             }
         }
     }
 }
 
+impl Tracker {
+    /// Whoever has just come to be believed may be somebody who was hidden, and has turned or stopped meanwhile: then they keep
+    /// their name. Of several the one who is expected nearest.
+    fn recognise(&mut self) {
+        for new in 0..self.followed.len() {
+            let found = self.followed[new];
+            if found.sightings != SIGHTINGS_MIN || found.unseen_s > 0.0 {
+                continue;
+            }
+            let expected_m = |other: &usize| self.followed[*other].motion.position.distance_m(found.seen);
+            let hidden = (0..self.followed.len()).filter(|other| self.followed[*other].could_be(&found));
+            let Some(nearest) = hidden.min_by(|a, b| expected_m(a).total_cmp(&expected_m(b))) else {
+                continue;
+            };
+            let known = &mut self.followed[nearest];
+            let age_s = known.age_s;
+            *known = Followed { id: known.id, sightings: known.sightings + found.sightings, age_s, ..found };
+            // Out of sight for ever: it is forgotten at once.
+            self.followed[new].unseen_s = f64::INFINITY;
+        }
+    }
+}
+
 impl Followed {
+    /// Whether somebody believed who is hidden may be the one who was found.
+    fn could_be(&self, found: &Followed) -> bool {
+        self.sightings >= SIGHTINGS_MIN
+            && self.id != found.id
+            && self.unseen_s > found.age_s
+            && self.unseen_s.is_finite()
+            && self.seen.distance_m(found.seen) < REACH.0 + REACH.1 * self.unseen_s
+    }
+
     fn is_forgotten(&self) -> bool {
         let believed = self.sightings >= SIGHTINGS_MIN;
         self.unseen_s > if believed { FORGOTTEN_S.0 } else { FORGOTTEN_S.1 }

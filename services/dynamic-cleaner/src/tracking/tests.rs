@@ -37,6 +37,20 @@ fn somebody_is_followed_through_a_second_behind_a_pillar() {
 }
 
 #[test]
+fn somebody_who_turns_round_behind_a_pillar_keeps_the_name() {
+    let mut tracker = Tracker::default();
+    let mut last = Vec::new();
+    for i in 0..40 {
+        let x_m = if i < 22 { 0.12 * i as f64 } else { 0.12 * (44 - i) as f64 };
+        let hidden = (18..27).contains(&i);
+        let points = if hidden { vec![] } else { seen(x_m, 2.0).to_vec() };
+        last = tracker.follow(i * STEP_NS, &points, LASER).to_vec();
+    }
+    assert!(matches!(last[..], [Track { id: 0, .. }]), "{last:?}");
+    assert!(last[0].velocity_m_s.x_m < -0.8, "{last:?}");
+}
+
+#[test]
 fn two_who_pass_each_other_keep_their_names() {
     let mut tracker = Tracker::default();
     let mut last = Vec::new();
