@@ -12,7 +12,7 @@ use flockslam_scan_matcher::ScanMatcher;
 use std::path::Path;
 use std::time::{Duration, Instant};
 use support::Outputs;
-use support::experiments::{Experiment, flat, one_mover};
+use support::experiments::{BEARING_SIGMA_RAD, Experiment, flat, one_mover};
 
 /// Without the update: what was seen once stays.
 const PLAIN: &str = "dynamic_cleaner.enabled=false";
@@ -39,11 +39,10 @@ fn errors(poses: &[Pose], truth: &[Pose]) -> Vec<(f64, f64)> {
     moves(poses).into_iter().zip(moves(truth)).map(off).collect()
 }
 
-#[test]
-fn thirteen_scans_in_a_flat_are_matched_from_the_odometry_guess() {
-    let flat = flat();
+/// The largest errors of the twelve moves, metres and degrees.
+fn worst(flat: &Experiment) -> (f64, f64) {
     let directory = tempfile::tempdir().unwrap();
-    let outputs = run(&flat, flat.scans.len(), directory.path(), &[]);
+    let outputs = run(flat, flat.scans.len(), directory.path(), &[]);
     let poses: Vec<Pose> =
         outputs.trajectory("trajectory.tum").iter().map(|point| point.map_from_base).collect();
     assert_eq!(poses.len(), flat.truth.len());
@@ -51,7 +50,20 @@ fn thirteen_scans_in_a_flat_are_matched_from_the_odometry_guess() {
     for (i, (off_m, off_deg)) in errors.iter().enumerate() {
         println!("scan {}: {:.1} mm, {off_deg:.3}°", i + 2, 1e3 * off_m);
     }
-    assert!(errors.iter().all(|(off_m, off_deg)| *off_m < 0.010 && *off_deg < 0.5));
+    errors.iter().fold((0.0, 0.0), |worst, error| (worst.0.max(error.0), worst.1.max(error.1)))
+}
+
+#[test]
+fn thirteen_scans_in_a_flat_are_matched_from_the_odometry_guess() {
+    let (off_m, off_deg) = worst(&flat(0.0));
+    assert!(off_m < 0.010 && off_deg < 0.5, "{off_m} m, {off_deg}°");
+}
+
+/// Each beam for itself points elsewhere by a degree: at eight metres, walls of a corridor are a band 28 cm wide.
+#[test]
+fn beams_that_point_elsewhere_by_a_degree_do_not_lead_astray() {
+    let (off_m, off_deg) = worst(&flat(BEARING_SIGMA_RAD));
+    assert!(off_m < 0.10 && off_deg < 2.0, "{off_m} m, {off_deg}°");
 }
 
 /// Occupied cells where somebody was, but is not at the last of `count` scans.
@@ -142,7 +154,7 @@ fn print_cost(flat: &Experiment) {
 #[test]
 #[ignore = "pictures for people"]
 fn pictures_and_cost() {
-    let flat = flat();
+    let flat = flat(BEARING_SIGMA_RAD);
     print_cost(&flat);
     let Some(to) = std::env::var_os(PICTURES) else { return };
     let to = Path::new(&to);

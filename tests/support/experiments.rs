@@ -6,10 +6,11 @@ use flockslam_messages::ScanBuffer;
 use std::f64::consts::TAU;
 use std::path::Path;
 
-/// RPLidar A2: beams of a turn, reach, and standard deviations of ranges and directions.
+/// RPLidar A2: beams of a turn, reach, and standard deviations of ranges, metres, and of the direction of each beam, radians.
 const BEAMS: usize = 1000;
 const REACH_M: f64 = 12.0;
-const SIGMA: (f64, f64) = (0.002, 0.0175);
+const RANGE_SIGMA_M: f64 = 0.002;
+pub const BEARING_SIGMA_RAD: f64 = 0.0175;
 
 /// A wall between two points, or one of its sides.
 type Wall = [f64; 4];
@@ -145,13 +146,15 @@ fn scan(
     world: (&[Wall], &[Point]),
     pose: Pose,
     odometry: Pose,
+    bearing_sigma_rad: f64,
     noise: &mut Noise,
 ) -> ScanBuffer {
     let step = TAU / BEAMS as f64;
     let ranges: Vec<f32> = (0..BEAMS)
         .map(|beam| {
-            let angle_rad = pose.heading_rad - TAU / 2.0 + step * beam as f64 + SIGMA.1 * noise.normal();
-            let range_m = cast(world.0, world.1, pose.position(), angle_rad) + SIGMA.0 * noise.normal();
+            let angle_rad =
+                pose.heading_rad - TAU / 2.0 + step * beam as f64 + bearing_sigma_rad * noise.normal();
+            let range_m = cast(world.0, world.1, pose.position(), angle_rad) + RANGE_SIGMA_M * noise.normal();
             if range_m < REACH_M { range_m as f32 } else { f32::INFINITY }
         })
         .collect();
@@ -184,7 +187,7 @@ fn thick([x0, y0, x1, y1]: Wall) -> [Wall; 4] {
 }
 
 /// Thirteen scans in a flat of rooms on a corridor: a door closes, an operator walks a metre behind the robot.
-pub fn flat() -> Experiment {
+pub fn flat(bearing_sigma_rad: f64) -> Experiment {
     let (mut truth, mut odometry) = (vec![Pose::IDENTITY], vec![Pose::IDENTITY]);
     for [wheels_mm, wheels_deg, true_mm, true_deg] in MOVES {
         truth.push(moved(truth[truth.len() - 1], [true_mm, true_deg]));
@@ -196,7 +199,7 @@ pub fn flat() -> Experiment {
     let mut noise = Noise(13);
     let scans = (0..truth.len()).map(|i| {
         let walls = if i >= DOOR_CLOSES { &closed } else { &open };
-        scan(i as u64, (walls, &movers[i..=i]), truth[i], odometry[i], &mut noise)
+        scan(i as u64, (walls, &movers[i..=i]), truth[i], odometry[i], bearing_sigma_rad, &mut noise)
     });
     Experiment { scans: scans.collect(), truth, movers }
 }
@@ -225,9 +228,8 @@ pub fn one_mover() -> Experiment {
     let movers: Vec<Point> =
         (0..8).map(|i| Point::new(4.0 - 0.7 * f64::from(i), 2.5 - 0.1 * f64::from(i))).collect();
     let mut noise = Noise(8);
-    let scans = truth
-        .iter()
-        .enumerate()
-        .map(|(i, pose)| scan(i as u64, (&room, &movers[i..=i]), *pose, *pose, &mut noise));
+    let scans = truth.iter().enumerate().map(|(i, pose)| {
+        scan(i as u64, (&room, &movers[i..=i]), *pose, *pose, BEARING_SIGMA_RAD, &mut noise)
+    });
     Experiment { scans: scans.collect(), truth, movers }
 }

@@ -10,16 +10,12 @@ use serde::{Deserialize, Serialize};
 pub struct NdtSettings {
     /// Side of an NDT cell, metres (rounded to a whole number of eight grid cells).
     pub cell_size_m: f64,
-    /// Fits to cells twice, four times … as wide come first, for predictions that are far off: so many sizes in all.
-    pub levels: u32,
-    /// Newton steps at most, for each size.
+    /// Newton steps at most.
     pub iterations: u32,
     /// An NDT cell counts with at least this much occupied mass in it, grid cells.
     pub points_min: f64,
     /// Floor of the smaller eigenvalue of a covariance, share of the larger one.
     pub flatness_min: f64,
-    /// Standard deviation of a beam's direction, radians: far points tell less of what lies beside them.
-    pub bearing_sigma_rad: f64,
     /// Pull towards the prediction's position, per m² and point.
     pub prior_xy: f64,
     /// Pull towards the prediction's heading, per rad² and point.
@@ -30,11 +26,9 @@ impl Default for NdtSettings {
     fn default() -> Self {
         Self {
             cell_size_m: 0.36,
-            levels: 1,
             iterations: 20,
             points_min: 3.0,
             flatness_min: 0.001,
-            bearing_sigma_rad: 0.0,
             prior_xy: 0.1,
             prior_heading: 0.02,
         }
@@ -145,20 +139,6 @@ struct Normal {
     inverse: Matrix2<f64>,
 }
 
-impl Normal {
-    /// Inverse covariance of the offset of a point whose place is uncertain by `beside_m` across the beam that ends in it;
-    /// `beam` leads there from the robot.
-    fn inverse_for(&self, beam: Vector2<f64>, beside_m: f64) -> Matrix2<f64> {
-        if beside_m == 0.0 {
-            return self.inverse;
-        }
-        let across = Vector2::new(-beam.y, beam.x) * (beside_m / beam.norm().max(f64::MIN_POSITIVE));
-        // A sum of a positive and a non-negative matrix (Sherman and Morrison 1950).
-        let turned = self.inverse * across;
-        self.inverse - turned * turned.transpose() / (1.0 + across.dot(&turned))
-    }
-}
-
 /// Cost of a pose with gradient and Hessian, divided by the number of points and grids.
 struct Terms {
     cost: f64,
@@ -189,28 +169,6 @@ impl Ndt {
     ///
     /// Minimises `-Σ exp(-qᵀS⁻¹q/2) / 4n` plus half the pull towards `prediction`.
     pub fn fit<F: ScoreField>(
-        &mut self,
-        settings: &NdtSettings,
-        field: &F,
-        points: &[Point],
-        prediction: Pose,
-        start: Pose,
-    ) -> Option<Pose> {
-        let mut pose = start;
-        for level in (0..settings.levels.max(1)).rev() {
-            let wide = f64::from(1u32 << level.min(8)) * settings.cell_size_m;
-            let sized = NdtSettings { cell_size_m: wide, ..settings.clone() };
-            let found = self.descend(&sized, field, points, prediction, pose);
-            if level == 0 {
-                return found;
-            }
-            pose = found.unwrap_or(pose);
-        }
-        None
-    }
-
-    /// Newton's method with cells of one size.
-    fn descend<F: ScoreField>(
         &mut self,
         settings: &NdtSettings,
         field: &F,
@@ -289,21 +247,19 @@ impl Ndt {
         for point in points {
             let turned = Vector2::new(cos * point.x_m - sin * point.y_m, sin * point.x_m + cos * point.y_m);
             let end = turned + Vector2::new(pose.x_m, pose.y_m);
-            let beside_m = settings.bearing_sigma_rad * point.norm_m();
             let block = CellIndex::new(floor(end.x / sides.block_m), floor(end.y / sides.block_m));
             for (x, y) in [(-1, -1), (0, -1), (-1, 0), (0, 0)] {
                 let corner = CellIndex::new(block.x.wrapping_add(x), block.y.wrapping_add(y));
                 let Some(normal) = self.cell(settings, field, sides, corner) else { continue };
                 hits += 1;
                 let q = end - normal.mean;
-                let inverse = normal.inverse_for(turned, beside_m);
-                let weighted = inverse * q;
+                let weighted = normal.inverse * q;
                 let likelihood = (-0.5 * q.dot(&weighted)).exp();
                 if likelihood < 1e-9 {
                     continue;
                 }
                 cost -= likelihood;
-                add_derivatives(&mut gradient, &mut hessian, turned, weighted, &inverse, likelihood);
+                add_derivatives(&mut gradient, &mut hessian, turned, weighted, &normal.inverse, likelihood);
             }
         }
         let share = 1.0 / (4 * points.len().max(1)) as f64;

@@ -167,6 +167,8 @@ impl Settings {
             fits_velocity: false,
             skip_isolated: false,
             moving_share_max: 0.0,
+            // Along a corridor little but the wheels says how far a move of metres went.
+            ndt: NdtSettings { prior_xy: 3.0, ..NdtSettings::default() },
             ..Self::default()
         }
     }

@@ -206,8 +206,12 @@ impl SyncProcess {
         while self.waiting_moving_beams.front().is_some_and(|(of, _)| *of < sequence) {
             self.waiting_moving_beams.pop_front();
         }
-        let beams = self.waiting_moving_beams.pop_front_if(|(of, _)| *of == sequence);
-        beams.map_or_else(Vec::new, |(_, beams)| beams)
+        match self.waiting_moving_beams.front() {
+            Some((of, _)) if *of == sequence => {
+                self.waiting_moving_beams.pop_front().map_or_else(Vec::new, |(_, beams)| beams)
+            }
+            _ => Vec::new(),
+        }
     }
 
     fn finish(&mut self, context: &StageContext) -> Result<(), StageError> {

@@ -151,7 +151,6 @@ impl BagReader {
         let Some(ChunkRecord::Chunk(chunk)) = records.next().transpose().map_err(damaged)? else {
             return Ok(());
         };
-        drop(records);
         for record in chunk.messages() {
             match record.map_err(damaged)? {
                 MessageRecord::Connection(connection) => {
