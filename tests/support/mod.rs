@@ -5,9 +5,11 @@
 #![allow(dead_code, unused_imports)]
 
 mod benchmark;
+pub mod experiments;
 pub mod faults;
 mod live;
 mod log;
+mod moved_map;
 mod outputs;
 mod poses;
 mod running;
@@ -15,6 +17,7 @@ mod running;
 pub use benchmark::{benchmark_file, evaluate_relations};
 pub use live::{Drive, LiveSet, of};
 pub use log::simulated_log;
+pub use moved_map::{MapFigures, occupied_cells};
 pub use outputs::{Outputs, known_truth_error_m, truth_error_m};
 pub use poses::{PoseWatch, SeenPose};
 pub use running::{RunningSet, send};

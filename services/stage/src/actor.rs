@@ -87,9 +87,10 @@ pub fn run(context: &mut StageContext, actor: &mut impl Actor, bell: &Listener) 
 
 /// The first process of a set that comes here does not leave.
 fn loop_once(context: &StageContext) {
-    let is_first = std::fs::File::create_new(context.status_dir.join("endless-loop")).is_ok();
-    while is_first {
-        std::hint::spin_loop();
+    if std::fs::File::create_new(context.status_dir.join("endless-loop")).is_ok() {
+        loop {
+            std::hint::spin_loop();
+        }
     }
 }
 

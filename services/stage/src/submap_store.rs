@@ -6,8 +6,6 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 const ENDING: &str = "submap";
-/// Folder of the parts of submaps that are not whole yet.
-const PARTS: &str = "parts";
 
 /// Closed submaps as files, one each. A file is whole or absent: it is replaced atomically and its content is checked.
 #[derive(Clone, Debug)]
@@ -55,50 +53,6 @@ impl SubmapStore {
             number: submap.number,
             insertions: submap.insertions,
         })
-    }
-
-    /// Stores the tiles of a submap that one of several mappers looks after, until all of them are there.
-    ///
-    /// # Errors
-    /// When the disk refuses.
-    pub fn save_part(&self, submap: &Submap, part: u32, parts: u32) -> Result<(), StageError> {
-        let directory = self.directory.join(PARTS);
-        fs::create_dir_all(&directory).map_err(|e| StageError::file(&directory, e))?;
-        let path = self.part_file(submap.number, part, parts);
-        Ok(replace_file(&path, &submap.encode(), Durability::Process)?)
-    }
-
-    /// The parts of a submap that others than the first mapper have stored; `None` while one is missing.
-    ///
-    /// # Errors
-    /// When a part is damaged.
-    pub fn load_parts(&self, number: u32, parts: u32) -> Result<Option<Vec<Submap>>, StageError> {
-        let files: Vec<_> = (1..parts).map(|part| self.part_file(number, part, parts)).collect();
-        if !files.iter().all(|path| path.exists()) {
-            return Ok(None);
-        }
-        let load = |path: &PathBuf| {
-            let bytes = fs::read(path).map_err(|e| StageError::file(path, e))?;
-            Submap::decode(&bytes).map_err(|e| StageError::file(path, e))
-        };
-        files.iter().map(load).collect::<Result<_, _>>().map(Some)
-    }
-
-    /// Removes parts of submaps with numbers below this.
-    pub fn remove_parts(&self, below: u32) {
-        let Ok(entries) = fs::read_dir(self.directory.join(PARTS)) else { return };
-        for path in entries.flatten().map(|entry| entry.path()) {
-            let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
-            let number = name.and_then(|name| name.split('.').next()?.parse::<u32>().ok());
-            if number.is_some_and(|number| number < below) {
-                // What cannot be removed is tried again with the next submap.
-                let _ = fs::remove_file(path);
-            }
-        }
-    }
-
-    fn part_file(&self, number: u32, part: u32, parts: u32) -> PathBuf {
-        self.directory.join(PARTS).join(format!("{number:06}.{part}-of-{parts}"))
     }
 
     /// Bytes of all stored submaps.

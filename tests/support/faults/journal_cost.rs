@@ -1,10 +1,13 @@
 use crate::support::{Outputs, flockslam, live_building, robot};
 use std::path::Path;
 
+/// p50 and p99 from the capture of a scan to its pose, microseconds.
+type Latency = (f64, f64);
+
 /// What writing the journal costs a pose, by pairs of live drives at 40 Hz with and without it, one right after the other.
 pub struct JournalCost {
-    /// (with, without) of each pair: p50 and p99 from the capture of a scan to its pose, microseconds.
-    pairs: Vec<[(f64, f64); 2]>,
+    /// With and without it.
+    pairs: Vec<[Latency; 2]>,
 }
 
 impl JournalCost {
@@ -16,7 +19,7 @@ impl JournalCost {
 
     /// The medians over all drives of a kind.
     pub fn table(&self) -> String {
-        let median = |pick: &dyn Fn(&[(f64, f64); 2]) -> f64| {
+        let median = |pick: &dyn Fn(&[Latency; 2]) -> f64| {
             let mut all: Vec<f64> = self.pairs.iter().map(pick).collect();
             all.sort_by(f64::total_cmp);
             all[all.len() / 2]
@@ -30,7 +33,7 @@ impl JournalCost {
     }
 }
 
-fn drive(directory: &Path, sabotage: &str) -> (f64, f64) {
+fn drive(directory: &Path, sabotage: &str) -> Latency {
     let mut args = live_building(7, 1);
     args.extend(["--set".to_owned(), "simulation.scan_rate_hz=40".to_owned()]);
     let mut command = flockslam();

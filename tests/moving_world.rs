@@ -1,0 +1,122 @@
+//! Worlds that move: people, doors and pallets leave neither ghosts nor holes in the map that navigation reads, and do not
+//! lead the robot astray.
+
+mod support;
+
+use flockslam_lidar_ingest::process::read_world;
+use flockslam_lidar_ingest::simulation::{GroundTruth, Settings, World};
+use std::path::PathBuf;
+use support::{MapFigures, Outputs, truth_error_m};
+
+/// Side of a cell of the map, metres.
+const CELL_M: f64 = 0.045;
+/// Settings under which everything that was ever seen stays in the map.
+const UNCLEANED: [&str; 2] = ["dynamic_cleaner.enabled=false", "mapper.newcomer_views=1"];
+/// Real buildings.
+const BUILDINGS: [&str; 3] = ["building_31", "stata_basement", "willow-2010-02-18-0.10"];
+/// What is asked: cells kept, cells removed, and their harmonic mean, percent.
+const ASKED: (f64, f64, f64) = (99.5, 95.0, 97.0);
+
+/// A drive through a world in which something moves.
+struct Drive {
+    /// The map of a building; none: the office.
+    map: Option<PathBuf>,
+    settings: Settings,
+}
+
+/// What a run has left, as long as it is needed.
+struct Run {
+    outputs: Outputs,
+    _directory: tempfile::TempDir,
+}
+
+impl Run {
+    fn error_m(&self) -> f64 {
+        truth_error_m(&self.outputs)
+    }
+}
+
+impl Drive {
+    fn run(&self, more: &[&str]) -> Run {
+        let Settings { seed, walkers, follower, doors, pallets, duration_s, .. } = self.settings;
+        let mut args = vec!["demo".to_owned()];
+        args.extend(self.map.iter().flat_map(|map| ["--world".to_owned(), map.display().to_string()]));
+        let set = [
+            format!("simulation.seed={seed}"),
+            format!("simulation.duration_s={duration_s:?}"),
+            format!("simulation.walkers={walkers}"),
+            format!("simulation.follower={follower}"),
+            format!("simulation.doors={doors}"),
+            format!("simulation.pallets={pallets}"),
+        ];
+        for assignment in set.iter().map(String::as_str).chain(more.iter().copied()) {
+            args.extend(["--set".to_owned(), assignment.to_owned()]);
+        }
+        let directory = tempfile::tempdir().unwrap();
+        let outputs = support::run_well("moving", directory.path(), &args);
+        Run { outputs, _directory: directory }
+    }
+
+    /// Figures of the map of a run, beside a run that cleans nothing.
+    fn figures(&self, run: &Run) -> MapFigures {
+        let world = self.map.as_ref().map_or_else(World::floor_plan, |path| read_world(path).expect("a map"));
+        let truth = GroundTruth::of_drive(&self.settings, world, CELL_M).unwrap();
+        MapFigures::of(&run.outputs, &self.run(&UNCLEANED).outputs, &truth)
+    }
+}
+
+fn lively(seed: u64, walkers: u32) -> Settings {
+    Settings { seed, walkers, doors: 6, pallets: 4, ..Settings::default() }
+}
+
+fn building(name: &str) -> Option<PathBuf> {
+    Some(support::data_dir()?.join("maps").join(format!("{name}.yaml")))
+}
+
+fn assert_clean(figures: &MapFigures) {
+    assert!(figures.kept.of > 3000 && figures.removed.of > 1000, "{figures}");
+    assert!(figures.kept.percent() >= ASKED.0, "{figures}");
+    assert!(figures.removed.percent() >= ASKED.1, "{figures}");
+    assert!(figures.harmonic() >= ASKED.2, "{figures}");
+}
+
+#[test]
+fn an_office_full_of_people_keeps_its_walls_and_no_ghosts() {
+    let drive = Drive { map: None, settings: lively(1, 10) };
+    let run = drive.run(&[]);
+    let figures = drive.figures(&run);
+    println!("{figures}, ATE {:.4} m", run.error_m());
+    assert_clean(&figures);
+    assert!(run.error_m() < 0.06);
+}
+
+/// Whoever stays 1.2 m behind the robot looks as if it stood still. In a bare corridor nothing says otherwise.
+#[test]
+fn somebody_who_follows_does_not_hold_the_robot_back() {
+    let Some(map) = building("stata_basement") else { return };
+    for seed in [1, 2] {
+        let settings = Settings { seed, follower: true, ..Settings::default() };
+        let run = Drive { map: Some(map.clone()), settings }.run(&[]);
+        println!("seed {seed}: ATE {:.4} m", run.error_m());
+        assert!(run.error_m() < 0.3);
+    }
+}
+
+/// The whole table: minutes.
+#[test]
+#[ignore = "ten seeds in three buildings take an hour"]
+fn three_buildings_full_of_people() {
+    for name in BUILDINGS {
+        let Some(map) = building(name) else { return };
+        for seed in 1..=10 {
+            let alone = Drive { map: Some(map.clone()), settings: Settings { seed, ..Settings::default() } };
+            println!("{name} seed {seed} alone: ATE {:.4}", alone.run(&[]).error_m());
+            for walkers in [2, 20] {
+                let drive = Drive { map: Some(map.clone()), settings: lively(seed, walkers) };
+                let run = drive.run(&[]);
+                let figures = drive.figures(&run);
+                println!("{name} seed {seed} walkers {walkers}: {figures}, ATE {:.4}", run.error_m());
+            }
+        }
+    }
+}
