@@ -1,13 +1,12 @@
 use crate::support::{Outputs, flockslam, live_building, robot};
 use std::path::Path;
 
-/// p50 and p99 from the capture of a scan to its pose, microseconds.
-type Latency = (f64, f64);
+/// p50 and p99 from the capture of a scan to its pose, microseconds: of a drive with the journal, and of one without.
+type Pair = [(f64, f64); 2];
 
 /// What writing the journal costs a pose, by pairs of live drives at 40 Hz with and without it, one right after the other.
 pub struct JournalCost {
-    /// With and without it.
-    pairs: Vec<[Latency; 2]>,
+    pairs: Vec<Pair>,
 }
 
 impl JournalCost {
@@ -19,13 +18,13 @@ impl JournalCost {
 
     /// The medians over all drives of a kind.
     pub fn table(&self) -> String {
-        let median = |pick: &dyn Fn(&[Latency; 2]) -> f64| {
-            let mut all: Vec<f64> = self.pairs.iter().map(pick).collect();
+        let median = |pick: fn(&(f64, f64)) -> f64, kind: usize| {
+            let mut all: Vec<f64> = self.pairs.iter().map(|pair| pick(&pair[kind])).collect();
             all.sort_by(f64::total_cmp);
             all[all.len() / 2]
         };
         let row = |name: &str, kind: usize| {
-            let (p50, p99) = (median(&|pair| pair[kind].0), median(&|pair| pair[kind].1));
+            let (p50, p99) = (median(|drive| drive.0, kind), median(|drive| drive.1, kind));
             format!("| {name} | {} | {p50:.0} | {p99:.0} |\n", self.pairs.len())
         };
         let head = "| live at 40 Hz | drives | scan to pose, median of p50, µs | median of p99, µs |\n|---|---|---|---|\n";
@@ -33,7 +32,7 @@ impl JournalCost {
     }
 }
 
-fn drive(directory: &Path, sabotage: &str) -> Latency {
+fn drive(directory: &Path, sabotage: &str) -> (f64, f64) {
     let mut args = live_building(7, 1);
     args.extend(["--set".to_owned(), "simulation.scan_rate_hz=40".to_owned()]);
     let mut command = flockslam();

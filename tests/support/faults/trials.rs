@@ -15,7 +15,7 @@ const SCAN_RATE_HZ: f64 = 40.0;
 /// What dead processes leave is cleaned up within this.
 const CLEAN_LIMIT: Duration = Duration::from_secs(5);
 /// Between two faults the set works for at least so many scans.
-const CALM_SCANS: usize = 20;
+const CALM_SCANS: usize = 10;
 
 /// What was done to sets and what came of it.
 #[derive(Default)]
@@ -176,12 +176,18 @@ pub fn stops_of_each_stage(stages: &[Stage], runs: usize, seed: u64) -> Trial {
     disturb_each("stop", stages, runs, seed, Signal::STOP)
 }
 
+/// How long the drive has to be: a kill and its aftermath take up to 1 s, a stop is found out first; the drive ends some time after
+/// the last one.
+fn drive_s(signal: Signal, runs: usize) -> f64 {
+    let each_s = if signal == Signal::KILL { 1.0 } else { 1.6 };
+    (12.0 + each_s * runs as f64).ceil()
+}
+
 fn disturb_each(what: &str, stages: &[Stage], runs: usize, seed: u64, signal: Signal) -> Trial {
     let (directory, mut random) = (tempfile::tempdir().unwrap(), Seeded::new(seed));
     let names: Vec<_> = stages.iter().map(|stage| stage.name()).collect();
     let mut trial = Trial { fault: format!("{what} {}", names.join(", ")), ..Trial::default() };
-    // A fault and its aftermath take about 1.6 s; the drive ends some time after the last one.
-    let duration_s = (12.0 + 1.6 * (runs * stages.len()) as f64).ceil();
+    let duration_s = drive_s(signal, runs * stages.len());
     let mut subject = Subject::start(what, directory.path(), duration_s);
     for _ in 0..runs {
         for stage in stages {
@@ -268,7 +274,7 @@ pub fn kills_of_who_acts(stage: Stage, runs: usize, seed: u64) -> Trial {
     let (directory, mut random) = (tempfile::tempdir().unwrap(), Seeded::new(seed));
     let mut trial = Trial { fault: format!("kill {} beside a stand-in", stage.name()), ..Trial::default() };
     let more = format!("stages.{}.replicas = 2", stage.name());
-    let duration_s = (12.0 + 1.6 * runs as f64).ceil();
+    let duration_s = drive_s(Signal::KILL, runs);
     let mut subject = Subject::start_with("turns", directory.path(), duration_s, &more, &[], "");
     let status_dir = subject.set.runtime_dir().join("status");
     for _ in 0..runs {
