@@ -255,9 +255,9 @@ mod tests {
     /// A scan of many beams with all kinds of ranges, and stretches of only valid ones between.
     fn large(beams: usize, seed: u64) -> ScanBuffer {
         let mut state = seed | 1;
-        let mut range = |beam: usize| {
+        let range = |beam: usize| {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            match if beam / 700 % 2 == 0 { 15 } else { state >> 60 } {
+            match if (beam / 700).is_multiple_of(2) { 15 } else { state >> 60 } {
                 0 => f32::NAN,
                 1 => f32::INFINITY,
                 2 => 0.001,
