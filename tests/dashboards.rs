@@ -9,11 +9,10 @@ use rustix::process::Signal;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::fs;
-use std::io::{Read, Write};
-use std::net::{TcpListener, TcpStream};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use support::{RunningSet, live_building, wait_for};
+use support::{RunningSet, free_port, http_get, live_building, wait_for};
 
 const RULES: [&str; 2] = ["recording.yml", "alerts.yml"];
 /// What a histogram's series add to its name.
@@ -139,18 +138,9 @@ fn promtool_accepts_rules_and_configuration_and_the_alerts_ring_when_they_should
     tool("promtool", &["test", "rules", "rules_test.yml"], "");
 }
 
-/// A port that nobody uses at this moment.
-fn free_port() -> u16 {
-    TcpListener::bind(("127.0.0.1", 0)).unwrap().local_addr().unwrap().port()
-}
-
 fn get(port: u16, path: &str) -> Option<String> {
-    let mut stream = TcpStream::connect(("127.0.0.1", port)).ok()?;
-    write!(stream, "GET {path} HTTP/1.0\r\nHost: localhost\r\n\r\n").ok()?;
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).ok()?;
-    let (head, body) = answer.split_once("\r\n\r\n")?;
-    head.lines().next()?.contains(" 200 ").then(|| body.to_owned())
+    let (head, body) = http_get(port, path)?;
+    head.lines().next()?.contains(" 200 ").then_some(body)
 }
 
 /// A Prometheus with the project's rules, which scrapes one port several times a second.

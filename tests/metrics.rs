@@ -6,23 +6,12 @@ use flockslam_messages::Stage;
 use flockslam_telemetry::names;
 use rustix::process::Signal;
 use std::collections::BTreeSet;
-use std::io::{Read, Write};
-use std::net::{TcpListener, TcpStream};
-use support::{RunningSet, live_building, wait_for};
-
-/// A port that nobody uses at this moment.
-fn free_port() -> u16 {
-    TcpListener::bind(("127.0.0.1", 0)).unwrap().local_addr().unwrap().port()
-}
+use support::{RunningSet, free_port, http_get, live_building, wait_for};
 
 fn page_at(port: u16) -> Option<String> {
-    let mut stream = TcpStream::connect(("127.0.0.1", port)).ok()?;
-    stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n").ok()?;
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).ok()?;
-    let (head, body) = answer.split_once("\r\n\r\n")?;
+    let (head, body) = http_get(port, "/metrics")?;
     assert!(head.starts_with("HTTP/1.0 200 ") && head.contains("text/plain"), "{head}");
-    Some(body.to_owned())
+    Some(body)
 }
 
 /// A page is valid when each metric has its HELP and TYPE once, before its series, and no series appears twice.

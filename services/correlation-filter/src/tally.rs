@@ -49,7 +49,7 @@ impl Places {
         let heading_rad = scan.odometry().unwrap_or(Pose::IDENTITY).heading_rad;
         let has_even_angles = header.sections & ScanSections::ANGLES == 0;
         let in_sector = TAU / TALLY_SECTORS as f64 / header.angle_increment_rad.abs();
-        // A number that is not finite becomes the nearest there is; a length of scans is enough.
+        // Without an increment this is infinite: the length of the scan is as good.
         let stride =
             if has_even_angles { (in_sector.ceil() as usize).clamp(1, scan.len().max(1)) } else { 1 };
         Self { turned_rad: mounted_rad + heading_rad, mounted_rad, stride }

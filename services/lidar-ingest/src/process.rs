@@ -62,7 +62,7 @@ const EPOCH: u32 = 1;
 const LARGE_CREDIT: u64 = 2;
 
 /// Live replay: a scan is announced so long before it is due, as the first bytes from a sensor would do it. Of this, waking up
-/// takes this process and then the others about a quarter each.
+/// takes this process about a quarter and then the others up to a third.
 const ANNOUNCED_AHEAD: Duration = Duration::from_micros(400);
 
 /// Who is woken for each scan. Live, the matcher wakes up while the filter judges: one after the other they would take as
