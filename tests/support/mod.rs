@@ -7,6 +7,7 @@
 mod benchmark;
 pub mod experiments;
 pub mod faults;
+mod later_free;
 mod live;
 mod log;
 mod moved_map;
@@ -15,6 +16,7 @@ mod poses;
 mod running;
 
 pub use benchmark::{benchmark_file, evaluate_relations};
+pub use later_free::later_free;
 pub use live::{Drive, LiveSet, of};
 pub use log::simulated_log;
 pub use moved_map::{MapFigures, occupied_cells};

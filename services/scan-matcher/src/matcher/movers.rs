@@ -112,6 +112,10 @@ fn something_stands_near<H: Deref<Target = Tile>>(grid: &TileGrid<H>, cell: Cell
         let evidence = grid.cell(near);
         f64::from(evidence.occupied) >= ESTABLISHED_NAT * WEIGHT_SCALE && evidence.occupied > evidence.free
     };
+    // Most points lie on what stands.
+    if is_established(cell) {
+        return true;
+    }
     let around = -NEAR_CELLS..=NEAR_CELLS;
     around.clone().any(|dy| {
         around
