@@ -8,6 +8,7 @@ mod benchmark;
 pub mod experiments;
 pub mod faults;
 mod http;
+mod later_free;
 mod live;
 mod log;
 mod moved_map;
@@ -17,6 +18,7 @@ mod running;
 
 pub use benchmark::{benchmark_file, evaluate_relations};
 pub use http::{free_port, http_get};
+pub use later_free::later_free;
 pub use live::{Drive, LiveSet, of};
 pub use log::simulated_log;
 pub use moved_map::{MapFigures, occupied_cells};

@@ -100,7 +100,7 @@ fn has_left(cell: &CellTruth) -> bool {
     cell.was_taken && cell.clear_views >= VIEWS
 }
 
-fn around(index: CellIndex, reach: i32) -> impl Iterator<Item = CellIndex> {
+pub(super) fn around(index: CellIndex, reach: i32) -> impl Iterator<Item = CellIndex> {
     (-reach..=reach)
         .flat_map(move |y| (-reach..=reach).map(move |x| CellIndex::new(index.x + x, index.y + y)))
 }
@@ -110,7 +110,7 @@ fn stands_near(truth: &GroundTruth, index: CellIndex) -> bool {
 }
 
 /// The map that a user gets.
-struct Map {
+pub(super) struct Map {
     picture: image::GrayImage,
     cell_size_m: f64,
     origin: Point,
@@ -120,7 +120,7 @@ struct Map {
 
 impl Map {
     /// Reads a map; `truth` is the name of the true trajectory, if it matters where a scan saw something.
-    fn read(outputs: &Outputs, truth: Option<&str>) -> Self {
+    pub(super) fn read(outputs: &Outputs, truth: Option<&str>) -> Self {
         let yaml = String::from_utf8(outputs.bytes("map.yaml")).unwrap();
         let value =
             |key: &str| yaml.lines().find_map(|line| line.strip_prefix(key)).unwrap().trim().to_owned();
@@ -155,13 +155,23 @@ impl Map {
         inside && self.picture.get_pixel(cell.x as u32, (height - 1 - cell.y) as u32).0[0] == 0
     }
 
+    /// All occupied cells, counted from the lower left corner of the picture.
+    pub(super) fn occupied_indices(&self) -> impl Iterator<Item = CellIndex> {
+        let (width, height) = (self.picture.width() as i32, self.picture.height() as i32);
+        let cells = (0..height).flat_map(move |y| (0..width).map(move |x| CellIndex::new(x, y)));
+        cells.filter(|cell| self.is_occupied(*cell))
+    }
+
+    /// A point of the map's frame in cells from the lower left corner of the picture.
+    pub(super) fn in_cells(&self, point: Point) -> Point {
+        let cells = |metres: f64| metres / self.cell_size_m;
+        Point::new(cells(point.x_m - self.origin.x_m), cells(point.y_m - self.origin.y_m))
+    }
+
     /// Centres of all occupied cells, in the frame of the map.
     fn occupied(&self) -> Vec<Point> {
-        let (width, height) = (self.picture.width() as i32, self.picture.height() as i32);
-        let cells = (0..height).flat_map(|y| (0..width).map(move |x| CellIndex::new(x, y)));
         let middle = |origin: f64, index: i32| origin + (f64::from(index) + 0.5) * self.cell_size_m;
-        cells
-            .filter(|cell| self.is_occupied(*cell))
+        self.occupied_indices()
             .map(|cell| Point::new(middle(self.origin.x_m, cell.x), middle(self.origin.y_m, cell.y)))
             .collect()
     }

@@ -17,7 +17,7 @@ pub struct Settings {
     pub votes: u8,
     /// Two votes count as different when the lidar has moved this far between them, metres …
     pub vote_distance_m: f64,
-    /// … or turned this far, radians.
+    /// … or turned this far, radians; scans of a robot that stands count up to the last vote but one when they are 0.3 s apart.
     pub vote_turn_rad: f64,
     /// A beam looks through a cell when it ends this far behind it, metres …
     pub margin_m: f64,

@@ -19,9 +19,9 @@ const ESTABLISHED_NAT: f64 = 4.0;
 const NEAR_CELLS: i32 = 3;
 /// Points of neighbouring beams nearer to each other than this belong together, metres.
 const JOIN_M: f64 = 0.3;
-/// One or two people are narrower than this, metres, …
-const BODY_WIDTH_MAX_M: f64 = 0.8;
-/// … show at least so many points, and are told from clutter within this range, metres.
+/// Somebody is narrower than this, metres, …
+const BODY_WIDTH_MAX_M: f64 = 0.6;
+/// … shows at least so many points, and is told from clutter within this range, metres.
 const BODY_POINTS_MIN: usize = 3;
 const BODY_RANGE_MAX_M: f64 = 10.0;
 /// A body may have this share of its points near something established.
@@ -112,6 +112,10 @@ fn something_stands_near<H: Deref<Target = Tile>>(grid: &TileGrid<H>, cell: Cell
         let evidence = grid.cell(near);
         f64::from(evidence.occupied) >= ESTABLISHED_NAT * WEIGHT_SCALE && evidence.occupied > evidence.free
     };
+    // Most points lie on what stands.
+    if is_established(cell) {
+        return true;
+    }
     let around = -NEAR_CELLS..=NEAR_CELLS;
     around.clone().any(|dy| {
         around
