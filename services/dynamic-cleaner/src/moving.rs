@@ -1,4 +1,4 @@
-use crate::cells::occupied_around;
+use crate::cells::{is_occupied, occupied_around};
 use flockslam_evidence::{Tile, TileGrid, WEIGHT_SCALE};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{Deskew, ScanView};
@@ -25,7 +25,11 @@ pub(crate) fn find_moving<H: Deref<Target = Tile>>(
         let (sin, cos) = (odom_from_laser.heading_rad + angle_rad).sin_cos();
         let end = Point::new(odom_from_laser.x_m + range_m * cos, odom_from_laser.y_m + range_m * sin);
         let cell = grid.cell_at(end);
-        if grid.cell(cell).free >= free && !occupied_around(grid, cell) {
+        // Most beams end on what stands, or where nobody has looked.
+        let is_candidate = |tile: &&Tile| {
+            tile.cells[cell.offset()].free >= free && !is_occupied(tile, cell.offset())
+        };
+        if grid.tile(cell.tile()).filter(is_candidate).is_some() && !occupied_around(grid, cell) {
             ends.push(end);
         }
     }

@@ -56,6 +56,8 @@ pub struct ScanMatcher {
     /// Beams of the scan at hand that lie on what moves, and how many points they would be.
     moving: Vec<BeamRange>,
     aside: usize,
+    /// Which of the points they were.
+    set_aside: Vec<bool>,
     /// Seconds after the stamp at which each point was measured.
     times_s: Vec<f64>,
     weights: Vec<f64>,
@@ -98,6 +100,7 @@ impl ScanMatcher {
             beams: Vec::new(),
             moving: Vec::new(),
             aside: 0,
+            set_aside: Vec::new(),
             times_s: Vec::new(),
             weights: Vec::new(),
             search: CorrelativeSearch::default(),

@@ -171,7 +171,13 @@ impl Settings {
             skip_isolated: false,
             moving_share_max: 0.0,
             // Along a corridor little but the wheels says how far a move of metres went.
-            ndt: NdtSettings { prior_xy: 3.0, ..NdtSettings::default() },
+            ndt: NdtSettings {
+                cell_size_m: 1.08,
+                prior_travel: 40.0,
+                // The published lidar: one degree.
+                bearing_sigma_rad: 0.0175,
+                ..NdtSettings::default()
+            },
             ..Self::default()
         }
     }

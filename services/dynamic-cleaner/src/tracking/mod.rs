@@ -32,7 +32,7 @@ pub(crate) struct Tracker {
     next_id: u64,
     last_ns: Option<i64>,
     centers: Vec<Point>,
-    /// Squared distances of tracks and sightings within the gate, the nearest first.
+    /// Tracks and sightings within the gate with their surprise, the least first.
     pairs: Vec<(f64, usize, usize)>,
     taken: Vec<bool>,
     tracks: Vec<Track>,
@@ -79,14 +79,14 @@ impl Tracker {
         }
     }
 
-    /// Gives each track its sighting: the nearest pair first, each track and each sighting once.
+    /// Gives each track its sighting: the likeliest pair first, each track and each sighting once.
     fn associate(&mut self) {
         self.pairs.clear();
         for (track, followed) in self.followed.iter().enumerate() {
             for (sighting, center) in self.centers.iter().enumerate() {
                 let distance = followed.motion.squared_distance(*center);
                 if distance < GATE && followed.motion.position.distance_m(*center) < GATE_M {
-                    self.pairs.push((distance, track, sighting));
+                    self.pairs.push((followed.motion.surprise(*center), track, sighting));
                 }
             }
         }

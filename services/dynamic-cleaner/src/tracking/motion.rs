@@ -48,6 +48,12 @@ impl Motion {
         self.position.distance_m(sighting).powi(2) / self.innovation_variance()
     }
 
+    /// How unlikely a sighting is: twice the negative logarithm of its density, but for a constant (Bar-Shalom, Li and Kirubarajan 2001,
+    /// section 1.4). Whoever has been hidden could be anywhere, and so explains each place less well than somebody in view.
+    pub fn surprise(&self, sighting: Point) -> f64 {
+        self.squared_distance(sighting) + 2.0 * self.innovation_variance().ln()
+    }
+
     /// Takes a sighting in.
     pub fn correct(&mut self, sighting: Point) {
         let variance = self.innovation_variance();

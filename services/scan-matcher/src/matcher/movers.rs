@@ -2,7 +2,7 @@
 
 use super::{ScanMatcher, TELLING_POINTS};
 use crate::motion::Prediction;
-use flockslam_evidence::{CellIndex, TILE_SIDE, Tile, TileGrid, WEIGHT_SCALE};
+use flockslam_evidence::{CellIndex, PackedCell, TILE_SIDE, Tile, TileGrid, WEIGHT_SCALE};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{BeamRange, ScanView};
 use std::ops::Deref;
@@ -50,6 +50,8 @@ impl ScanMatcher {
             return;
         }
         let stride = self.stride(scan) as u32;
+        self.set_aside.clear();
+        self.set_aside.resize(self.points.len(), false);
         let mut first = 0;
         for end in 1..=self.points.len() {
             let joined =
@@ -61,6 +63,7 @@ impl ScanMatcher {
             for i in first..end {
                 if body || ends_where_nothing_stood(grid, prediction.pose.apply(self.points[i])) {
                     self.aside += 1;
+                    self.set_aside[i] = true;
                     add_beams(&mut self.moving, self.beams[i], stride);
                 }
             }
@@ -70,8 +73,21 @@ impl ScanMatcher {
             self.moving.clear();
             self.aside = 0;
         } else if self.aside > 0 {
-            self.take_points(scan, prediction.twist);
+            self.leave_out_what_is_aside();
         }
+    }
+
+    fn leave_out_what_is_aside(&mut self) {
+        let mut kept = 0;
+        for i in (0..self.points.len()).filter(|i| !self.set_aside[*i]) {
+            self.points[kept] = self.points[i];
+            self.beams[kept] = self.beams[i];
+            self.times_s[kept] = self.times_s[i];
+            kept += 1;
+        }
+        self.points.truncate(kept);
+        self.beams.truncate(kept);
+        self.times_s.truncate(kept);
     }
 }
 
@@ -104,24 +120,24 @@ fn ends_where_nothing_stood<H: Deref<Target = Tile>>(grid: &TileGrid<H>, point: 
 }
 
 fn something_stands_near<H: Deref<Target = Tile>>(grid: &TileGrid<H>, cell: CellIndex) -> bool {
+    // Most points lie on what stands.
+    if is_established(grid.cell(cell)) {
+        return true;
+    }
     let blocks = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy)));
     if blocks.into_iter().all(|(dx, dy)| is_empty_block(grid, cell, dx, dy)) {
         return false;
     }
-    let is_established = |near: CellIndex| {
-        let evidence = grid.cell(near);
-        f64::from(evidence.occupied) >= ESTABLISHED_NAT * WEIGHT_SCALE && evidence.occupied > evidence.free
-    };
-    // Most points lie on what stands.
-    if is_established(cell) {
-        return true;
-    }
     let around = -NEAR_CELLS..=NEAR_CELLS;
     around.clone().any(|dy| {
-        around
-            .clone()
-            .any(|dx| is_established(CellIndex::new(cell.x.saturating_add(dx), cell.y.saturating_add(dy))))
+        around.clone().any(|dx| {
+            is_established(grid.cell(CellIndex::new(cell.x.saturating_add(dx), cell.y.saturating_add(dy))))
+        })
     })
+}
+
+fn is_established(evidence: PackedCell) -> bool {
+    evidence.occupied >= (ESTABLISHED_NAT * WEIGHT_SCALE) as u16 && evidence.occupied > evidence.free
 }
 
 fn is_empty_block<H: Deref<Target = Tile>>(grid: &TileGrid<H>, around: CellIndex, dx: i32, dy: i32) -> bool {
