@@ -3,75 +3,11 @@
 
 mod support;
 
-use flockslam_lidar_ingest::process::read_world;
-use flockslam_lidar_ingest::simulation::{GroundTruth, Settings, World};
-use std::path::PathBuf;
-use support::{MapFigures, Outputs, later_free, truth_error_m};
+use flockslam_lidar_ingest::simulation::Settings;
+use support::{BUILDINGS, MapFigures, MovingDrive, later_free, lively, moving_building};
 
-/// Side of a cell of the map, metres.
-const CELL_M: f64 = 0.045;
-/// Settings under which everything that was ever seen stays in the map.
-const UNCLEANED: [&str; 2] = ["dynamic_cleaner.enabled=false", "mapper.newcomer_views=1"];
-/// Real buildings.
-const BUILDINGS: [&str; 3] = ["building_31", "stata_basement", "willow-2010-02-18-0.10"];
 /// What is asked: cells kept, cells removed, and their harmonic mean, percent.
 const ASKED: (f64, f64, f64) = (99.5, 95.0, 97.0);
-
-/// A drive through a world in which something moves.
-struct Drive {
-    /// The map of a building; none: the office.
-    map: Option<PathBuf>,
-    settings: Settings,
-}
-
-/// What a run has left, as long as it is needed.
-struct Run {
-    outputs: Outputs,
-    _directory: tempfile::TempDir,
-}
-
-impl Run {
-    fn error_m(&self) -> f64 {
-        truth_error_m(&self.outputs)
-    }
-}
-
-impl Drive {
-    fn run(&self, more: &[&str]) -> Run {
-        let Settings { seed, walkers, follower, doors, pallets, duration_s, .. } = self.settings;
-        let mut args = vec!["demo".to_owned()];
-        args.extend(self.map.iter().flat_map(|map| ["--world".to_owned(), map.display().to_string()]));
-        let set = [
-            format!("simulation.seed={seed}"),
-            format!("simulation.duration_s={duration_s:?}"),
-            format!("simulation.walkers={walkers}"),
-            format!("simulation.follower={follower}"),
-            format!("simulation.doors={doors}"),
-            format!("simulation.pallets={pallets}"),
-        ];
-        for assignment in set.iter().map(String::as_str).chain(more.iter().copied()) {
-            args.extend(["--set".to_owned(), assignment.to_owned()]);
-        }
-        let directory = tempfile::tempdir().unwrap();
-        let outputs = support::run_well("moving", directory.path(), &args);
-        Run { outputs, _directory: directory }
-    }
-
-    /// Figures of the map of a run, beside a run that cleans nothing.
-    fn figures(&self, run: &Run) -> MapFigures {
-        let world = self.map.as_ref().map_or_else(World::floor_plan, |path| read_world(path).expect("a map"));
-        let truth = GroundTruth::of_drive(&self.settings, world, CELL_M).unwrap();
-        MapFigures::of(&run.outputs, &self.run(&UNCLEANED).outputs, &truth)
-    }
-}
-
-fn lively(seed: u64, walkers: u32) -> Settings {
-    Settings { seed, walkers, doors: 6, pallets: 4, ..Settings::default() }
-}
-
-fn building(name: &str) -> Option<PathBuf> {
-    Some(support::data_dir()?.join("maps").join(format!("{name}.yaml")))
-}
 
 fn assert_clean(figures: &MapFigures) {
     assert!(figures.kept.of > 3000 && figures.removed.of > 1000, "{figures}");
@@ -82,7 +18,7 @@ fn assert_clean(figures: &MapFigures) {
 
 #[test]
 fn an_office_full_of_people_keeps_its_walls_and_no_ghosts() {
-    let drive = Drive { map: None, settings: lively(1, 10) };
+    let drive = MovingDrive { map: None, settings: lively(1, 10) };
     let run = drive.run(&[]);
     let figures = drive.figures(&run);
     println!("{figures}, ATE {:.4} m", run.error_m());
@@ -93,10 +29,10 @@ fn an_office_full_of_people_keeps_its_walls_and_no_ghosts() {
 /// Whoever stays 1.2 m behind the robot looks as if it stood still. In a bare corridor nothing says otherwise.
 #[test]
 fn somebody_who_follows_does_not_hold_the_robot_back() {
-    let Some(map) = building("stata_basement") else { return };
+    let Some(map) = moving_building("stata_basement") else { return };
     for seed in [1, 2] {
         let settings = Settings { seed, follower: true, ..Settings::default() };
-        let run = Drive { map: Some(map.clone()), settings }.run(&[]);
+        let run = MovingDrive { map: Some(map.clone()), settings }.run(&[]);
         println!("seed {seed}: ATE {:.4} m", run.error_m());
         assert!(run.error_m() < 0.3);
     }
@@ -108,9 +44,9 @@ const ASTRAY_MAX: f64 = 1.6;
 
 #[test]
 fn twenty_people_do_not_lead_the_robot_astray() {
-    for map in [None, building("stata_basement")] {
+    for map in [None, moving_building("stata_basement")] {
         let mean_error_m = |walkers: u32| {
-            let drives = (1..=3).map(|seed| Drive {
+            let drives = (1..=3).map(|seed| MovingDrive {
                 map: map.clone(),
                 settings: Settings { seed, walkers, ..Settings::default() },
             });
@@ -149,12 +85,12 @@ fn what_real_logs_look_through_later_is_gone() {
 #[ignore = "ten seeds in three buildings take an hour"]
 fn three_buildings_full_of_people() {
     for name in BUILDINGS {
-        let Some(map) = building(name) else { return };
+        let Some(map) = moving_building(name) else { return };
         for seed in 1..=10 {
-            let alone = Drive { map: Some(map.clone()), settings: Settings { seed, ..Settings::default() } };
+            let alone = MovingDrive { map: Some(map.clone()), settings: Settings { seed, ..Settings::default() } };
             println!("{name} seed {seed} alone: ATE {:.4}", alone.run(&[]).error_m());
             for walkers in [2, 20] {
-                let drive = Drive { map: Some(map.clone()), settings: lively(seed, walkers) };
+                let drive = MovingDrive { map: Some(map.clone()), settings: lively(seed, walkers) };
                 let run = drive.run(&[]);
                 let figures = drive.figures(&run);
                 println!("{name} seed {seed} walkers {walkers}: {figures}, ATE {:.4}", run.error_m());

@@ -2,17 +2,11 @@
 
 mod support;
 
-use flockslam::configuration::{Configuration, Profile};
-use flockslam_dynamic_cleaner::DynamicCleaner;
-use flockslam_evidence::{Tile, TileGrid};
-use flockslam_geometry::{Point, Pose, wrap_angle};
-use flockslam_mapper::Mapper;
-use flockslam_messages::{Commit, ScanBuffer, Verdict};
-use flockslam_scan_matcher::ScanMatcher;
+use flockslam_geometry::{Point, Pose};
 use std::path::Path;
-use std::time::{Duration, Instant};
 use support::Outputs;
 use support::experiments::{BEARING_SIGMA_RAD, Experiment, flat, one_mover};
+use support::ndt_system::{errors, ndt_cost_ms};
 
 /// Without the update: what was seen once stays.
 const PLAIN: &str = "dynamic_cleaner.enabled=false";
@@ -27,16 +21,6 @@ fn run(experiment: &Experiment, count: usize, directory: &Path, more: &[&str]) -
         vec!["map".to_owned(), log.display().to_string(), "--profile".to_owned(), "ndt".to_owned()];
     args.extend(more.iter().flat_map(|set| ["--set".to_owned(), (*set).to_owned()]));
     support::run_well("ndt", &directory.join("out"), &args)
-}
-
-/// Each of the twelve moves as it was found, against the true one: metres and degrees.
-fn errors(poses: &[Pose], truth: &[Pose]) -> Vec<(f64, f64)> {
-    let moves = |poses: &[Pose]| poses.windows(2).map(|pair| pair[0].to(pair[1])).collect::<Vec<_>>();
-    let off = |(found, wanted): (Pose, Pose)| {
-        let turn_rad = wrap_angle(found.heading_rad - wanted.heading_rad).abs();
-        (found.distance_m(wanted), turn_rad.to_degrees())
-    };
-    moves(poses).into_iter().zip(moves(truth)).map(off).collect()
 }
 
 /// The largest errors of the twelve moves, metres and degrees.
@@ -56,15 +40,15 @@ fn worst(flat: &Experiment) -> (f64, f64) {
 #[test]
 fn thirteen_scans_in_a_flat_are_matched_from_the_odometry_guess() {
     let (off_m, off_deg) = worst(&flat(0.0));
-    // 10 mm are wanted; 9 to 10 mm are usual.
-    assert!(off_m < 0.015 && off_deg < 0.5, "{off_m} m, {off_deg}°");
+    assert!(off_m < 0.010 && off_deg < 0.5, "{off_m} m, {off_deg}°");
 }
 
 /// Each beam for itself points elsewhere by a degree: at eight metres, walls of a corridor are a band 28 cm wide.
 #[test]
 fn beams_that_point_elsewhere_by_a_degree_do_not_lead_astray() {
     let (off_m, off_deg) = worst(&flat(BEARING_SIGMA_RAD));
-    assert!(off_m < 0.10 && off_deg < 2.0, "{off_m} m, {off_deg}°");
+    // 10 mm are wanted; 11 to 20 mm are usual, whatever the seed.
+    assert!(off_m < 0.025 && off_deg < 0.6, "{off_m} m, {off_deg}°");
 }
 
 /// Occupied cells where somebody was, but is not at the last of `count` scans.
@@ -93,70 +77,14 @@ fn a_mover_in_a_room_leaves_a_trail_only_without_the_update() {
     assert!(plain > 40 && modified * 20 <= plain, "{plain} {modified}");
 }
 
-/// The profile's logic, stage by stage in one process.
-struct NdtSystem {
-    matcher: ScanMatcher,
-    cleaner: DynamicCleaner,
-    mapper: Mapper,
-    grid: TileGrid<Box<Tile>>,
-    /// Time in each of the three.
-    times: [Duration; 3],
-}
-
-impl NdtSystem {
-    fn new(configuration: &Configuration) -> Self {
-        Self {
-            matcher: ScanMatcher::new(configuration.scan_matcher.clone()),
-            cleaner: DynamicCleaner::new(configuration.dynamic_cleaner.clone()),
-            grid: TileGrid::new(configuration.mapper.cell_size_m),
-            mapper: Mapper::new(configuration.mapper.clone()),
-            times: [Duration::ZERO; 3],
-        }
-    }
-
-    fn step(&mut self, scan: &ScanBuffer) {
-        let (view, id) = (scan.view().unwrap(), scan.header.id);
-        let starts = Instant::now();
-        let pose = self.matcher.handle(view, &Verdict { id, keep: 1, ..Verdict::default() }, &self.grid);
-        let matched = Instant::now();
-        let marks = self.cleaner.handle(view, &pose, &self.grid);
-        let cleaned = Instant::now();
-        let insertion = self.mapper.insert(view, &pose, marks.cleared);
-        let mapped = Instant::now();
-        let generation = insertion.generation;
-        let changed = insertion.changed.to_vec();
-        for key in changed {
-            let mut tile = self.grid.remove(key).unwrap_or_else(|| Tile::unknown(0));
-            self.mapper.write_tile(key, &mut tile);
-            self.grid.set(key, tile).unwrap();
-        }
-        self.matcher.committed(&Commit { id, generation, ..Commit::default() });
-        let spent = [matched - starts, cleaned - matched, mapped - cleaned];
-        self.times.iter_mut().zip(spent).for_each(|(time, spent)| *time += spent);
-    }
-}
-
-/// What the logic of the profile takes on the thirteen scans.
-fn print_cost(flat: &Experiment) {
-    let configuration = Configuration::of_profile(Profile::Ndt);
-    let (mut times, rounds) = ([0.0; 3], 20);
-    for _ in 0..rounds {
-        let mut system = NdtSystem::new(&configuration);
-        flat.scans.iter().for_each(|scan| system.step(scan));
-        times.iter_mut().zip(system.times).for_each(|(sum, time)| *sum += time.as_secs_f64());
-    }
-    let [matching, cleaning, mapping] =
-        times.map(|seconds| 1e3 * seconds / f64::from(rounds) / flat.scans.len() as f64);
-    println!("a scan takes {matching:.2} ms to match, {cleaning:.2} ms to clean, {mapping:.2} ms to map");
-}
-
 /// Maps of both experiments with the update and without it, into the directory that FLOCKSLAM_PICTURES names:
 /// `FLOCKSLAM_PICTURES=/some/where cargo test -p flockslam --test ndt_experiments -- --ignored --nocapture`.
 #[test]
 #[ignore = "pictures for people"]
 fn pictures_and_cost() {
     let flat = flat(BEARING_SIGMA_RAD);
-    print_cost(&flat);
+    let [matching, cleaning, mapping] = ndt_cost_ms(&flat);
+    println!("a scan takes {matching:.2} ms to match, {cleaning:.2} ms to clean, {mapping:.2} ms to map");
     let Some(to) = std::env::var_os(PICTURES) else { return };
     let to = Path::new(&to);
     std::fs::create_dir_all(to).unwrap();

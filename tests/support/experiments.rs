@@ -188,6 +188,11 @@ fn thick([x0, y0, x1, y1]: Wall) -> [Wall; 4] {
 
 /// Thirteen scans in a flat of rooms on a corridor: a door closes, an operator walks a metre behind the robot.
 pub fn flat(bearing_sigma_rad: f64) -> Experiment {
+    flat_seeded(bearing_sigma_rad, 13)
+}
+
+/// The same with other noise.
+pub fn flat_seeded(bearing_sigma_rad: f64, seed: u64) -> Experiment {
     let (mut truth, mut odometry) = (vec![Pose::IDENTITY], vec![Pose::IDENTITY]);
     for [wheels_mm, wheels_deg, true_mm, true_deg] in MOVES {
         truth.push(moved(truth[truth.len() - 1], [true_mm, true_deg]));
@@ -196,7 +201,7 @@ pub fn flat(bearing_sigma_rad: f64) -> Experiment {
     let open: Vec<Wall> = ROOM.into_iter().chain(CORRIDOR.map(along_corridor)).flat_map(thick).collect();
     let closed: Vec<Wall> = open.iter().copied().chain(thick(along_corridor(DOOR))).collect();
     let movers: Vec<Point> = truth.iter().map(|pose| pose.apply(Point::new(-0.9, 0.3))).collect();
-    let mut noise = Noise(13);
+    let mut noise = Noise(seed);
     let scans = (0..truth.len()).map(|i| {
         let walls = if i >= DOOR_CLOSES { &closed } else { &open };
         scan(i as u64, (walls, &movers[i..=i]), truth[i], odometry[i], bearing_sigma_rad, &mut noise)
