@@ -87,7 +87,8 @@ fn three_buildings_full_of_people() {
     for name in BUILDINGS {
         let Some(map) = moving_building(name) else { return };
         for seed in 1..=10 {
-            let alone = MovingDrive { map: Some(map.clone()), settings: Settings { seed, ..Settings::default() } };
+            let alone =
+                MovingDrive { map: Some(map.clone()), settings: Settings { seed, ..Settings::default() } };
             println!("{name} seed {seed} alone: ATE {:.4}", alone.run(&[]).error_m());
             for walkers in [2, 20] {
                 let drive = MovingDrive { map: Some(map.clone()), settings: lively(seed, walkers) };

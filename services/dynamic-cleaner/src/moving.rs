@@ -26,9 +26,8 @@ pub(crate) fn find_moving<H: Deref<Target = Tile>>(
         let end = Point::new(odom_from_laser.x_m + range_m * cos, odom_from_laser.y_m + range_m * sin);
         let cell = grid.cell_at(end);
         // Most beams end on what stands, or where nobody has looked.
-        let is_candidate = |tile: &&Tile| {
-            tile.cells[cell.offset()].free >= free && !is_occupied(tile, cell.offset())
-        };
+        let is_candidate =
+            |tile: &&Tile| tile.cells[cell.offset()].free >= free && !is_occupied(tile, cell.offset());
         if grid.tile(cell.tile()).filter(is_candidate).is_some() && !occupied_around(grid, cell) {
             ends.push(end);
         }

@@ -206,7 +206,8 @@ impl Terms {
         self.gradient += pulled;
         self.hessian += Matrix3::from_diagonal(&prior);
         let Some(from) = from else { return };
-        let (travelled, expected_m) = (pose.position().distance_m(from), prediction.position().distance_m(from));
+        let (travelled, expected_m) =
+            (pose.position().distance_m(from), prediction.position().distance_m(from));
         if travelled < TRAVEL_MIN_M || expected_m < TRAVEL_MIN_M {
             return;
         }
@@ -355,7 +356,8 @@ impl Ndt {
             }
         }
         let share = 1.0 / (4 * points.len().max(1)) as f64;
-        let mut terms = Terms { cost: cost * share, gradient: gradient * share, hessian: hessian * share, hits };
+        let mut terms =
+            Terms { cost: cost * share, gradient: gradient * share, hessian: hessian * share, hits };
         terms.pull(settings, expected, pose);
         terms
     }
@@ -492,7 +494,9 @@ mod tests {
                 Pose::new(truth.x_m + off(0.08), truth.y_m + off(0.08), truth.heading_rad + off(0.03));
             let points = world.scan(truth, &mut noise);
             let found = ndt.fit(&settings, &room::field(&grid), &points, Expected::at(start), start).unwrap();
-            let again = Ndt::default().fit(&settings, &room::field(&grid), &points, Expected::at(start), start).unwrap();
+            let again = Ndt::default()
+                .fit(&settings, &room::field(&grid), &points, Expected::at(start), start)
+                .unwrap();
             assert_eq!(found, again);
             assert!(
                 found.distance_m(truth) < 0.05 && found.turn_rad(truth) < 0.01,
@@ -538,7 +542,8 @@ mod tests {
 
     #[test]
     fn wheels_say_how_far_and_not_whither() {
-        let settings = NdtSettings { prior_xy: 0.0, prior_heading: 0.0, prior_travel: 2.0, ..NdtSettings::default() };
+        let settings =
+            NdtSettings { prior_xy: 0.0, prior_heading: 0.0, prior_travel: 2.0, ..NdtSettings::default() };
         let expected = Expected { pose: Pose::new(3.0, 0.0, 0.0), from: Some(Point::new(1.0, 0.0)) };
         let cost = |pose: Pose| {
             let (gradient, hessian) = (Vector3::zeros(), Matrix3::zeros());

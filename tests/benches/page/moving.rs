@@ -129,7 +129,9 @@ fn tracks(seeds: u64) -> String {
         figures.nobodys.to_string(),
     ]);
     table.row(["asked", "0.10", "0.15", "90 %"]);
-    format!("Tracks of six people around a robot that drives through the office, against exact truth, {seeds} drives:\n\n{table}")
+    format!(
+        "Tracks of six people around a robot that drives through the office, against exact truth, {seeds} drives:\n\n{table}"
+    )
 }
 
 fn experiment() -> String {
@@ -168,14 +170,10 @@ struct Cost {
 
 /// A drive with so many beams all around, matched at the true poses, every scan judged.
 fn cost(beams: u32, scans: usize) -> Cost {
-    let settings = Settings {
-        beams,
-        field_of_view_deg: 360.0,
-        range_max_m: 12.0,
-        walkers: 6,
-        ..Settings::default()
-    };
-    let mut simulation = Simulation::new(&settings, World::floor_plan()).expect("the office can be driven through");
+    let settings =
+        Settings { beams, field_of_view_deg: 360.0, range_max_m: 12.0, walkers: 6, ..Settings::default() };
+    let mut simulation =
+        Simulation::new(&settings, World::floor_plan()).expect("the office can be driven through");
     let mapping = flockslam_mapper::Settings::default();
     let mut grid: TileGrid<Box<Tile>> = TileGrid::new(mapping.cell_size_m);
     let mut mapper = Mapper::new(mapping);
@@ -223,8 +221,13 @@ fn cleaning() -> String {
         sorted.sort_by(f64::total_cmp);
         sorted[((sorted.len() - 1) as f64 * share) as usize]
     };
-    let mut table =
-        Table::new(["beams", "p50 µs", "p99 µs", "two replicas, the slower half p50 µs", "throughput of two"]);
+    let mut table = Table::new([
+        "beams",
+        "p50 µs",
+        "p99 µs",
+        "two replicas, the slower half p50 µs",
+        "throughput of two",
+    ]);
     for (beams, scans) in [(1000, 1000), (8000, 300)] {
         let cost = cost(beams, scans);
         let gain = mean(&cost.whole_us) / mean(&cost.halves_us);

@@ -7,8 +7,8 @@ use flockslam_evidence::Level;
 use flockslam_geometry::{Covariance, Pose};
 use flockslam_messages::{Quality, ScanView};
 use flockslam_registration::{
-    Expected, Fit, Moving, ScoreField, ScoreRead, Sweep, TwistSigma, Window, beam_weight, least_held, roughened,
-    widened,
+    Expected, Fit, Moving, ScoreField, ScoreRead, Sweep, TwistSigma, Window, beam_weight, least_held,
+    roughened, widened,
 };
 use nalgebra::Vector2;
 
