@@ -1,7 +1,10 @@
+mod normal;
+
 use crate::field::{ScoreField, ScoreRead};
 use flockslam_evidence::{CellIndex, Level, floor};
 use flockslam_geometry::{Point, Pose, wrap_angle};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use normal::{Moments, Normal};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`Ndt`].
@@ -77,94 +80,6 @@ struct Slot<T> {
     scan: u64,
     at: CellIndex,
     value: T,
-}
-
-/// Sums over occupied cells, relative to the centre of their block: mass, first and second moments (metres).
-#[derive(Clone, Copy, Debug, Default)]
-struct Moments {
-    mass: f64,
-    x: f64,
-    y: f64,
-    xx: f64,
-    xy: f64,
-    yy: f64,
-}
-
-impl Moments {
-    fn add(&mut self, mass: f64, x: f64, y: f64) {
-        self.mass += mass;
-        self.x += mass * x;
-        self.y += mass * y;
-        self.xx += mass * x * x;
-        self.xy += mass * x * y;
-        self.yy += mass * y * y;
-    }
-
-    /// The same sums taken about a point that lies at (-dx, -dy).
-    fn shifted(self, dx: f64, dy: f64) -> Self {
-        Self {
-            mass: self.mass,
-            x: self.x + self.mass * dx,
-            y: self.y + self.mass * dy,
-            xx: self.xx + 2.0 * dx * self.x + self.mass * dx * dx,
-            xy: self.xy + dx * self.y + dy * self.x + self.mass * dx * dy,
-            yy: self.yy + 2.0 * dy * self.y + self.mass * dy * dy,
-        }
-    }
-
-    fn plus(self, other: Self) -> Self {
-        Self {
-            mass: self.mass + other.mass,
-            x: self.x + other.x,
-            y: self.y + other.y,
-            xx: self.xx + other.xx,
-            xy: self.xy + other.xy,
-            yy: self.yy + other.yy,
-        }
-    }
-
-    /// The normal distribution of the sums, which were taken about `center`, for `points` points that are to be compared with it:
-    /// of few samples the mean is not known better than their spread allows, however many points are compared with it.
-    fn normal(self, center: Point, points: f64, settings: &NdtSettings, cell_m: f64) -> Option<Normal> {
-        if self.mass < settings.points_min {
-            return None;
-        }
-        let (mx, my) = (self.x / self.mass, self.y / self.mass);
-        // Each sum stands for a whole cell of the grid: its own spread belongs to the distribution.
-        let spread = cell_m * cell_m / 12.0;
-        let covariance = Matrix2::new(
-            self.xx / self.mass - mx * mx + spread,
-            self.xy / self.mass - mx * my,
-            self.xy / self.mass - mx * my,
-            self.yy / self.mass - my * my + spread,
-        );
-        let crowd = if settings.bearing_sigma_rad > 0.0 { (points / self.mass).max(1.0) } else { 1.0 };
-        let eigen = (covariance * crowd).symmetric_eigen();
-        let floor = settings.flatness_min * eigen.eigenvalues.max();
-        let floored = eigen.eigenvalues.map(|value| value.max(floor).max(f64::MIN_POSITIVE));
-        let of = |values: Vector2<f64>| {
-            eigen.eigenvectors * Matrix2::from_diagonal(&values) * eigen.eigenvectors.transpose()
-        };
-        Some(Normal {
-            mean: Vector2::new(center.x_m + mx, center.y_m + my),
-            inverse: of(floored.map(f64::recip)),
-        })
-    }
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Normal {
-    mean: Vector2<f64>,
-    inverse: Matrix2<f64>,
-}
-
-impl Normal {
-    /// Inverse covariance of the distance from the mean to a point that is blurred along `blur`, metres (one standard deviation).
-    fn inverse_with(&self, blur: Vector2<f64>) -> Matrix2<f64> {
-        // Sherman and Morrison 1950.
-        let weighted = self.inverse * blur;
-        self.inverse - weighted * weighted.transpose() / (1.0 + blur.dot(&weighted))
-    }
 }
 
 /// Where the robot should be.
