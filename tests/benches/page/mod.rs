@@ -16,8 +16,6 @@ mod runs;
 mod separation;
 mod small_computer;
 mod strategies;
-#[path = "../../support/mod.rs"]
-mod support;
 mod table;
 mod worlds;
 

@@ -1,9 +1,9 @@
-use super::support::experiments::{BEARING_SIGMA_RAD, flat};
-use super::support::ndt_system::{ndt_cost_ms, ndt_errors};
-use super::support::{
+use super::{Bench, Table, figure, greatest, mean};
+use crate::support::experiments::{BEARING_SIGMA_RAD, flat};
+use crate::support::ndt_system::{ndt_cost_ms, ndt_errors};
+use crate::support::{
     BUILDINGS, MovingDrive, Outputs, TrackFigures, later_free, lively, moving_building, run_well,
 };
-use super::{Bench, Table, figure, greatest, mean};
 use flockslam_dynamic_cleaner::{DynamicCleaner, Sector};
 use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::Covariance;
@@ -62,7 +62,7 @@ fn worlds(seeds: u64) -> String {
                     drive.figures(&drive.run(&[]))
                 })
                 .collect();
-            let of = |value: fn(&super::support::MapFigures) -> f64| {
+            let of = |value: fn(&crate::support::MapFigures) -> f64| {
                 mean(&figures.iter().map(value).collect::<Vec<_>>())
             };
             let among_m = error_m(walkers);
