@@ -4,6 +4,7 @@
 #[allow(dead_code, unused_imports)]
 #[path = "benches/page/mod.rs"]
 mod page;
+mod support;
 
 use page::{Page, Plan, SECTIONS, generate};
 use std::path::Path;

@@ -60,6 +60,9 @@ pub enum Profile {
     Default,
     /// The program vinySLAM: 0.1 m cells, its masses and blur, hill climbing, every scan inserted, no filter, no closures.
     Vinyslam,
+    /// Point-to-distribution matching from the odometry guess, every scan inserted, stale points removed by ray tracing in
+    /// sectors; no filter, no closures.
+    Ndt,
 }
 
 /// Why a configuration is refused: one line with place and reason.
@@ -105,13 +108,21 @@ impl Configuration {
     /// The configuration of a profile.
     pub fn of_profile(profile: Profile) -> Self {
         let mut configuration = Self::default();
-        if profile == Profile::Vinyslam {
-            configuration.scan_matcher = flockslam_scan_matcher::Settings::vinyslam();
-            configuration.mapper = flockslam_mapper::Settings::vinyslam();
-            configuration.correlation_filter.mode = flockslam_correlation_filter::Mode::Off;
-            configuration.dynamic_cleaner.enabled = false;
-            configuration.sync_manager.enabled = false;
+        match profile {
+            Profile::Default => return configuration,
+            Profile::Vinyslam => {
+                configuration.scan_matcher = flockslam_scan_matcher::Settings::vinyslam();
+                configuration.mapper = flockslam_mapper::Settings::vinyslam();
+                configuration.dynamic_cleaner.enabled = false;
+            }
+            Profile::Ndt => {
+                configuration.scan_matcher = flockslam_scan_matcher::Settings::ndt();
+                configuration.mapper = flockslam_mapper::Settings::ndt();
+                configuration.dynamic_cleaner = flockslam_dynamic_cleaner::Settings::sectors();
+            }
         }
+        configuration.correlation_filter.mode = flockslam_correlation_filter::Mode::Off;
+        configuration.sync_manager.enabled = false;
         configuration
     }
 
@@ -285,7 +296,7 @@ mod tests {
 
     #[test]
     fn a_configuration_survives_being_written_down() {
-        for profile in [Profile::Default, Profile::Vinyslam] {
+        for profile in [Profile::Default, Profile::Vinyslam, Profile::Ndt] {
             let configuration = Configuration::of_profile(profile);
             let json = serde_json::to_string(&configuration).unwrap();
             assert_eq!(serde_json::from_str::<Configuration>(&json).unwrap(), configuration);

@@ -1,6 +1,8 @@
 //! Writes `docs/benchmarks.md`: `cargo bench -p flockslam --bench page`. What it measures is in the sections' own words.
 
 mod page;
+#[path = "../support/mod.rs"]
+mod support;
 
 use page::{Page, Plan, SECTIONS, echo, generate};
 use std::path::{Path, PathBuf};

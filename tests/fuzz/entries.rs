@@ -8,6 +8,7 @@ use flockslam::supervisor::{Request, SetDescription};
 use flockslam_evidence::Submap;
 use flockslam_lidar_ingest::Settings;
 use flockslam_lidar_ingest::carmen::CarmenReader;
+use flockslam_lidar_ingest::process::BagReader;
 use flockslam_messages::ScanBuffer;
 use flockslam_stage::JournalReader;
 use std::fs;
@@ -17,7 +18,8 @@ use std::path::{Path, PathBuf};
 pub type Entry = (&'static str, fn(&[u8]));
 
 /// All of them.
-pub const ENTRIES: [Entry; 6] = [
+pub const ENTRIES: [Entry; 7] = [
+    ("bag", bag),
     ("carmen", carmen),
     ("configuration", configuration),
     ("journal", journal),
@@ -35,6 +37,18 @@ pub fn carmen(bytes: &[u8]) {
     while let Ok(true) = reader.next_scan(&mut scan) {
         let view = scan.view().expect("a scan that is given out is whole");
         assert!((0..view.len()).filter_map(|beam| view.valid_range_m(beam)).all(f64::is_finite));
+    }
+}
+
+/// A ROS 1 bag.
+pub fn bag(bytes: &[u8]) {
+    let path = scratch("bag").join("fuzz.bag");
+    fs::write(&path, bytes).expect("tmpfs can be written");
+    let settings = Settings { max_beams: 10_000, ..Settings::default() };
+    let Ok(mut reader) = BagReader::open(&path, settings) else { return };
+    let mut scan = ScanBuffer::default();
+    while let Ok(true) = reader.next_scan(&mut scan) {
+        scan.view().expect("a scan that is given out is whole");
     }
 }
 
@@ -97,7 +111,7 @@ fn scratch(reader: &str) -> PathBuf {
 
 /// Removes what the entries of this process have left.
 pub fn clean_up() {
-    for reader in ["journal", "saved-map"] {
+    for reader in ["bag", "journal", "saved-map"] {
         let _ = fs::remove_dir_all(scratch(reader));
     }
 }

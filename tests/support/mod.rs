@@ -6,19 +6,29 @@
 
 mod benchmark;
 mod browser;
+pub mod experiments;
 pub mod faults;
+mod followed;
 mod http;
+mod later_free;
 mod live;
 mod log;
+mod moved_map;
+mod moving_drive;
+pub mod ndt_system;
 mod outputs;
 mod poses;
 mod running;
 
 pub use benchmark::{benchmark_file, evaluate_relations};
 pub use browser::Browser;
+pub use followed::TrackFigures;
 pub use http::{free_port, http_get};
+pub use later_free::later_free;
 pub use live::{Drive, LiveSet, of};
 pub use log::simulated_log;
+pub use moved_map::{MapFigures, occupied_cells};
+pub use moving_drive::{BUILDINGS, MovingDrive, MovingRun, lively, moving_building};
 pub use outputs::{Outputs, known_truth_error_m, truth_error_m};
 pub use poses::{PoseWatch, SeenPose};
 pub use running::{RunningSet, send};

@@ -7,8 +7,8 @@ use crate::{
     SlicePublisher, SliceSubscriber, SliceTopic, Subscriber, Topic,
 };
 use flockslam_messages::{
-    Commit, Control, LayoutHeader, MarksHeader, PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally,
-    SectorHeader, Stage, SubmapClosed, TileMessage, Verdict,
+    Commit, Control, LayoutHeader, MarksHeader, MovingBeamsHeader, PartInserted, PoseEstimate, Progress,
+    ScanHeader, ScanTally, SectorHeader, Stage, SubmapClosed, TileMessage, TracksHeader, Verdict,
 };
 use std::any::Any;
 
@@ -51,6 +51,8 @@ impl Bus {
             bus.create_slice::<LargeScanHeader>()?,
             bus.create_slice::<MarksHeader>()?,
             bus.create_slice::<SectorHeader>()?,
+            bus.create_slice::<TracksHeader>()?,
+            bus.create_slice::<MovingBeamsHeader>()?,
             bus.create_bell(SUPERVISOR_BELL)?,
         ];
         for stage in Stage::ALL {

@@ -1,7 +1,8 @@
 use crate::tile_port::LANES;
 use flockslam_messages::{
-    ClearedCell, Commit, Control, JudgedCell, Layout, LayoutHeader, MarksHeader, Message, PartInserted,
-    PoseEstimate, Progress, ScanHeader, ScanTally, SectorHeader, SubmapClosed, TileMessage, Verdict,
+    BeamRange, ClearedCell, Commit, Control, JudgedCell, Layout, LayoutHeader, MarksHeader, Message,
+    MovingBeamsHeader, PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally, SectorHeader,
+    SubmapClosed, TileMessage, Track, TracksHeader, Verdict,
 };
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
@@ -163,6 +164,26 @@ impl SliceTopic for SectorHeader {
 
     fn limits(capacity: &Capacity) -> Limits {
         Limits { buffer: 8, borrowed: 8, preallocated: Some(32), ..Limits::small(capacity) }
+    }
+}
+
+impl SliceTopic for TracksHeader {
+    type Element = Track;
+    const NAME: &'static str = "tracks";
+    const FIRST_LENGTH: usize = 32;
+
+    fn limits(capacity: &Capacity) -> Limits {
+        Limits { preallocated: Some(4 * capacity.window), ..Limits::small(capacity) }
+    }
+}
+
+impl SliceTopic for MovingBeamsHeader {
+    type Element = BeamRange;
+    const NAME: &'static str = "moving-beams";
+    const FIRST_LENGTH: usize = 64;
+
+    fn limits(capacity: &Capacity) -> Limits {
+        Limits { preallocated: Some(4 * capacity.window), ..Limits::small(capacity) }
     }
 }
 

@@ -2,6 +2,7 @@
 
 mod cell;
 mod cell_coder;
+mod cell_table;
 mod crossed;
 mod directory;
 mod footprint;
@@ -18,6 +19,7 @@ mod submap_bytes;
 mod tile;
 
 pub use cell::{Cell, PACKED_WEIGHT_MAX_NAT, PackedCell, WEIGHT_SCALE};
+pub use cell_table::CellTable;
 pub use crossed::CrossedCells;
 pub use directory::{TileDirectory, TooFar};
 pub use footprint::Footprint;

@@ -59,15 +59,31 @@ impl SensorModel {
     ///
     /// Beams without return carry no information and are not given.
     pub fn insert(&self, cell_size_m: f64, origin_m: Point, ends_m: &[Point], map: &mut impl ObservedCells) {
+        self.insert_hits(cell_size_m, origin_m, ends_m, ends_m.len(), map);
+    }
+
+    /// As [`SensorModel::insert`], but only the first `hits` beams leave something where they end; the others leave free
+    /// space on their way alone.
+    ///
+    /// # Panics
+    /// When there are fewer beams.
+    pub fn insert_hits(
+        &self,
+        cell_size_m: f64,
+        origin_m: Point,
+        ends_m: &[Point],
+        hits: usize,
+        map: &mut impl ObservedCells,
+    ) {
         let per_metre = 1.0 / cell_size_m;
         let in_cells = |point: Point| Point::new(point.x_m * per_metre, point.y_m * per_metre);
         let origin = in_cells(origin_m);
-        for &end_m in ends_m {
+        for &end_m in &ends_m[..hits] {
             let end = in_cells(end_m);
             map.observe(CellIndex::new(floor(end.x_m), floor(end.y_m)), self.hit);
         }
         if let Some(blur) = &self.blur {
-            for &end_m in ends_m.iter().filter(|end| end.distance_m(origin_m) > blur.distance_m) {
+            for &end_m in ends_m[..hits].iter().filter(|end| end.distance_m(origin_m) > blur.distance_m) {
                 blur.insert(per_metre, origin, in_cells(end_m), map);
             }
         }
@@ -141,6 +157,17 @@ mod tests {
                 prop_assert_eq!(forward.0.get(&cell).map(|c| c.occupied), Some(9000));
             }
         }
+    }
+
+    #[test]
+    fn beams_that_leave_no_hit_leave_their_ray() {
+        let model = SensorModel::new(Cell { occupied: 9000, free: 0 }, Cell { occupied: 0, free: 800 });
+        let (origin, ends) = (Point::new(0.01, 0.01), [Point::new(1.01, 0.01), Point::new(0.01, 1.01)]);
+        let mut scan = OneScan::default();
+        model.insert_hits(0.05, origin, &ends, 1, &mut scan);
+        let at = |x, y| scan.0.get(&CellIndex::new(x, y)).copied();
+        assert_eq!((at(20, 0), at(0, 20)), (Some(model.hit), None));
+        assert_eq!((at(19, 0), at(0, 19)), (Some(model.miss), Some(model.miss)));
     }
 
     #[test]

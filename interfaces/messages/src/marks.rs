@@ -35,14 +35,10 @@ message! {
         pub id: ScanId,
         /// Grid generation that was read.
         pub generation: u64,
-        /// Beams of this part of the scan that lie on moving objects.
-        pub moving_beams: u32,
         /// Which sector, from 0.
         pub part: u32,
         /// Number of sectors.
         pub parts: u32,
-        /// Reserved, zero.
-        pub reserved: u32,
     }
 }
 

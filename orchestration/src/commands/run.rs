@@ -27,6 +27,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 const REFINED_TRAJECTORY: &str = "trajectory_refined.tum";
+/// A shorter way may be noise of the poses, metres.
+const STEP_MIN_M: f64 = 0.05;
 
 /// What is to be run.
 pub struct Run {
@@ -309,7 +311,6 @@ fn report(
     }
     let share = |count: u64| count as f64 / scans.max(1) as f64;
     let wall_s = run.started.elapsed().as_secs_f64();
-    let length = |pair: &[TrajectoryPoint]| pair[0].map_from_base.distance_m(pair[1].map_from_base);
     let mut report = Report {
         version: crate::VERSION.to_owned(),
         source: run.source.clone(),
@@ -343,7 +344,7 @@ fn report(
             revoked: summary.closures_revoked,
         },
         map_area_m2: map.known_area_m2(),
-        trajectory_length_m: trajectory.windows(2).map(length).sum(),
+        trajectory_length_m: way_m(&trajectory),
         ..Report::default()
     };
     let all = Stage::ALL.into_iter().flat_map(|stage| read_reports(&status, stage.name()));
@@ -373,6 +374,18 @@ fn microseconds(histogram: &LatencyHistogram) -> LatencyMicroseconds {
         p99: us(histogram.quantile_ns(0.99)),
         max: us(histogram.max_ns()),
     }
+}
+
+/// Length of the way, metres, in steps that are no trembling of the poses: a robot that stands drives nowhere.
+fn way_m(trajectory: &[TrajectoryPoint]) -> f64 {
+    let (mut way_m, mut last) = (0.0, trajectory.first().map(|point| point.map_from_base));
+    for pose in trajectory.iter().map(|point| point.map_from_base) {
+        let step_m = last.map_or(0.0, |last| last.distance_m(pose));
+        if step_m >= STEP_MIN_M {
+            (way_m, last) = (way_m + step_m, Some(pose));
+        }
+    }
+    way_m
 }
 
 /// What a run gave, for people.

@@ -74,7 +74,7 @@ mod tests {
 
     #[test]
     fn every_bounded_key_exists_and_its_default_is_good() {
-        for profile in [Profile::Default, Profile::Vinyslam] {
+        for profile in [Profile::Default, Profile::Vinyslam, Profile::Ndt] {
             let table = Table::try_from(Configuration::of_profile(profile)).unwrap();
             assert_eq!(check(&table), Ok(()));
             for (key, ..) in BOUNDED {

@@ -53,11 +53,25 @@ fn visit_tile<H: Deref<Target = Tile>>(
     }
 }
 
+/// Whether a cell of a tile is occupied.
+pub(crate) fn is_occupied(tile: &Tile, offset: usize) -> bool {
+    tile.score[offset] > OCCUPIED_SCORE
+}
+
 /// Whether a cell or one of its eight neighbours is occupied.
 pub(crate) fn occupied_around<H: Deref<Target = Tile>>(grid: &TileGrid<H>, cell: CellIndex) -> bool {
-    let occupied = |cell: CellIndex| {
-        grid.tile(cell.tile()).is_some_and(|tile| tile.score[cell.offset()] > OCCUPIED_SCORE)
-    };
+    let (column, row) = (cell.offset() % TILE_SIDE, cell.offset() / TILE_SIDE);
+    let inner = 1..TILE_SIDE - 1;
+    if inner.contains(&column) && inner.contains(&row) {
+        return grid.tile(cell.tile()).is_some_and(|tile| {
+            (row - 1..=row + 1).any(|row| {
+                let first = row * TILE_SIDE + column - 1;
+                tile.score[first..first + 3].iter().any(|score| *score > OCCUPIED_SCORE)
+            })
+        });
+    }
+    let occupied =
+        |cell: CellIndex| grid.tile(cell.tile()).is_some_and(|tile| is_occupied(tile, cell.offset()));
     (-1..=1).any(|dy: i32| {
         (-1..=1).any(|dx: i32| occupied(CellIndex::new(cell.x.saturating_add(dx), cell.y.saturating_add(dy))))
     })

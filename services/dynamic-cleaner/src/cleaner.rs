@@ -1,13 +1,16 @@
 use crate::Settings;
 use crate::cells::for_each_occupied;
-use crate::moving::moving_beams;
+use crate::moving::find_moving;
 use crate::sector::Sector;
+use crate::sector_scan::{Ray, SectorScan};
+use crate::settings::Method;
 use crate::sight::Sight;
-use crate::votes::{Baseline, Votes};
+use crate::tracking::Tracker;
+use crate::votes::{Counts, Votes};
 use flockslam_evidence::{CellIndex, Tile, TileGrid};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{
-    ClearedCell, Deskew, JudgedCell, MarksHeader, PoseEstimate, PoseFlags, Quality, ScanView,
+    ClearedCell, Deskew, JudgedCell, MarksHeader, PoseEstimate, PoseFlags, Quality, ScanId, ScanView, Track,
 };
 use std::f64::consts::SQRT_2;
 use std::ops::Deref;
@@ -16,21 +19,32 @@ use std::ops::Deref;
 const NEAR_M: f64 = 0.3;
 /// Cells that one scan may look through; more than these wait for the next scan.
 const SEEN_THROUGH_MAX: usize = 1 << 14;
+/// Of a robot that stands, scans so far apart vote, nanoseconds …
+const STANDING_APART_NS: u64 = 300_000_000;
+/// … and it stands when it has moved less than this since the last vote, metres and radians.
+const STANDING: (f64, f64) = (0.05, 0.05);
 
 /// Finds cells whose evidence for "occupied" is stale.
 #[derive(Clone, Debug)]
 pub struct DynamicCleaner {
     settings: Settings,
     sight: Sight,
+    sectors: SectorScan,
     votes: Votes,
     scans: u32,
     /// Where the lidar was at the present scan.
     odom_from_laser: Pose,
     /// What the present scan says of occupied cells.
-    judged: Vec<JudgedCell>,
-    moving_beams: u32,
+    found: Vec<JudgedCell>,
+    /// Where and when the last scan was judged.
+    judged: Option<(Pose, i64)>,
     seen_through: Vec<CellIndex>,
     cleared: Vec<ClearedCell>,
+    tracker: Tracker,
+    /// Ends of the present scan's beams that lie on something that was not there before.
+    moving: Vec<Point>,
+    /// The scan that they were found in.
+    watched: Option<ScanId>,
 }
 
 /// What the cleaner says of a scan.
@@ -71,15 +85,36 @@ impl DynamicCleaner {
     pub fn new(settings: Settings) -> Self {
         Self {
             sight: Sight::new(),
+            sectors: SectorScan::new(),
             votes: Votes::new(),
             scans: 0,
             odom_from_laser: Pose::IDENTITY,
-            judged: Vec::with_capacity(SEEN_THROUGH_MAX),
-            moving_beams: 0,
+            found: Vec::with_capacity(SEEN_THROUGH_MAX),
+            judged: None,
             seen_through: Vec::with_capacity(SEEN_THROUGH_MAX),
             cleared: Vec::with_capacity(settings.cleared_max),
+            tracker: Tracker::default(),
+            moving: Vec::new(),
+            watched: None,
             settings,
         }
+    }
+
+    /// Follows who moves, by any scan whose place is certain, matched or not: gives everybody believed to be there.
+    pub fn watch<H: Deref<Target = Tile>>(
+        &mut self,
+        scan: ScanView<'_>,
+        pose: &PoseEstimate,
+        grid: &TileGrid<H>,
+    ) -> &[Track] {
+        self.moving.clear();
+        self.watched = Some(pose.id);
+        let odom_from_laser = pose.odom_from_base * scan.header().base_from_laser;
+        if is_tracked(pose) {
+            let deskew = Deskew::new(scan, pose.twist);
+            find_moving(scan, &deskew, odom_from_laser, grid, self.settings.radius_m, &mut self.moving);
+        }
+        self.tracker.follow(pose.times.sensor_ns, &self.moving, odom_from_laser.position())
     }
 
     /// Judges the occupied cells of `grid` (the grid that the scan was matched to, in the odom lattice) by an inserted
@@ -93,7 +128,11 @@ impl DynamicCleaner {
         grid: &TileGrid<H>,
     ) -> Marks<'_> {
         self.begin(scan, pose);
-        self.look(scan, pose, grid, Sector::WHOLE);
+        if self.judges(pose) && self.watched != Some(pose.id) {
+            let (deskew, radius_m) = (Deskew::new(scan, pose.twist), self.settings.radius_m);
+            find_moving(scan, &deskew, self.odom_from_laser, grid, radius_m, &mut self.moving);
+        }
+        self.look(pose, grid, Sector::WHOLE);
         self.conclude(pose)
     }
 
@@ -105,76 +144,108 @@ impl DynamicCleaner {
     /// Begins with an inserted scan. [`Self::look`] follows for each sector of the circle, or [`Self::take`] for what another
     /// process has found there, in any order, and then [`Self::conclude`]: the marks are the same however the circle was divided.
     pub fn begin(&mut self, scan: ScanView<'_>, pose: &PoseEstimate) {
-        self.judged.clear();
-        self.moving_beams = 0;
+        self.found.clear();
         self.odom_from_laser = pose.odom_from_base * scan.header().base_from_laser;
         if self.judges(pose) {
-            self.sight.look(scan, &Deskew::new(scan, pose.twist));
+            let deskew = Deskew::new(scan, pose.twist);
+            match self.settings.method {
+                Method::Beams => self.sight.look(scan, &deskew),
+                Method::Sectors => self.sectors.look(scan, &deskew, self.settings.join_m),
+            }
+            self.judged = Some((self.odom_from_laser, pose.times.sensor_ns));
         }
     }
 
     /// Judges the occupied cells of `grid` in a sector.
-    pub fn look<H: Deref<Target = Tile>>(
-        &mut self,
-        scan: ScanView<'_>,
-        pose: &PoseEstimate,
-        grid: &TileGrid<H>,
-        sector: Sector,
-    ) {
+    pub fn look<H: Deref<Target = Tile>>(&mut self, pose: &PoseEstimate, grid: &TileGrid<H>, sector: Sector) {
         if !self.judges(pose) {
             return;
         }
-        let (at, radius_m) = (self.odom_from_laser, self.settings.radius_m);
-        let deskew = Deskew::new(scan, pose.twist);
-        let beams = sector.beams(scan.len());
-        self.moving_beams += moving_beams(scan, beams, &deskew, at, grid, radius_m);
+        let at = self.odom_from_laser;
         let view = View::new(&self.settings, &self.sight, pose, at, grid.cell_size_m());
+        let laser_from_odom = at.inverse();
+        let judge = |center: Point| match self.settings.method {
+            Method::Beams => view.judge(center, sector),
+            Method::Sectors => {
+                let point = laser_from_odom.apply(center);
+                match self.sectors.ray_to(point) {
+                    _ if !sector.has(point.y_m.atan2(point.x_m)) => Finding::Open,
+                    Ray::Free => Finding::SeenThrough,
+                    Ray::Met => Finding::Supported,
+                    Ray::Shadowed | Ray::Unseen => Finding::Open,
+                }
+            }
+        };
         let (mut place, mut seen_through) = (0, 0);
-        for_each_occupied(grid, at.position(), radius_m, |cell, center| {
+        for_each_occupied(grid, at.position(), self.settings.radius_m, |cell, center| {
             place += 1;
-            let finding = view.judge(center, sector);
+            let finding = judge(center);
             let is_through = finding == Finding::SeenThrough;
             if finding == Finding::Open || (is_through && seen_through == SEEN_THROUGH_MAX) {
                 return;
             }
             seen_through += usize::from(is_through);
-            self.judged.push(JudgedCell { x: cell.x, y: cell.y, place, seen_through: u32::from(is_through) });
+            self.found.push(JudgedCell { x: cell.x, y: cell.y, place, seen_through: u32::from(is_through) });
         });
     }
 
-    /// What was found so far: beams on moving objects, and cells.
-    pub fn found(&self) -> (u32, &[JudgedCell]) {
-        (self.moving_beams, &self.judged)
+    /// What was found of cells so far.
+    pub fn found(&self) -> &[JudgedCell] {
+        &self.found
     }
 
     /// Takes in what another process has found in a sector.
-    pub fn take(&mut self, moving_beams: u32, judged: &[JudgedCell]) {
-        self.moving_beams += moving_beams;
-        self.judged.extend_from_slice(judged);
+    pub fn take(&mut self, found: &[JudgedCell]) {
+        self.found.extend_from_slice(found);
     }
 
     /// The marks of the scan.
     pub fn conclude(&mut self, pose: &PoseEstimate) -> Marks<'_> {
         self.cleared.clear();
-        self.weigh(self.judges(pose));
+        let judges = self.judges(pose);
+        if judges {
+            let Settings { vote_distance_m: distance_m, vote_turn_rad: turn_rad, .. } = self.settings;
+            self.weigh(Counts::FromElsewhere { distance_m, turn_rad });
+        }
         let header = MarksHeader {
             id: pose.id,
             times: pose.times,
             generation: pose.generation,
-            moving_beams: self.moving_beams,
+            moving_beams: if judges { self.moving.len() as u32 } else { 0 },
             cleared: self.cleared.len() as u32,
         };
         Marks { header, cleared: &self.cleared }
     }
 
+    /// Lets a scan vote that does not enter the map, while the robot stands. What it looks through is cleared once an inserted scan
+    /// looks through it too.
+    pub fn look_on<H: Deref<Target = Tile>>(
+        &mut self,
+        scan: ScanView<'_>,
+        pose: &PoseEstimate,
+        grid: &TileGrid<H>,
+    ) {
+        let odom_from_laser = pose.odom_from_base * scan.header().base_from_laser;
+        let stands = self.judged.is_some_and(|(last, stamp_ns)| {
+            last.distance_m(odom_from_laser) < STANDING.0
+                && last.turn_rad(odom_from_laser) < STANDING.1
+                && pose.times.sensor_ns.abs_diff(stamp_ns) >= STANDING_APART_NS
+        });
+        if stands && self.judges(pose) {
+            self.begin(scan, pose);
+            self.look(pose, grid, Sector::WHOLE);
+            self.weigh(Counts::UpTo(self.settings.votes.saturating_sub(1)));
+        }
+    }
+
     /// Takes back votes against cells that the scan supports, and gives its votes against those that it looks through.
-    fn weigh(&mut self, judges: bool) {
-        if !self.judged.is_sorted_by_key(|cell| cell.place) {
-            self.judged.sort_unstable_by_key(|cell| cell.place);
+    fn weigh(&mut self, counts: Counts) {
+        if !self.found.is_sorted_by_key(|cell| cell.place) {
+            self.found.sort_unstable_by_key(|cell| cell.place);
         }
         self.seen_through.clear();
         let mut supported = 0;
-        for judged in &self.judged {
+        for judged in &self.found {
             let cell = CellIndex::new(judged.x, judged.y);
             if judged.seen_through == 0 {
                 supported += 1;
@@ -183,8 +254,8 @@ impl DynamicCleaner {
                 self.seen_through.push(cell);
             }
         }
-        if judges && self.is_plausible(supported) {
-            self.vote(self.odom_from_laser);
+        if self.is_plausible(supported) {
+            self.vote(self.odom_from_laser, counts);
         }
     }
 
@@ -195,13 +266,12 @@ impl DynamicCleaner {
         contradicted as f64 <= self.settings.contradiction_max * judged as f64
     }
 
-    fn vote(&mut self, odom_from_laser: Pose) {
+    fn vote(&mut self, odom_from_laser: Pose, counts: Counts) {
         self.scans = self.scans.saturating_add(1);
-        let Settings { vote_distance_m: distance_m, vote_turn_rad: turn_rad, .. } = self.settings;
-        let baseline = Baseline { distance_m, turn_rad };
+        let decides = matches!(counts, Counts::FromElsewhere { .. });
         for cell in &self.seen_through {
-            let votes = self.votes.add(*cell, odom_from_laser, self.scans, baseline);
-            if votes >= self.settings.votes && self.cleared.len() < self.settings.cleared_max {
+            let votes = self.votes.add(*cell, odom_from_laser, self.scans, counts);
+            if decides && votes >= self.settings.votes && self.cleared.len() < self.settings.cleared_max {
                 self.cleared.push(ClearedCell { x: cell.x, y: cell.y });
                 self.votes.forget(*cell);
             }
@@ -262,10 +332,14 @@ impl<'a> View<'a> {
     }
 }
 
+/// Whether the robot knows where it is: lost, it takes walls for movers.
+fn is_tracked(pose: &PoseEstimate) -> bool {
+    pose.quality == Quality::Tracking as u32 && pose.odom_from_base.is_finite()
+}
+
 fn is_certain(pose: &PoseEstimate) -> bool {
     let covariance = pose.covariance;
     pose.has(PoseFlags::MATCHED)
-        && pose.quality == Quality::Tracking as u32
-        && pose.odom_from_base.is_finite()
+        && is_tracked(pose)
         && [covariance.xx, covariance.yy, covariance.tt].into_iter().all(|v| v.is_finite() && v >= 0.0)
 }

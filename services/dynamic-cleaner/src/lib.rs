@@ -1,6 +1,6 @@
 //! A scan, its pose and the grid become clearances of stale cells: what is marked as occupied although beams from
 //! several places pass through it far beyond is gone (after P. Trubin et al., Omsk 2020, with margins in place of
-//! segments).
+//! segments; their own way, by segments in angular sectors, can be chosen).
 
 mod cells;
 mod cleaner;
@@ -9,10 +9,12 @@ pub mod process;
 #[cfg(test)]
 mod scenarios;
 mod sector;
+mod sector_scan;
 mod settings;
 mod sight;
+mod tracking;
 mod votes;
 
 pub use cleaner::{DynamicCleaner, Marks};
 pub use sector::Sector;
-pub use settings::Settings;
+pub use settings::{Method, Settings};

@@ -5,8 +5,8 @@
 mod sectors;
 
 use crate::{DynamicCleaner, Sector, Settings};
-use flockslam_bus::{BellRinger, ScanSample, SlicePublisher};
-use flockslam_messages::{DropReason, MarksHeader, PoseEstimate, PoseFlags, Stage};
+use flockslam_bus::{BellRinger, SlicePublisher};
+use flockslam_messages::{DropReason, MarksHeader, PoseEstimate, PoseFlags, ScanView, Stage, TracksHeader};
 use flockslam_stage::{
     Acknowledger, Actor, GridReader, Mode, PendingScans, PoseQueue, StageContext, StageError, run,
 };
@@ -39,6 +39,7 @@ pub fn run_stage(context: &mut StageContext, settings: Settings, cell_size_m: f6
         sectors: Sectors::open(context, parts)?,
         waiting: None,
         marks: context.bus.slice_publisher()?,
+        tracks: context.bus.slice_publisher()?,
         mapper: context.bus.ringer(Stage::Mapper.name())?,
         acknowledger: Acknowledger::open(context, 0)?,
         cleared: 0,
@@ -103,6 +104,7 @@ struct Cleaner {
     sectors: Sectors,
     waiting: Option<Waiting>,
     marks: SlicePublisher<MarksHeader>,
+    tracks: SlicePublisher<TracksHeader>,
     mapper: BellRinger,
     acknowledger: Acknowledger,
     cleared: u64,
@@ -112,7 +114,6 @@ struct Cleaner {
 
 /// A scan of which others judge their sectors.
 struct Waiting {
-    sample: ScanSample,
     pose: PoseEstimate,
     generation: u64,
     started_ns: u64,
@@ -132,11 +133,12 @@ impl Cleaner {
         match scan.filter(|_| fresh) {
             Some(scan) => {
                 context.report.report.scan_address = scan.ranges().as_ptr() as u64;
+                self.watch(scan, pose)?;
                 let logic = &mut self.inputs.logic;
                 logic.begin(scan, pose);
-                logic.look(scan, pose, self.inputs.grid.grid(), self.sectors.own());
-                if let Some(sample) = sample.filter(|_| self.sectors.parts() > 1 && logic.judges(pose)) {
-                    self.waiting = Some(Waiting { sample, pose: *pose, generation, started_ns });
+                logic.look(pose, self.inputs.grid.grid(), self.sectors.own());
+                if self.sectors.parts() > 1 && logic.judges(pose) {
+                    self.waiting = Some(Waiting { pose: *pose, generation, started_ns });
                     return Ok(());
                 }
                 self.conclude(pose)?;
@@ -161,11 +163,9 @@ impl Cleaner {
         }
         let Some(waiting) = self.waiting.take() else { return Ok(true) };
         let pose = &waiting.pose;
-        if let Ok(scan) = waiting.sample.view() {
-            for sector in missing {
-                context.dropped(SECTOR_LATE);
-                self.inputs.logic.look(scan, pose, self.inputs.grid.grid(), sector);
-            }
+        for sector in missing {
+            context.dropped(SECTOR_LATE);
+            self.inputs.logic.look(pose, self.inputs.grid.grid(), sector);
         }
         self.sectors.forget();
         self.conclude(pose)?;
@@ -195,12 +195,31 @@ impl Cleaner {
         self.acknowledger.finished(pose.id.sequence + 1)
     }
 
+    /// Publishes who moves at a scan.
+    fn watch(&mut self, scan: ScanView<'_>, pose: &PoseEstimate) -> Result<(), StageError> {
+        let tracks = self.inputs.logic.watch(scan, pose, self.inputs.grid.grid());
+        let count = tracks.len() as u32;
+        let header = TracksHeader { id: pose.id, times: pose.times, count, reserved: 0 };
+        Ok(self.tracks.send_with(&header, tracks.len(), |to| to.copy_from_slice(tracks))?)
+    }
+
     /// Handles the oldest pose; false when its join is not complete.
     fn step(&mut self, pose: &PoseEstimate, context: &mut StageContext) -> Result<bool, StageError> {
         if pose.has(PoseFlags::INSERT) {
             let Some(fresh) = self.inputs.grid_is_ready(pose, context.mode) else { return Ok(false) };
             self.clean(pose, fresh, context)?;
             return Ok(true);
+        }
+        let fresh = self.inputs.generation() >= pose.generation;
+        if !fresh && context.mode == Mode::Exact {
+            return Ok(false);
+        }
+        let sample = self.inputs.scans.take(pose.id.sequence);
+        if let Some(scan) = sample.as_ref().and_then(|sample| sample.view().ok()) {
+            self.watch(scan, pose)?;
+            if fresh {
+                self.inputs.logic.look_on(scan, pose, self.inputs.grid.grid());
+            }
         }
         self.inputs.scans.release_before(pose.id.sequence + 1);
         self.inputs.poses.pop();
@@ -225,6 +244,7 @@ impl Actor for Cleaner {
 
     fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.marks.refresh();
+        self.tracks.refresh();
         context.report.count("cleared_cells", self.cleared);
         if let Some(address) = self.inputs.grid.a_tile_address() {
             context.report.report.tile_address = address as u64;

@@ -209,6 +209,36 @@ fn a_box_that_vanished_is_cleared_by_three_views() {
     }
 }
 
+/// Where segments close – near, at right angles – both ways of looking find the same; elsewhere sectors leak.
+#[test]
+fn sectors_agree_with_beams_about_what_has_gone_near_the_robot() {
+    let with_box: Vec<Wall> = ROOM.into_iter().chain(square(4.0, 3.0, 0.6)).collect();
+    let before = [Pose::new(2.0, 2.0, 0.0), Pose::new(2.2, 3.0, 0.1), Pose::new(2.4, 4.0, 0.2)];
+    let map = mapped(&with_box, &before, 1000, std::f64::consts::TAU);
+    let after: Vec<Pose> = (0..12).map(|i| Pose::new(1.5 + 0.15 * f64::from(i), 2.6, 0.1)).collect();
+    let clear = |settings: Settings| {
+        let (grid, mut cleaner, mut cleared) = (map.grid(), DynamicCleaner::new(settings), BTreeSet::new());
+        for (i, pose) in (1000..).zip(&after) {
+            let scan = scan(&ROOM, *pose, 1000, std::f64::consts::TAU, i);
+            let marks = cleaner.handle(scan.view().unwrap(), &estimate(*pose), &grid);
+            cleared.extend(marks.cleared.iter().map(index));
+        }
+        cleared
+    };
+    let of_box = |cell: &CellIndex| {
+        let center = Point::new((f64::from(cell.x) + 0.5) * CELL_M, (f64::from(cell.y) + 0.5) * CELL_M);
+        center.distance_m(Point::new(4.0, 3.0)) < 0.6
+    };
+    let by_beams = clear(Settings::default());
+    let by_sectors = clear(Settings { radius_m: 12.0, ..Settings::sectors() });
+    let (beams, sectors): (BTreeSet<_>, BTreeSet<_>) = (
+        by_beams.iter().copied().filter(of_box).collect(),
+        by_sectors.iter().copied().filter(of_box).collect(),
+    );
+    assert!(beams.len() > 8 && beams == sectors, "{} {}", beams.len(), sectors.len());
+    assert!(by_beams.iter().all(of_box), "beams leave the walls alone");
+}
+
 #[test]
 fn several_processes_come_to_the_same_marks_as_one() {
     let with_box: Vec<Wall> = ROOM.into_iter().chain(square(6.0, 3.2, 0.6)).collect();
@@ -221,13 +251,13 @@ fn several_processes_come_to_the_same_marks_as_one() {
         for (i, pose) in (1000..).zip(tour()) {
             let scan = scan(&ROOM, pose, 360, std::f64::consts::TAU, i);
             let (view, pose) = (scan.view().unwrap(), estimate(pose));
+            first.watch(view, &pose, &grid);
             first.begin(view, &pose);
             for part in (0..parts).rev() {
                 let other = &mut others[part as usize];
                 other.begin(view, &pose);
-                other.look(view, &pose, &grid, Sector::new(part, parts));
-                let (moving_beams, judged) = other.found();
-                first.take(moving_beams, judged);
+                other.look(&pose, &grid, Sector::new(part, parts));
+                first.take(other.found());
             }
             let (together, expected) = (first.conclude(&pose), alone.handle(view, &pose, &grid));
             assert_eq!((together.header, together.cleared), (expected.header, expected.cleared));

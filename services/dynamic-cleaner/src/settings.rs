@@ -6,13 +6,18 @@ use serde::{Deserialize, Serialize};
 pub struct Settings {
     /// False: nothing is ever cleared.
     pub enabled: bool,
+    /// How a scan looks through the map.
+    pub method: Method,
+    /// Method `sectors`: neighbouring points of a scan nearer than this are joined (the published dR), metres; a map point
+    /// this near to a segment is taken to be shown by it.
+    pub join_m: f64,
     /// Only cells within this distance of the lidar are judged, metres: points thin out with range.
     pub radius_m: f64,
     /// So many scans from different places must have looked through a cell before it is cleared.
     pub votes: u8,
     /// Two votes count as different when the lidar has moved this far between them, metres …
     pub vote_distance_m: f64,
-    /// … or turned this far, radians.
+    /// … or turned this far, radians; scans of a robot that stands count up to the last vote but one when they are 0.3 s apart.
     pub vote_turn_rad: f64,
     /// A beam looks through a cell when it ends this far behind it, metres …
     pub margin_m: f64,
@@ -29,10 +34,22 @@ pub struct Settings {
     pub replicas: usize,
 }
 
+/// How a scan looks through the map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// Beam by beam, with margins for the errors of range and pose and for what lies beside.
+    Beams,
+    /// By segments in angular sectors, without margins (Trubin et al. 2020).
+    Sectors,
+}
+
 impl Default for Settings {
     fn default() -> Self {
         Self {
             enabled: true,
+            method: Method::Beams,
+            join_m: 0.05,
             radius_m: 12.0,
             votes: 3,
             vote_distance_m: 0.15,
@@ -43,6 +60,20 @@ impl Default for Settings {
             contradiction_max: 0.2,
             cleared_max: 4096,
             replicas: 1,
+        }
+    }
+}
+
+impl Settings {
+    /// The published map update by ray tracing in sectors: what one scan looks through within 4 m is removed at once.
+    pub fn sectors() -> Self {
+        Self {
+            method: Method::Sectors,
+            radius_m: 4.0,
+            votes: 1,
+            contradiction_max: 1.0,
+            cleared_max: 1 << 14,
+            ..Self::default()
         }
     }
 }

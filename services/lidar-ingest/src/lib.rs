@@ -3,6 +3,7 @@
 //! Everything here is a function of its inputs: bytes of a log or a seed go in, scans come out. Opening files, pacing
 //! and publishing belong to the process around it.
 
+pub mod bag;
 pub mod carmen;
 mod continuity;
 pub mod experiment;

@@ -1,6 +1,7 @@
 //! The shell of lidar-ingest: reads a source, gives every scan its name and times, and puts it on the bus – by credit
 //! in exact replay, by the clock when live.
 
+mod bag;
 mod cursor;
 mod feed;
 mod pacer;
@@ -12,6 +13,7 @@ use crate::{Settings, simulation};
 use cursor::Cursor;
 use feed::{Fed, Feed};
 
+pub use bag::{BagError, BagReader};
 pub use feed::count_scans;
 use flockslam_bus::{BellRinger, Publisher, ScanPublisher, Subscriber};
 use flockslam_messages::{Control, ControlKind, LARGE_SCAN_BEAMS, Progress, ScanBuffer, ScanId, Stage};
@@ -20,12 +22,13 @@ use flockslam_telemetry::{is_sabotaged, monotonic_ns, utc_ns};
 use pacer::Pacer;
 use std::path::PathBuf;
 use std::time::Duration;
+pub use world_file::read as read_world;
 
 /// Where scans come from.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Source {
-    /// A CARMEN log.
+    /// A CARMEN log or a ROS 1 bag.
     Log(PathBuf),
     /// CARMEN lines on the standard input of the process.
     Pipe,

@@ -1,6 +1,7 @@
 //! A scan and its pose become evidence, tiles and submaps.
 
 mod mapper;
+mod newcomers;
 pub mod process;
 mod score;
 mod settings;

@@ -1,7 +1,7 @@
 //! The shell of mapper: joins accepted scans with marks, publishes changed tiles and then one commit, stores closed
 //! submaps, and rebuilds itself from journal and store when it starts.
 //!
-//! Of several processes each inserts every scan into its share of the tiles; the first commits for all.
+//! Of several processes each inserts every scan and publishes its share of the tiles; the first commits for all.
 
 mod metrics;
 mod parts;
@@ -63,6 +63,8 @@ struct MapperProcess {
     parts: Parts,
     /// An insertion of which the others have not sent their tiles yet, and since when.
     uncommitted: Option<(Commit, u64)>,
+    /// Submaps that it closed.
+    unstored: Vec<Submap>,
     /// All tiles are sent once more: so many others have not done it yet, since then.
     republishing: Option<(u32, u64)>,
     cell_size_m: f64,
@@ -82,8 +84,6 @@ struct MapperProcess {
     last: Option<PoseEstimate>,
     waiting_since_ns: Option<u64>,
     /// The last submap is closed.
-    closing: bool,
-    /// … and stored.
     map_closed: bool,
     metrics: MapMetrics,
 }
@@ -117,6 +117,7 @@ impl MapperProcess {
             logic: Mapper::of_share(settings, parts.share()),
             parts,
             uncommitted: None,
+            unstored: Vec::new(),
             republishing: None,
             store: SubmapStore::new(&context.submap_dir),
             scans: PendingScans::new(bus.scan_subscriber()?, context.capacity.window, 0),
@@ -131,7 +132,6 @@ impl MapperProcess {
             journal: JournalReader::open(&context.journal_dir)?,
             last: None,
             waiting_since_ns: None,
-            closing: false,
             map_closed: false,
             metrics: MapMetrics::new(&context.metrics),
         };
@@ -142,9 +142,6 @@ impl MapperProcess {
     /// Rebuilds the map that a predecessor had: its closed submaps from the store, the active one from the journal.
     fn recover(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         let count = self.store.count();
-        if self.parts.is_first() {
-            self.store.remove_parts(count);
-        }
         let mut inserted = 0;
         for number in 0..count {
             let submap = self.store.load(number)?;
@@ -178,7 +175,7 @@ impl MapperProcess {
             self.apply(scan, &record.pose, &[])?;
             // What the others have of it becomes valid with a later commit.
             self.commit()?;
-            self.store_whole()?;
+            self.store()?;
         }
         Ok(())
     }
@@ -204,13 +201,13 @@ impl MapperProcess {
         self.output.send_tiles(&self.logic, commit.generation, self.cell_size_m)?;
         self.applied = pose.id.sequence + 1;
         self.last = Some(*pose);
-        closed.into_iter().try_for_each(|submap| self.parts.closed(submap, &self.store))?;
-        if self.parts.is_first() {
-            self.uncommitted = Some((commit, monotonic_ns()));
-            return Ok(());
+        if !self.parts.is_first() {
+            self.logic.take_cleared();
+            return self.parts.tell(pose, tiles, false);
         }
-        self.logic.take_cleared();
-        self.parts.tell(pose, tiles, false)
+        self.unstored.extend(closed);
+        self.uncommitted = Some((commit, monotonic_ns()));
+        Ok(())
     }
 
     /// Makes the last insertion valid when all have sent their tiles, or, live, are not waited for any longer; false while they are.
@@ -230,7 +227,7 @@ impl MapperProcess {
             }
         }
         self.commit()?;
-        self.store_whole()?;
+        self.store()?;
         Ok(true)
     }
 
@@ -241,26 +238,13 @@ impl MapperProcess {
         Ok(())
     }
 
-    /// Stores closed submaps of which all parts are there, and what was cleared in older ones.
-    fn store_whole(&mut self) -> Result<(), StageError> {
-        if !self.parts.is_first() {
-            return Ok(());
-        }
-        while let Some(submap) = self.parts.next_whole(&self.store, &mut self.logic)? {
+    /// Stores submaps that were closed, and those anew in which cells were cleared since. Nobody waits for it: the scan is committed.
+    fn store(&mut self) -> Result<(), StageError> {
+        for submap in self.unstored.drain(..) {
             self.store.save(&submap)?;
-            if self.parts.others() > 0 {
-                self.store.remove_parts(submap.number + 1);
-            }
             self.output.tell_submap(&self.store.notice(&submap)?)?;
         }
-        self.store_cleared()
-    }
-
-    /// Replaces stored submaps by their form with cleared cells.
-    fn store_cleared(&mut self) -> Result<(), StageError> {
-        let stored = |submap: &&Submap| self.store.file(submap.number).exists();
-        // One that has left the window before all its parts were there is stored as it was closed.
-        self.logic.take_cleared().iter().filter(stored).try_for_each(|submap| self.store.save(submap))
+        self.logic.take_cleared().iter().try_for_each(|submap| self.store.save(submap))
     }
 
     /// Sends all live tiles and the last commit again: a reader has started and holds none.
@@ -387,15 +371,13 @@ impl MapperProcess {
     }
 
     fn close_map(&mut self) -> Result<(), StageError> {
-        if !std::mem::replace(&mut self.closing, true)
-            && let Some(submap) = self.logic.close()
-        {
-            self.parts.closed(submap, &self.store)?;
+        self.map_closed = true;
+        if !self.parts.is_first() {
+            return Ok(());
         }
-        self.parts.ring_first();
-        self.store_whole()?;
-        self.map_closed = !self.parts.waits_for_parts();
-        if self.map_closed { self.repeat_the_end() } else { Ok(()) }
+        self.unstored.extend(self.logic.close());
+        self.store()?;
+        self.repeat_the_end()
     }
 
     fn repeat_the_end(&self) -> Result<(), StageError> {
@@ -480,7 +462,6 @@ impl Actor for MapperProcess {
         if !self.parts.is_first() {
             return Ok(());
         }
-        self.store_whole()?;
         self.acknowledger.send()?;
         if self.map_closed { self.repeat_the_end() } else { Ok(()) }
     }

@@ -19,6 +19,9 @@ pub struct Settings {
     pub range_max_m: f64,
     /// Whether returns with nothing near beside them (dust, rain, false returns; never those within 2 m) are not inserted.
     pub skip_isolated: bool,
+    /// What stands where the map knows free space enters it once so many scans, at least 0.3 s apart, have seen it there: who
+    /// walks by leaves no trail. 1 = at once.
+    pub newcomer_views: u8,
     /// Score that the matcher reads.
     pub read_out: ReadOut,
     /// Evidence for "occupied" counts at most this much in the score, nat.
@@ -32,7 +35,7 @@ pub struct Settings {
     /// Travel that the closed submaps beside the active one cover in the grid that is matched, metres (rounded up to
     /// whole submaps of `submap_length_m`); 0 = all of them.
     pub window_m: f64,
-    /// Processes of this stage: each inserts every scan, into its share of the tiles.
+    /// Processes of this stage: each inserts every scan and publishes its share of the tiles.
     pub replicas: usize,
 }
 
@@ -66,6 +69,7 @@ impl Default for Settings {
             range_min_m: 0.4,
             range_max_m: 30.0,
             skip_isolated: true,
+            newcomer_views: 3,
             read_out: ReadOut::Occupied,
             occupied_cap_nat: 20.0,
             free_cap_nat: 5.0,
@@ -85,9 +89,24 @@ impl Settings {
             sensor_model: SensorModelKind::Vinyslam,
             range_min_m: 0.0,
             skip_isolated: false,
+            newcomer_views: 1,
             read_out: ReadOut::Vinyslam,
             occupied_cap_nat: 16.0,
             free_cap_nat: 16.0,
+            submap_insertions: 2000,
+            window_m: 0.0,
+            ..Self::default()
+        }
+    }
+
+    /// Points in cells: one map for all scans, in which the cells of a point-to-distribution matcher hold at most 256 points, one
+    /// for each cell of the grid. A beam that passes tells free cells from unknown ones, but never outweighs a point.
+    pub fn ndt() -> Self {
+        Self {
+            cell_size_m: 0.0225,
+            miss_nat: 0.001,
+            skip_isolated: false,
+            newcomer_views: 1,
             submap_insertions: 2000,
             window_m: 0.0,
             ..Self::default()

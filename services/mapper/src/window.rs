@@ -4,21 +4,30 @@ use crate::share::TileShare;
 use crate::window_tile::WindowTile;
 use flockslam_evidence::{
     Cell, CellIndex, CrossedCells, ObservedCells, PackedCell, Ray, Submap, SubmapTile, TILE_CELLS, Tile,
-    TileDirectory, TileKey,
+    TileDirectory, TileKey, WEIGHT_SCALE,
 };
+
+/// A cell with this much evidence for "free", nat, was looked through by several scans.
+const CLEAR_NAT: f64 = 1.5;
+/// What has this much evidence for "occupied", nat, and more than for "free", was hit by several scans: it stands there.
+const ESTABLISHED_NAT: f64 = 4.0;
+/// What stands within this distance of a cell, cells, may be what was seen in it.
+const NEAR_CELLS: i32 = 2;
 
 /// The grid that is matched: the integer sum of the active submap and of closed ones, with its published form.
 #[derive(Debug)]
 pub(crate) struct Window {
     tiles: TileDirectory<Box<WindowTile>>,
     scores: Scores,
-    /// Only these tiles are there.
+    /// Only these tiles are told of.
     share: TileShare,
     scan: u32,
     /// Tiles that the active submap has evidence in.
     active: Vec<TileKey>,
-    changed: Vec<TileKey>,
+    touched: Vec<TileKey>,
     retired: Vec<TileKey>,
+    /// Those of the share that have changed.
+    changed: Vec<TileKey>,
     /// Tiles that rays of the present scan cross, and the evidence that they leave there.
     crossed: Vec<TileKey>,
     crossing: Cell,
@@ -34,8 +43,9 @@ impl Window {
             scores: Scores::new(settings),
             scan: 0,
             active: Vec::new(),
-            changed: Vec::new(),
+            touched: Vec::new(),
             retired: Vec::new(),
+            changed: Vec::new(),
             crossed: Vec::new(),
             crossing: Cell::UNKNOWN,
             nowhere: CrossedCells::default(),
@@ -45,7 +55,7 @@ impl Window {
     /// Starts the next scan: what changes from here on is listed anew.
     pub(crate) fn begin_scan(&mut self) {
         self.scan = self.scan.checked_add(1).expect("fewer than 2^32 insertions");
-        for key in self.changed.drain(..) {
+        for key in self.touched.drain(..) {
             if let Some(tile) = self.tiles.get_mut(key) {
                 tile.begin_scan();
             }
@@ -59,7 +69,7 @@ impl Window {
         for key in crossed.drain(..) {
             let tile = self.tiles.get_mut(key).expect("crossed tiles are in the window");
             if tile.observe_crossed(self.crossing, &mut self.scores) {
-                note(key, tile, self.scan, &mut self.active, &mut self.changed);
+                note(key, tile, self.scan, &mut self.active, &mut self.touched);
             }
         }
         self.crossed = crossed;
@@ -71,8 +81,12 @@ impl Window {
             let left = self.tiles.get(*key).is_some_and(|tile| !tile.in_active && !tile.is_known());
             left && self.tiles.remove(*key).is_some()
         });
-        self.changed.retain(|key| self.tiles.get(*key).is_some());
-        self.changed.sort_unstable();
+        let share = self.share;
+        self.retired.retain(|key| share.has(*key));
+        self.touched.retain(|key| self.tiles.get(*key).is_some());
+        self.touched.sort_unstable();
+        self.changed.clear();
+        self.changed.extend(self.touched.iter().filter(|key| share.has(**key)));
     }
 
     pub(crate) fn changed(&self) -> &[TileKey] {
@@ -88,14 +102,46 @@ impl Window {
     }
 
     pub(crate) fn keys(&self) -> impl Iterator<Item = TileKey> {
-        self.tiles.iter().map(|(key, _)| key)
+        self.tiles.iter().map(|(key, _)| key).filter(|key| self.share.has(*key))
+    }
+
+    /// Whether a cell is known to be free, with nothing that stands near it.
+    pub(crate) fn is_clear(&self, cell: CellIndex) -> bool {
+        let tile_of = |cell: CellIndex| self.tiles.get(cell.tile());
+        let stands = |cell: CellIndex| {
+            tile_of(cell).is_some_and(|tile| {
+                let evidence = tile.published.cells[cell.offset()];
+                f64::from(evidence.occupied) >= ESTABLISHED_NAT * WEIGHT_SCALE
+                    && evidence.occupied > evidence.free
+            })
+        };
+        let known_free = tile_of(cell).is_some_and(|tile| {
+            f64::from(tile.published.cells[cell.offset()].free) >= CLEAR_NAT * WEIGHT_SCALE
+        });
+        let around = -NEAR_CELLS..=NEAR_CELLS;
+        known_free
+            && around.clone().all(|dy| {
+                around
+                    .clone()
+                    .all(|dx| !stands(CellIndex::new(cell.x.saturating_add(dx), cell.y.saturating_add(dy))))
+            })
     }
 
     /// Leaves of a cell's evidence only the active submap's for "free".
     pub(crate) fn clear(&mut self, cell: CellIndex) {
+        self.leave(cell, |active| PackedCell { occupied: 0, ..active });
+    }
+
+    /// Leaves nothing of a cell's evidence.
+    pub(crate) fn forget(&mut self, cell: CellIndex) {
+        self.leave(cell, |_| PackedCell::UNKNOWN);
+    }
+
+    /// Leaves of a cell's evidence a part of the active submap's.
+    fn leave(&mut self, cell: CellIndex, part: impl Fn(PackedCell) -> PackedCell) {
         if let Some(tile) = self.tiles.get_mut(cell.tile()) {
             let active = &mut tile.active[cell.offset()];
-            active.occupied = 0;
+            *active = part(*active);
             let left = active.unpack();
             tile.set_sum(cell.offset(), left, &mut self.scores);
             self.touch(cell.tile());
@@ -123,7 +169,7 @@ impl Window {
             if known.peek().is_none() {
                 continue;
             }
-            let tile = tile_at(&mut self.tiles, self.share, part.key, self.scores.unknown());
+            let tile = tile_at(&mut self.tiles, part.key, self.scores.unknown());
             let Some(tile) = tile else { continue };
             for (offset, evidence) in known {
                 let sum = change(tile.sums[offset], evidence.unpack());
@@ -165,22 +211,18 @@ impl Window {
         let tile = self.tiles.get_mut(key).expect("touched tiles are in the window");
         if tile.changed_by != self.scan {
             tile.changed_by = self.scan;
-            self.changed.push(key);
+            self.touched.push(key);
         }
     }
 }
 
-/// The tile of the window at a key, made if need be; `None` absurdly far away, or when it belongs to another share.
+/// The tile of the window at a key, made if need be; `None` absurdly far away.
 #[inline]
 fn tile_at(
     tiles: &mut TileDirectory<Box<WindowTile>>,
-    share: TileShare,
     key: TileKey,
     unknown_score: u16,
 ) -> Option<&mut WindowTile> {
-    if !share.has(key) {
-        return None;
-    }
     if tiles.get(key).is_none() {
         tiles.set(key, WindowTile::new(unknown_score)).ok()?;
     }
@@ -210,10 +252,10 @@ impl ObservedCells for Window {
     fn observe(&mut self, cell: CellIndex, evidence: Cell) {
         let key = cell.tile();
         // A cell absurdly far away is not part of any map.
-        let tile = tile_at(&mut self.tiles, self.share, key, self.scores.unknown());
+        let tile = tile_at(&mut self.tiles, key, self.scores.unknown());
         let Some(tile) = tile else { return };
         if tile.observe(cell.offset(), evidence, &mut self.scores) {
-            note(key, tile, self.scan, &mut self.active, &mut self.changed);
+            note(key, tile, self.scan, &mut self.active, &mut self.touched);
         }
     }
 
@@ -221,7 +263,7 @@ impl ObservedCells for Window {
     fn observe_ray(&mut self, mut ray: Ray, evidence: Cell) {
         self.crossing = evidence;
         while let Some(key) = ray.tile() {
-            let tile = tile_at(&mut self.tiles, self.share, key, self.scores.unknown());
+            let tile = tile_at(&mut self.tiles, key, self.scores.unknown());
             let Some(tile) = tile else {
                 ray.cross_tile(&mut self.nowhere);
                 continue;

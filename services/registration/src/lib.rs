@@ -20,7 +20,7 @@ pub use correlative::{CorrelativeSearch, Window};
 pub use field::{GridField, Sample, ScoreField, ScoreRead, bilinear, nearest};
 pub use gauss_newton::{Fit, GaussNewton, roughened, widened};
 pub use lattice::{Correlative, CorrelativeSettings};
-pub use ndt::{Ndt, NdtSettings};
+pub use ndt::{Expected, Ndt, NdtSettings};
 pub use sampling::{HillClimbing, MonteCarlo, beam_weight};
 pub use shape::least_held;
 pub use sweep::{Moving, Sweep, TwistSigma};

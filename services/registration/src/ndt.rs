@@ -1,7 +1,10 @@
+mod normal;
+
 use crate::field::{ScoreField, ScoreRead};
 use flockslam_evidence::{CellIndex, Level, floor};
 use flockslam_geometry::{Point, Pose, wrap_angle};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use normal::{Moments, Normal};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`Ndt`].
@@ -20,6 +23,12 @@ pub struct NdtSettings {
     pub prior_xy: f64,
     /// Pull towards the prediction's heading, per rad² and point.
     pub prior_heading: f64,
+    /// Pull towards the distance from the pose before that the prediction has, whatever the direction, per m² and point: wheels
+    /// measure how far better than whither.
+    pub prior_travel: f64,
+    /// Standard deviation of the direction of each beam for itself, radians: its end is blurred across the beam, so that of a wall
+    /// seen at a grazing angle it says little; and of a cell of few samples the mean is known no better than their spread allows.
+    pub bearing_sigma_rad: f64,
 }
 
 impl Default for NdtSettings {
@@ -31,6 +40,8 @@ impl Default for NdtSettings {
             flatness_min: 0.001,
             prior_xy: 0.1,
             prior_heading: 0.02,
+            prior_travel: 0.0,
+            bearing_sigma_rad: 0.0,
         }
     }
 }
@@ -46,6 +57,8 @@ impl Default for NdtSettings {
 pub struct Ndt {
     blocks: Vec<Slot<Moments>>,
     cells: Vec<Slot<Option<Normal>>>,
+    /// Points of the scan in each block, at the pose that the search starts from.
+    counts: Vec<Slot<f64>>,
     scan: u64,
 }
 
@@ -57,6 +70,8 @@ const EIGENVALUE_MIN: f64 = 1e-3;
 const STEP_MAX: f64 = 0.3;
 /// Halvings of a step that does not lower the cost.
 const HALVINGS_MAX: u32 = 6;
+/// A shorter way has no direction, metres.
+const TRAVEL_MIN_M: f64 = 0.05;
 /// Below this step, metres, the search has converged.
 const STEP_MIN: f64 = 1e-4;
 
@@ -67,76 +82,20 @@ struct Slot<T> {
     value: T,
 }
 
-/// Sums over occupied cells, relative to the centre of their block: mass, first and second moments (metres).
-#[derive(Clone, Copy, Debug, Default)]
-struct Moments {
-    mass: f64,
-    x: f64,
-    y: f64,
-    xx: f64,
-    xy: f64,
-    yy: f64,
-}
-
-impl Moments {
-    fn add(&mut self, mass: f64, x: f64, y: f64) {
-        self.mass += mass;
-        self.x += mass * x;
-        self.y += mass * y;
-        self.xx += mass * x * x;
-        self.xy += mass * x * y;
-        self.yy += mass * y * y;
-    }
-
-    /// The same sums taken about a point that lies at (-dx, -dy).
-    fn shifted(self, dx: f64, dy: f64) -> Self {
-        Self {
-            mass: self.mass,
-            x: self.x + self.mass * dx,
-            y: self.y + self.mass * dy,
-            xx: self.xx + 2.0 * dx * self.x + self.mass * dx * dx,
-            xy: self.xy + dx * self.y + dy * self.x + self.mass * dx * dy,
-            yy: self.yy + 2.0 * dy * self.y + self.mass * dy * dy,
-        }
-    }
-
-    fn plus(self, other: Self) -> Self {
-        Self {
-            mass: self.mass + other.mass,
-            x: self.x + other.x,
-            y: self.y + other.y,
-            xx: self.xx + other.xx,
-            xy: self.xy + other.xy,
-            yy: self.yy + other.yy,
-        }
-    }
-
-    /// The normal distribution of the sums, which were taken about `center`.
-    fn normal(self, center: Point, settings: &NdtSettings, cell_m: f64) -> Option<Normal> {
-        if self.mass < settings.points_min {
-            return None;
-        }
-        let (mx, my) = (self.x / self.mass, self.y / self.mass);
-        // Each sum stands for a whole cell of the grid: its own spread belongs to the distribution.
-        let spread = cell_m * cell_m / 12.0;
-        let covariance = Matrix2::new(
-            self.xx / self.mass - mx * mx + spread,
-            self.xy / self.mass - mx * my,
-            self.xy / self.mass - mx * my,
-            self.yy / self.mass - my * my + spread,
-        );
-        let eigen = covariance.symmetric_eigen();
-        let floor = settings.flatness_min * eigen.eigenvalues.max();
-        let inverted = eigen.eigenvalues.map(|value| 1.0 / value.max(floor).max(f64::MIN_POSITIVE));
-        let inverse = eigen.eigenvectors * Matrix2::from_diagonal(&inverted) * eigen.eigenvectors.transpose();
-        Some(Normal { mean: Vector2::new(center.x_m + mx, center.y_m + my), inverse })
-    }
-}
-
+/// Where the robot should be.
 #[derive(Clone, Copy, Debug)]
-struct Normal {
-    mean: Vector2<f64>,
-    inverse: Matrix2<f64>,
+pub struct Expected {
+    /// The predicted pose.
+    pub pose: Pose,
+    /// Where it was before, if it has moved.
+    pub from: Option<Point>,
+}
+
+impl Expected {
+    /// A pose without a past.
+    pub fn at(pose: Pose) -> Self {
+        Self { pose, from: None }
+    }
 }
 
 /// Cost of a pose with gradient and Hessian, divided by the number of points and grids.
@@ -145,6 +104,34 @@ struct Terms {
     gradient: Vector3<f64>,
     hessian: Matrix3<f64>,
     hits: usize,
+}
+
+impl Terms {
+    /// Adds what a pose costs that is not as expected.
+    fn pull(&mut self, settings: &NdtSettings, expected: Expected, pose: Pose) {
+        let Expected { pose: prediction, from } = expected;
+        let missed = Vector3::new(
+            pose.x_m - prediction.x_m,
+            pose.y_m - prediction.y_m,
+            wrap_angle(pose.heading_rad - prediction.heading_rad),
+        );
+        let prior = Vector3::new(settings.prior_xy, settings.prior_xy, settings.prior_heading);
+        let pulled = prior.component_mul(&missed);
+        self.cost += 0.5 * pulled.dot(&missed);
+        self.gradient += pulled;
+        self.hessian += Matrix3::from_diagonal(&prior);
+        let Some(from) = from else { return };
+        let (travelled, expected_m) =
+            (pose.position().distance_m(from), prediction.position().distance_m(from));
+        if travelled < TRAVEL_MIN_M || expected_m < TRAVEL_MIN_M {
+            return;
+        }
+        let along = Vector3::new(pose.x_m - from.x_m, pose.y_m - from.y_m, 0.0) / travelled;
+        let (too_far, weight) = (travelled - expected_m, settings.prior_travel);
+        self.cost += 0.5 * weight * too_far * too_far;
+        self.gradient += along * (weight * too_far);
+        self.hessian += along * along.transpose() * weight;
+    }
 }
 
 /// Sides of a block and of a grid cell.
@@ -161,33 +148,38 @@ impl Sides {
         let quarters = ((0.5 * cell_size_m / (4.0 * cell_m)).round() as i32).max(1);
         Self { quarters, block_m: f64::from(4 * quarters) * cell_m, cell_m }
     }
+
+    fn block_of(self, point: Point) -> CellIndex {
+        CellIndex::new(floor(point.x_m / self.block_m), floor(point.y_m / self.block_m))
+    }
 }
 
 impl Ndt {
     /// The pose (field from points) that makes `points` (metres, frame of the robot) most likely, starting at `start`;
     /// `None` when no point falls into a cell of the map there.
     ///
-    /// Minimises `-Σ exp(-qᵀS⁻¹q/2) / 4n` plus half the pull towards `prediction`.
+    /// Minimises `-Σ exp(-qᵀS⁻¹q/2) / 4n` plus half the pulls towards what is `expected`.
     pub fn fit<F: ScoreField>(
         &mut self,
         settings: &NdtSettings,
         field: &F,
         points: &[Point],
-        prediction: Pose,
+        expected: Expected,
         start: Pose,
     ) -> Option<Pose> {
         self.begin();
         let mean_range = points.iter().map(|p| p.norm_m()).sum::<f64>() / points.len().max(1) as f64;
         let scale = Vector3::new(1.0, 1.0, 1.0 / mean_range.max(0.1));
+        self.count(Sides::new(settings.cell_size_m, field.reader(Level::Full).cell_size_m()), points, start);
         let mut pose = start;
-        let mut terms = self.terms(settings, field, points, prediction, pose);
+        let mut terms = self.terms(settings, field, points, expected, pose);
         if terms.hits == 0 {
             return None;
         }
         for _ in 0..settings.iterations {
             let Some(step) = newton_step(&terms, scale) else { break };
             let Some((next, next_terms)) =
-                self.line_search(settings, field, points, prediction, (pose, &terms), step)
+                self.line_search(settings, field, points, expected, (pose, &terms), step)
             else {
                 break;
             };
@@ -205,7 +197,20 @@ impl Ndt {
         let size = (TABLE_SIDE * TABLE_SIDE) as usize;
         self.blocks.resize(size, Slot::default());
         self.cells.resize(size, Slot::default());
+        self.counts.resize(size, Slot::default());
         self.scan += 1;
+    }
+
+    /// Counts the points in each block.
+    fn count(&mut self, sides: Sides, points: &[Point], pose: Pose) {
+        for point in points {
+            let block = sides.block_of(pose.apply(*point));
+            let slot = &mut self.counts[place(block)];
+            if slot.scan != self.scan || slot.at != block {
+                *slot = Slot { scan: self.scan, at: block, value: 0.0 };
+            }
+            slot.value += 1.0;
+        }
     }
 
     /// The first of the step, its half, its quarter … that lowers the cost enough (Armijo).
@@ -214,7 +219,7 @@ impl Ndt {
         settings: &NdtSettings,
         field: &F,
         points: &[Point],
-        prediction: Pose,
+        expected: Expected,
         (pose, terms): (Pose, &Terms),
         step: Vector3<f64>,
     ) -> Option<(Pose, Terms)> {
@@ -223,7 +228,7 @@ impl Ndt {
         for _ in 0..=HALVINGS_MAX {
             let d = step * share;
             let next = Pose::new(pose.x_m + d.x, pose.y_m + d.y, pose.heading_rad + d.z);
-            let there = self.terms(settings, field, points, prediction, next);
+            let there = self.terms(settings, field, points, expected, next);
             if there.hits > 0 && there.cost <= terms.cost + 1e-4 * share * slope {
                 return Some((next, there));
             }
@@ -237,45 +242,39 @@ impl Ndt {
         settings: &NdtSettings,
         field: &F,
         points: &[Point],
-        prediction: Pose,
+        expected: Expected,
         pose: Pose,
     ) -> Terms {
         let sides = Sides::new(settings.cell_size_m, field.reader(Level::Full).cell_size_m());
         let (sin, cos) = pose.heading_rad.sin_cos();
+        let blurs = settings.bearing_sigma_rad > 0.0;
         let (mut cost, mut hits) = (0.0, 0);
         let (mut gradient, mut hessian) = (Vector3::zeros(), Matrix3::zeros());
         for point in points {
             let turned = Vector2::new(cos * point.x_m - sin * point.y_m, sin * point.x_m + cos * point.y_m);
             let end = turned + Vector2::new(pose.x_m, pose.y_m);
-            let block = CellIndex::new(floor(end.x / sides.block_m), floor(end.y / sides.block_m));
+            let blur = Vector2::new(-turned.y, turned.x) * settings.bearing_sigma_rad;
+            let block = sides.block_of(Point::new(end.x, end.y));
             for (x, y) in [(-1, -1), (0, -1), (-1, 0), (0, 0)] {
                 let corner = CellIndex::new(block.x.wrapping_add(x), block.y.wrapping_add(y));
                 let Some(normal) = self.cell(settings, field, sides, corner) else { continue };
                 hits += 1;
                 let q = end - normal.mean;
-                let weighted = normal.inverse * q;
+                let inverse = if blurs { normal.inverse_with(blur) } else { normal.inverse };
+                let weighted = inverse * q;
                 let likelihood = (-0.5 * q.dot(&weighted)).exp();
                 if likelihood < 1e-9 {
                     continue;
                 }
                 cost -= likelihood;
-                add_derivatives(&mut gradient, &mut hessian, turned, weighted, &normal.inverse, likelihood);
+                add_derivatives(&mut gradient, &mut hessian, turned, weighted, &inverse, likelihood);
             }
         }
         let share = 1.0 / (4 * points.len().max(1)) as f64;
-        let pull = Vector3::new(
-            pose.x_m - prediction.x_m,
-            pose.y_m - prediction.y_m,
-            wrap_angle(pose.heading_rad - prediction.heading_rad),
-        );
-        let prior = Vector3::new(settings.prior_xy, settings.prior_xy, settings.prior_heading);
-        let pulled = prior.component_mul(&pull);
-        Terms {
-            cost: cost * share + 0.5 * pulled.dot(&pull),
-            gradient: gradient * share + pulled,
-            hessian: hessian * share + Matrix3::from_diagonal(&prior),
-            hits,
-        }
+        let mut terms =
+            Terms { cost: cost * share, gradient: gradient * share, hessian: hessian * share, hits };
+        terms.pull(settings, expected, pose);
+        terms
     }
 
     /// The distribution of the 2 × 2 blocks whose lower left one is `corner`.
@@ -292,17 +291,19 @@ impl Ndt {
             return slot.value;
         }
         let half = 0.5 * sides.block_m;
-        let mut sums = Moments::default();
+        let (mut sums, mut points) = (Moments::default(), 0.0);
         for (x, y) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
             let block = CellIndex::new(corner.x.wrapping_add(x), corner.y.wrapping_add(y));
             let (dx, dy) = (half * f64::from(2 * x - 1), half * f64::from(2 * y - 1));
             sums = sums.plus(self.block(field, sides, block).shifted(dx, dy));
+            let counted = self.counts[self::place(block)];
+            points += if counted.scan == self.scan && counted.at == block { counted.value } else { 0.0 };
         }
         let center = Point::new(
             (f64::from(corner.x) + 1.0) * sides.block_m,
             (f64::from(corner.y) + 1.0) * sides.block_m,
         );
-        let value = sums.normal(center, settings, sides.cell_m);
+        let value = sums.normal(center, points, settings, sides.cell_m);
         self.cells[place] = Slot { scan: self.scan, at: corner, value };
         value
     }
@@ -407,8 +408,10 @@ mod tests {
             let start =
                 Pose::new(truth.x_m + off(0.08), truth.y_m + off(0.08), truth.heading_rad + off(0.03));
             let points = world.scan(truth, &mut noise);
-            let found = ndt.fit(&settings, &room::field(&grid), &points, start, start).unwrap();
-            let again = Ndt::default().fit(&settings, &room::field(&grid), &points, start, start).unwrap();
+            let found = ndt.fit(&settings, &room::field(&grid), &points, Expected::at(start), start).unwrap();
+            let again = Ndt::default()
+                .fit(&settings, &room::field(&grid), &points, Expected::at(start), start)
+                .unwrap();
             assert_eq!(found, again);
             assert!(
                 found.distance_m(truth) < 0.05 && found.turn_rad(truth) < 0.01,
@@ -425,12 +428,13 @@ mod tests {
         let (field, settings) = (room::field(&grid), NdtSettings::default());
         // Few points, none of which crosses into another block within the difference.
         let points = [Point::new(3.93, 0.3), Point::new(-1.9, -0.33), Point::new(0.8, 1.5)];
+        let expected = Expected::at(Pose::IDENTITY);
         let mut ndt = Ndt::default();
         ndt.begin();
         let at = Pose::new(0.011, -0.007, 0.005);
         let mut terms = |dx: f64, dy: f64, turn: f64| {
             let pose = Pose::new(at.x_m + dx, at.y_m + dy, at.heading_rad + turn);
-            ndt.terms(&settings, &field, &points, Pose::IDENTITY, pose)
+            ndt.terms(&settings, &field, &points, expected, pose)
         };
         let here = terms(0.0, 0.0, 0.0);
         let h = 1e-5;
@@ -444,6 +448,29 @@ mod tests {
     }
 
     #[test]
+    fn a_blurred_point_is_as_far_off_as_both_covariances_say() {
+        let normal = Normal { mean: Vector2::zeros(), inverse: Matrix2::new(9.0, 1.0, 1.0, 4.0) };
+        let blur = Vector2::new(0.3, -0.8);
+        let sum = normal.inverse.try_inverse().unwrap() + blur * blur.transpose();
+        assert!((normal.inverse_with(blur) * sum - Matrix2::identity()).amax() < 1e-12);
+    }
+
+    #[test]
+    fn wheels_say_how_far_and_not_whither() {
+        let settings =
+            NdtSettings { prior_xy: 0.0, prior_heading: 0.0, prior_travel: 2.0, ..NdtSettings::default() };
+        let expected = Expected { pose: Pose::new(3.0, 0.0, 0.0), from: Some(Point::new(1.0, 0.0)) };
+        let cost = |pose: Pose| {
+            let (gradient, hessian) = (Vector3::zeros(), Matrix3::zeros());
+            let mut terms = Terms { cost: 0.0, gradient, hessian, hits: 0 };
+            terms.pull(&settings, expected, pose);
+            terms.cost
+        };
+        assert!(cost(Pose::new(1.0, 2.0, 0.0)) < 1e-12, "as far, elsewhere");
+        assert!((cost(Pose::new(1.0, 2.5, 0.0)) - 0.25).abs() < 1e-12, "half a metre too far");
+    }
+
+    #[test]
     fn no_cell_hit_is_no_match() {
         let grid = room::grid(&room::ROOM);
         let far = [Point::new(500.0, 0.0)];
@@ -451,7 +478,7 @@ mod tests {
             &NdtSettings::default(),
             &room::field(&grid),
             &far,
-            Pose::IDENTITY,
+            Expected::at(Pose::IDENTITY),
             Pose::IDENTITY,
         );
         assert_eq!(found, None);

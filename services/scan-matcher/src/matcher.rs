@@ -3,7 +3,9 @@ use crate::motion::{Motion, Prediction};
 use crate::settings::Settings;
 use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::{Covariance, Point, Pose, Twist};
-use flockslam_messages::{Commit, Deskew, LayoutHeader, PoseEstimate, PoseFlags, Quality, ScanView, Verdict};
+use flockslam_messages::{
+    BeamRange, Commit, Deskew, LayoutHeader, PoseEstimate, PoseFlags, Quality, ScanView, Verdict,
+};
 use flockslam_registration::{Correlative, CorrelativeSearch, Fit, GridField, Ndt};
 use std::ops::Deref;
 
@@ -21,6 +23,7 @@ const NEW_PLACE: f64 = 0.7;
 const SLIPPED: (f64, f64) = (0.15, 0.08);
 
 mod fitting;
+mod movers;
 
 /// Fits scans to the grid. A pure function of its calls.
 #[derive(Debug)]
@@ -48,6 +51,13 @@ pub struct ScanMatcher {
     map_from_odom: Pose,
     layout_revision: u32,
     points: Vec<Point>,
+    /// The beam of each point.
+    beams: Vec<u32>,
+    /// Beams of the scan at hand that lie on what moves, and how many points they would be.
+    moving: Vec<BeamRange>,
+    aside: usize,
+    /// Which of the points they were.
+    set_aside: Vec<bool>,
     /// Seconds after the stamp at which each point was measured.
     times_s: Vec<f64>,
     weights: Vec<f64>,
@@ -87,6 +97,10 @@ impl ScanMatcher {
             map_from_odom: Pose::IDENTITY,
             layout_revision: 0,
             points: Vec::new(),
+            beams: Vec::new(),
+            moving: Vec::new(),
+            aside: 0,
+            set_aside: Vec::new(),
             times_s: Vec::new(),
             weights: Vec::new(),
             search: CorrelativeSearch::default(),
@@ -103,7 +117,13 @@ impl ScanMatcher {
         verdict: &Verdict,
         grid: &TileGrid<H>,
     ) -> PoseEstimate {
-        let prediction = self.motion.predict(scan);
+        let mut prediction = self.motion.predict(scan);
+        if self.settings.rescue.below == 0.0 {
+            // Nothing is searched: the wheels alone say where the scan is matched from.
+            prediction.steady = None;
+        }
+        self.moving.clear();
+        self.aside = 0;
         let withheld = scan.header().withheld == 1;
         let overridden = verdict.keep == 0 && !withheld && self.overrules(&prediction);
         let mut estimate = self.predicted(scan, verdict, &prediction);
@@ -124,6 +144,7 @@ impl ScanMatcher {
             estimate.quality = if self.detached { Quality::Degraded } else { Quality::Tracking } as u32;
             self.begins_elsewhere = false;
         } else {
+            self.set_movers_aside(scan, &prediction, grid);
             let field = GridField::new(grid, self.settings.unknown_score);
             let (prediction, fit) = self.settled(&field, prediction, scan);
             let found = self.match_scan(&field, &prediction, fit, scan);
@@ -197,15 +218,27 @@ impl ScanMatcher {
         let limits = self.settings.range_min_m..=self.settings.range_max_m;
         let skips = self.settings.skip_isolated;
         self.points.clear();
+        self.beams.clear();
         self.times_s.clear();
-        let stride = scan.len().div_ceil(self.settings.beams_max.max(1)).max(1);
-        for beam in (0..scan.len()).step_by(stride) {
+        let mut moving = self.moving.iter().peekable();
+        for beam in (0..scan.len()).step_by(self.stride(scan)) {
+            let number = beam as u32;
+            while moving.next_if(|range| range.end <= number).is_some() {}
+            if moving.peek().is_some_and(|range| range.first <= number) {
+                continue;
+            }
             let Some(range) = scan.valid_range_m(beam) else { continue };
             if limits.contains(&range) && !(skips && scan.is_isolated(beam)) {
                 self.points.push(deskew.end_in_base(scan, beam, range));
+                self.beams.push(number);
                 self.times_s.push(scan.time_s(beam));
             }
         }
+    }
+
+    /// Of the scan's beams every so many-th is matched.
+    fn stride(&self, scan: ScanView<'_>) -> usize {
+        scan.len().div_ceil(self.settings.beams_max.max(1)).max(1)
     }
 
     /// Whether a scan that the filter would drop is needed nevertheless.
@@ -260,7 +293,9 @@ impl ScanMatcher {
         }
         // Where the wheels have the robot, a good part of a scan may be new or have changed; anywhere else it must fit.
         let share_max = if found.rescued { CONTRADICTED.1 } else { CONTRADICTED.1.max(found.score) };
-        if contradicted(grid, &self.points, found.pose) >= share_max {
+        let (matched, aside) = (self.points.len() as f64, self.aside as f64);
+        let contradicting = matched * contradicted(grid, &self.points, found.pose) + aside;
+        if contradicting >= share_max * (matched + aside) {
             return Match { quality: Quality::Lost, ..found };
         }
         let is_new = found.quality == Quality::Lost

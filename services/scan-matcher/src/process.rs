@@ -4,8 +4,10 @@
 //! goes on with the next scan when it dies.
 
 use crate::{ScanMatcher, Settings};
-use flockslam_bus::{BellRinger, Publisher, ScanSample, Subscriber};
-use flockslam_messages::{DropReason, KeepReason, LayoutHeader, PoseEstimate, PoseFlags, Stage, Verdict};
+use flockslam_bus::{BellRinger, Publisher, ScanSample, SlicePublisher, Subscriber};
+use flockslam_messages::{
+    DropReason, KeepReason, LayoutHeader, MovingBeamsHeader, PoseEstimate, PoseFlags, Stage, Verdict,
+};
 use flockslam_stage::{
     Acknowledger, Actor, GridReader, JournalReader, JournalWriter, Mode, PendingScans, StageContext,
     StageError, StreamEnd, Turn, run,
@@ -66,6 +68,7 @@ struct Matcher {
     /// Sequences of the accepted scans whose commits are awaited, and since when, oldest first.
     awaited: VecDeque<(u64, u64)>,
     poses: Publisher<PoseEstimate>,
+    moving_beams: SlicePublisher<MovingBeamsHeader>,
     /// What a predecessor has written, up to its last pose.
     past: JournalReader,
     last: Option<PoseEstimate>,
@@ -101,6 +104,7 @@ impl Matcher {
             grid: GridReader::open(context, cell_size_m)?,
             awaited: VecDeque::with_capacity(2 + LAG_LIVE),
             poses: bus.publisher()?,
+            moving_beams: bus.slice_publisher()?,
             past: JournalReader::open(&context.journal_dir)?,
             last: None,
             accepted: None,
@@ -296,6 +300,7 @@ impl Matcher {
             tracing::error!(scan = header.id.sequence, %error, "not durable");
             context.dropped("not-journaled");
         }
+        self.publish_moving_beams(&pose, context);
         self.poses.send(&pose)?;
         context.handled(header.id.sequence, started_ns, header.times.monotonic_ns);
         self.metrics.published(&pose);
@@ -311,6 +316,21 @@ impl Matcher {
         }
         context.report.report.scan_address = scan.ranges().as_ptr() as u64;
         self.acknowledger.finished(header.id.sequence + 1)
+    }
+
+    /// Who hears of a pose has heard of its moving beams.
+    fn publish_moving_beams(&self, pose: &PoseEstimate, context: &mut StageContext) {
+        let beams = self.logic.moving_beams();
+        if beams.is_empty() {
+            return;
+        }
+        let header =
+            MovingBeamsHeader { id: pose.id, times: pose.times, count: beams.len() as u32, reserved: 0 };
+        let sent = self.moving_beams.send_with(&header, beams.len(), |to| to.copy_from_slice(beams));
+        if let Err(error) = sent {
+            tracing::warn!(%error, "moving beams are not told");
+            context.dropped("moving-beams-unsent");
+        }
     }
 
     fn ring(&self) {
@@ -346,6 +366,7 @@ impl Actor for Matcher {
 
     fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.poses.refresh();
+        self.moving_beams.refresh();
         if let Some(address) = self.grid.a_tile_address() {
             context.report.report.tile_address = address as u64;
         }

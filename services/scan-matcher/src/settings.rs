@@ -35,6 +35,9 @@ pub struct Settings {
     pub range_max_m: f64,
     /// Whether returns with nothing near beside them (dust, rain, false returns; never those within 2 m) are not matched.
     pub skip_isolated: bool,
+    /// Beams that end where the grid knows free space, with nothing near, lie on what moves: they are set aside before a scan is
+    /// fitted, unless they are more than this share of it or the robot is lost; 0 = none ever is.
+    pub moving_share_max: f64,
     /// Of scans with more beams than this only every n-th is matched.
     pub beams_max: usize,
     /// Processes of this stage: one matches, the others know what it knows and stand by to go on in its place.
@@ -65,7 +68,7 @@ pub enum Strategy {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Rescue {
-    /// Search when the score falls below this share of its running mean; 0 = never.
+    /// Search when the score falls below this share of its running mean; 0 = never, and wheels are believed whatever they say.
     pub below: f64,
     /// Reach of the search, metres to each side; it grows up to three times while the robot is lost.
     pub reach_m: f64,
@@ -125,6 +128,7 @@ impl Default for Settings {
             range_min_m: 0.4,
             range_max_m: 30.0,
             skip_isolated: true,
+            moving_share_max: 0.5,
             beams_max: 1000,
             replicas: 1,
             unknown_score: 0.0,
@@ -157,6 +161,27 @@ impl Default for Gate {
 }
 
 impl Settings {
+    /// Point-to-distribution matching from the odometry guess alone, every scan inserted (Trubin et al. 2020).
+    pub fn ndt() -> Self {
+        Self {
+            strategy: Strategy::Ndt,
+            gate: Gate { travel_m: 0.0, turn_rad: 0.0, ..Gate::default() },
+            rescue: Rescue { below: 0.0, lost_scans_max: 0, ..Rescue::default() },
+            fits_velocity: false,
+            skip_isolated: false,
+            moving_share_max: 0.0,
+            // Along a corridor little but the wheels says how far a move of metres went.
+            ndt: NdtSettings {
+                cell_size_m: 1.08,
+                prior_travel: 40.0,
+                // The published lidar: one degree.
+                bearing_sigma_rad: 0.0175,
+                ..NdtSettings::default()
+            },
+            ..Self::default()
+        }
+    }
+
     /// What the program vinySLAM does, with hill climbing and odometry rotated into the corrected heading.
     pub fn vinyslam() -> Self {
         Self {
@@ -166,6 +191,7 @@ impl Settings {
             fits_velocity: false,
             range_min_m: 0.0,
             skip_isolated: false,
+            moving_share_max: 0.0,
             unknown_score: 0.5,
             ..Self::default()
         }

@@ -70,7 +70,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let start = Instant::now();
         manager.pose(&pose);
         if all || pose.has(PoseFlags::INSERT) {
-            manager.node(scan.view()?, &pose);
+            manager.node(scan.view()?, &pose, &[]);
         }
         chain += start.elapsed();
         inserted += u32::from(pose.has(PoseFlags::INSERT));

@@ -1,6 +1,7 @@
 //! The fused map's way to and from the store of submaps.
 
-use crate::fusion::Fusion;
+use crate::fusion::{Fusion, Step};
+use crate::stale::stale_cells;
 use crate::{PlacedSubmap, Settings};
 use flockslam_stage::results::{StoredMap, Summary};
 use flockslam_stage::{StageError, SubmapStore};
@@ -50,10 +51,6 @@ impl Fuser {
         // The last scans may carry the number of a submap that nothing was inserted in.
         let closed = self.store.count();
         self.take_all(layout, closed)?;
-        if !self.fusion.holds_all(layout, closed) {
-            // A submap was not the one that came in, and the map began anew on the way.
-            self.take_all(layout, closed)?;
-        }
         self.empty_retired()?;
         Ok(self.fusion.map().map_or_else(StoredMap::empty, StoredMap::of))
     }
@@ -74,11 +71,21 @@ impl Fuser {
         summary.submap_area_m2 = self.known_area_m2;
     }
 
+    /// Brings all submaps in, and masks in each what newer ones have found free: the mapper clears within its window only.
     fn take_all(&mut self, layout: &[PlacedSubmap], closed: u32) -> Result<(), StageError> {
         self.known_area_m2 = 0.0;
         for step in self.fusion.last_steps(layout, closed) {
-            let submap = self.store.load(step.number())?;
+            let mut submap = self.store.load(step.number())?;
             self.known_area_m2 += submap.known_area_m2();
+            if let (Some(newer), Step::Place(placed)) = (self.fusion.map(), step) {
+                let stale = stale_cells(&submap, placed.map_from_odom, newer);
+                if !stale.is_empty() {
+                    for cell in stale {
+                        submap.clear(cell);
+                    }
+                    self.store.save(&submap)?;
+                }
+            }
             self.fusion.take(step, submap).map_err(|far| StageError::file("the fused map", far))?;
         }
         Ok(())

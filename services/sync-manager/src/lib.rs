@@ -28,6 +28,7 @@ mod scans;
 mod segment;
 mod settings;
 mod solution;
+mod stale;
 mod strands;
 mod symmetric;
 mod trajectory;

@@ -13,7 +13,7 @@ use crate::solution::{ClosureCounts, PlacedScan, PlacedSubmap, SettledScan, Solu
 use crate::strands::{self, Strands};
 use crate::trajectory::{Between, Record, filled};
 use flockslam_geometry::Pose;
-use flockslam_messages::{LayoutHeader, PoseEstimate, PoseFlags, ScanView, SubmapClosed};
+use flockslam_messages::{BeamRange, LayoutHeader, PoseEstimate, PoseFlags, ScanView, SubmapClosed};
 use flockslam_registration::cloud::Placement;
 use settle::SettledSubmap;
 use std::collections::{BTreeMap, BTreeSet};
@@ -115,15 +115,16 @@ impl SyncManager {
     }
 
     /// Takes a scan whose pose has just been given. Inserted scans may become nodes of the graph; any matched
-    /// scan may be given, and is then placed by its own points at the end.
-    pub fn node(&mut self, scan: ScanView<'_>, pose: &PoseEstimate) {
+    /// scan may be given, and is then placed by its own points at the end. `moving` are its beams on what moves, in order: they
+    /// are not matched.
+    pub fn node(&mut self, scan: ScanView<'_>, pose: &PoseEstimate, moving: &[BeamRange]) {
         let Some(record) = self.records.iter().rposition(|r| r.id == pose.id) else { return };
         let Record { odom, strand, .. } = self.records[record];
         let is_node = pose.has(PoseFlags::INSERT) && self.is_due(&odom, strand);
         if !is_node && self.rests(&odom) {
             return;
         }
-        let scan = self.scans.keep(scan, pose.twist.into(), &self.settings);
+        let scan = self.scans.keep(scan, pose.twist.into(), moving, &self.settings);
         if is_node {
             let sequence = pose.id.sequence;
             self.chain.extend(NewNode { sequence, scan, odom, strand }, &self.scans);

@@ -6,10 +6,11 @@
 
 use crate::fuse::Fuser;
 use crate::{PlacedScan, PlacedSubmap, Settings, Solution, SyncManager};
-use flockslam_bus::{BellRinger, Publisher, ScanSample, Subscriber};
+use flockslam_bus::{BellRinger, Publisher, ScanSample, SliceSubscriber, Subscriber};
 use flockslam_geometry::Pose;
 use flockslam_messages::{
-    Control, ControlKind, DropReason, LayoutHeader, PoseEstimate, PoseFlags, ScanView, Stage, SubmapClosed,
+    BeamRange, Control, ControlKind, DropReason, LayoutHeader, MovingBeamsHeader, PoseEstimate, PoseFlags,
+    ScanView, Stage, SubmapClosed,
 };
 use flockslam_stage::results::{self, LayoutRow, LiveLayout, StampedPose, Summary};
 use flockslam_stage::{
@@ -18,7 +19,7 @@ use flockslam_stage::{
 };
 use flockslam_telemetry::monotonic_ns;
 use metrics::LayoutMetrics;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 use trajectories::Trajectories;
 
@@ -57,6 +58,9 @@ struct SyncProcess {
     fuser: Fuser,
     scans: PendingScans,
     poses: PoseQueue,
+    moving_beams: SliceSubscriber<MovingBeamsHeader>,
+    /// Of scans whose poses wait, by sequence.
+    waiting_moving_beams: VecDeque<(u64, Vec<BeamRange>)>,
     /// The scan whose pose comes next when none is missed.
     expected: u64,
     journal: JournalReader,
@@ -99,6 +103,8 @@ impl SyncProcess {
             store: SubmapStore::new(&context.submap_dir),
             scans: PendingScans::new(bus.scan_subscriber()?, context.capacity.window, 0),
             poses: PoseQueue::new(bus.subscriber()?, 0),
+            moving_beams: bus.slice_subscriber()?,
+            waiting_moving_beams: VecDeque::new(),
             expected: 0,
             journal: JournalReader::open(&context.journal_dir)?,
             submaps: bus.subscriber()?,
@@ -163,13 +169,18 @@ impl SyncProcess {
                 self.conclude(&notice)?;
             }
             let scan = record.scan.as_ref().and_then(|scan| scan.view().ok());
-            self.take_in(&record.pose, scan)?;
+            self.take_in(&record.pose, scan, &[])?;
             self.expected = record.pose.id.sequence + 1;
         }
         Ok(())
     }
 
-    fn take_in(&mut self, pose: &PoseEstimate, scan: Option<ScanView<'_>>) -> Result<(), StageError> {
+    fn take_in(
+        &mut self,
+        pose: &PoseEstimate,
+        scan: Option<ScanView<'_>>,
+        moving: &[BeamRange],
+    ) -> Result<(), StageError> {
         self.logic.pose(pose);
         self.trajectories.published(pose)?;
         let count = |flag, counter: &mut u64| *counter += u64::from(pose.has(flag));
@@ -184,7 +195,7 @@ impl SyncProcess {
             *self.summary.dropped.entry(reason.name().to_owned()).or_default() += 1;
         }
         if let Some(scan) = scan.filter(|_| self.optimises && pose.has(PoseFlags::MATCHED)) {
-            self.logic.node(scan, pose);
+            self.logic.node(scan, pose, moving);
         }
         Ok(())
     }
@@ -248,6 +259,10 @@ impl SyncProcess {
     fn drain(&mut self) -> Result<(), StageError> {
         self.scans.drain()?;
         self.poses.drain()?;
+        // They were sent before their poses, so those of all poses at hand are there.
+        while let Some(beams) = self.moving_beams.receive()? {
+            self.waiting_moving_beams.push_back((beams.header().id.sequence, beams.elements().to_vec()));
+        }
         while let Some(notice) = self.submaps.receive()? {
             if notice.number >= self.next_submap {
                 self.waiting_submaps.insert(notice.number, *notice);
@@ -276,7 +291,8 @@ impl SyncProcess {
         if let Some(scan) = &scan {
             context.report.report.scan_address = scan.ranges().as_ptr() as u64;
         }
-        self.take_in(pose, scan)?;
+        let moving = self.take_moving_beams(pose.id.sequence);
+        self.take_in(pose, scan, &moving)?;
         self.expected = self.expected.max(pose.id.sequence + 1);
         if self.acts {
             context.handled(pose.id.sequence, started_ns, pose.times.monotonic_ns);
@@ -285,6 +301,18 @@ impl SyncProcess {
         }
         self.done(pose.id.sequence + 1)?;
         Ok(true)
+    }
+
+    fn take_moving_beams(&mut self, sequence: u64) -> Vec<BeamRange> {
+        while self.waiting_moving_beams.front().is_some_and(|(of, _)| *of < sequence) {
+            self.waiting_moving_beams.pop_front();
+        }
+        match self.waiting_moving_beams.front() {
+            Some((of, _)) if *of == sequence => {
+                self.waiting_moving_beams.pop_front().map_or_else(Vec::new, |(_, beams)| beams)
+            }
+            _ => Vec::new(),
+        }
     }
 
     fn finish(&mut self, context: &StageContext) -> Result<(), StageError> {

@@ -1,6 +1,6 @@
 use crate::settings::Settings;
 use flockslam_geometry::Twist;
-use flockslam_messages::ScanView;
+use flockslam_messages::{BeamRange, ScanView};
 use flockslam_registration::cloud::{PackedPoint, Placement};
 
 /// Neighbouring points of a scan closer than this tell the same; one of them is kept, metres.
@@ -42,9 +42,15 @@ pub struct ScanStore {
 }
 
 impl ScanStore {
-    /// Keeps the valid points of a scan, thinned out, as seen from where the robot was at its stamp; gives
-    /// its number in the store.
-    pub fn keep(&mut self, scan: ScanView<'_>, velocity: Velocity, settings: &Settings) -> usize {
+    /// Keeps the valid points of a scan but those on what moves, thinned out, as seen from where the robot was at its stamp; gives
+    /// its number in the store. `moving` is in order.
+    pub fn keep(
+        &mut self,
+        scan: ScanView<'_>,
+        velocity: Velocity,
+        moving: &[BeamRange],
+        settings: &Settings,
+    ) -> usize {
         let first = self.points.len();
         let mount = Placement::from(scan.header().base_from_laser);
         let takes_time =
@@ -52,7 +58,12 @@ impl ScanStore {
         let mut last = (f64::INFINITY, f64::INFINITY);
         // Scans with very many beams are read in strides before anything else.
         let stride = scan.len().div_ceil(8 * POINTS_MAX).max(1);
+        let mut moving = moving.iter().peekable();
         for i in (0..scan.len()).step_by(stride) {
+            while moving.next_if(|range| range.end as usize <= i).is_some() {}
+            if moving.peek().is_some_and(|range| range.first as usize <= i) {
+                continue;
+            }
             let Some(range_m) = scan.valid_range_m(i) else { continue };
             if range_m < settings.range_min_m || range_m > settings.range_max_m.min(RANGE_MAX_M) {
                 continue;
@@ -131,7 +142,7 @@ mod tests {
             ScanBuffer::from_ranges(&[1.0, f32::NAN, 1.9, 50.0, 0.1], 0.0, std::f64::consts::FRAC_PI_2);
         scan.header.base_from_laser.x_m = 0.5;
         let mut store = ScanStore::default();
-        assert_eq!(store.keep(scan.view().unwrap(), Velocity::default(), &Settings::default()), 0);
+        assert_eq!(store.keep(scan.view().unwrap(), Velocity::default(), &[], &Settings::default()), 0);
         let metres: Vec<_> = store.points(0).iter().map(|p| (p.x_m(), p.y_m())).collect();
         let expected = [(1.5, 0.0), (-1.4, 0.0)];
         assert_eq!(metres.len(), 2);
@@ -139,6 +150,16 @@ mod tests {
             metres.iter().zip(expected).all(|(a, b)| (a.0 - b.0).abs() < 1e-9 && a.1 == b.1),
             "{metres:?}"
         );
+    }
+
+    #[test]
+    fn leaves_out_beams_on_what_moves() {
+        let scan = ScanBuffer::from_ranges(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], 0.0, 0.5);
+        let moving = [BeamRange { first: 1, end: 3 }, BeamRange { first: 4, end: 5 }];
+        let mut store = ScanStore::default();
+        store.keep(scan.view().unwrap(), Velocity::default(), &moving, &Settings::default());
+        let kept = store.points(0).iter().map(|p| p.x_m().hypot(p.y_m()).round());
+        assert_eq!(kept.collect::<Vec<_>>(), [1.0, 4.0, 6.0]);
     }
 
     #[test]
@@ -150,7 +171,7 @@ mod tests {
         let velocity = Velocity { x_m_s: 1.0, ..Velocity::default() };
         let settings = Settings { range_min_m: 0.0, ..Settings::default() };
         let mut store = ScanStore::default();
-        store.keep(scan.view().unwrap(), velocity, &settings);
+        store.keep(scan.view().unwrap(), velocity, &[], &settings);
         assert_eq!(store.points(0).len(), 1, "all three beams hit the same point");
     }
 
@@ -159,7 +180,7 @@ mod tests {
         let mut store = ScanStore::default();
         for range in [2.0, 3.0, 4.0, 5.0] {
             let scan = ScanBuffer::from_ranges(&[range, range + 0.1, range], 0.0, 0.3);
-            store.keep(scan.view().unwrap(), Velocity::default(), &Settings::default());
+            store.keep(scan.view().unwrap(), Velocity::default(), &[], &Settings::default());
         }
         let (second, fourth) = (store.points(1).to_vec(), store.points(3).to_vec());
         let renamed = store.retain(&[false, true, false, true]);
@@ -171,7 +192,7 @@ mod tests {
     fn bounds_what_it_keeps_of_a_huge_scan() {
         let scan = ScanBuffer::from_ranges(&vec![15.0; 100_000], 0.0, std::f64::consts::TAU / 1e5);
         let mut store = ScanStore::default();
-        store.keep(scan.view().unwrap(), Velocity::default(), &Settings::default());
+        store.keep(scan.view().unwrap(), Velocity::default(), &[], &Settings::default());
         let kept = store.points(0).len();
         assert!((POINTS_MAX / 2..=POINTS_MAX).contains(&kept), "{kept}");
     }

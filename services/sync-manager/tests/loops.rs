@@ -171,7 +171,7 @@ fn replay_chains(
         manager.pose(&pose);
         // One scan in seven never arrives with its points: its pose has to be filled in.
         if i % 7 != 3 {
-            manager.node(building.scan(*at, &mut noise).view().unwrap(), &pose);
+            manager.node(building.scan(*at, &mut noise).view().unwrap(), &pose, &[]);
         }
         if i % 60 == 59 {
             headers.push(manager.submap_closed(&SubmapClosed {
@@ -275,7 +275,7 @@ fn what_is_known_well_settles_and_memory_stays_where_it_is() {
     for (i, (at, odom)) in truth.iter().zip(&odom).enumerate() {
         let pose = inserted(i, *odom);
         manager.pose(&pose);
-        manager.node(building.scan(*at, &mut noise).view().unwrap(), &pose);
+        manager.node(building.scan(*at, &mut noise).view().unwrap(), &pose, &[]);
         if i % 60 == 59 {
             let (last, number) = (pose.id, i as u32 / 60);
             manager.submap_closed(&SubmapClosed { last, number, ..SubmapClosed::default() });

@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 
 /// The sections of the page in their order: the name by which `--only` knows them, and the heading.
-pub const SECTIONS: [(&str, &str); 11] = [
+pub const SECTIONS: [(&str, &str); 12] = [
     ("machine", "Machine"),
     ("accuracy", "Accuracy"),
     ("strategies", "Strategies"),
@@ -12,6 +12,7 @@ pub const SECTIONS: [(&str, &str); 11] = [
     ("separation", "Cost of process separation"),
     ("small-computer", "Estimate for a Raspberry Pi 3B+"),
     ("worlds", "Simulated worlds"),
+    ("moving", "Moving world"),
     ("long-run", "Long run"),
 ];
 

@@ -8,6 +8,7 @@ mod front_end;
 mod hop;
 mod long_run;
 mod machine;
+mod moving;
 #[path = "../../support/nees.rs"]
 mod nees;
 mod robustness;
@@ -82,6 +83,7 @@ pub fn generate<E>(plan: &Plan, page: &mut Page, keep: impl Fn(&Page) -> Result<
             "separation" => separation::section(&mut bench),
             "small-computer" => small_computer::section(&mut bench),
             "worlds" => worlds::section(&mut bench),
+            "moving" => moving::section(&mut bench),
             "long-run" => long_run::section(),
             other => unreachable!("{other} is not a section"),
         };

@@ -62,7 +62,7 @@ impl Sectors {
             if let Some(judged) = self.judged.get_mut(header.part as usize).filter(|judged| fits && !**judged)
             {
                 *judged = true;
-                logic.take(header.moving_beams, sample.elements());
+                logic.take(sample.elements());
             }
             header.id.sequence > pose.id.sequence
         });
@@ -113,10 +113,10 @@ impl Helper {
         let Some(scan) = scan.filter(|_| fresh) else { return Ok(true) };
         let logic = &mut self.inputs.logic;
         logic.begin(scan, pose);
-        logic.look(scan, pose, self.inputs.grid.grid(), sector);
-        let (moving_beams, judged) = logic.found();
-        let header = SectorHeader { id: pose.id, generation, moving_beams, ..self.header };
-        self.findings.send_with(&header, judged.len(), |to| to.copy_from_slice(judged))?;
+        logic.look(pose, self.inputs.grid.grid(), sector);
+        let found = logic.found();
+        let header = SectorHeader { id: pose.id, generation, ..self.header };
+        self.findings.send_with(&header, found.len(), |to| to.copy_from_slice(found))?;
         self.first.ring();
         context.handled(pose.id.sequence, started_ns, pose.times.monotonic_ns);
         Ok(true)

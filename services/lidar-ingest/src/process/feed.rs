@@ -1,6 +1,8 @@
+use super::bag::{BagError, BagReader, is_bag};
 use super::pipe::{Pipe, Piped};
 use super::truth::TruthWriter;
 use super::{Source, Task, first_stages, world_file};
+use crate::Settings;
 use crate::carmen::{CarmenReader, Tally};
 use crate::experiment::Experiment;
 use crate::simulation::{Simulation, World};
@@ -18,6 +20,7 @@ pub struct Feed {
 
 enum Kind {
     Log(Box<CarmenReader<BufReader<File>>>),
+    Bag(Box<BagReader>),
     Pipe(Pipe),
     Simulation { simulation: Box<Simulation>, truth: TruthWriter },
     Nothing,
@@ -40,6 +43,10 @@ impl Feed {
     /// Opens the source.
     pub fn open(context: &StageContext, task: &Task) -> Result<Self, StageError> {
         let (kind, expected) = match &task.source {
+            Source::Log(path) if is_bag(path) => {
+                let reader = BagReader::open(path, task.settings.clone()).map_err(of_bag)?;
+                (Kind::Bag(Box::new(reader)), count_scans(path)?)
+            }
             Source::Log(path) => {
                 let expected = count_scans(path)?;
                 let reader = BufReader::with_capacity(BUFFER_BYTES, open(path)?);
@@ -89,6 +96,10 @@ impl Feed {
                     Fed::End
                 }
             }
+            Kind::Bag(reader) => match reader.next_scan(scan).map_err(of_bag)? {
+                true => Fed::Scan,
+                false => Fed::End,
+            },
             Kind::Pipe(pipe) => match pipe.take()? {
                 Piped::Scan(piped) => {
                     *scan = piped;
@@ -116,6 +127,7 @@ impl Feed {
     pub fn tally(&self) -> Option<Tally> {
         match &self.kind {
             Kind::Log(reader) => Some(reader.tally().clone()),
+            Kind::Bag(reader) => Some(reader.tally().clone()),
             Kind::Pipe(pipe) => Some(pipe.tally()),
             Kind::Simulation { .. } | Kind::Nothing => None,
         }
@@ -134,11 +146,21 @@ fn open(path: &Path) -> Result<File, StageError> {
     File::open(path).map_err(|error| StageError::Source(format!("{}: {error}", path.display())))
 }
 
-/// Scan lines of a log: what experiments spread their events over, and what progress is measured against.
+fn of_bag(error: BagError) -> StageError {
+    StageError::Source(error.to_string())
+}
+
+/// Scans of a log (of a bag: read to its end): what experiments spread their events over, and what progress is measured against.
 ///
 /// # Errors
 /// When the file cannot be read.
 pub fn count_scans(path: &Path) -> Result<u64, StageError> {
+    if is_bag(path) {
+        let mut reader = BagReader::open(path, Settings::default()).map_err(of_bag)?;
+        let mut scan = ScanBuffer::default();
+        while reader.next_scan(&mut scan).map_err(of_bag)? {}
+        return Ok(reader.tally().scans);
+    }
     let mut reader = BufReader::with_capacity(BUFFER_BYTES, open(path)?);
     let unreadable = |error| StageError::Source(format!("{}: {error}", path.display()));
     let (mut scans, mut line_begins) = (0, true);

@@ -82,6 +82,11 @@ impl Drive {
         &self.turn
     }
 
+    /// The motion during the turn that was driven last.
+    pub(super) fn last_turn(&self) -> &Turn {
+        &self.turn
+    }
+
     /// The next point of the way that is not reached yet.
     fn target(&mut self) -> Point {
         loop {

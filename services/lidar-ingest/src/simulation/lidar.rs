@@ -66,6 +66,11 @@ impl Lidar {
         }
     }
 
+    /// Its pose on the robot, `base_from_laser`.
+    pub(super) fn mount(&self) -> Pose {
+        self.mount
+    }
+
     /// What each beam of the last scan ended on.
     pub(super) fn labels(&self) -> &[BeamLabel] {
         &self.labels

@@ -12,6 +12,7 @@ mod drawing;
 mod drive;
 mod dynamics;
 mod floor_plan;
+mod ground_truth;
 mod image;
 mod index;
 mod label;
@@ -24,6 +25,7 @@ mod wheels;
 mod world;
 
 pub use dynamics::MoverTruth;
+pub use ground_truth::{CellTruth, GroundTruth};
 pub use image::{ImageWorld, SimulationError};
 pub use label::BeamLabel;
 pub use settings::{Settings, WorldName};
@@ -32,7 +34,7 @@ pub use world::World;
 use crate::random::Random;
 use drive::Drive;
 use dynamics::Dynamics;
-use flockslam_geometry::Pose;
+use flockslam_geometry::{Pose, Twist};
 use flockslam_messages::{ScanBuffer, ScanId, Times};
 use lidar::Lidar;
 use wheels::Wheels;
@@ -113,6 +115,16 @@ impl Simulation {
     /// What each beam of the last scan ended on: exact, for measurements. No message carries it.
     pub fn labels(&self) -> &[BeamLabel] {
         self.lidar.labels()
+    }
+
+    /// The robot's exact velocity at the last scan's stamp.
+    pub fn twist(&self) -> Twist {
+        self.drive.last_turn().twists().next().unwrap_or_default()
+    }
+
+    /// Exact pose `world_from_laser`, so many seconds after the last scan's stamp.
+    pub fn laser_at(&self, seconds: f64) -> Pose {
+        self.drive.last_turn().pose_after(seconds) * self.lidar.mount()
     }
 
     /// Who moved, and how, at the last scan's stamp: exact, for measurements. No message carries it.

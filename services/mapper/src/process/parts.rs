@@ -1,14 +1,12 @@
-//! The map kept by several processes, each with its share of the tiles.
+//! The map told of by several processes, each with its share of the tiles.
 
-use crate::{Mapper, TileShare};
+use crate::TileShare;
 use flockslam_bus::{BellRinger, Publisher, Subscriber};
-use flockslam_evidence::Submap;
 use flockslam_messages::{PartInserted, PoseEstimate, Stage};
-use flockslam_stage::{StageContext, StageError, SubmapStore};
-use std::collections::VecDeque;
+use flockslam_stage::{StageContext, StageError};
 
-/// What one of several mappers knows of the others. The first speaks for all: it commits a scan when every one has sent its tiles,
-/// and puts closed submaps together from the parts that the others store.
+/// What one of several mappers knows of the others. Each knows the whole map and sends its share of the tiles; the first speaks for
+/// all: it commits a scan when every one has sent its tiles, and stores closed submaps.
 pub(super) struct Parts {
     part: u32,
     parts: u32,
@@ -19,8 +17,6 @@ pub(super) struct Parts {
     inserted: Vec<(u64, u32)>,
     /// Shares all of whose tiles were sent once more since the last look.
     republished: u32,
-    /// Closed submaps of which parts are missing, oldest first.
-    unmerged: VecDeque<Submap>,
 }
 
 impl Parts {
@@ -34,7 +30,6 @@ impl Parts {
             first: bus.ringer(Stage::Mapper.name())?,
             inserted: vec![(0, 0); parts as usize],
             republished: 0,
-            unmerged: VecDeque::new(),
         })
     }
 
@@ -63,13 +58,6 @@ impl Parts {
         Ok(())
     }
 
-    /// Lets the first mapper look what there is.
-    pub fn ring_first(&self) {
-        if !self.is_first() {
-            self.first.ring();
-        }
-    }
-
     /// Hears of the others.
     pub fn drain(&mut self) -> Result<(), StageError> {
         while let Some(told) = self.others.receive()? {
@@ -93,34 +81,5 @@ impl Parts {
     /// How many others have sent all their tiles once more since the last call.
     pub fn take_republished(&mut self) -> u32 {
         std::mem::take(&mut self.republished)
-    }
-
-    /// Takes in a submap that was closed here.
-    pub fn closed(&mut self, submap: Submap, store: &SubmapStore) -> Result<(), StageError> {
-        if !self.is_first() {
-            return store.save_part(&submap, self.part, self.parts);
-        }
-        self.unmerged.push_back(submap);
-        Ok(())
-    }
-
-    /// The next closed submap that is whole.
-    pub fn next_whole(
-        &mut self,
-        store: &SubmapStore,
-        logic: &mut Mapper,
-    ) -> Result<Option<Submap>, StageError> {
-        let Some(oldest) = self.unmerged.front() else { return Ok(None) };
-        let Some(others) = store.load_parts(oldest.number, self.parts)? else { return Ok(None) };
-        let Some(mut submap) = self.unmerged.pop_front() else { return Ok(None) };
-        logic.complete(submap.number, &others);
-        submap.tiles.extend(others);
-        submap.tiles.sort_unstable_by_key(|tile| tile.key);
-        Ok(Some(submap))
-    }
-
-    /// Whether closed submaps wait for parts.
-    pub fn waits_for_parts(&self) -> bool {
-        !self.unmerged.is_empty()
     }
 }

@@ -7,8 +7,8 @@ use flockslam_evidence::Level;
 use flockslam_geometry::{Covariance, Pose};
 use flockslam_messages::{Quality, ScanView};
 use flockslam_registration::{
-    Fit, Moving, ScoreField, ScoreRead, Sweep, TwistSigma, Window, beam_weight, least_held, roughened,
-    widened,
+    Expected, Fit, Moving, ScoreField, ScoreRead, Sweep, TwistSigma, Window, beam_weight, least_held,
+    roughened, widened,
 };
 use nalgebra::Vector2;
 
@@ -151,7 +151,8 @@ impl ScanMatcher {
     fn refine<F: ScoreField>(&mut self, field: &F, prediction: Pose, start: Pose) -> Fit {
         let points = &self.points;
         if self.settings.strategy == Strategy::Ndt {
-            let pose = self.ndt.fit(&self.settings.ndt, field, points, prediction, start);
+            let expected = Expected { pose: prediction, from: Some(self.motion.pose.position()) };
+            let pose = self.ndt.fit(&self.settings.ndt, field, points, expected, start);
             return Fit::at(field, points, pose.unwrap_or(start));
         }
         self.settings.gauss_newton.fit(field, points, prediction, start)

@@ -1,0 +1,112 @@
+use crate::CellIndex;
+
+/// Places in a set of the table.
+const WAYS: usize = 4;
+/// Sets of the table, a power of two.
+const SETS: usize = 1 << 13;
+
+/// Remembers something about a bounded number of cells.
+///
+/// A table of fixed size in sets of four places. When a set is full, what was touched longest ago gives way: memory stays
+/// bounded, and what is forgotten does not depend on anything but the calls.
+#[derive(Clone, Debug)]
+pub struct CellTable<T> {
+    places: Vec<Place<T>>,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Place<T> {
+    cell: CellIndex,
+    /// When it was touched last; 0: the place is free.
+    touched: u32,
+    value: T,
+}
+
+impl<T: Copy + Default> CellTable<T> {
+    /// An empty table. All the memory that it will ever need is taken now.
+    pub fn new() -> Self {
+        Self { places: vec![Place::default(); SETS * WAYS] }
+    }
+
+    /// What is remembered of a cell – of one that is not in the table the default – and touches it at `now`, which must be
+    /// positive and should never decrease.
+    pub fn touch(&mut self, cell: CellIndex, now: u32) -> &mut T {
+        let set = self.set_of(cell);
+        let place = match set.iter().position(|place| place.is_of(cell)) {
+            Some(index) => &mut set[index],
+            None => {
+                let oldest = set.iter_mut().min_by_key(|place| place.touched).expect("a set has places");
+                *oldest = Place { cell, ..Place::default() };
+                oldest
+            }
+        };
+        place.touched = now.max(1);
+        &mut place.value
+    }
+
+    /// Forgets a cell.
+    pub fn forget(&mut self, cell: CellIndex) {
+        if let Some(place) = self.set_of(cell).iter_mut().find(|place| place.is_of(cell)) {
+            *place = Place::default();
+        }
+    }
+
+    fn set_of(&mut self, cell: CellIndex) -> &mut [Place<T>] {
+        let mixed = (cell.x as u32).wrapping_mul(0x9e37_79b1) ^ (cell.y as u32).wrapping_mul(0x85eb_ca77);
+        let set = (mixed ^ (mixed >> 15)) as usize & (SETS - 1);
+        &mut self.places[set * WAYS..(set + 1) * WAYS]
+    }
+}
+
+impl<T: Copy + Default> Default for CellTable<T> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<T> Place<T> {
+    fn is_of(&self, cell: CellIndex) -> bool {
+        self.touched > 0 && self.cell == cell
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::collections::BTreeMap;
+
+    proptest! {
+        #[test]
+        fn a_table_that_is_not_full_remembers_like_a_map(
+            calls in prop::collection::vec((-40..40_i32, -40..40_i32, any::<bool>()), 0..300)
+        ) {
+            let (mut table, mut model) = (CellTable::<u32>::new(), BTreeMap::new());
+            for (now, (x, y, forgets)) in (1..).zip(calls) {
+                let cell = CellIndex::new(x, y);
+                if forgets {
+                    table.forget(cell);
+                    model.remove(&cell);
+                } else {
+                    let count: &mut u32 = model.entry(cell).or_default();
+                    *count += 1;
+                    let known = table.touch(cell, now);
+                    *known += 1;
+                    prop_assert_eq!(known, count);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_full_table_forgets_but_does_not_grow() {
+        let mut table = CellTable::<u8>::new();
+        let size = table.places.len();
+        for i in 0..200_000 {
+            let known = table.touch(CellIndex::new(i, i / 7), 1 + i as u32);
+            assert_eq!(*known, 0);
+            *known = 1;
+        }
+        assert_eq!(table.places.len(), size);
+    }
+}

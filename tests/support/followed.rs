@@ -1,0 +1,145 @@
+//! What becomes of the tracks of people in simulated drives, stage by stage in one process with the true poses.
+
+use flockslam_dynamic_cleaner::DynamicCleaner;
+use flockslam_evidence::{Tile, TileGrid};
+use flockslam_geometry::{Covariance, Pose};
+use flockslam_lidar_ingest::simulation::{MoverTruth, Settings, Simulation, World};
+use flockslam_mapper::Mapper;
+use flockslam_messages::{PoseEstimate, PoseFlags, ScanBuffer, ScanView, Track};
+use std::collections::BTreeMap;
+
+/// A track belongs to somebody this near, metres.
+const NEAR_M: f64 = 0.5;
+/// Velocities are judged after so many seconds of view.
+const SETTLED_S: f64 = 1.0;
+/// Whoever is out of sight for so long, seconds, is hidden by something; after the longer time a new name is no mistake.
+const HIDDEN_S: (f64, f64) = (0.3, 1.0);
+
+/// Mapper and cleaner with the true poses.
+struct Robot {
+    mapper: Mapper,
+    cleaner: DynamicCleaner,
+    grid: TileGrid<Box<Tile>>,
+    inserted: Option<Pose>,
+}
+
+impl Robot {
+    fn new() -> Self {
+        let settings = flockslam_mapper::Settings::default();
+        Self {
+            grid: TileGrid::new(settings.cell_size_m),
+            mapper: Mapper::new(settings),
+            cleaner: DynamicCleaner::new(flockslam_dynamic_cleaner::Settings::default()),
+            inserted: None,
+        }
+    }
+
+    fn step(&mut self, scan: ScanView<'_>, truth: Pose, twist: flockslam_geometry::Twist) -> Vec<Track> {
+        let pose = PoseEstimate {
+            id: scan.header().id,
+            times: scan.header().times,
+            odom_from_base: truth,
+            covariance: Covariance::diagonal(0.01, 0.003),
+            twist,
+            flags: PoseFlags::MATCHED,
+            ..PoseEstimate::default()
+        };
+        let tracks = self.cleaner.watch(scan, &pose, &self.grid).to_vec();
+        if self.inserted.is_none_or(|last| last.distance_m(truth) >= 0.2 || last.turn_rad(truth) >= 0.35) {
+            self.inserted = Some(truth);
+            let marks = self.cleaner.handle(scan, &pose, &self.grid);
+            let insertion = self.mapper.insert(scan, &pose, marks.cleared);
+            let (changed, retired) = (insertion.changed.to_vec(), insertion.retired.to_vec());
+            retired.into_iter().for_each(|key| drop(self.grid.remove(key)));
+            for key in changed {
+                let mut tile = self.grid.remove(key).unwrap_or_else(|| Tile::unknown(0));
+                self.mapper.write_tile(key, &mut tile);
+                let _ = self.grid.set(key, tile);
+            }
+        }
+        tracks
+    }
+}
+
+/// What became of the tracks of a drive.
+#[derive(Debug, Default)]
+pub struct TrackFigures {
+    squared_m2: f64,
+    pub positions: usize,
+    speed_errors_m_s: f64,
+    speeds: usize,
+    /// Tracks in sight that are nobody's.
+    pub nobodys: usize,
+    /// How often somebody was hidden for up to a second, and how often the name was the same afterwards.
+    pub hidden: usize,
+    pub recognised: usize,
+    /// By who it is: the name last given, and when.
+    names: BTreeMap<u32, (u64, f64)>,
+}
+
+impl TrackFigures {
+    fn take(&mut self, now_s: f64, tracks: &[Track], movers: &[MoverTruth]) {
+        for track in tracks.iter().filter(|track| track.unseen_s == 0.0) {
+            let off_m = |mover: &&MoverTruth| mover.center.distance_m(track.position);
+            let nearest = movers.iter().min_by(|a, b| off_m(a).total_cmp(&off_m(b)));
+            let Some(mover) = nearest.filter(|mover| off_m(mover) < NEAR_M) else {
+                self.nobodys += 1;
+                continue;
+            };
+            self.squared_m2 += off_m(&mover).powi(2);
+            self.positions += 1;
+            if track.age_s > SETTLED_S {
+                let speeds = [mover.velocity_m_s.norm_m(), track.velocity_m_s.norm_m()];
+                self.speed_errors_m_s += (speeds[0] - speeds[1]).abs();
+                self.speeds += 1;
+            }
+            if let Some((name, last_s)) = self.names.insert(mover.id, (track.id, now_s)) {
+                let gap_s = now_s - last_s;
+                if (HIDDEN_S.0..=HIDDEN_S.1 + 0.05).contains(&gap_s) {
+                    self.hidden += 1;
+                    self.recognised += usize::from(name == track.id);
+                }
+            }
+        }
+    }
+}
+
+/// A drive among six people.
+fn drive(seed: u64) -> TrackFigures {
+    let settings = Settings { seed, walkers: 6, duration_s: 150.0, ..Settings::default() };
+    let mut simulation = Simulation::new(&settings, World::floor_plan()).unwrap();
+    let (mut robot, mut figures, mut scan) = (Robot::new(), TrackFigures::default(), ScanBuffer::default());
+    while let Some(truth) = simulation.next_scan(&mut scan) {
+        let view = scan.view().unwrap();
+        let tracks = robot.step(view, truth, simulation.twist());
+        let movers: Vec<MoverTruth> = simulation.movers().collect();
+        figures.take(scan.header.times.sensor_ns as f64 * 1e-9, &tracks, &movers);
+    }
+    figures
+}
+
+impl TrackFigures {
+    /// Figures of drives with these seeds together.
+    pub fn of_drives(seeds: impl IntoIterator<Item = u64>) -> Self {
+        seeds.into_iter().map(drive).fold(Self::default(), |mut all, one| {
+            all.squared_m2 += one.squared_m2;
+            all.positions += one.positions;
+            all.speed_errors_m_s += one.speed_errors_m_s;
+            all.speeds += one.speeds;
+            all.hidden += one.hidden;
+            all.recognised += one.recognised;
+            all.nobodys += one.nobodys;
+            all
+        })
+    }
+
+    /// Root mean square error of the middle of a body, metres.
+    pub fn rmse_m(&self) -> f64 {
+        (self.squared_m2 / self.positions.max(1) as f64).sqrt()
+    }
+
+    /// Mean error of the speed after a second of view, m/s.
+    pub fn speed_error_m_s(&self) -> f64 {
+        self.speed_errors_m_s / self.speeds.max(1) as f64
+    }
+}

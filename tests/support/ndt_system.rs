@@ -1,0 +1,88 @@
+//! The profile `ndt` in one process.
+
+use super::experiments::Experiment;
+use flockslam::configuration::{Configuration, Profile};
+use flockslam_dynamic_cleaner::DynamicCleaner;
+use flockslam_evidence::{Tile, TileGrid};
+use flockslam_geometry::{Pose, wrap_angle};
+use flockslam_mapper::Mapper;
+use flockslam_messages::{Commit, ScanBuffer, Verdict};
+use flockslam_scan_matcher::ScanMatcher;
+use std::time::{Duration, Instant};
+
+/// The profile's logic, stage by stage in one process.
+pub struct NdtSystem {
+    matcher: ScanMatcher,
+    cleaner: DynamicCleaner,
+    mapper: Mapper,
+    grid: TileGrid<Box<Tile>>,
+    /// Time in each of the three.
+    times: [Duration; 3],
+}
+
+impl NdtSystem {
+    /// The profile with nothing seen.
+    pub fn new(configuration: &Configuration) -> Self {
+        Self {
+            matcher: ScanMatcher::new(configuration.scan_matcher.clone()),
+            cleaner: DynamicCleaner::new(configuration.dynamic_cleaner.clone()),
+            grid: TileGrid::new(configuration.mapper.cell_size_m),
+            mapper: Mapper::new(configuration.mapper.clone()),
+            times: [Duration::ZERO; 3],
+        }
+    }
+
+    /// Takes in a scan; gives its pose.
+    pub fn step(&mut self, scan: &ScanBuffer) -> Pose {
+        let (view, id) = (scan.view().unwrap(), scan.header.id);
+        let starts = Instant::now();
+        let pose = self.matcher.handle(view, &Verdict { id, keep: 1, ..Verdict::default() }, &self.grid);
+        let matched = Instant::now();
+        let marks = self.cleaner.handle(view, &pose, &self.grid);
+        let cleaned = Instant::now();
+        let insertion = self.mapper.insert(view, &pose, marks.cleared);
+        let mapped = Instant::now();
+        let generation = insertion.generation;
+        let changed = insertion.changed.to_vec();
+        for key in changed {
+            let mut tile = self.grid.remove(key).unwrap_or_else(|| Tile::unknown(0));
+            self.mapper.write_tile(key, &mut tile);
+            self.grid.set(key, tile).unwrap();
+        }
+        self.matcher.committed(&Commit { id, generation, ..Commit::default() });
+        let spent = [matched - starts, cleaned - matched, mapped - cleaned];
+        self.times.iter_mut().zip(spent).for_each(|(time, spent)| *time += spent);
+        pose.odom_from_base
+    }
+}
+
+/// Milliseconds that the logic of the profile takes to match, clean and map a scan of an experiment; mean.
+pub fn ndt_cost_ms(experiment: &Experiment) -> [f64; 3] {
+    let configuration = Configuration::of_profile(Profile::Ndt);
+    let (mut times, rounds) = ([0.0; 3], 20);
+    for _ in 0..rounds {
+        let mut system = NdtSystem::new(&configuration);
+        for scan in &experiment.scans {
+            system.step(scan);
+        }
+        times.iter_mut().zip(system.times).for_each(|(sum, time)| *sum += time.as_secs_f64());
+    }
+    times.map(|seconds| 1e3 * seconds / f64::from(rounds) / experiment.scans.len() as f64)
+}
+
+/// Each of the moves between scans as the profile finds it, against the true one: metres and degrees.
+pub fn ndt_errors(experiment: &Experiment) -> Vec<(f64, f64)> {
+    let mut system = NdtSystem::new(&Configuration::of_profile(Profile::Ndt));
+    let poses: Vec<Pose> = experiment.scans.iter().map(|scan| system.step(scan)).collect();
+    errors(&poses, &experiment.truth)
+}
+
+/// Each of the moves as it was found, against the true one: metres and degrees.
+pub fn errors(poses: &[Pose], truth: &[Pose]) -> Vec<(f64, f64)> {
+    let moves = |poses: &[Pose]| poses.windows(2).map(|pair| pair[0].to(pair[1])).collect::<Vec<_>>();
+    let off = |(found, wanted): (Pose, Pose)| {
+        let turn_rad = wrap_angle(found.heading_rad - wanted.heading_rad).abs();
+        (found.distance_m(wanted), turn_rad.to_degrees())
+    };
+    moves(poses).into_iter().zip(moves(truth)).map(off).collect()
+}
