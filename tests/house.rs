@@ -9,10 +9,11 @@ use std::process::Command;
 use support::repository;
 
 /// Crates that others may import, lowest layer first; an import goes to a lower layer only.
-const LIBRARIES: [(&str, u32); 8] = [
+const LIBRARIES: [(&str, u32); 9] = [
     ("geometry", 0),
     ("evidence", 1),
     ("messages", 2),
+    ("records", 2),
     ("bus", 3),
     ("journal", 3),
     ("telemetry", 3),
