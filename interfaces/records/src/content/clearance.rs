@@ -14,7 +14,7 @@ pub struct Clearance {
     /// Which tile of it.
     pub tile: TileKey,
     /// The cells, one bit each, row by row.
-    pub rows: [u64; TILE_SIDE],
+    pub rows: Box<[u64; TILE_SIDE]>,
 }
 
 impl Clearance {
@@ -35,7 +35,7 @@ impl Clearance {
         let x = i32::try_from(input.signed()?).map_err(wrong)?;
         let y = i32::try_from(input.signed()?).map_err(wrong)?;
         let listed = input.u64()?;
-        let mut rows = [0; TILE_SIDE];
+        let mut rows = Box::new([0; TILE_SIDE]);
         for (_, row) in rows.iter_mut().enumerate().filter(|(number, _)| listed >> number & 1 == 1) {
             *row = input.u64()?;
             if *row == 0 {

@@ -4,6 +4,8 @@ use flockslam_geometry::Pose;
 
 /// Widest window that a constraint can have been found in, metres.
 const REACH_MAX_M: f32 = 1e4;
+/// Nobody knows how places lie to each other better than 1 cm and 1 cm a metre.
+const INFORMATION_MAX: f64 = 1.01e4;
 
 /// A node of somebody's pose graph: the scan with this sequence.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -68,18 +70,16 @@ impl Constraint {
         if !usual(reach_m) || !usual(shift_m) || from == to {
             return Err(RecordError::Malformed("where a constraint was looked for"));
         }
-        if !is_information(&information) {
+        if !is_information(&information, INFORMATION_MAX) {
             return Err(RecordError::Malformed("information of a motion"));
         }
         Ok(Self { from, to, motion, information, reach_m, shift_m })
     }
 }
 
-/// Whether this is the upper triangle of a positive definite matrix of reasonable size: nobody is more certain than 1 mm and
-/// 1 mrad.
-pub fn is_information(m: &[f32; 6]) -> bool {
+/// Whether this is the upper triangle of a positive definite matrix with no element on its diagonal above `largest`.
+pub fn is_information(m: &[f32; 6], largest: f64) -> bool {
     let [a, b, c, d, e, f] = m.map(f64::from);
-    let largest = 1.1e6;
     let bounded = m.iter().all(|v| v.is_finite()) && [a, d, f].iter().all(|v| (0.0..=largest).contains(v));
     let (first, second) = (a, a * d - b * b);
     let third = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d);

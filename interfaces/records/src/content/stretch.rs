@@ -7,6 +7,8 @@ use flockslam_geometry::Pose;
 const NODES_MAX: usize = 128;
 /// Most points of a node.
 const POINTS_MAX: usize = 720;
+/// A motion between nodes is known to a millimetre at best, and its turn by points 20 m away.
+const INFORMATION_MAX: f64 = 1e8;
 /// Bins of a descriptor: ranges up to 16 m, half a metre each.
 const BINS: usize = 32;
 const BIN_M: f64 = 0.5;
@@ -126,7 +128,7 @@ impl RecordedNode {
             *value = input.f32()?;
         }
         let doubt_m = input.f32()?;
-        if !is_information(&information) || !(0.0..=1e7).contains(&doubt_m) {
+        if !is_information(&information, INFORMATION_MAX) || !(0.0..=1e7).contains(&doubt_m) {
             return Err(RecordError::Malformed("information of a motion"));
         }
         let count = input.count("points of a node", POINTS_MAX, 2)?;
