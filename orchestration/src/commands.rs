@@ -5,11 +5,13 @@ pub mod config;
 pub mod control;
 pub mod demo;
 pub mod evaluate;
+mod join;
 pub mod map;
 mod progress_bar;
 mod run;
 pub mod stage;
 pub mod store;
+pub mod swarm;
 pub mod up;
 
 use crate::configuration::ConfigurationError;

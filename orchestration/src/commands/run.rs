@@ -2,6 +2,7 @@
 
 use super::CommandError;
 use super::accounting::{SharedMemoryPeak, sum_up};
+use super::join::Member;
 use super::progress_bar::RunProgress;
 use crate::cli::RunArgs;
 use crate::configuration::Configuration;
@@ -53,6 +54,8 @@ pub struct Outcome {
     pub refined: Option<Vec<TrajectoryPoint>>,
     /// The exact trajectory, when the source knows it.
     pub truth: Option<Vec<StampedPose>>,
+    /// What the robot tells its flock, when it has one.
+    pub member: Option<Member>,
 }
 
 /// Runs a process set over a source and writes all outputs.
@@ -250,7 +253,10 @@ pub(super) fn write_outputs(out: &Path, run: &Finished<'_>) -> Result<Outcome, C
     let report = report(run, &summary, &map, &last, map_hash)?;
     write_report(&out.join("report.json"), &report).map_err(CommandError::failed)?;
     let truth = results::read_trajectory(&directory, results::TRUE_TRAJECTORY).ok();
-    Ok(Outcome { report, last, online, refined, truth })
+    let flock = &run.configuration.sync_manager.flock;
+    let member = if flock.name.is_empty() { None } else { Some(Member::read(&flock.name, &directory)) };
+    let member = member.transpose().map_err(CommandError::failed)?;
+    Ok(Outcome { report, last, online, refined, truth, member })
 }
 
 fn remove_file(path: &Path) -> Result<(), StageError> {
@@ -282,7 +288,7 @@ pub fn points(rows: &[StampedPose]) -> Vec<TrajectoryPoint> {
 }
 
 /// The map as navigation reads it: thresholds as in nav2, on p/(p+q).
-fn occupancy(map: &StoredMap) -> OccupancyImage {
+pub(super) fn occupancy(map: &StoredMap) -> OccupancyImage {
     let state = |cell: &flockslam_evidence::Cell| match cell.masses().occupancy() {
         Some(occupancy) if occupancy > 0.65 => CellState::Occupied,
         Some(occupancy) if occupancy < 0.25 => CellState::Free,

@@ -1,9 +1,10 @@
 //! `flockslam store`: saved maps are checked, saved, loaded and exported.
 
 use super::control::{choose, order};
+use super::join::{join, member_configuration};
 use super::run::{Run, run as run_set, summary};
 use super::{CommandError, say};
-use crate::cli::{ExportArgs, MapDirArgs, MapOrderArgs, RunArgs, StoreCommand};
+use crate::cli::{ExportArgs, MapDirArgs, MapOrderArgs, MergeArgs, RunArgs, StoreCommand};
 use crate::store::{SavedMap, StoreError};
 use crate::supervisor::Request;
 use flockslam_lidar_ingest::process::Source;
@@ -19,6 +20,7 @@ pub fn run(command: &StoreCommand) -> Result<(), CommandError> {
         StoreCommand::Save(args) => give(args, Request::Save),
         StoreCommand::Load(args) => give(args, Request::Load),
         StoreCommand::Export(args) => export(args),
+        StoreCommand::Merge(args) => merge(args),
     }
 }
 
@@ -59,6 +61,28 @@ fn export(args: &ExportArgs) -> Result<(), CommandError> {
     let run = Run { source: Source::Nothing, world: None, scans: None, refine: false, continues: Some(map) };
     let outcome = run_set(&run_args, run)?;
     say(&summary(&args.out, &outcome.report));
+    Ok(())
+}
+
+/// Each map becomes a robot, by a run without a source; then these meet.
+fn merge(args: &MergeArgs) -> Result<(), CommandError> {
+    let maps: Vec<SavedMap> = args.directories.iter().map(|d| existing(d)).collect::<Result<_, _>>()?;
+    let mut members = Vec::new();
+    for (number, map) in (1..).zip(maps) {
+        let run_args = RunArgs {
+            out: args.out.join(format!("map-{number}")),
+            rate: None,
+            live: false,
+            robot: None,
+            metrics_port: None,
+            configuration: member_configuration(&args.configuration, &format!("map-{number:03}")),
+        };
+        let run =
+            Run { source: Source::Nothing, world: None, scans: None, refine: false, continues: Some(map) };
+        members.extend(run_set(&run_args, run)?.member);
+    }
+    let joined = join(&args.out, &args.configuration, members)?;
+    say(&joined.summary(&args.out));
     Ok(())
 }
 

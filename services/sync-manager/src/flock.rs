@@ -6,6 +6,7 @@
 //! records alone, whatever the order in which they came.
 
 mod atlas;
+mod fused;
 mod layout;
 mod member;
 mod search;
@@ -14,6 +15,7 @@ mod trajectory;
 
 pub use crate::manager::{News, OwnLoop};
 pub use atlas::Atlas;
+pub use fused::FlockMap;
 pub use layout::{FlockLayout, PlacedNode, PlacedRecord};
 pub use member::Flock;
 pub use trajectory::{Carried, carried};

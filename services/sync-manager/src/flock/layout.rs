@@ -181,10 +181,10 @@ impl Atlas {
         }
         let largest = sizes.iter().max_by_key(|(part, size)| (**size, std::cmp::Reverse(**part)));
         layout.main_part = largest.map_or(0, |(part, _)| *part);
-        for (closure, acts) in self.closures.iter().zip(&solved.in_force).filter(|(c, _)| self.is_across(c)) {
-            let _ = closure;
-            if *acts { layout.across.0 += 1 } else { layout.across.1 += 1 }
-        }
+        let across =
+            self.closures.iter().zip(&solved.in_force).filter(|(closure, _)| self.is_across(closure));
+        let (acting, other): (Vec<_>, Vec<_>) = across.partition(|(_, acts)| **acts);
+        layout.across = (acting.len() as u64, other.len() as u64);
         layout
     }
 }
