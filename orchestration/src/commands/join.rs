@@ -6,6 +6,7 @@ use super::run::occupancy;
 use crate::cli::ConfigurationArgs;
 use crate::configuration::Configuration;
 use crate::outputs::{TrajectoryPoint, map_hash, write_flock_picture, write_map, write_trajectory};
+use clap::ValueEnum;
 use flockslam_geometry::Pose;
 use flockslam_journal::{Durability, replace_file};
 use flockslam_records::{Limits, Message, RobotKey};
@@ -14,7 +15,9 @@ use flockslam_stage::flock_files::{NamedPose, OWN_NODES, OWN_SCANS, RecordLog, r
 use flockslam_stage::results::StoredMap;
 use flockslam_sync_manager::flock::{Carried, Flock, FlockLayout, carried};
 use serde::Serialize;
+use std::ffi::OsStr;
 use std::path::Path;
+use std::process::{Command, Stdio};
 use std::time::Instant;
 
 /// Records that a robot sends in answer to one message, bytes.
@@ -53,11 +56,36 @@ impl Member {
     }
 }
 
-/// The configuration of a robot of this name in a flock.
-pub fn member_configuration(given: &ConfigurationArgs, name: &str) -> ConfigurationArgs {
-    let mut configuration = given.clone();
-    configuration.assignments.push(format!("sync_manager.flock.name=\"{name}\""));
-    configuration
+/// Runs a robot of this name as a process set of its own – one to a supervisor – and gives what it has recorded. `command` is the
+/// command that it runs, without outputs and configuration.
+///
+/// # Errors
+/// When it fails: what it says goes to the standard error.
+pub fn run_member(
+    command: &[&OsStr],
+    given: &ConfigurationArgs,
+    name: &str,
+    out: &Path,
+) -> Result<Member, CommandError> {
+    let program = std::env::current_exe().map_err(CommandError::failed)?;
+    let mut child = Command::new(program);
+    child.args(command).arg("--out").arg(out);
+    if let Some(config) = &given.config {
+        child.arg("--config").arg(config);
+    }
+    if let Some(profile) = given.profile.to_possible_value() {
+        child.args(["--profile", profile.get_name()]);
+    }
+    for assignment in &given.assignments {
+        child.args(["--set", assignment]);
+    }
+    child.args(["--set", &format!("sync_manager.flock.name=\"{name}\"")]).stdout(Stdio::null());
+    let status = child.status().map_err(CommandError::failed)?;
+    match status.code() {
+        Some(0) => Member::read(name, out).map_err(CommandError::failed),
+        Some(2) => Err(CommandError::user(format!("robot {name} cannot run"))),
+        _ => Err(CommandError::failed(format!("robot {name} has failed ({status})"))),
+    }
 }
 
 /// What became of a meeting, as written to `flock.json`.

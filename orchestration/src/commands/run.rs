@@ -2,7 +2,6 @@
 
 use super::CommandError;
 use super::accounting::{SharedMemoryPeak, sum_up};
-use super::join::Member;
 use super::progress_bar::RunProgress;
 use crate::cli::RunArgs;
 use crate::configuration::Configuration;
@@ -17,6 +16,7 @@ use flockslam_bus::RuntimeDir;
 use flockslam_lidar_ingest::process::Source;
 use flockslam_messages::Stage;
 use flockslam_scan_matcher::process::LOST;
+use flockslam_stage::flock_files;
 use flockslam_stage::results::{self, StampedPose, StoredMap, Summary};
 use flockslam_stage::{MemoryUse, Mode, StageError, SubmapStore, metrics_socket, read_reports};
 use flockslam_telemetry::{LatencyHistogram, MetricsEndpoint, merge_expositions, scrape};
@@ -54,8 +54,6 @@ pub struct Outcome {
     pub refined: Option<Vec<TrajectoryPoint>>,
     /// The exact trajectory, when the source knows it.
     pub truth: Option<Vec<StampedPose>>,
-    /// What the robot tells its flock, when it has one.
-    pub member: Option<Member>,
 }
 
 /// Runs a process set over a source and writes all outputs.
@@ -253,10 +251,10 @@ pub(super) fn write_outputs(out: &Path, run: &Finished<'_>) -> Result<Outcome, C
     let report = report(run, &summary, &map, &last, map_hash)?;
     write_report(&out.join("report.json"), &report).map_err(CommandError::failed)?;
     let truth = results::read_trajectory(&directory, results::TRUE_TRAJECTORY).ok();
-    let flock = &run.configuration.sync_manager.flock;
-    let member = if flock.name.is_empty() { None } else { Some(Member::read(&flock.name, &directory)) };
-    let member = member.transpose().map_err(CommandError::failed)?;
-    Ok(Outcome { report, last, online, refined, truth, member })
+    if !run.configuration.sync_manager.flock.name.is_empty() {
+        flock_files::keep(&directory, out).map_err(CommandError::failed)?;
+    }
+    Ok(Outcome { report, last, online, refined, truth })
 }
 
 fn remove_file(path: &Path) -> Result<(), StageError> {

@@ -1,7 +1,7 @@
 //! `flockslam store`: saved maps are checked, saved, loaded and exported.
 
 use super::control::{choose, order};
-use super::join::{join, member_configuration};
+use super::join::{join, run_member};
 use super::run::{Run, run as run_set, summary};
 use super::{CommandError, say};
 use crate::cli::{ExportArgs, MapDirArgs, MapOrderArgs, MergeArgs, RunArgs, StoreCommand};
@@ -66,20 +66,12 @@ fn export(args: &ExportArgs) -> Result<(), CommandError> {
 
 /// Each map becomes a robot, by a run without a source; then these meet.
 fn merge(args: &MergeArgs) -> Result<(), CommandError> {
-    let maps: Vec<SavedMap> = args.directories.iter().map(|d| existing(d)).collect::<Result<_, _>>()?;
     let mut members = Vec::new();
-    for (number, map) in (1..).zip(maps) {
-        let run_args = RunArgs {
-            out: args.out.join(format!("map-{number}")),
-            rate: None,
-            live: false,
-            robot: None,
-            metrics_port: None,
-            configuration: member_configuration(&args.configuration, &format!("map-{number:03}")),
-        };
-        let run =
-            Run { source: Source::Nothing, world: None, scans: None, refine: false, continues: Some(map) };
-        members.extend(run_set(&run_args, run)?.member);
+    for (number, directory) in (1..).zip(&args.directories) {
+        existing(directory)?;
+        let name = format!("map-{number:03}");
+        let command = ["store".as_ref(), "export".as_ref(), directory.as_os_str()];
+        members.push(run_member(&command, &args.configuration, &name, &args.out.join(&name))?);
     }
     let joined = join(&args.out, &args.configuration, members)?;
     say(&joined.summary(&args.out));

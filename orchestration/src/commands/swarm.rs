@@ -1,14 +1,13 @@
 //! `flockslam swarm`: several robots map together.
 
-use super::join::{join, member_configuration};
-use super::run::{Run, prepare_directory, run as run_set};
+use super::join::{join, run_member};
+use super::run::prepare_directory;
 use super::{CommandError, say};
-use crate::cli::{RunArgs, SwarmArgs};
+use crate::cli::SwarmArgs;
 use crate::configuration::Configuration;
 use flockslam_geometry::Pose;
 use flockslam_lidar_ingest::Settings;
 use flockslam_lidar_ingest::carmen::{CarmenReader, write_scan};
-use flockslam_lidar_ingest::process::Source;
 use flockslam_messages::ScanBuffer;
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Write};
@@ -27,19 +26,10 @@ pub fn run(args: &SwarmArgs) -> Result<(), CommandError> {
     prepare_directory(&args.out)?;
     let spans = cut(args, &configuration.lidar_ingest)?;
     let mut members = Vec::new();
-    for (number, (log, scans)) in (1..).zip(spans) {
+    for (number, log) in (1..).zip(spans) {
         let name = format!("r{number:02}");
-        let run_args = RunArgs {
-            out: args.out.join(&name),
-            rate: None,
-            live: false,
-            robot: Some(format!("{name}-{}", std::process::id())),
-            metrics_port: None,
-            configuration: member_configuration(given, &name),
-        };
-        let source = Source::Log(std::path::absolute(&log).map_err(CommandError::failed)?);
-        let run = Run { source, world: None, scans: Some(scans), refine: false, continues: None };
-        members.extend(run_set(&run_args, run)?.member);
+        let command = ["map".as_ref(), log.as_os_str()];
+        members.push(run_member(&command, given, &name, &args.out.join(&name))?);
     }
     let joined = join(&args.out, given, members)?;
     say(&joined.summary(&args.out));
@@ -51,7 +41,7 @@ pub fn run(args: &SwarmArgs) -> Result<(), CommandError> {
 }
 
 /// Cuts the log into equal spans of time, a file for each robot, with the odometry of each moved by a motion of its own.
-fn cut(args: &SwarmArgs, settings: &Settings) -> Result<Vec<(PathBuf, u64)>, CommandError> {
+fn cut(args: &SwarmArgs, settings: &Settings) -> Result<Vec<PathBuf>, CommandError> {
     let (mut first_ns, mut last_ns) = (i64::MAX, i64::MIN);
     read(&args.log, settings, |scan| {
         let stamp_ns = scan.header.times.sensor_ns;
@@ -79,7 +69,7 @@ fn cut(args: &SwarmArgs, settings: &Settings) -> Result<Vec<(PathBuf, u64)>, Com
     }
     let finish = |mut part: Part| {
         part.file.flush().map_err(|e| wrong(&part.path, e))?;
-        Ok((part.path, part.scans))
+        Ok(part.path)
     };
     parts.into_iter().map(finish).collect()
 }

@@ -26,6 +26,19 @@ pub struct NamedPose {
     pub pose: Pose,
 }
 
+/// Copies all of it from a set's results to where the user wants the outputs.
+///
+/// # Errors
+/// When something is missing or the disk refuses.
+pub fn keep(results: &Path, out: &Path) -> Result<(), StageError> {
+    for name in [RECORDS, OWN_SCANS, OWN_NODES] {
+        let from = results.join(name);
+        let bytes = fs::read(&from).map_err(|e| StageError::file(&from, e))?;
+        replace_file(&out.join(name), &bytes, Durability::Process)?;
+    }
+    Ok(())
+}
+
 /// Writes named poses.
 ///
 /// # Errors

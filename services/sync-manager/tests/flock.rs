@@ -20,12 +20,21 @@ fn robot(name: &str, building: &Building, way: &[Pose], range: Range<usize>, ori
     let truth = &way[range];
     for (i, (at, odom)) in truth.iter().zip(drifting(truth, 0.001, 1.002)).enumerate() {
         let id = ScanId { sequence: i as u64, ..ScanId::default() };
-        let mut pose = PoseEstimate { id, odom_from_base: origin * odom, submap: i as u32 / 60, ..PoseEstimate::default() };
+        let mut pose = PoseEstimate {
+            id,
+            odom_from_base: origin * odom,
+            submap: i as u32 / 60,
+            ..PoseEstimate::default()
+        };
         pose.flags = PoseFlags::MATCHED | PoseFlags::INSERT;
         manager.pose(&pose);
         manager.node(building.scan(*at, &mut noise).view().unwrap(), &pose);
         if i % 60 == 59 {
-            manager.submap_closed(&SubmapClosed { last: id, number: i as u32 / 60, ..SubmapClosed::default() });
+            manager.submap_closed(&SubmapClosed {
+                last: id,
+                number: i as u32 / 60,
+                ..SubmapClosed::default()
+            });
             flock.say_news(&manager.take_news()).unwrap();
         }
     }
@@ -37,7 +46,10 @@ fn robot(name: &str, building: &Building, way: &[Pose], range: Range<usize>, ori
 /// `to` hears what `from` knows, in portions; of the messages those are lost that `lost` says.
 fn hear(flocks: &mut [Flock], to: usize, from: usize, mut lost: impl FnMut() -> bool) {
     for _ in 0..100 {
-        let answers = { let have = flocks[to].have(); flocks[from].answer(&have, 20_000) };
+        let answers = {
+            let have = flocks[to].have();
+            flocks[from].answer(&have, 20_000)
+        };
         if answers.is_empty() {
             return;
         }
@@ -75,9 +87,8 @@ fn robots_with_unknown_starts_find_each_other_and_all_have_the_same_layout() {
     let third = way.len() / 3;
     let origins = [Pose::new(3.0, 4.0, 1.0), Pose::new(-50.0, 20.0, -2.5), Pose::new(7.0, -90.0, 3.0)];
     let names = ["a", "b", "c"];
-    let mut flocks: Vec<Flock> = (0..3)
-        .map(|k| robot(names[k], &building, &way, k * third..(k + 1) * third, origins[k]))
-        .collect();
+    let mut flocks: Vec<Flock> =
+        (0..3).map(|k| robot(names[k], &building, &way, k * third..(k + 1) * third, origins[k])).collect();
     assert_eq!(flocks[0].layout(false).members().len(), 1);
     meet(&mut flocks);
     for flock in &mut flocks {
@@ -93,7 +104,8 @@ fn robots_with_unknown_starts_find_each_other_and_all_have_the_same_layout() {
     assert!(worst < 0.06, "{worst}");
 
     // A robot that hears everything late, in small portions and over others, works out the same.
-    let mut late = vec![Flock::new(RobotKey::of_replay("d").unwrap(), 1, Settings::default(), Limits::default())];
+    let mut late =
+        vec![Flock::new(RobotKey::of_replay("d").unwrap(), 1, Settings::default(), Limits::default())];
     late.push(flocks.swap_remove(1));
     let mut noise = Noise(3);
     hear(&mut late, 0, 1, || noise.next() > 0.2);
@@ -136,14 +148,21 @@ fn lies_about_how_robots_lie_to_each_other_do_not_act() {
     meet(&mut flocks);
     let honest = flocks[0].layout(true);
     let nodes = |name: &str| -> Vec<NodeName> {
-        let ((robot, epoch), nodes) = honest.nodes.iter().find(|((robot, _), _)| robot.name() == name).unwrap();
-        let named = |n: &flockslam_sync_manager::flock::PlacedNode| NodeName { robot: robot.clone(), epoch: *epoch, sequence: n.sequence };
+        let ((robot, epoch), nodes) =
+            honest.nodes.iter().find(|((robot, _), _)| robot.name() == name).unwrap();
+        let named = |n: &flockslam_sync_manager::flock::PlacedNode| NodeName {
+            robot: robot.clone(),
+            epoch: *epoch,
+            sequence: n.sequence,
+        };
         nodes.iter().map(named).collect()
     };
     let (of_a, of_b) = (nodes("a"), nodes("b"));
     let mut noise = Noise(11);
     for k in 0..found {
-        let pick = |nodes: &[NodeName], share: f64| nodes[(0.5 * (share + 1.0) * (nodes.len() - 1) as f64) as usize].clone();
+        let pick = |nodes: &[NodeName], share: f64| {
+            nodes[(0.5 * (share + 1.0) * (nodes.len() - 1) as f64) as usize].clone()
+        };
         let lie = flockslam_records::Constraint {
             from: pick(&of_a, noise.next()),
             to: pick(&of_b, noise.next()),

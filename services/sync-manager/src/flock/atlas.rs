@@ -178,6 +178,10 @@ impl Atlas {
         let (reach_m, shift_m) = (f64::from(constraint.reach_m), f64::from(constraint.shift_m));
         let mut closure = Closure { edge, reach_m, shift_m };
         if self.is_across(&closure) {
+            // All between two robots in one direction, whoever measured them: only so they can be compared.
+            if from > to {
+                closure.edge = closure.edge.reversed();
+            }
             closure.reach_m = reach_m.max(ACROSS_REACH_M);
             closure.shift_m = ACROSS_SHIFT_M;
         }

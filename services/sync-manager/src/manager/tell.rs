@@ -66,8 +66,8 @@ impl SyncManager {
         let (nodes, edges) = (self.chain.nodes(), self.chain.edges());
         let first = nodes.partition_point(|node| telling.last.is_some_and(|(last, _)| node.sequence <= last));
         let submap_of = |node: usize| {
-            // Nodes stand among the kept scans in their order.
-            let place = self.kept.partition_point(|kept| (kept.node, kept.is_node) < (node, true));
+            // Nodes stand among the kept scans in their order, each before the scans that follow it.
+            let place = self.kept.partition_point(|kept| kept.node < node);
             self.records[self.kept[place].record].submap
         };
         let recorded = |i: usize| {
