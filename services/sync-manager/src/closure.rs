@@ -102,6 +102,11 @@ impl ClosureFinder {
         }
     }
 
+    /// A finder that looks at so many squares in a search anywhere before it gives up.
+    pub fn thorough(settings: &ClosureSettings, sums_max: u64) -> Self {
+        Self { searcher_anywhere: Searcher::bounded(sums_max), ..Self::new(settings) }
+    }
+
     /// An empty grid to work with, lent between searches: it must be given back empty.
     pub fn scratch(&mut self) -> &mut MomentGrid {
         &mut self.grid

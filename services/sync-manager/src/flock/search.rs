@@ -8,13 +8,14 @@ use crate::closure::{
 use crate::settings::Settings;
 use flockslam_records::{Constraint, RobotId};
 use flockslam_registration::cloud::Window;
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, VecDeque};
 
-/// While nothing is known of how robots lie to each other, a query is this many nodes before and after it: the longer the
-/// stretch, the fewer places look like it.
-const WIDE_QUERY_NODES: usize = 10;
 /// Of the queries, every so many are looked for anywhere.
-const WIDE_EVERY: usize = 3;
+const WIDE_EVERY: usize = 2;
+/// Squares that a search anywhere looks at before it gives up.
+const WIDE_SUMS_MAX: u64 = 500_000;
+/// So many queries before and after one that was found somewhere are looked for next: agreement is among neighbours.
+const NEIGHBOURS: usize = 3;
 
 /// Looks for the places that a robot shares with others.
 pub struct Search {
@@ -25,7 +26,7 @@ pub struct Search {
 
 impl Search {
     pub fn new(settings: &Settings) -> Self {
-        Self { finder: ClosureFinder::new(&settings.closure), tried: BTreeSet::new() }
+        Self { finder: ClosureFinder::thorough(&settings.closure, WIDE_SUMS_MAX), tried: BTreeSet::new() }
     }
 
     /// Searches so far.
@@ -50,16 +51,26 @@ impl Search {
         let until = self.searches().saturating_add(searches_max);
         let queries = queries(atlas, own, settings.closure.every_m);
         let mut solved = atlas.solve(settings);
-        for query in spread(&queries, WIDE_EVERY) {
-            if self.searches() >= until || self.strangers(atlas, &solved, query).next().is_none() {
-                continue;
+        let few: Vec<usize> = queries.iter().copied().step_by(WIDE_EVERY).collect();
+        let mut order: VecDeque<usize> = spread(few.len()).collect();
+        while let Some(place) = order.pop_front() {
+            let query = few[place];
+            if self.searches() >= until {
+                break;
             }
             let candidates: Vec<usize> = self.strangers(atlas, &solved, query).collect();
             let candidates = self.untried(atlas, query, candidates, |_| ANYWHERE, true);
+            if candidates.is_empty() {
+                continue;
+            }
             let before = found.len();
-            self.search(atlas, &solved, query, WIDE_QUERY_NODES, &candidates, &mut found);
-            if found.len() > before && connects(atlas, &solved) {
-                solved = atlas.solve(settings);
+            self.search(atlas, &solved, query, &candidates, &mut found);
+            if found.len() > before {
+                let around = place.saturating_sub(NEIGHBOURS)..(place + NEIGHBOURS + 1).min(few.len());
+                around.for_each(|near| order.push_front(near));
+                if connects(atlas, &solved) {
+                    solved = atlas.solve(settings);
+                }
             }
         }
         for query in queries {
@@ -70,7 +81,7 @@ impl Search {
             let near = nearby(atlas, &solved, query, &distances_m, settings.closure.segments_per_query);
             let anchor = |number: usize| atlas.segments[number].anchor;
             let candidates = self.untried(atlas, query, near, |n| window(distances_m[anchor(n)]), false);
-            self.search(atlas, &solved, query, QUERY_NODES, &candidates, &mut found);
+            self.search(atlas, &solved, query, &candidates, &mut found);
         }
         found
     }
@@ -80,7 +91,6 @@ impl Search {
         atlas: &mut Atlas,
         solved: &Solved,
         query: usize,
-        reach: usize,
         candidates: &[(usize, Window)],
         found: &mut Vec<Constraint>,
     ) {
@@ -90,7 +100,7 @@ impl Search {
             segments: &atlas.segments,
             poses: &solved.poses,
         };
-        let closures = self.finder.find_in(&world, query, reach, candidates);
+        let closures = self.finder.find_in(&world, query, QUERY_NODES, candidates);
         for closure in &closures {
             let constraint = constraint(atlas, closure);
             atlas.add_across(&constraint);
@@ -147,11 +157,10 @@ fn queries(atlas: &Atlas, own: &RobotId, every_m: f64) -> Vec<usize> {
     queries
 }
 
-/// Every `every`th of the queries, from all over first and then from between: what is far apart tells the most.
-fn spread(queries: &[usize], every: usize) -> Vec<usize> {
-    let few: Vec<usize> = queries.iter().copied().step_by(every).collect();
-    let stride = few.len().div_ceil(8).max(1);
-    (0..stride).flat_map(|offset| few.iter().copied().skip(offset).step_by(stride)).collect()
+/// The places 0 … `count`, from all over first and then from between: what is far apart tells the most.
+fn spread(count: usize) -> impl Iterator<Item = usize> {
+    let stride = count.div_ceil(8).max(1);
+    (0..stride).flat_map(move |offset| (offset..count).step_by(stride))
 }
 
 /// Whether closures that were found since the solution connect parts that it does not.
