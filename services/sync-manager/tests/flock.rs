@@ -177,6 +177,11 @@ fn lies_about_how_robots_lie_to_each_other_do_not_act() {
     meet(&mut flocks);
     let layout = flocks[0].layout(true);
     let ways = [("a", &way[..half]), ("b", &way[half..])];
-    let worst = worst_m(&layout, &ways);
-    assert!(worst < 0.06, "{worst}, {:?} of {found} true ones", layout.across);
+    // As many lies as true constraints may keep robots apart, but they must never bend a map.
+    if layout.members().len() == 2 {
+        let worst = worst_m(&layout, &ways);
+        assert!(worst < 0.06, "{worst}, {:?} of {found} true ones", layout.across);
+    } else {
+        assert_eq!(layout.across.0, 0, "no lie acts");
+    }
 }
