@@ -13,6 +13,7 @@ const LIBRARIES: [(&str, u32); 9] = [
     ("geometry", 0),
     ("evidence", 1),
     ("messages", 2),
+    ("records", 2),
     ("bus", 3),
     ("journal", 3),
     ("telemetry", 3),

@@ -23,6 +23,8 @@ enum Command {
     Map(MapArgs),
     /// The same from a simulated building, with its error against the exact truth
     Demo(DemoArgs),
+    /// Lets several robots, each a process set of its own, map one log together: it is cut into as many equal spans of time
+    Swarm(SwarmArgs),
     /// Runs a process set until it is told to stop
     Up(UpArgs),
     /// Saves and stops a running set
@@ -119,6 +121,26 @@ pub struct DemoArgs {
     pub run: RunArgs,
 }
 
+/// `flockslam swarm`.
+#[derive(Clone, Debug, Args)]
+pub struct SwarmArgs {
+    /// CARMEN log
+    #[arg(value_name = "LOG")]
+    pub log: PathBuf,
+    /// Number of robots, each with an equal span of the log's time
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub robots: u32,
+    /// Seed of the motions by which each robot's odometry is moved away, so that nothing of how they lie to each other leaks
+    #[arg(long, value_name = "SEED", default_value_t = 1)]
+    pub seed: u64,
+    /// Directory for the outputs; made when it is not there
+    #[arg(long, value_name = "DIR", default_value = "flockslam-out")]
+    pub out: PathBuf,
+    /// How each robot is configured
+    #[command(flatten)]
+    pub configuration: ConfigurationArgs,
+}
+
 /// `flockslam up`.
 #[derive(Clone, Debug, Args)]
 pub struct UpArgs {
@@ -147,6 +169,8 @@ pub enum StoreCommand {
     Load(MapOrderArgs),
     /// Makes the files of `flockslam map` from a saved map
     Export(ExportArgs),
+    /// Brings maps of different robots or sessions together, whose places to each other are not known
+    Merge(MergeArgs),
 }
 
 /// `flockslam store check`.
@@ -178,6 +202,20 @@ pub struct ExportArgs {
     #[arg(long, value_name = "DIR", default_value = "flockslam-out")]
     pub out: PathBuf,
     /// How the map was made
+    #[command(flatten)]
+    pub configuration: ConfigurationArgs,
+}
+
+/// `flockslam store merge`.
+#[derive(Clone, Debug, Args)]
+pub struct MergeArgs {
+    /// Directories of the maps; the first gives the frame
+    #[arg(value_name = "DIR", num_args = 2.., required = true)]
+    pub directories: Vec<PathBuf>,
+    /// Directory for the outputs; made when it is not there
+    #[arg(long, value_name = "DIR", default_value = "flockslam-out")]
+    pub out: PathBuf,
+    /// How the maps were made
     #[command(flatten)]
     pub configuration: ConfigurationArgs,
 }
@@ -330,6 +368,7 @@ pub fn main() -> ExitCode {
         Command::Stage(args) => return commands::stage::run(&args),
         Command::Map(args) => commands::map::run(&args),
         Command::Demo(args) => commands::demo::run(&args),
+        Command::Swarm(args) => commands::swarm::run(&args),
         Command::Up(args) => commands::up::run(&args),
         Command::Down(args) => commands::control::down(&args),
         Command::Status(args) => commands::control::status(&args),

@@ -6,6 +6,7 @@ pub mod config;
 pub mod control;
 pub mod demo;
 pub mod evaluate;
+mod join;
 pub mod log;
 pub mod map;
 pub mod page;
@@ -14,6 +15,7 @@ pub mod record;
 mod run;
 pub mod stage;
 pub mod store;
+pub mod swarm;
 pub mod top;
 pub mod up;
 

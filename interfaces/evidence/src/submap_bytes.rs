@@ -78,6 +78,14 @@ impl Submap {
     /// # Errors
     /// When the bytes are not exactly one well-formed submap.
     pub fn decode(bytes: &[u8]) -> Result<Submap, SubmapBytesError> {
+        Self::decode_bounded(bytes, TILES_MAX as usize)
+    }
+
+    /// The same of a submap with at most `tiles_max` tiles of 16 KiB, when less memory is to be asked for.
+    ///
+    /// # Errors
+    /// As [`Self::decode`], and when there are more tiles.
+    pub fn decode_bounded(bytes: &[u8], tiles_max: usize) -> Result<Submap, SubmapBytesError> {
         let mut input = Input(bytes);
         if input.take::<4>()? != MAGIC {
             return Err(SubmapBytesError::NotASubmap);
@@ -97,7 +105,7 @@ impl Submap {
             return Err(SubmapBytesError::Malformed);
         }
         let levels = CellLevels { occupied: decode_levels(&mut input)?, free: decode_levels(&mut input)? };
-        let keys = decode_keys(&mut input)?;
+        let keys = decode_keys(&mut input, tiles_max)?;
         let empty = |key| SubmapTile::new(key, Box::new([PackedCell::UNKNOWN; TILE_CELLS]));
         let mut tiles: Vec<SubmapTile> = keys.into_iter().map(empty).collect();
         decode_masks(&mut input, &mut tiles)?;
@@ -132,9 +140,9 @@ fn encode_keys(tiles: &[SubmapTile], out: &mut Vec<u8>) {
     }
 }
 
-fn decode_keys(input: &mut Input<'_>) -> Result<Vec<TileKey>, SubmapBytesError> {
+fn decode_keys(input: &mut Input<'_>, tiles_max: usize) -> Result<Vec<TileKey>, SubmapBytesError> {
     let count = input.u32()?;
-    if count > TILES_MAX || count as usize > input.0.len() / TILE_BYTES_MIN {
+    if count as usize > tiles_max.min(TILES_MAX as usize) || count as usize > input.0.len() / TILE_BYTES_MIN {
         return Err(SubmapBytesError::TooManyTiles(count));
     }
     let mut keys: Vec<TileKey> = Vec::with_capacity(count as usize);

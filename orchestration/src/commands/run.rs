@@ -17,6 +17,7 @@ use flockslam_bus::RuntimeDir;
 use flockslam_lidar_ingest::process::Source;
 use flockslam_messages::Stage;
 use flockslam_scan_matcher::process::LOST;
+use flockslam_stage::flock_files;
 use flockslam_stage::results::{self, StampedPose, StoredMap, Summary};
 use flockslam_stage::{MemoryUse, Mode, StageError, SubmapStore, read_reports};
 use flockslam_telemetry::LatencyHistogram;
@@ -239,6 +240,9 @@ pub(super) fn write_outputs(out: &Path, run: &Finished<'_>) -> Result<Outcome, C
     let report = report(run, &summary, &map, &last, map_hash)?;
     write_report(&out.join("report.json"), &report).map_err(CommandError::failed)?;
     let truth = results::read_trajectory(&directory, results::TRUE_TRAJECTORY).ok();
+    if !run.configuration.sync_manager.flock.name.is_empty() {
+        flock_files::keep(&directory, out).map_err(CommandError::failed)?;
+    }
     Ok(Outcome { report, last, online, refined, truth })
 }
 
@@ -271,7 +275,7 @@ pub fn points(rows: &[StampedPose]) -> Vec<TrajectoryPoint> {
 }
 
 /// The map as navigation reads it: thresholds as in nav2, on p/(p+q).
-fn occupancy(map: &StoredMap) -> OccupancyImage {
+pub(super) fn occupancy(map: &StoredMap) -> OccupancyImage {
     let state = |cell: &flockslam_evidence::Cell| match cell.masses().occupancy() {
         Some(occupancy) if occupancy > 0.65 => CellState::Occupied,
         Some(occupancy) if occupancy < 0.25 => CellState::Free,

@@ -1,9 +1,10 @@
 //! `flockslam store`: saved maps are checked, saved, loaded and exported.
 
 use super::control::{choose, order};
+use super::join::{join, run_member};
 use super::run::{Run, run as run_set, summary};
 use super::{CommandError, say};
-use crate::cli::{ExportArgs, MapDirArgs, MapOrderArgs, RunArgs, StoreCommand};
+use crate::cli::{ExportArgs, MapDirArgs, MapOrderArgs, MergeArgs, RunArgs, StoreCommand};
 use crate::store::{SavedMap, StoreError};
 use crate::supervisor::Request;
 use flockslam_lidar_ingest::process::Source;
@@ -19,6 +20,7 @@ pub fn run(command: &StoreCommand) -> Result<(), CommandError> {
         StoreCommand::Save(args) => give(args, Request::Save),
         StoreCommand::Load(args) => give(args, Request::Load),
         StoreCommand::Export(args) => export(args),
+        StoreCommand::Merge(args) => merge(args),
     }
 }
 
@@ -59,6 +61,20 @@ fn export(args: &ExportArgs) -> Result<(), CommandError> {
     let run = Run { source: Source::Nothing, world: None, scans: None, refine: false, continues: Some(map) };
     let outcome = run_set(&run_args, run)?;
     say(&summary(&args.out, &outcome.report));
+    Ok(())
+}
+
+/// Each map becomes a robot, by a run without a source; then these meet.
+fn merge(args: &MergeArgs) -> Result<(), CommandError> {
+    let mut members = Vec::new();
+    for (number, directory) in (1..).zip(&args.directories) {
+        existing(directory)?;
+        let name = format!("map-{number:03}");
+        let command = ["store".as_ref(), "export".as_ref(), directory.as_os_str()];
+        members.push(run_member(&command, &args.configuration, &name, &args.out.join(&name))?);
+    }
+    let joined = join(&args.out, &args.configuration, members)?;
+    say(&joined.summary(&args.out));
     Ok(())
 }
 

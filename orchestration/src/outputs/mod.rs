@@ -13,7 +13,7 @@ mod trajectory;
 pub use map_files::{render_pgm, render_yaml, write_map};
 pub use map_hash::map_hash;
 pub use occupancy::{CellState, OccupancyImage};
-pub use picture::{PictureTracks, render_picture, write_picture};
+pub use picture::{PictureTracks, render_picture, write_flock_picture, write_picture};
 pub use report::{LatencyMicroseconds, LoopClosures, ProcessUse, Report, StageReport, write_report};
 pub use trajectory::{TrajectoryPoint, render_trajectory, write_trajectory};
 

@@ -16,6 +16,18 @@ const END: Colour = [206, 40, 48];
 /// Colours of the trajectory from its start to its end.
 const TIME: [Colour; 4] = [[38, 84, 200], [120, 60, 190], [214, 62, 122], [246, 142, 38]];
 
+/// Colours of the robots of a flock, told apart by people who do not see all colours as well.
+const ROBOTS: [Colour; 8] = [
+    [0, 114, 178],
+    [213, 94, 0],
+    [0, 158, 115],
+    [204, 121, 167],
+    [230, 159, 0],
+    [86, 180, 233],
+    [120, 60, 190],
+    [90, 70, 50],
+];
+
 /// The longer side of the map in the picture has at most this many pixels, and more than half of it.
 const SIDE_MAX: usize = 2000;
 /// Pixels around the map, and of the strip below it for scale bar and time bar.
@@ -63,6 +75,30 @@ pub fn render_picture(map: &OccupancyImage, tracks: PictureTracks<'_>) -> Result
     let mut png = Cursor::new(Vec::new());
     canvas.image.write_to(&mut png, ImageFormat::Png)?;
     Ok(png.into_inner())
+}
+
+/// The known part of the map as a PNG with the trajectory of each robot in a colour of its own, with marks where it starts and ends.
+///
+/// # Errors
+/// When the disk refuses or the picture is too large to encode.
+pub fn write_flock_picture(
+    path: &Path,
+    map: &OccupancyImage,
+    robots: &[Vec<TrajectoryPoint>],
+) -> Result<(), OutputError> {
+    let all: Vec<TrajectoryPoint> = robots.iter().flatten().copied().collect();
+    let view = View::of(map, PictureTracks { main: &all, other: &[] });
+    let mut canvas =
+        Canvas::new((view.width + 2 * MARGIN) as u32, (view.height + MARGIN + STRIP) as u32, UNKNOWN);
+    draw_cells(&mut canvas, map, &view);
+    for (track, colour) in robots.iter().zip(ROBOTS.iter().cycle()) {
+        draw_track(&mut canvas, &view, track, 1.0, |_| *colour);
+    }
+    robots.iter().for_each(|track| draw_marks(&mut canvas, &view, track));
+    draw_scale_bar(&mut canvas, &view);
+    let mut png = Cursor::new(Vec::new());
+    canvas.image.write_to(&mut png, ImageFormat::Png)?;
+    put(path, &png.into_inner())
 }
 
 /// Which part of the plane is shown, and how large. One cell is `zoom` pixels, or `shrink` cells are one pixel.

@@ -5,6 +5,7 @@
 mod actor;
 mod context;
 mod error;
+pub mod flock_files;
 mod grid_reader;
 mod memory;
 mod pending;

@@ -20,9 +20,9 @@ const SEARCH_POINTS: usize = 150;
 const REFINE_POINTS: usize = 600;
 /// A segment may lie this much farther away than the window and still be searched: both see the same place,
 /// metres.
-const SIGHT_M: f64 = 4.0;
+pub const SIGHT_M: f64 = 4.0;
 /// Where to look in a segment when nothing is known: wherever both see the same place, at any heading.
-const ANYWHERE: Window = Window { reach_m: 14.0, turn_rad: std::f64::consts::PI };
+pub const ANYWHERE: Window = Window { reach_m: 14.0, turn_rad: std::f64::consts::PI };
 /// Squares that such a search looks at before it takes what it has found.
 const ANYWHERE_SUMS_MAX: u64 = 150_000;
 /// Most segments that one query is looked for in so.
@@ -102,6 +102,11 @@ impl ClosureFinder {
         }
     }
 
+    /// A finder that looks at so many squares in a search anywhere before it gives up.
+    pub fn thorough(settings: &ClosureSettings, sums_max: u64) -> Self {
+        Self { searcher_anywhere: Searcher::bounded(sums_max), ..Self::new(settings) }
+    }
+
     /// An empty grid to work with, lent between searches: it must be given back empty.
     pub fn scratch(&mut self) -> &mut MomentGrid {
         &mut self.grid
@@ -115,11 +120,22 @@ impl ClosureFinder {
     /// Looks for the surroundings of node `query` in older segments; `distances_m` are its distances along
     /// the graph to all nodes.
     pub fn find(&mut self, world: &World<'_>, query: usize, distances_m: &[f64]) -> Vec<Closure> {
-        let points = cloud(world.nodes, world.scans, surroundings(world.nodes, query), query);
+        let candidates = self.candidates(world, query, distances_m);
+        self.find_in(world, query, QUERY_NODES, &candidates)
+    }
+
+    /// Looks for the surroundings of node `query`, so many nodes before and after it, in these segments.
+    pub fn find_in(
+        &mut self,
+        world: &World<'_>,
+        query: usize,
+        reach: usize,
+        candidates: &[(usize, Window)],
+    ) -> Vec<Closure> {
+        let points = cloud(world.nodes, world.scans, surroundings(world.nodes, query, reach), query);
         if points.len() < 30 {
             return Vec::new();
         }
-        let candidates = self.candidates(world, query, distances_m);
         candidates
             .iter()
             .filter_map(|(segment, window)| self.try_segment(world, query, &points, *segment, *window))
@@ -246,22 +262,22 @@ impl ClosureFinder {
     }
 }
 
-/// A query's node and its neighbours on the strand.
-fn surroundings(nodes: &[Node], query: usize) -> std::ops::Range<usize> {
+/// A query's node and its neighbours on the strand, so many before and after it.
+fn surroundings(nodes: &[Node], query: usize, reach: usize) -> std::ops::Range<usize> {
     let same = |i: &usize| nodes[*i].strand == nodes[query].strand;
-    let start = (query.saturating_sub(QUERY_NODES)..=query).find(same).unwrap_or(query);
-    let last = (query..(query + QUERY_NODES + 1).min(nodes.len())).rev().find(same).unwrap_or(query);
+    let start = (query.saturating_sub(reach)..=query).find(same).unwrap_or(query);
+    let last = (query..(query + reach + 1).min(nodes.len())).rev().find(same).unwrap_or(query);
     start..last + 1
 }
 
 /// From a query to the nearest node of a segment, metres.
-fn apart_m(world: &World<'_>, segment: &Segment, query: usize) -> f64 {
+pub fn apart_m(world: &World<'_>, segment: &Segment, query: usize) -> f64 {
     let at = world.poses[query];
     segment.nodes.clone().map(|i| world.poses[i].distance_m(&at)).fold(f64::INFINITY, f64::min)
 }
 
 /// Where to look after `distance_m` along the graph.
-fn window(distance_m: f64) -> Window {
+pub fn window(distance_m: f64) -> Window {
     Window { reach_m: (0.3 + 0.06 * distance_m).min(25.0), turn_rad: (0.06 + 0.002 * distance_m).min(0.7) }
 }
 

@@ -1,4 +1,4 @@
-use crate::symmetric::{Symmetric, quadratic};
+use crate::symmetric::{Symmetric, quadratic, times};
 use flockslam_geometry::wrap_angle;
 use flockslam_registration::cloud::Placement;
 
@@ -26,8 +26,51 @@ impl Edge {
         ]
     }
 
+    /// The same measurement, told from the other end.
+    pub fn reversed(&self) -> Edge {
+        let motion = self.motion.inverse();
+        let (cos, sin) = motion.rotate(1.0, 0.0);
+        // How an error of the reversed motion shows in this one, to first order.
+        let columns = [
+            [-cos, sin, 0.0],
+            [-sin, -cos, 0.0],
+            [sin * motion.x_m - cos * motion.y_m, cos * motion.x_m + sin * motion.y_m, -1.0],
+        ];
+        let product = |a: usize, b: usize| {
+            let weighted = times(&self.information, &columns[b]);
+            (0..3).map(|k| columns[a][k] * weighted[k]).sum()
+        };
+        let information =
+            [product(0, 0), product(0, 1), product(0, 2), product(1, 1), product(1, 2), product(2, 2)];
+        Edge { from: self.to, to: self.from, motion, information }
+    }
+
     /// Squared Mahalanobis length of the error.
     pub fn chi_squared(&self, poses: &[Placement]) -> f64 {
         quadratic(&self.information, &self.error(poses))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reversed_edge_weighs_small_errors_the_same() {
+        let edge = Edge {
+            from: 0,
+            to: 1,
+            motion: Placement::new(3.0, -2.0, 0.8),
+            information: [500.0, 40.0, -30.0, 300.0, 60.0, 4000.0],
+        };
+        for error in [(1e-4, 0.0, 0.0), (0.0, 2e-4, 0.0), (0.0, 0.0, 1e-4), (1e-4, -2e-4, 1e-4)] {
+            let off = Placement::new(3.0 + error.0, -2.0 + error.1, 0.8 + error.2);
+            let at = Placement::new(5.0, 7.0, -2.0);
+            let poses = [at, at.compose(off)];
+            let (there, back) = (edge.chi_squared(&poses), edge.reversed().chi_squared(&poses));
+            assert!((there - back).abs() < 2e-3 * there, "{there} {back}");
+        }
+        let twice = edge.reversed().reversed();
+        assert!(twice.information.iter().zip(edge.information).all(|(a, b)| (a - b).abs() < 1e-9));
     }
 }

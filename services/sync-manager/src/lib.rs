@@ -14,6 +14,7 @@ mod coverage;
 mod dense;
 mod edge;
 mod fields;
+pub mod flock;
 mod fuse;
 mod fusion;
 mod graph;
@@ -35,5 +36,5 @@ mod trajectory;
 
 pub use fusion::{Fusion, Step};
 pub use manager::SyncManager;
-pub use settings::{ClosureSettings, Settings};
+pub use settings::{ClosureSettings, FlockSettings, Settings};
 pub use solution::{ClosureCounts, PlacedScan, PlacedSubmap, SettledScan, Solution};

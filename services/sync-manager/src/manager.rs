@@ -17,10 +17,13 @@ use flockslam_messages::{BeamRange, LayoutHeader, PoseEstimate, PoseFlags, ScanV
 use flockslam_registration::cloud::Placement;
 use settle::SettledSubmap;
 use std::collections::{BTreeMap, BTreeSet};
+use tell::Telling;
+pub use tell::{News, OwnLoop};
 
 mod counts;
 mod settle;
 mod shown;
+mod tell;
 
 /// A scan this close to the last one kept tells nothing new, metres and radians.
 const REST: (f64, f64) = (0.01, 0.005);
@@ -76,6 +79,8 @@ pub struct SyncManager {
     gone_scans: usize,
     /// Closures were found that the solution does not know.
     unsolved: bool,
+    /// What the flock is to be told, when there is one.
+    telling: Option<Telling>,
     /// Work on solving that may be done, and what the last solution took.
     solving_credit: u64,
     solving_cost: u64,
@@ -104,6 +109,7 @@ impl SyncManager {
             settled_closures: 0,
             gone_scans: 0,
             unsolved: false,
+            telling: None,
             solving_credit: 0,
             solving_cost: 0,
         }
@@ -160,6 +166,7 @@ impl SyncManager {
         self.revision += 1;
         let strands = self.strands(known);
         let map_from_odom = self.correction(known);
+        self.tell(known);
         self.settle(known);
         LayoutHeader {
             map_from_odom,
@@ -292,6 +299,9 @@ impl SyncManager {
         let distances_m = graph_distances(nodes, &loops, query);
         let world = World { nodes, scans: &self.scans, segments: &self.segments, poses: &self.poses };
         let found = self.finder.find(&world, query, &distances_m);
+        if let Some(telling) = &mut self.telling {
+            telling.found(&found, self.chain.nodes());
+        }
         self.closures.extend(found);
         // New ones count at once for the windows of the next queries.
         let eligible = eligible(&self.closures, nodes);
@@ -328,6 +338,7 @@ impl SyncManager {
             return self.solution(&filled(&self.records, &[], Between::FrontEnd));
         }
         self.close_loops(known, usize::MAX);
+        self.tell(known);
         self.refine();
         self.placed()
     }

@@ -12,6 +12,7 @@ use flockslam_messages::{
     BeamRange, Control, ControlKind, DropReason, LayoutHeader, MovingBeamsHeader, PoseEstimate, PoseFlags,
     ScanView, Stage, SubmapClosed,
 };
+use flockslam_stage::flock_files::{OWN_SCANS, write_named};
 use flockslam_stage::results::{self, LayoutRow, LiveLayout, StampedPose, Summary};
 use flockslam_stage::{
     Acknowledger, Actor, JournalReader, Mode, PendingScans, PoseQueue, StageContext, StageError, StreamEnd,
@@ -21,9 +22,11 @@ use flockslam_telemetry::monotonic_ns;
 use metrics::LayoutMetrics;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
+use teller::Teller;
 use trajectories::Trajectories;
 
 mod metrics;
+mod teller;
 mod trajectories;
 
 /// Runs the stage until it is asked to stop.
@@ -76,6 +79,8 @@ struct SyncProcess {
     acknowledger: Acknowledger,
     stream: StreamEnd,
     trajectories: Trajectories,
+    /// Says to the flock what this robot finds out; `None` when it is alone.
+    teller: Option<Teller>,
     summary: Summary,
     finished: bool,
     /// What a predecessor knew is taken in.
@@ -90,6 +95,7 @@ impl SyncProcess {
         let result_dir = if acts { context.result_dir.clone() } else { own };
         std::fs::create_dir_all(&result_dir).map_err(|e| StageError::file(&result_dir, e))?;
         let bus = &context.bus;
+        let teller = Teller::open(&settings, &result_dir)?;
         let mut process = Self {
             optimises: settings.enabled,
             refines: settings.refine,
@@ -117,11 +123,15 @@ impl SyncProcess {
             acknowledger: Acknowledger::open(context, 0)?,
             stream: StreamEnd::open(context)?,
             trajectories: Trajectories::create(&result_dir)?,
+            teller,
             summary: Summary::default(),
             finished: false,
             recovered: false,
             metrics: LayoutMetrics::new(&context.metrics),
         };
+        if process.teller.is_some() {
+            process.logic.tell_the_flock();
+        }
         process.recover(context)?;
         Ok(process)
     }
@@ -139,6 +149,9 @@ impl SyncProcess {
     fn take_over(&mut self, context: &StageContext) -> Result<(), StageError> {
         tracing::info!(stage = context.stage.name(), replica = context.replica, "takes over");
         self.trajectories.move_to(&context.result_dir)?;
+        if let Some(teller) = &mut self.teller {
+            teller.move_to(&context.result_dir)?;
+        }
         self.acts = true;
         if let Some(layout) = &self.layout {
             self.layouts.send(layout)?;
@@ -206,6 +219,9 @@ impl SyncProcess {
         let layout = self.logic.submap_closed(notice);
         let took_ns = monotonic_ns().saturating_sub(started_ns);
         self.trajectories.settled(&self.logic.take_settled())?;
+        if let Some(teller) = &mut self.teller {
+            teller.tell(&mut self.logic, Some(&self.store.load(notice.number)?))?;
+        }
         self.next_submap = notice.number + 1;
         self.layout = Some(layout);
         if !self.acts {
@@ -322,7 +338,11 @@ impl SyncProcess {
         }
         let solution = self.logic.finish();
         let directory = &context.result_dir;
-        self.trajectories.finish(&solution)?;
+        let scans = self.trajectories.finish(&solution)?;
+        if let Some(teller) = &mut self.teller {
+            teller.finish(&mut self.logic, &solution, &self.store, directory)?;
+            write_named(directory, OWN_SCANS, &scans)?;
+        }
         results::write_map(directory, &self.fuser.finish(&solution.submaps)?)?;
         if self.refines {
             self.refine(directory, &solution)?;

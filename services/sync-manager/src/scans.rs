@@ -99,6 +99,13 @@ impl ScanStore {
         }
     }
 
+    /// Keeps points as they are; gives their number in the store.
+    pub fn keep_points(&mut self, points: impl Iterator<Item = PackedPoint>) -> usize {
+        self.points.extend(points);
+        self.ends.push(self.points.len());
+        self.ends.len() - 1
+    }
+
     /// Number of scans kept.
     pub fn len(&self) -> usize {
         self.ends.len()

@@ -35,6 +35,8 @@ pub struct Settings {
     /// Whether all scans are matched once more at the end, to the map that they make together, and entered into submaps anew at the
     /// poses found: what `flockslam map --refine` does. Nothing is settled or retires in such a run.
     pub refine: bool,
+    /// The robots that this one shares its map with.
+    pub flock: FlockSettings,
     /// Processes of this stage: one speaks, the others know what it knows and stand by to go on in its place.
     pub replicas: usize,
 }
@@ -56,6 +58,7 @@ impl Default for Settings {
             final_nodes: 3,
             retire_covered_by: 8,
             refine: false,
+            flock: FlockSettings::default(),
             replicas: 1,
         }
     }
@@ -96,4 +99,12 @@ impl Default for ClosureSettings {
             chi_squared_max: 16.0,
         }
     }
+}
+
+/// The robots that this one shares its map with.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FlockSettings {
+    /// Name of this robot in its flock: letters, digits, `-`, `_` and `.`, at most 32; empty = it is alone and keeps no records.
+    pub name: String,
 }

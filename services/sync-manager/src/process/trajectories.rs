@@ -2,6 +2,7 @@ use crate::{SettledScan, Solution};
 use flockslam_geometry::Pose;
 use flockslam_messages::{PoseEstimate, ScanId};
 use flockslam_stage::StageError;
+use flockslam_stage::flock_files::NamedPose;
 use flockslam_stage::results::{self, StampedPose};
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Write};
@@ -67,13 +68,14 @@ impl Trajectories {
         })
     }
 
-    /// Writes the published trajectory, and the final one in the order of the scans.
+    /// Writes the published trajectory, and the final one in the order of the scans, which it gives by their names.
     ///
     /// # Errors
     /// When the disk refuses.
-    pub fn finish(&mut self, solution: &Solution) -> Result<(), StageError> {
+    pub fn finish(&mut self, solution: &Solution) -> Result<Vec<NamedPose>, StageError> {
         results::write_trajectory(&self.directory, results::ONLINE_TRAJECTORY, &self.online.read()?)?;
-        let row = |placed: &crate::PlacedScan| StampedPose {
+        let row = |placed: &crate::PlacedScan| NamedPose {
+            sequence: placed.id.sequence,
             stamp_ns: placed.stamp_ns,
             pose: placed.map_from_base,
         };
@@ -86,7 +88,10 @@ impl Trajectories {
             rows.push(row(&solution.settled(&settled.scan())));
         }
         rows.extend(live.map(row));
-        results::write_trajectory(&self.directory, results::FINAL_TRAJECTORY, &rows)
+        let stamped = |row: &NamedPose| StampedPose { stamp_ns: row.stamp_ns, pose: row.pose };
+        let stamped: Vec<_> = rows.iter().map(stamped).collect();
+        results::write_trajectory(&self.directory, results::FINAL_TRAJECTORY, &stamped)?;
+        Ok(rows)
     }
 }
 

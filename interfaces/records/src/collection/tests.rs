@@ -1,0 +1,221 @@
+use super::*;
+use crate::{Constraint, Descriptor, NodeName, RecordedNode, RobotKey, Stretch, SubmapRecord, Withdrawal};
+use flockslam_geometry::Pose;
+use proptest::prelude::*;
+
+fn key(name: &str) -> RobotKey {
+    RobotKey::of_replay(name).unwrap()
+}
+
+fn withdrawal(number: u64) -> Content {
+    Content::Withdrawal(Withdrawal { epoch: 1, number })
+}
+
+fn submap(number: u32, size: usize) -> Content {
+    Content::Submap(SubmapRecord { number, bytes: vec![number as u8; size] })
+}
+
+fn stretch(sequence: u64) -> Content {
+    let node = |k: u64| RecordedNode {
+        sequence: sequence + 3 * k,
+        submap: 2,
+        odom_from_base: Pose::new(1.0, -2.0, 3.0),
+        motion: Pose::new(0.3, 0.01, -0.02),
+        information: [1e4, 10.0, 0.0, 2e4, -5.0, 3e4],
+        doubt_m: 0.3,
+        points: (0..40).map(|i| [100 * i, -7 * i]).collect(),
+    };
+    let descriptor = Descriptor::of([(1.0, 2.0), (3.0, 3.0)].into_iter());
+    Content::Stretch(Stretch {
+        chain: 1,
+        previous: sequence.checked_sub(2),
+        descriptor,
+        nodes: (0..3).map(node).collect(),
+    })
+}
+
+fn constraint(from: &RobotKey, to: &RobotKey) -> Content {
+    let node = |key: &RobotKey, sequence| NodeName { robot: key.id().clone(), epoch: 1, sequence };
+    Content::Constraint(Constraint {
+        from: node(from, 7),
+        to: node(to, 9),
+        motion: Pose::new(-3.25, 0.5, 2.0),
+        information: [400.0, 0.0, 0.0, 400.0, 0.0, 1e4],
+        reach_m: 14.0,
+        shift_m: 0.0,
+    })
+}
+
+/// What three robots say: of everything something, a lie (two records of one name) among it.
+fn said() -> Vec<Record> {
+    let (a, b, c) = (key("a"), key("b"), key("c"));
+    let mut records = Vec::new();
+    for robot in [&a, &b, &c] {
+        let contents =
+            [submap(0, 900), stretch(5), constraint(&a, robot), submap(1, 300), withdrawal(0), stretch(30)];
+        let distinct =
+            |(_, content): &(u64, &Content)| content.kind() != Kind::Constraint || robot.id() != a.id();
+        for (number, content) in (0..).zip(&contents).filter(distinct) {
+            records.push(Record::new(robot, 1, number, content).unwrap());
+        }
+    }
+    records.push(Record::new(&b, 1, 3, &submap(1, 301)).unwrap());
+    // A withdrawal that is itself in doubt withdraws nothing.
+    records.push(Record::new(&c, 1, 4, &withdrawal(1)).unwrap());
+    records.push(Record::new(&c, 2, 0, &submap(0, 20)).unwrap());
+    records
+}
+
+fn take_all(collection: &mut Collection, records: &[Record]) {
+    for record in records {
+        let _ = collection.insert(record.clone());
+    }
+}
+
+fn names(collection: &Collection) -> Vec<RecordName> {
+    collection.records().map(|record| record.name.clone()).collect()
+}
+
+proptest! {
+    #[test]
+    fn order_and_repetition_do_not_matter(order in proptest::collection::vec(0usize..20, 0..60), seed in any::<u64>()) {
+        let records = said();
+        let mut all: Vec<usize> = (0..records.len()).collect();
+        all.rotate_left((seed % records.len() as u64) as usize);
+        if seed & 1 == 1 {
+            all.reverse();
+        }
+        let (mut forward, mut shuffled) = (Collection::default(), Collection::default());
+        take_all(&mut forward, &records);
+        for at in order.iter().map(|at| at % records.len()).chain(all) {
+            shuffled.take(records[at].bytes()).unwrap();
+        }
+        prop_assert_eq!(names(&forward), names(&shuffled));
+        prop_assert_eq!(forward.vector(), shuffled.vector());
+        prop_assert_eq!(forward.hash(), shuffled.hash());
+        let mut told: Vec<_> = names(&forward);
+        told.retain(|name| name.robot.name() == "b" && name.number == 3 || name.robot.name() == "a" && name.number == 0);
+        prop_assert!(told.is_empty(), "in doubt or withdrawn: {told:?}");
+        prop_assert!(names(&forward).iter().any(|name| name.robot.name() == "c" && name.number == 0));
+    }
+
+    /// Three robots, each knows a part, talk in any order over links that lose and repeat: once all have heard all, all know the same.
+    #[test]
+    fn robots_that_talk_come_to_know_the_same(
+        share in proptest::collection::vec(0usize..3, 20),
+        talks in proptest::collection::vec((0usize..3, 0usize..3, 200usize..4000, any::<bool>()), 0..30),
+    ) {
+        let records = said();
+        let mut robots = vec![Collection::default(); 3];
+        for (record, owner) in records.iter().zip(&share) {
+            robots[*owner].insert(record.clone());
+        }
+        let rounds = (0..60).map(|k| (k % 3, (k + 1 + k / 3 % 2) % 3, 1500, false));
+        for (to, from, budget, lost) in talks.into_iter().chain(rounds) {
+            if to != from {
+                talk(&mut robots, to, from, budget, lost);
+            }
+        }
+        prop_assert_eq!(robots[0].hash(), robots[1].hash());
+        prop_assert_eq!(robots[1].hash(), robots[2].hash());
+        prop_assert_eq!(names(&robots[0]), names(&robots[2]));
+        let mut all = Collection::default();
+        take_all(&mut all, &records);
+        prop_assert_eq!(all.hash(), robots[0].hash());
+    }
+
+    #[test]
+    fn whatever_bytes_come_nothing_breaks(bytes in proptest::collection::vec(any::<u8>(), 0..300), at in 0usize..4000, flip in 1u8..) {
+        let mut collection = Collection::default();
+        let _ = collection.take(&bytes);
+        let _ = Message::decode(&bytes);
+        for record in said() {
+            let mut bytes = record.bytes().to_vec();
+            let at = at % bytes.len();
+            bytes[at] ^= flip;
+            let outcome = collection.take(&bytes);
+            let refused = matches!(outcome, Err(_) | Ok(Outcome::Refused(_)));
+            prop_assert!(refused, "byte {at} of {:?}", record.name);
+            prop_assert!(collection.take(&record.bytes()[..at]).is_err());
+            let message = Message::Records(vec![record.bytes().clone()]).encode();
+            prop_assert!(Message::decode(&message[..at.min(message.len() - 1)]).is_err());
+        }
+        prop_assert_eq!(collection.records().count(), 0);
+    }
+}
+
+/// `to` tells what it has and takes in what `from` answers, as far as it comes through; then what `to` says to that.
+fn talk(robots: &mut [Collection], to: usize, from: usize, budget: usize, lost: bool) {
+    let have = Message::decode(&Message::Have(robots[to].vector()).encode()).unwrap();
+    let answers = robots[from].answer(&have, budget);
+    for (k, answer) in answers.iter().enumerate() {
+        if lost && k % 2 == 0 {
+            continue;
+        }
+        let answer = Message::decode(&answer.encode()).unwrap();
+        for further in robots[to].answer(&answer, budget) {
+            robots[from].answer(&further, budget);
+        }
+    }
+}
+
+#[test]
+fn records_come_back_as_they_were_said() {
+    for record in said() {
+        let read = Record::read(record.bytes()).unwrap();
+        assert_eq!(read, record);
+        let again =
+            Record::new(&key(record.name.robot.name()), record.name.epoch, record.name.number, &read.content);
+        assert_eq!(again.unwrap().hash, record.hash, "what was read is what is stored");
+    }
+}
+
+#[test]
+fn the_urgent_goes_first_and_within_the_budget() {
+    let mut collection = Collection::default();
+    take_all(&mut collection, &said());
+    let all = collection.missing(&Vector::default(), usize::MAX);
+    let kinds: Vec<Kind> = all.iter().map(|bytes| Record::read(bytes).unwrap().kind()).collect();
+    let evidence = kinds.iter().position(|kind| *kind == Kind::Submap && kinds[kinds.len() - 1] == *kind);
+    assert!(kinds[0] <= Kind::Submap && evidence.is_some(), "{kinds:?}");
+    let some = collection.missing(&Vector::default(), 1000);
+    assert!(some.iter().map(|bytes| bytes.len()).sum::<usize>() <= 1000 && some[..] == all[..some.len()]);
+    assert_eq!(collection.missing(&Vector::default(), 1).len(), 1);
+    assert!(collection.missing(&collection.vector(), usize::MAX).is_empty());
+}
+
+#[test]
+fn what_is_too_much_is_refused_and_counted() {
+    let limits = Limits { robots_max: 2, epochs_max: 1, records_max: 4, robot_bytes_max: 2000 };
+    let mut collection = Collection::new(limits);
+    let mut say = |name: &str, epoch, number, size| {
+        let record = Record::new(&key(name), epoch, number, &submap(number as u32, size)).unwrap();
+        collection.insert(record)
+    };
+    assert_eq!(say("a", 1, 0, 10), Outcome::New);
+    assert_eq!(say("a", 2, 0, 10), Outcome::Refused(Refusal::Epochs));
+    assert_eq!(say("a", 1, 4, 10), Outcome::Refused(Refusal::Records));
+    assert_eq!(say("a", 1, 3, 1900), Outcome::Refused(Refusal::Bytes));
+    assert_eq!(say("b", 1, 0, 10), Outcome::New);
+    assert_eq!(say("c", 1, 0, 10), Outcome::Refused(Refusal::Robots));
+    collection.ban(*key("a").id().public_key());
+    assert_eq!(collection.robots().map(RobotId::name).collect::<Vec<_>>(), ["b"]);
+    let record = Record::new(&key("a"), 1, 0, &submap(0, 10)).unwrap();
+    assert_eq!(collection.take(record.bytes()), Ok(Outcome::Refused(Refusal::NotTrusted)));
+    collection.trust_only([]);
+    assert_eq!(collection.robots().count(), 0);
+    assert_eq!(collection.tally().refused.values().sum::<u64>(), 5);
+}
+
+#[test]
+fn claims_that_are_too_large_are_refused_before_memory_is_asked_for() {
+    let record = said().remove(1);
+    let mut bytes = record.bytes().to_vec();
+    let length_at = 6 + 1 + 1 + 32 + 16;
+    bytes[length_at..length_at + 4].copy_from_slice(&u32::MAX.to_le_bytes());
+    assert!(matches!(Record::read(&bytes), Err(RecordError::TooMuch { .. })));
+    bytes[4] = 9;
+    assert_eq!(Record::read(&bytes), Err(RecordError::Version(9)));
+    let huge = Content::Submap(SubmapRecord { number: 0, bytes: vec![0; 300_000] });
+    assert!(Record::new(&key("a"), 1, 0, &huge).is_err());
+}

@@ -1,0 +1,106 @@
+use crate::codec::{Reader, Writer};
+use crate::{RecordError, RobotId};
+
+mod clearance;
+mod constraint;
+mod stretch;
+mod submap;
+mod withdrawal;
+
+pub use clearance::Clearance;
+pub use constraint::{Constraint, NodeName};
+pub use stretch::{Descriptor, RecordedNode, Stretch};
+pub use submap::SubmapRecord;
+pub use withdrawal::Withdrawal;
+
+/// The kinds of records, the most urgent first: what takes little room and changes the map at once goes before what takes much.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[repr(u8)]
+pub enum Kind {
+    /// A record of the same robot does not hold any more.
+    Withdrawal = 1,
+    /// A measured motion between two nodes.
+    Constraint = 2,
+    /// A stretch of the pose graph with its scans: what others match against.
+    Stretch = 3,
+    /// Cells of a submap that are stale.
+    Clearance = 4,
+    /// The evidence of a closed submap.
+    Submap = 5,
+}
+
+impl Kind {
+    /// All of them, the most urgent first.
+    pub const ALL: [Kind; 5] =
+        [Self::Withdrawal, Self::Constraint, Self::Stretch, Self::Clearance, Self::Submap];
+
+    pub(crate) fn from_number(number: u8) -> Result<Self, RecordError> {
+        let known = Self::ALL.into_iter().find(|kind| *kind as u8 == number);
+        known.ok_or(RecordError::Kind(number))
+    }
+
+    /// Its name in metrics.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Withdrawal => "withdrawal",
+            Self::Constraint => "constraint",
+            Self::Stretch => "stretch",
+            Self::Clearance => "clearance",
+            Self::Submap => "submap",
+        }
+    }
+}
+
+/// What a record says.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Content {
+    /// The evidence of a closed submap.
+    Submap(SubmapRecord),
+    /// A stretch of the pose graph with its scans.
+    Stretch(Stretch),
+    /// A measured motion between two nodes.
+    Constraint(Constraint),
+    /// Cells of a submap that are stale.
+    Clearance(Clearance),
+    /// A record of the same robot does not hold any more.
+    Withdrawal(Withdrawal),
+}
+
+impl Content {
+    /// What kind of record it makes.
+    pub fn kind(&self) -> Kind {
+        match self {
+            Self::Submap(_) => Kind::Submap,
+            Self::Stretch(_) => Kind::Stretch,
+            Self::Constraint(_) => Kind::Constraint,
+            Self::Clearance(_) => Kind::Clearance,
+            Self::Withdrawal(_) => Kind::Withdrawal,
+        }
+    }
+
+    pub(crate) fn encode(&self) -> Vec<u8> {
+        let mut out = Writer::default();
+        match self {
+            Self::Submap(submap) => submap.write(&mut out),
+            Self::Stretch(stretch) => stretch.write(&mut out),
+            Self::Constraint(constraint) => constraint.write(&mut out),
+            Self::Clearance(clearance) => clearance.write(&mut out),
+            Self::Withdrawal(withdrawal) => withdrawal.write(&mut out),
+        }
+        out.0
+    }
+
+    /// Reads what `author` says.
+    pub(crate) fn decode(kind: Kind, author: &RobotId, payload: &[u8]) -> Result<Self, RecordError> {
+        let mut input = Reader(payload);
+        let content = match kind {
+            Kind::Submap => Self::Submap(SubmapRecord::read(&mut input)?),
+            Kind::Stretch => Self::Stretch(Stretch::read(&mut input)?),
+            Kind::Constraint => Self::Constraint(Constraint::read(&mut input, author)?),
+            Kind::Clearance => Self::Clearance(Clearance::read(&mut input)?),
+            Kind::Withdrawal => Self::Withdrawal(Withdrawal::read(&mut input)?),
+        };
+        input.end()?;
+        Ok(content)
+    }
+}

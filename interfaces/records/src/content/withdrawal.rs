@@ -1,0 +1,22 @@
+use crate::RecordError;
+use crate::codec::{Reader, Writer};
+
+/// Takes back a record of the same robot. It names no robot: nobody can withdraw what another has said.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Withdrawal {
+    /// Epoch of the record that does not hold any more.
+    pub epoch: u64,
+    /// Its number.
+    pub number: u64,
+}
+
+impl Withdrawal {
+    pub(crate) fn write(&self, out: &mut Writer) {
+        out.u64(self.epoch);
+        out.u64(self.number);
+    }
+
+    pub(crate) fn read(input: &mut Reader<'_>) -> Result<Self, RecordError> {
+        Ok(Self { epoch: input.u64()?, number: input.u64()? })
+    }
+}

@@ -1,0 +1,32 @@
+//! What robots tell each other.
+//!
+//! Each robot owns an append-only log of [`Record`]s: submaps, stretches of its pose graph, constraints, clearances,
+//! withdrawals. A record is named (robot, epoch, number) and by the BLAKE3 hash of its bytes, and signed by its robot. A
+//! [`Collection`] is what one robot knows of all logs: it only grows, so collections that have heard the same records are the same,
+//! whatever the order, repetition or detours. [`Vector`]s say what a collection has; [`Collection::missing`] answers one.
+//!
+//! Nothing here trusts the bytes: every length is checked against a limit before memory is asked for.
+
+mod codec;
+mod collection;
+mod content;
+mod error;
+mod message;
+mod numbers;
+mod record;
+mod robot;
+mod sealed;
+mod vector;
+
+pub use collection::{Collection, Limits, Outcome, Refusal, Tally};
+pub use content::{
+    Clearance, Constraint, Content, Descriptor, Kind, NodeName, RecordedNode, Stretch, SubmapRecord,
+    Withdrawal,
+};
+pub use error::RecordError;
+pub use message::{MESSAGE_BYTES_MAX, Message};
+pub use numbers::Numbers;
+pub use record::{Record, RecordName};
+pub use robot::{RobotId, RobotKey};
+pub use sealed::{PAYLOAD_BYTES_MAX, RECORD_BYTES_MAX, SCHEMA_VERSION};
+pub use vector::{LogState, Vector};

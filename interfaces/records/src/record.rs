@@ -1,0 +1,73 @@
+use crate::content::{Content, Kind};
+use crate::sealed::{Envelope, PAYLOAD_BYTES_MAX, seal};
+use crate::{RecordError, RobotId, RobotKey};
+use std::sync::Arc;
+
+/// What a record is called: the `number`th of what `robot` says in `epoch`.
+///
+/// A robot that has lost its log begins a new epoch, so that no name is ever used twice.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct RecordName {
+    /// Whose record it is.
+    pub robot: RobotId,
+    /// Which of its logs.
+    pub epoch: u64,
+    /// Which record of the log, from 0.
+    pub number: u64,
+}
+
+/// A record that is whole: its signature holds and its content is well formed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Record {
+    /// Its name.
+    pub name: RecordName,
+    /// BLAKE3 hash of all of it but the signature.
+    pub hash: [u8; 32],
+    /// What it says.
+    pub content: Content,
+    bytes: Arc<[u8]>,
+}
+
+impl Record {
+    /// Writes and signs a record. What it says comes back rounded to what is stored, for the author as for everybody.
+    ///
+    /// # Errors
+    /// When the content is too large for a record, or not well formed.
+    pub fn new(key: &RobotKey, epoch: u64, number: u64, content: &Content) -> Result<Self, RecordError> {
+        let payload = content.encode();
+        if payload.len() > PAYLOAD_BYTES_MAX {
+            let (claimed, limit) = (payload.len() as u64, PAYLOAD_BYTES_MAX as u64);
+            return Err(RecordError::TooMuch { what: "bytes of a payload", claimed, limit });
+        }
+        let (bytes, hash) = seal(key, epoch, number, content.kind(), &payload);
+        let content = Content::decode(content.kind(), key.id(), &payload)?;
+        let name = RecordName { robot: key.id().clone(), epoch, number };
+        Ok(Self { name, hash, content, bytes: bytes.into() })
+    }
+
+    /// Reads a record from anybody.
+    ///
+    /// # Errors
+    /// When the bytes are not exactly one well-formed record, signed by the robot that it names.
+    pub fn read(bytes: &[u8]) -> Result<Self, RecordError> {
+        let envelope = Envelope::open(bytes, true)?;
+        let content = Content::decode(envelope.kind, &envelope.robot, envelope.payload)?;
+        Ok(Self { name: envelope.name(), hash: envelope.hash, content, bytes: bytes.into() })
+    }
+
+    /// What bytes say that they are, without looking at signature and content.
+    pub(crate) fn peek(bytes: &[u8]) -> Result<(RecordName, [u8; 32]), RecordError> {
+        let envelope = Envelope::open(bytes, false)?;
+        Ok((envelope.name(), envelope.hash))
+    }
+
+    /// Its bytes, as they travel.
+    pub fn bytes(&self) -> &Arc<[u8]> {
+        &self.bytes
+    }
+
+    /// What kind of record it is.
+    pub fn kind(&self) -> Kind {
+        self.content.kind()
+    }
+}

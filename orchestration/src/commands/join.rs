@@ -1,0 +1,249 @@
+//! Robots that have mapped for themselves meet: they exchange what they have recorded, find out how they lie to each other, and
+//! each works out the same map.
+
+use super::CommandError;
+use super::run::occupancy;
+use crate::cli::ConfigurationArgs;
+use crate::configuration::Configuration;
+use crate::outputs::{TrajectoryPoint, map_hash, write_flock_picture, write_map, write_trajectory};
+use clap::ValueEnum;
+use flockslam_geometry::Pose;
+use flockslam_journal::{Durability, replace_file};
+use flockslam_records::{Limits, Message, RobotKey};
+use flockslam_stage::StageError;
+use flockslam_stage::flock_files::{NamedPose, OWN_NODES, OWN_SCANS, RecordLog, read_named};
+use flockslam_stage::results::StoredMap;
+use flockslam_sync_manager::flock::{Carried, Flock, FlockLayout, carried};
+use serde::Serialize;
+use std::ffi::OsStr;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Instant;
+
+/// Records that a robot sends in answer to one message, bytes.
+const ANSWER_BYTES: usize = 4 << 20;
+/// Epoch of the records of a run.
+const EPOCH: u64 = 1;
+
+/// What a robot has recorded for its flock, and what it knows of its own way.
+pub struct Member {
+    name: String,
+    records: Vec<Vec<u8>>,
+    scans: Vec<Carried>,
+    nodes: Vec<(u64, Pose)>,
+}
+
+impl Member {
+    /// Reads what a robot's sync-manager has left in a directory.
+    ///
+    /// # Errors
+    /// When it is not there.
+    pub fn read(name: &str, directory: &Path) -> Result<Self, StageError> {
+        let scan = |row: NamedPose| Carried {
+            sequence: row.sequence,
+            stamp_ns: row.stamp_ns,
+            map_from_base: row.pose,
+        };
+        Ok(Self {
+            name: name.to_owned(),
+            records: RecordLog::read(directory)?,
+            scans: read_named(directory, OWN_SCANS)?.into_iter().map(scan).collect(),
+            nodes: read_named(directory, OWN_NODES)?
+                .into_iter()
+                .map(|row| (row.sequence, row.pose))
+                .collect(),
+        })
+    }
+}
+
+/// Runs a robot of this name as a process set of its own – one to a supervisor – and gives what it has recorded. `command` is the
+/// command that it runs, without outputs and configuration.
+///
+/// # Errors
+/// When it fails: what it says goes to the standard error.
+pub fn run_member(
+    command: &[&OsStr],
+    given: &ConfigurationArgs,
+    name: &str,
+    out: &Path,
+) -> Result<Member, CommandError> {
+    let program = std::env::current_exe().map_err(CommandError::failed)?;
+    let mut child = Command::new(program);
+    child.args(command).arg("--out").arg(out);
+    if let Some(config) = &given.config {
+        child.arg("--config").arg(config);
+    }
+    if let Some(profile) = given.profile.to_possible_value() {
+        child.args(["--profile", profile.get_name()]);
+    }
+    for assignment in &given.assignments {
+        child.args(["--set", assignment]);
+    }
+    child.args(["--set", &format!("sync_manager.flock.name=\"{name}\"")]).stdout(Stdio::null());
+    let status = child.status().map_err(CommandError::failed)?;
+    match status.code() {
+        Some(0) => Member::read(name, out).map_err(CommandError::failed),
+        Some(2) => Err(CommandError::user(format!("robot {name} cannot run"))),
+        _ => Err(CommandError::failed(format!("robot {name} has failed ({status})"))),
+    }
+}
+
+/// What became of a meeting, as written to `flock.json`.
+#[derive(Clone, Debug, Serialize)]
+pub struct Joined {
+    /// Names of all robots, in order.
+    pub robots: Vec<String>,
+    /// Those that are part of the common map.
+    pub members: Vec<String>,
+    /// Whether every robot has worked out the same layout and the same map.
+    pub all_agree: bool,
+    /// Hash of the layout.
+    pub layout_hash: String,
+    /// Hash of the fused map.
+    pub map_hash: String,
+    /// Hash of the records that all have.
+    pub records_hash: String,
+    /// Constraints between robots that act, and those that do not.
+    pub constraints_between: (u64, u64),
+    /// Branch-and-bound searches of all robots.
+    pub searches: u64,
+    /// Records, and their bytes.
+    pub records: (u64, u64),
+    /// Bytes that travelled between the robots.
+    pub bytes_exchanged: u64,
+    /// Time that looking for each other took, all robots together, seconds.
+    pub search_s: f64,
+    /// Time of one final layout, seconds.
+    pub layout_s: f64,
+}
+
+impl Joined {
+    /// For people.
+    pub fn summary(&self, out: &Path) -> String {
+        let agree = if self.all_agree { "all robots have the same map" } else { "THE MAPS DIFFER" };
+        format!(
+            "{} of {} robots in one map: {}\n{} constraints between robots act, {} do not; {} records, {:.0} kB; {agree}\n\
+             map {}\nwrote trajectory.tum, map.pgm, map.yaml, map.png, flock.json to {}\n",
+            self.members.len(),
+            self.robots.len(),
+            self.members.join(", "),
+            self.constraints_between.0,
+            self.constraints_between.1,
+            self.records.0,
+            self.records.1 as f64 * 1e-3,
+            self.map_hash,
+            out.display()
+        )
+    }
+}
+
+/// Lets the robots meet, and writes what they find into a directory.
+///
+/// # Errors
+/// When the configuration is not usable or the disk refuses.
+pub fn join(out: &Path, given: &ConfigurationArgs, members: Vec<Member>) -> Result<Joined, CommandError> {
+    let configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
+    let mut flocks = Vec::new();
+    for member in &members {
+        let key = RobotKey::of_replay(&member.name).map_err(CommandError::user)?;
+        let mut flock = Flock::new(key, EPOCH, configuration.sync_manager.clone(), Limits::default());
+        for record in &member.records {
+            flock.collection_mut().take(record).map_err(CommandError::failed)?;
+        }
+        flocks.push(flock);
+    }
+    let mut bytes_exchanged = exchange(&mut flocks);
+    let started = Instant::now();
+    for flock in &mut flocks {
+        flock.search(u64::MAX).map_err(CommandError::failed)?;
+    }
+    let search_s = started.elapsed().as_secs_f64();
+    bytes_exchanged += exchange(&mut flocks);
+    let started = Instant::now();
+    let layouts: Vec<FlockLayout> = flocks.iter().map(|flock| flock.layout(true)).collect();
+    let layout_s = started.elapsed().as_secs_f64() / flocks.len().max(1) as f64;
+    let maps: Vec<StoredMap> =
+        flocks.iter().zip(&layouts).map(|(flock, layout)| stored(flock, layout)).collect();
+    let hashes: Vec<(u64, String)> =
+        layouts.iter().zip(&maps).map(|(layout, map)| (layout.hash(), map_hash(map))).collect();
+    let (Some(layout), Some(map), Some(flock), Some(hash)) =
+        (layouts.first(), maps.first(), flocks.first(), hashes.first())
+    else {
+        return Err(CommandError::user("a flock needs a robot"));
+    };
+    let tracks: Vec<Vec<TrajectoryPoint>> = members.iter().map(|member| track(member, layout)).collect();
+    let records: Vec<_> = flock.collection().records().collect();
+    let joined = Joined {
+        robots: members.iter().map(|member| member.name.clone()).collect(),
+        members: layout.members().iter().map(|robot| robot.name().to_owned()).collect(),
+        all_agree: hashes.iter().all(|other| other == hash),
+        layout_hash: format!("{:016x}", hash.0),
+        map_hash: hash.1.clone(),
+        records_hash: flock.collection().hash()[..16].iter().map(|byte| format!("{byte:02x}")).collect(),
+        constraints_between: layout.across,
+        searches: flocks.iter().map(Flock::searches).sum(),
+        records: (records.len() as u64, records.iter().map(|record| record.bytes().len() as u64).sum()),
+        bytes_exchanged,
+        search_s,
+        layout_s,
+    };
+    write(out, &joined, map, &tracks)?;
+    Ok(joined)
+}
+
+/// Each robot tells every other what it has, until nobody learns anything; gives the bytes that travelled.
+fn exchange(flocks: &mut [Flock]) -> u64 {
+    let mut bytes = 0;
+    let mut carry = |message: &Message| {
+        let carried = message.encode();
+        bytes += carried.len() as u64;
+        Message::decode(&carried).expect("what a robot of this build says is read by this build")
+    };
+    loop {
+        let before: Vec<_> = flocks.iter().map(|flock| flock.collection().hash()).collect();
+        for to in 0..flocks.len() {
+            for from in (0..flocks.len()).filter(|from| *from != to) {
+                let have = carry(&flocks[to].have());
+                for answer in flocks[from].answer(&have, ANSWER_BYTES) {
+                    for further in flocks[to].answer(&carry(&answer), ANSWER_BYTES) {
+                        flocks[from].answer(&carry(&further), ANSWER_BYTES);
+                    }
+                }
+            }
+        }
+        let after = flocks.iter().map(|flock| flock.collection().hash());
+        if after.eq(before) {
+            return bytes;
+        }
+    }
+}
+
+fn stored(flock: &Flock, layout: &FlockLayout) -> StoredMap {
+    flock.map(layout).map.as_ref().map_or_else(StoredMap::empty, StoredMap::of)
+}
+
+/// A robot's way in the frame of the flock; nothing when it is not part of it.
+fn track(member: &Member, layout: &FlockLayout) -> Vec<TrajectoryPoint> {
+    let nodes = layout.nodes.iter().find(|((robot, _), _)| robot.name() == member.name);
+    let Some((_, nodes)) = nodes else { return Vec::new() };
+    let inside: Vec<_> = nodes.iter().filter(|node| node.part == layout.main_part).copied().collect();
+    let poses = carried(&member.scans, &member.nodes, &inside);
+    let point =
+        |(scan, pose): (&Carried, Pose)| TrajectoryPoint { stamp_ns: scan.stamp_ns, map_from_base: pose };
+    member.scans.iter().zip(poses).map(point).collect()
+}
+
+fn write(
+    out: &Path,
+    joined: &Joined,
+    map: &StoredMap,
+    tracks: &[Vec<TrajectoryPoint>],
+) -> Result<(), CommandError> {
+    let image = occupancy(map);
+    let all: Vec<TrajectoryPoint> = tracks.iter().flatten().copied().collect();
+    let json = serde_json::to_vec_pretty(joined).map_err(CommandError::failed)?;
+    write_trajectory(&out.join("trajectory.tum"), &all).map_err(CommandError::failed)?;
+    write_map(out, &image).map_err(CommandError::failed)?;
+    write_flock_picture(&out.join("map.png"), &image, tracks).map_err(CommandError::failed)?;
+    replace_file(&out.join("flock.json"), &json, Durability::Process).map_err(CommandError::failed)
+}

@@ -1,0 +1,21 @@
+//! Several robots in one layout: what they have recorded becomes one graph, whose poses every robot works out for itself, and to the
+//! same bits.
+//!
+//! [`Flock`] is what one robot knows and concludes: a collection of records, its own among them, and the search for places that it
+//! shares with others. An [`Atlas`] is the graph that a collection describes, a [`FlockLayout`] its solution: both are functions of the
+//! records alone, whatever the order in which they came.
+
+mod atlas;
+mod fused;
+mod layout;
+mod member;
+mod search;
+mod start;
+mod trajectory;
+
+pub use crate::manager::{News, OwnLoop};
+pub use atlas::Atlas;
+pub use fused::FlockMap;
+pub use layout::{FlockLayout, PlacedNode, PlacedRecord};
+pub use member::Flock;
+pub use trajectory::{Carried, carried};

@@ -1,0 +1,117 @@
+use super::search::Search;
+use super::{Atlas, News};
+use crate::settings::Settings;
+use flockslam_records::{
+    Collection, Constraint, Content, Limits, Message, NodeName, Record, RecordError, RobotId, RobotKey,
+    SubmapRecord,
+};
+use std::sync::Arc;
+
+/// What one robot knows of its flock, and what it says.
+///
+/// A pure function of its calls: news of its own back end and messages of others in, records and messages out.
+pub struct Flock {
+    key: RobotKey,
+    epoch: u64,
+    settings: Settings,
+    collection: Collection,
+    search: Search,
+}
+
+impl Flock {
+    /// A robot that has said and heard nothing yet. An epoch is never used again after a log has been lost.
+    pub fn new(key: RobotKey, epoch: u64, settings: Settings, limits: Limits) -> Self {
+        let search = Search::new(&settings);
+        Self { key, epoch, settings, collection: Collection::new(limits), search }
+    }
+
+    /// Who it is.
+    pub fn robot(&self) -> &RobotId {
+        self.key.id()
+    }
+
+    /// All that it has heard of, its own records among them.
+    pub fn collection(&self) -> &Collection {
+        &self.collection
+    }
+
+    /// The same, to ban or to trust.
+    pub fn collection_mut(&mut self) -> &mut Collection {
+        &mut self.collection
+    }
+
+    /// How it matches and solves.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// Branch-and-bound searches so far.
+    pub fn searches(&self) -> u64 {
+        self.search.searches()
+    }
+
+    /// Says something: gives the bytes of the record, which are to be kept before anybody else hears of it.
+    ///
+    /// # Errors
+    /// When the content is too large for a record.
+    pub fn say(&mut self, content: &Content) -> Result<Arc<[u8]>, RecordError> {
+        let number = self.collection.next_number(self.key.id(), self.epoch);
+        let record = Record::new(&self.key, self.epoch, number, content)?;
+        let bytes = Arc::clone(record.bytes());
+        self.collection.insert(record);
+        Ok(bytes)
+    }
+
+    /// Says what its own back end has found out.
+    ///
+    /// # Errors
+    /// As [`Self::say`].
+    pub fn say_news(&mut self, news: &News) -> Result<Vec<Arc<[u8]>>, RecordError> {
+        let mut said = Vec::new();
+        for stretch in &news.stretches {
+            said.push(self.say(&Content::Stretch(stretch.clone()))?);
+        }
+        let node = |sequence| NodeName { robot: self.key.id().clone(), epoch: self.epoch, sequence };
+        let constraint = |own: &super::OwnLoop| Constraint {
+            from: node(own.from),
+            to: node(own.to),
+            motion: own.closure.edge.motion.pose(),
+            information: own.closure.edge.information.map(|v| v as f32),
+            reach_m: own.closure.reach_m as f32,
+            shift_m: own.closure.shift_m as f32,
+        };
+        let constraints: Vec<Constraint> = news.loops.iter().map(constraint).collect();
+        for constraint in constraints {
+            said.push(self.say(&Content::Constraint(constraint))?);
+        }
+        Ok(said)
+    }
+
+    /// Says what the evidence of a closed submap is.
+    ///
+    /// # Errors
+    /// As [`Self::say`].
+    pub fn say_submap(&mut self, submap: &flockslam_evidence::Submap) -> Result<Arc<[u8]>, RecordError> {
+        self.say(&Content::Submap(SubmapRecord::of(submap)))
+    }
+
+    /// Takes in a message of another robot and gives what to answer, with records for at most so many bytes.
+    pub fn answer(&mut self, message: &Message, budget_bytes: usize) -> Vec<Message> {
+        self.collection.answer(message, budget_bytes)
+    }
+
+    /// What it tells others that it has.
+    pub fn have(&self) -> Message {
+        Message::Have(self.collection.vector())
+    }
+
+    /// Looks for places that it shares with others, with at most about so many searches, and says what it has found.
+    ///
+    /// # Errors
+    /// As [`Self::say`].
+    pub fn search(&mut self, searches_max: u64) -> Result<Vec<Arc<[u8]>>, RecordError> {
+        let mut atlas = Atlas::new(&self.collection, &self.settings);
+        let found = self.search.run(&mut atlas, self.key.id(), &self.settings, searches_max);
+        found.into_iter().map(|constraint| self.say(&Content::Constraint(constraint))).collect()
+    }
+}

@@ -1,0 +1,108 @@
+//! What a robot tells its flock of what it has found out: its nodes as they are chained, and the loops among them. It is told once
+//! and stays as it was told.
+
+use super::SyncManager;
+use crate::chain::Node;
+use crate::closure::Closure;
+use flockslam_records::{Descriptor, RecordedNode, Stretch};
+use flockslam_registration::cloud::{PackedPoint, Placement};
+
+/// Most nodes of a stretch that is told at once.
+const STRETCH_NODES: usize = 48;
+
+/// A loop among a robot's own nodes, which are named by the sequences of their scans.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OwnLoop {
+    /// Node that it starts from.
+    pub from: u64,
+    /// Node that it leads to.
+    pub to: u64,
+    /// The measured motion and how it was found; its numbers of nodes mean nothing here.
+    pub closure: Closure,
+}
+
+/// What is new since the flock was told last.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct News {
+    /// New nodes, in order.
+    pub stretches: Vec<Stretch>,
+    /// New loops among nodes that have been told.
+    pub loops: Vec<OwnLoop>,
+}
+
+/// What waits to be told.
+#[derive(Debug, Default)]
+pub(super) struct Telling {
+    /// Sequence and strand of the last node told.
+    last: Option<(u64, u32)>,
+    news: News,
+}
+
+impl Telling {
+    pub(super) fn found(&mut self, closures: &[Closure], nodes: &[Node]) {
+        let named = |closure: &Closure| OwnLoop {
+            from: nodes[closure.edge.from].sequence,
+            to: nodes[closure.edge.to].sequence,
+            closure: *closure,
+        };
+        self.news.loops.extend(closures.iter().map(named));
+    }
+}
+
+impl SyncManager {
+    /// Keeps account from now on of what the flock is to be told. To be asked for before the first pose.
+    pub fn tell_the_flock(&mut self) {
+        self.telling = Some(Telling::default());
+    }
+
+    /// What is new since the last call.
+    pub fn take_news(&mut self) -> News {
+        self.telling.as_mut().map_or_else(News::default, |telling| std::mem::take(&mut telling.news))
+    }
+
+    /// Takes note of the nodes below `known` that have not been told.
+    pub(super) fn tell(&mut self, known: usize) {
+        let Some(telling) = &mut self.telling else { return };
+        let (nodes, edges) = (self.chain.nodes(), self.chain.edges());
+        let first = nodes.partition_point(|node| telling.last.is_some_and(|(last, _)| node.sequence <= last));
+        let submap_of = |node: usize| {
+            // Nodes stand among the kept scans in their order, each before the scans that follow it.
+            let place = self.kept.partition_point(|kept| kept.node < node);
+            self.records[self.kept[place].record].submap
+        };
+        let recorded = |i: usize| {
+            let node = &nodes[i];
+            let before = i.checked_sub(1).map(|before| &nodes[before]);
+            let edge = i.checked_sub(1).map(|before| &edges[before]);
+            let doubt_m = before
+                .map_or(0.0, |before| node.doubt_m - before.doubt_m - node.chain.distance_m(&before.chain));
+            RecordedNode {
+                sequence: node.sequence,
+                submap: submap_of(i),
+                odom_from_base: node.odom.pose(),
+                motion: edge.map_or(Placement::IDENTITY, |edge| edge.motion).pose(),
+                information: edge
+                    .map_or([1.0, 0.0, 0.0, 1.0, 0.0, 1.0], |edge| edge.information.map(|v| v as f32)),
+                doubt_m: doubt_m.max(0.0) as f32,
+                points: self.scans.points(node.scan).iter().map(|p: &PackedPoint| [p.x_mm, p.y_mm]).collect(),
+            }
+        };
+        let mut start = first;
+        while start < known {
+            let strand = nodes[start].strand;
+            let end = (start..known.min(start + STRETCH_NODES))
+                .find(|i| nodes[*i].strand != strand)
+                .unwrap_or(known.min(start + STRETCH_NODES));
+            let seen = (start..end).flat_map(|i| self.scans.points(nodes[i].scan));
+            let previous = telling.last.filter(|(_, chain)| *chain == strand).map(|(sequence, _)| sequence);
+            telling.news.stretches.push(Stretch {
+                chain: strand,
+                previous,
+                descriptor: Descriptor::of(seen.map(|p| (p.x_m(), p.y_m()))),
+                nodes: (start..end).map(recorded).collect(),
+            });
+            telling.last = Some((nodes[end - 1].sequence, strand));
+            start = end;
+        }
+    }
+}
