@@ -12,7 +12,8 @@ const SAME_MIN: usize = 10;
 /// Looks at each scan beside the one before it: time goes on, and who moves sees something else.
 #[derive(Debug, Default)]
 pub struct Continuity {
-    newest_ns: Option<i64>,
+    /// Stamp of the last scan that was not refused for it.
+    last_ns: Option<i64>,
     /// Stamp of the last scan, when it was refused for its stamp.
     refused_ns: Option<i64>,
     ranges: Vec<f32>,
@@ -22,7 +23,7 @@ pub struct Continuity {
 impl Continuity {
     /// What speaks against the next scan, if something does.
     ///
-    /// A scan that is stamped far behind the newest is an old one. When the next one follows it, though, the clock was put back,
+    /// A scan that is stamped far behind the one before it is an old one. When the next one follows it, though, the clock was put back,
     /// and time goes on from there. A scan with exactly the ranges of the last one that was taken, while the wheels have turned,
     /// comes from a driver that repeats itself.
     pub fn refuses(&mut self, scan: &ScanBuffer) -> Option<Rejection> {
@@ -33,7 +34,7 @@ impl Continuity {
             return Some(Rejection::TimeReversed);
         }
         self.refused_ns = None;
-        self.newest_ns = Some(stamp_ns);
+        self.last_ns = Some(stamp_ns);
         if self.is_frozen(view) {
             return Some(Rejection::Frozen);
         }
@@ -42,7 +43,7 @@ impl Continuity {
     }
 
     fn is_old(&self, stamp_ns: i64) -> bool {
-        let behind = self.newest_ns.is_some_and(|newest_ns| newest_ns.saturating_sub(stamp_ns) > REVERSED_NS);
+        let behind = self.last_ns.is_some_and(|last_ns| last_ns.saturating_sub(stamp_ns) > REVERSED_NS);
         let follows =
             self.refused_ns.is_some_and(|refused_ns| stamp_ns.abs_diff(refused_ns) < REVERSED_NS as u64);
         behind && !follows
