@@ -9,7 +9,7 @@ use std::process::Command;
 use support::repository;
 
 /// Crates that others may import, lowest layer first; an import goes to a lower layer only.
-const LIBRARIES: [(&str, u32); 9] = [
+const LIBRARIES: [(&str, u32); 10] = [
     ("geometry", 0),
     ("evidence", 1),
     ("messages", 2),

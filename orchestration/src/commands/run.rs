@@ -348,7 +348,7 @@ fn report(
             revoked: summary.closures_revoked,
         },
         map_area_m2: map.known_area_m2(),
-        trajectory_length_m: way_m(&trajectory),
+        trajectory_length_m: way_m(trajectory),
         ..Report::default()
     };
     let all = Stage::ALL.into_iter().flat_map(|stage| read_reports(&status, stage.name()));

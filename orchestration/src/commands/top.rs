@@ -46,7 +46,9 @@ fn show(terminal: &mut ratatui::DefaultTerminal, robot: &str) -> io::Result<()> 
                 Event::Key(key) if key.kind == KeyEventKind::Press && ends(key.code, key.modifiers) => {
                     return Ok(());
                 }
-                Event::Resize(..) => drop(terminal.draw(|frame| draw(frame, &state))?),
+                Event::Resize(..) => {
+                    terminal.draw(|frame| draw(frame, &state))?;
+                }
                 _ => {}
             }
         }
