@@ -28,7 +28,7 @@ fn robot(name: &str, building: &Building, way: &[Pose], range: Range<usize>, ori
         };
         pose.flags = PoseFlags::MATCHED | PoseFlags::INSERT;
         manager.pose(&pose);
-        manager.node(building.scan(*at, &mut noise).view().unwrap(), &pose);
+        manager.node(building.scan(*at, &mut noise).view().unwrap(), &pose, &[]);
         if i % 60 == 59 {
             manager.submap_closed(&SubmapClosed {
                 last: id,
