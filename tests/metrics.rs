@@ -67,7 +67,9 @@ fn stages_answer_on_their_sockets_and_one_port_has_all_of_them() {
     for metric in names::ALL {
         let head = format!("# TYPE {} {}", metric.name, metric.kind.name());
         let page = wait_for(&head, || page_at(port).filter(|page| page.lines().any(|line| line == head)));
-        let series = page.lines().find(|line| line.starts_with(&format!("{}{{", metric.name)));
+        let plain = format!("{}{{", metric.name);
+        let bucket = format!("{}_bucket{{", metric.name);
+        let series = page.lines().find(|line| line.starts_with(&plain) || line.starts_with(&bucket));
         for label in metric.labels {
             let series = series.unwrap_or_else(|| panic!("{} has no labels", metric.name));
             assert!(series.contains(&format!("{label}=\"")), "{series}");

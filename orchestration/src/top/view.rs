@@ -149,7 +149,7 @@ mod tests {
         state.stages = vec![stage("lidar-ingest"), stage("scan-matcher"), stage("mapper")];
         state.stages[1].rate_hz = 10.0;
         state.stages[1].latency_s = Some((350e-6, 0.0021));
-        state.stages[1].history_s = [Some(1e-4), None, Some(1e-3), Some(1e-2)].into();
+        state.stages[1].history_s = [Some(1e-4), None, Some(1.5e-3), Some(1e-2)].into();
         state.stages[1].dropped = (12.0, 3.0);
         state.stages[2].up = false;
         state.stages[2].restarts = 4.0;
