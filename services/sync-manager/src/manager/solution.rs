@@ -1,0 +1,70 @@
+//! What the manager's poses make of scans and submaps.
+
+use super::SyncManager;
+use crate::solution::{PlacedScan, PlacedSubmap, Solution};
+use crate::strands::Strands;
+use crate::trajectory::Record;
+use flockslam_geometry::Pose;
+use flockslam_registration::cloud::Placement;
+use std::collections::BTreeMap;
+
+impl SyncManager {
+    /// The solution with these poses for all records, turned so that the first of the map is where the front end put it.
+    pub(super) fn solution(&self, poses: &[Placement]) -> Solution {
+        let strands = self.strands(self.chain.nodes().len());
+        let begin = self.records.iter().position(|r| strands.is_attached(r.strand)).unwrap_or(0);
+        let gauge = match (self.records.get(begin), poses.get(begin)) {
+            (Some(record), Some(pose)) => record.odom.compose(pose.inverse()),
+            _ => Placement::IDENTITY,
+        };
+        let poses: Vec<Placement> = poses.iter().map(|pose| gauge.compose(*pose)).collect();
+        let place = |(record, pose): (&Record, &Placement)| PlacedScan {
+            id: record.id,
+            stamp_ns: record.stamp_ns,
+            map_from_base: pose.pose(),
+        };
+        let mut submaps: BTreeMap<u32, Pose> =
+            self.settled_layout().map(|(number, at)| (number, gauge.compose(at).pose())).collect();
+        submaps.extend(self.place_submaps(&poses, &strands));
+        let anchors = self.chain.nodes().iter().zip(&self.poses);
+        Solution {
+            trajectory: self.records.iter().zip(&poses).map(place).collect(),
+            anchors: anchors.map(|(node, at)| (node.sequence, gauge.compose(*at).pose())).collect(),
+            submaps: placed(submaps),
+            closures: self.counts(&strands),
+        }
+    }
+
+    /// Each submap of the mapper that is part of the map goes where the median of its scans' corrections takes the one in
+    /// its middle.
+    pub(super) fn place_submaps(&self, poses: &[Placement], strands: &Strands) -> Vec<(u32, Pose)> {
+        let mut submaps = Vec::new();
+        let certain =
+            |(record, _): &(&Record, &Placement)| !record.lost && strands.is_attached(record.strand);
+        let scans: Vec<(&Record, &Placement)> = self.records.iter().zip(poses).filter(certain).collect();
+        for group in scans.chunk_by(|a, b| a.0.submap == b.0.submap) {
+            let middle = group[group.len() / 2].0;
+            let carried = |(record, pose): &(&Record, &Placement)| pose.compose(record.odom.to(middle.odom));
+            let carried: Vec<Placement> = group.iter().map(carried).collect();
+            let map_from_odom = median(&carried).compose(middle.odom.inverse()).pose();
+            submaps.push((middle.submap, map_from_odom));
+        }
+        submaps
+    }
+}
+
+pub(super) fn placed(submaps: BTreeMap<u32, Pose>) -> Vec<PlacedSubmap> {
+    let place = |(number, map_from_odom)| PlacedSubmap { number, map_from_odom };
+    submaps.into_iter().map(place).collect()
+}
+
+/// The median of poses that lie close together, coordinate by coordinate.
+fn median(poses: &[Placement]) -> Placement {
+    let near = poses[poses.len() / 2];
+    let middle = |pick: fn(&Placement) -> f64| {
+        let mut values: Vec<f64> = poses.iter().map(|pose| pick(&near.to(*pose))).collect();
+        values.sort_by(f64::total_cmp);
+        values[values.len() / 2]
+    };
+    near.compose(Placement::new(middle(|p| p.x_m), middle(|p| p.y_m), middle(|p| p.heading_rad)))
+}
