@@ -17,7 +17,7 @@ use support::{Browser, Drive, LiveSet, RunningSet, free_port, http_get, of, proc
 const DRIVE: Drive = Drive { scan_rate_hz: 10.0, duration_s: 3000.0, rate: 6.0 };
 
 fn start(test: &str, directory: &Path, port: u16, more: &[&str]) -> LiveSet {
-    let settings = ["page.enabled=true", &format!("page.listen=127.0.0.1:{port}")];
+    let settings = ["page.enabled=true", &format!("page.listen=127.0.0.1:{port}"), "simulation.walkers=8"];
     let settings = settings.iter().copied().chain(more.iter().copied());
     let arguments: Vec<String> = settings.flat_map(|set| ["--set".to_owned(), set.to_owned()]).collect();
     LiveSet::start_sabotaged(test, directory, DRIVE, "", &arguments, "")
@@ -111,8 +111,7 @@ fn a_browser_shows_the_run_and_what_happens_to_it() {
         |pixels: &serde_json::Value| pixels["all"].as_f64().unwrap() - pixels["unknown"].as_f64().unwrap();
     println!("pixels early {before}, later {after}");
     assert!(known(&after) > 0.05 * after["all"].as_f64().unwrap());
-    let tracks = "view.take({ tracks: [{ id: 1, at: [0, 0], velocity: [1, 0.5], radius_m: 0.4 }] }, []);";
-    browser.script(&format!("const {{ view }} = await import('/main.js'); {tracks}"));
+    browser.wait_until("somebody who walks", &format!("{view}.tracks.length > 0"));
     browser.wait_until(
         "latencies",
         "document.querySelector('[data-stage=mapper] .detail').textContent.includes('Hz')",
@@ -142,6 +141,18 @@ fn a_browser_shows_the_run_and_what_happens_to_it() {
     browser.press("Enter");
     browser.wait_until("the answer", "document.querySelector('#toast').textContent.includes('restarted')");
     set.wait_until("a restart", |status| of(status, Stage::DynamicCleaner).restarts == 1);
+
+    // It rests and goes on.
+    browser.script("document.querySelector('#pause').click();");
+    browser.wait_until("a pause", "document.querySelector('#link').textContent.includes('paused')");
+    let resting = wait_for("rest", || {
+        let at = |set: &LiveSet| set.status().map(|status| of(&status, Stage::ScanMatcher).handled);
+        let before = at(&set)?;
+        browser.script("await new Promise((r) => setTimeout(r, 300));");
+        (at(&set)? == before).then_some(before)
+    });
+    browser.script("document.querySelector('#pause').click();");
+    set.wait_until("more scans", |status| of(status, Stage::ScanMatcher).handled > resting + 5);
 
     show(&browser, "dark", "dark", (1280, 800, false));
     show(&browser, "light", "light", (1280, 800, false));

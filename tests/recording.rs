@@ -192,7 +192,7 @@ client.on("advertise", (channels) => {
 });
 client.on("message", ({ subscriptionId, timestamp, data }) => {
   const message = JSON.parse(new TextDecoder().decode(data));
-  if (typeof timestamp !== "bigint" || message.timestamp === undefined) process.exit(2);
+  if (typeof timestamp !== "bigint" || (message.timestamp ?? message.entities) === undefined) process.exit(2);
   seen.add(topics.get(subscriptionId));
   if (seen.size === topics.size) { console.log(JSON.stringify([...seen].sort())); process.exit(0); }
 });

@@ -33,6 +33,10 @@ enum Command {
     Status(StatusArgs),
     /// Replaces the processes of a stage of a running set
     Restart(StageOrderArgs),
+    /// Lets a running set rest: no scan is handled until `resume`
+    Pause(RobotArgs),
+    /// Lets a set that rests go on
+    Resume(RobotArgs),
     /// Changes how many processes a stage of a running set has
     Scale(ScaleArgs),
     /// Shows a running set live in the terminal: stages, latencies, drops, restarts
@@ -373,6 +377,8 @@ pub fn main() -> ExitCode {
         Command::Down(args) => commands::control::down(&args),
         Command::Status(args) => commands::control::status(&args),
         Command::Restart(args) => commands::control::restart(&args),
+        Command::Pause(args) => commands::control::pause(&args, true),
+        Command::Resume(args) => commands::control::pause(&args, false),
         Command::Scale(args) => commands::control::scale(&args),
         Command::Top(args) => commands::top::run(&args),
         Command::Log(args) => commands::log::run(&args),

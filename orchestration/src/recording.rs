@@ -7,6 +7,7 @@ mod live_grid;
 mod mcap_file;
 mod messages;
 mod reader;
+mod scene;
 mod topics;
 mod websocket;
 
@@ -14,6 +15,7 @@ pub use live_grid::LiveGrid;
 pub use mcap_file::McapFile;
 pub use messages::{Recorded, log, pose, scan, transforms};
 pub use reader::SetReader;
+pub use scene::tracks;
 pub use topics::RecordTopic;
 pub use websocket::FoxgloveServer;
 

@@ -42,6 +42,8 @@ pub enum DropReason {
     Unchanged = 6,
     /// The wheels have hardly moved since the last kept scan.
     Motion = 7,
+    /// Live: the set was told to pause; the sensor goes on.
+    Paused = 8,
 }
 
 /// Why a scan is processed. The numbers are none of [`DropReason`]'s.
@@ -97,7 +99,7 @@ impl KeepReason {
 
 impl DropReason {
     /// All reasons.
-    pub const ALL: [DropReason; 7] = [
+    pub const ALL: [DropReason; 8] = [
         Self::Correlated,
         Self::Empty,
         Self::Withheld,
@@ -105,6 +107,7 @@ impl DropReason {
         Self::Deadline,
         Self::Unchanged,
         Self::Motion,
+        Self::Paused,
     ];
 
     /// The name used in metrics and reports.
@@ -117,6 +120,7 @@ impl DropReason {
             Self::Deadline => "deadline",
             Self::Unchanged => "unchanged",
             Self::Motion => "motion",
+            Self::Paused => "paused",
         }
     }
 

@@ -8,6 +8,8 @@ pub struct Health {
     pub pid: u32,
     /// `running`, or `degraded` while a stage does not get up.
     pub state: String,
+    /// Whether the set rests.
+    pub paused: bool,
     /// Seconds since the supervisor began.
     pub uptime_s: f64,
     /// How the map is saved, when it is.

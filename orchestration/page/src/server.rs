@@ -198,6 +198,8 @@ enum Said {
 enum Wanted {
     /// Other processes for a stage.
     Restart(String),
+    /// That the set rests, or goes on.
+    Pause(bool),
     /// The map on disk.
     Save,
 }
@@ -268,6 +270,11 @@ async fn obey(shared: &Arc<Shared>, id: u64, token: Option<&str>, what: Wanted) 
         Wanted::Restart(stage) => asked.access.restart(&stage).map(|()| {
             asked.note_order(Some(&stage), format!("{stage} restarted from the page"));
             format!("{stage} restarted")
+        }),
+        Wanted::Pause(rests) => asked.access.pause(rests).map(|()| {
+            let text = if rests { "the set was paused" } else { "the set goes on" };
+            asked.note_order(None, format!("{text}, from the page"));
+            text.to_owned()
         }),
         Wanted::Save => asked.access.save().map(|place| {
             asked.note_order(None, format!("map saved in {place}"));

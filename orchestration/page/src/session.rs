@@ -3,11 +3,15 @@ use crate::health::{Event, EventKind};
 use crate::path::Path;
 use crate::shade::{Shader, Shades};
 use crate::shared::{Place, Shared};
-use crate::view::{Layout, RobotNow, SCAN_UNIT_M, ScanNow, numbers};
-use flockslam_bus::{Bus, Publisher, RuntimeDir, Sample, ScanSample, ScanSubscriber, Subscriber};
+use crate::view::{Layout, RobotNow, SCAN_UNIT_M, ScanNow, Track, numbers};
+use flockslam_bus::{
+    Bus, Publisher, RuntimeDir, Sample, ScanSample, ScanSubscriber, SliceSubscriber, Subscriber,
+};
 use flockslam_evidence::{Submap, TILE_CELLS, TileKey};
 use flockslam_geometry::Pose;
-use flockslam_messages::{Control, ControlKind, Deskew, PoseEstimate, Quality, ScanView, Stage, TileMessage};
+use flockslam_messages::{
+    Control, ControlKind, Deskew, PoseEstimate, Quality, ScanView, Stage, TileMessage, TracksHeader,
+};
 use flockslam_stage::results::{self, LiveLayout};
 use flockslam_stage::{JournalReader, StageError, SubmapStore};
 use std::collections::{BTreeMap, VecDeque};
@@ -21,6 +25,8 @@ const JOURNAL_TIME: Duration = Duration::from_millis(20);
 const SCANS_WAITING: usize = 16;
 /// Beams of a scan that are shown.
 const BEAMS_MAX: usize = 720;
+/// Radius of a body that moves, metres.
+const BODY_RADIUS_M: f64 = 0.25;
 /// Tiles of closed submaps that are drawn anew at a time.
 const MAP_TILES_PER_TICK: usize = 128;
 /// The layout, and whether stored submaps were replaced, is looked at every so many ticks.
@@ -35,6 +41,7 @@ pub struct Session {
     poses: Subscriber<PoseEstimate>,
     scans: ScanSubscriber,
     tiles: Subscriber<TileMessage>,
+    tracks: SliceSubscriber<TracksHeader>,
     waiting_scans: VecDeque<ScanSample>,
     journal: JournalReader,
     /// The journal was read to its end once.
@@ -73,6 +80,7 @@ impl Session {
             poses: bus.subscriber()?,
             scans: bus.scan_subscriber()?,
             tiles: bus.subscriber()?,
+            tracks: bus.slice_subscriber()?,
             waiting_scans: VecDeque::new(),
             journal: JournalReader::open(&runtime.journal())?,
             has_caught_up: false,
@@ -109,6 +117,7 @@ impl Session {
         self.take_tiles(shared)?;
         let pose = self.take_poses()?;
         self.take_scans(pose.as_ref(), shared)?;
+        self.take_tracks(shared)?;
         self.read_journal(&mut shared.view().path)?;
         if let Some(pose) = pose {
             let mut view = shared.view();
@@ -168,6 +177,20 @@ impl Session {
             shared.view().scan.set(scan_now(scan, pose));
         }
         self.waiting_scans.retain(|scan| scan.header().id.sequence > pose.id.sequence);
+        Ok(())
+    }
+
+    fn take_tracks(&mut self, shared: &Shared) -> Result<(), StageError> {
+        let mut newest = None;
+        while let Some(tracks) = self.tracks.receive()? {
+            newest = Some(tracks);
+        }
+        let Some(tracks) = newest else { return Ok(()) };
+        let moving: Vec<Track> = tracks.elements().iter().map(track_now).collect();
+        let mut view = shared.view();
+        if view.tracks.get().as_ref() != Some(&moving) {
+            view.tracks.set(Some(moving));
+        }
         Ok(())
     }
 
@@ -313,6 +336,16 @@ fn robot_now(pose: &PoseEstimate, length_m: f64) -> RobotNow {
         score: pose.score,
         length_m,
         submap: pose.submap,
+    }
+}
+
+/// A track with a circle that holds its body and what is not known of its place.
+fn track_now(track: &flockslam_messages::Track) -> Track {
+    Track {
+        id: track.id,
+        at: [track.position.x_m, track.position.y_m],
+        velocity: [track.velocity_m_s.x_m, track.velocity_m_s.y_m],
+        radius_m: BODY_RADIUS_M + track.position_variance.max(0.0).sqrt(),
     }
 }
 

@@ -41,6 +41,12 @@ pub trait SetAccess: Send + Sync + 'static {
     /// What the set says to it.
     fn restart(&self, stage: &str) -> Result<(), String>;
 
+    /// Lets the set rest (`true`), or go on.
+    ///
+    /// # Errors
+    /// What the set says to it.
+    fn pause(&self, rests: bool) -> Result<(), String>;
+
     /// Saves the map; where it was saved.
     ///
     /// # Errors

@@ -42,6 +42,7 @@ function greet({ head, controls: given }) {
   controls = given;
   set(find('#robot'), head.robot);
   document.title = `${head.robot} – flockslam`;
+  find('#pause').hidden = controls === 'off';
   find('#save').hidden = !head.can_save || controls === 'off';
   const notes = { open: '', token: 'Orders need the token.', off: 'This page only shows: no token is set for orders.' };
   set(find('#controls-note'), notes[controls]);
@@ -74,8 +75,11 @@ function showHealth(health) {
   if (!health) return chip('#link', 'warn', 'supervisor silent');
   const down = health.stages.filter((stage) => stage.state !== 'running');
   if (health.state === 'degraded') chip('#link', 'bad', 'degraded');
+  else if (health.paused) chip('#link', 'warn', 'paused');
   else if (down.length) chip('#link', 'warn', `${down[0].stage} ${down[0].state}`);
   else chip('#link', 'good', 'live');
+  find('#pause').setAttribute('aria-pressed', String(health.paused));
+  set(find('#pause'), health.paused ? 'Go on' : 'Pause');
   const saved = health.saved;
   const words = !saved ? '' : saved.problem ? `Not saved: ${saved.problem}` : saved.age_s == null ? 'The map has not been saved yet.' : `Map saved in ${saved.directory} ${span(saved.age_s)} ago.`;
   set(find('#saved'), words);
@@ -135,6 +139,7 @@ find('#zoom-out').addEventListener('click', () => camera.zoom(1 / 1.4));
 find('#fit').addEventListener('click', () => camera.fit());
 find('#follow').addEventListener('click', () => camera.follow());
 find('#panel-toggle').addEventListener('click', togglePanel);
+find('#pause').addEventListener('click', () => order({ pause: find('#pause').getAttribute('aria-pressed') !== 'true' }));
 find('#save').addEventListener('click', () => order('save'));
 for (const box of document.querySelectorAll('[data-layer]')) {
   const show = () => {

@@ -26,6 +26,7 @@ impl Attendants {
                     Ok(_) => Reply::Refused(format!("no process of {name} runs just now")),
                     Err(reason) => Reply::Refused(reason),
                 },
+                Request::Pause(rests) => set.pause(*rests).map_or_else(Reply::Refused, |()| Reply::Done),
                 _ => Reply::Refused("this is one run: only a set of `flockslam up` can do that".to_owned()),
             };
             order.answer(reply);

@@ -1,4 +1,4 @@
-//! `flockslam down`, `status`, `restart` and `scale`: orders to a running set.
+//! `flockslam down`, `status`, `restart`, `pause`, `resume` and `scale`: orders to a running set.
 
 use super::{CommandError, say};
 use crate::cli::{RobotArgs, ScaleArgs, StageOrderArgs, StatusArgs};
@@ -50,6 +50,14 @@ pub fn status(args: &StatusArgs) -> Result<(), CommandError> {
 /// When there is no such set, or the stage does not run.
 pub fn restart(args: &StageOrderArgs) -> Result<(), CommandError> {
     order(&choose(&args.robot)?, &Request::Restart(args.stage.name().to_owned())).map(drop)
+}
+
+/// Lets a set rest, or go on.
+///
+/// # Errors
+/// When there is no such set.
+pub fn pause(args: &RobotArgs, rests: bool) -> Result<(), CommandError> {
+    order(&choose(args)?, &Request::Pause(rests)).map(drop)
 }
 
 /// Changes the number of processes of a stage.

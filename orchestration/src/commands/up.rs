@@ -142,6 +142,7 @@ impl LiveSet {
             Request::Scale(name, replicas) => {
                 known_stage(&name).and_then(|stage| self.set.scale(stage, replicas))
             }
+            Request::Pause(rests) => self.set.pause(rests),
             Request::Log(stage, filter) => self.set.log(&stage, &filter),
             Request::Save(directory) => return self.save_elsewhere(&directory, order),
             Request::Load(directory) => self.load(&directory),

@@ -17,16 +17,16 @@ pub struct Recorded {
 }
 
 #[derive(Clone, Copy, Serialize)]
-struct Time {
+pub(super) struct Time {
     sec: u64,
     nsec: u64,
 }
 
 #[derive(Clone, Copy, Default, Serialize)]
-struct Vector3 {
-    x: f64,
-    y: f64,
-    z: f64,
+pub(super) struct Vector3 {
+    pub x: f64,
+    pub y: f64,
+    pub z: f64,
 }
 
 #[derive(Clone, Copy, Serialize)]
@@ -213,16 +213,16 @@ pub(super) fn grid(
     recorded(RecordTopic::Grid, utc_ns, &message)
 }
 
-fn recorded(topic: RecordTopic, utc_ns: u64, message: &impl Serialize) -> Recorded {
+pub(super) fn recorded(topic: RecordTopic, utc_ns: u64, message: &impl Serialize) -> Recorded {
     let json = serde_json::to_vec(message).expect("numbers and texts can always be written");
     Recorded { topic, utc_ns, json }
 }
 
-fn wall(utc_ns: i64) -> u64 {
+pub(super) fn wall(utc_ns: i64) -> u64 {
     u64::try_from(utc_ns).unwrap_or(0)
 }
 
-fn time(utc_ns: u64) -> Time {
+pub(super) fn time(utc_ns: u64) -> Time {
     Time { sec: utc_ns / 1_000_000_000, nsec: utc_ns % 1_000_000_000 }
 }
 

@@ -1,7 +1,7 @@
-use super::{LiveGrid, RecordError, Recorded, log, pose, scan, transforms};
-use flockslam_bus::{Bus, BusError, Capacity, RuntimeDir, ScanSubscriber, Subscriber};
+use super::{LiveGrid, RecordError, Recorded, log, pose, scan, tracks, transforms};
+use flockslam_bus::{Bus, BusError, Capacity, RuntimeDir, ScanSubscriber, SliceSubscriber, Subscriber};
 use flockslam_geometry::Pose;
-use flockslam_messages::{Commit, Control, ControlKind, PoseEstimate, Stage, TileMessage};
+use flockslam_messages::{Commit, Control, ControlKind, PoseEstimate, Stage, TileMessage, TracksHeader};
 use flockslam_telemetry::log_stream_file;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -20,6 +20,7 @@ pub struct SetReader {
     poses: Subscriber<PoseEstimate>,
     tiles: Subscriber<TileMessage>,
     commits: Subscriber<Commit>,
+    tracks: SliceSubscriber<TracksHeader>,
     log: LogTail,
     grid: LiveGrid,
     /// When the next grid may be sent.
@@ -46,6 +47,7 @@ impl SetReader {
             poses: bus.subscriber()?,
             tiles: bus.subscriber()?,
             commits: bus.subscriber()?,
+            tracks: bus.slice_subscriber()?,
             log: LogTail::at_the_end(log_stream_file(runtime.path())),
             grid: LiveGrid::default(),
             grid_due: Instant::now(),
@@ -77,6 +79,9 @@ impl SetReader {
             self.note(1, estimate.id.sequence);
             let frames = transforms(&estimate, self.base_from_laser);
             frames.into_iter().chain(pose(&estimate)).try_for_each(&mut *put)?;
+        }
+        while let Some(sample) = self.tracks.receive()? {
+            put(tracks(&sample.header().times, sample.elements()))?;
         }
         self.read_grid(put)?;
         self.log.read().lines().filter_map(log).try_for_each(put)

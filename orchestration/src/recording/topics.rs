@@ -13,14 +13,16 @@ pub enum RecordTopic {
     Transforms,
     /// The grid that scans are matched to.
     Grid,
+    /// Who moves.
+    Tracks,
     /// Log lines.
     Log,
 }
 
 impl RecordTopic {
     /// All topics.
-    pub const ALL: [RecordTopic; 6] =
-        [Self::Scan, Self::Pose, Self::OdomPose, Self::Transforms, Self::Grid, Self::Log];
+    pub const ALL: [RecordTopic; 7] =
+        [Self::Scan, Self::Pose, Self::OdomPose, Self::Transforms, Self::Grid, Self::Tracks, Self::Log];
 
     /// Its name.
     pub fn name(self) -> &'static str {
@@ -30,6 +32,7 @@ impl RecordTopic {
             Self::OdomPose => "/odom_pose",
             Self::Transforms => "/tf",
             Self::Grid => "/grid",
+            Self::Tracks => "/tracks",
             Self::Log => "/log",
         }
     }
@@ -46,6 +49,7 @@ impl RecordTopic {
             Self::Pose | Self::OdomPose => "foxglove.PoseInFrame",
             Self::Transforms => "foxglove.FrameTransform",
             Self::Grid => "foxglove.Grid",
+            Self::Tracks => "foxglove.SceneUpdate",
             Self::Log => "foxglove.Log",
         }
     }
@@ -71,6 +75,7 @@ impl RecordTopic {
                 })) },
                 "data": { "type": "string", "contentEncoding": "base64" },
             }),
+            Self::Tracks => json!({ "deletions": list(deletion()), "entities": list(entity()) }),
             Self::Log => json!({
                 "timestamp": time(), "level": { "type": "integer" }, "message": text(), "name": text(),
                 "file": text(), "line": whole(),
@@ -82,6 +87,41 @@ impl RecordTopic {
 
 fn object(title: &str, fields: Value) -> Value {
     json!({ "title": title, "type": "object", "properties": fields })
+}
+
+/// What is taken out of a scene.
+fn deletion() -> Value {
+    let fields = json!({ "timestamp": time(), "type": { "type": "integer" }, "id": text() });
+    object("foxglove.SceneEntityDeletion", fields)
+}
+
+/// What is put into a scene: cylinders for bodies, arrows for where they go, texts for what else is known.
+fn entity() -> Value {
+    let colour =
+        || object("foxglove.Color", json!({ "r": number(), "g": number(), "b": number(), "a": number() }));
+    let arrow = json!({
+        "pose": pose(), "shaft_length": number(), "shaft_diameter": number(), "head_length": number(),
+        "head_diameter": number(), "color": colour(),
+    });
+    let cylinder = json!({
+        "pose": pose(), "size": vector(), "bottom_scale": number(), "top_scale": number(), "color": colour(),
+    });
+    let label = json!({ "key": text(), "value": text() });
+    let span = json!({ "sec": { "type": "integer" }, "nsec": whole() });
+    object(
+        "foxglove.SceneEntity",
+        json!({
+            "timestamp": time(), "frame_id": text(), "id": text(), "lifetime": object("duration", span),
+            "frame_locked": { "type": "boolean" }, "metadata": list(object("foxglove.KeyValuePair", label)),
+            "arrows": list(object("foxglove.ArrowPrimitive", arrow)), "cubes": list(json!({})), "spheres": list(json!({})),
+            "cylinders": list(object("foxglove.CylinderPrimitive", cylinder)), "lines": list(json!({})),
+            "triangles": list(json!({})), "texts": list(json!({})), "models": list(json!({})),
+        }),
+    )
+}
+
+fn list(items: Value) -> Value {
+    json!({ "type": "array", "items": items })
 }
 
 fn time() -> Value {
@@ -128,7 +168,11 @@ mod tests {
             assert_eq!(topic.place(), place);
             let schema: Value = serde_json::from_str(&topic.schema()).unwrap();
             assert_eq!(schema["title"], topic.schema_name());
-            assert_eq!(schema["properties"]["timestamp"]["title"], "time");
+            let stamped = match topic {
+                RecordTopic::Tracks => &schema["properties"]["entities"]["items"],
+                _ => &schema,
+            };
+            assert_eq!(stamped["properties"]["timestamp"]["title"], "time");
         }
     }
 }

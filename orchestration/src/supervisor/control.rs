@@ -29,6 +29,8 @@ pub enum Request {
     Scale(String, usize),
     /// Log what this filter lets through, from now on: the processes of a stage, `supervisor`, or `all`.
     Log(String, String),
+    /// Rest (`true`) or go on: no scan is handled meanwhile.
+    Pause(bool),
     /// Save the map into a directory now.
     Save(PathBuf),
     /// Go on with the map in a directory instead of the present one.

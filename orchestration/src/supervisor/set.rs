@@ -6,7 +6,7 @@ use super::{ProcessLimits, SetFile, Supervision};
 use crate::configuration::Configuration;
 use flockslam_bus::{BellRinger, Bus, BusError, OrphanedNodes, Publisher, RuntimeDir, Subscriber};
 use flockslam_messages::{Control, ControlKind, Progress, Stage};
-use flockslam_stage::Mode;
+use flockslam_stage::{Mode, Pause};
 use flockslam_telemetry::{SupervisorMetrics, monotonic_ns};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::process::Signal;
@@ -286,10 +286,19 @@ impl ProcessSet {
             robot: self.runtime.name().to_owned(),
             pid: std::process::id(),
             state: if degraded { SetState::Degraded } else { SetState::Running },
+            paused: Pause::of(&status_dir).is_set(),
             uptime_s: self.started.elapsed().as_secs_f64(),
             saved: None,
             stages,
         }
+    }
+
+    /// Lets the set rest, or go on.
+    ///
+    /// # Errors
+    /// When that cannot be stored: why.
+    pub fn pause(&self, rests: bool) -> Result<(), String> {
+        Pause::set(&self.runtime.status(), rests).map_err(|error| error.to_string())
     }
 
     fn ended(&self, stage: Stage, status: ExitStatus) -> SetError {

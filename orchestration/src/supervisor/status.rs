@@ -13,6 +13,8 @@ pub struct SetStatus {
     pub pid: u32,
     /// Whether all stages work.
     pub state: SetState,
+    /// Whether it was told to rest.
+    pub paused: bool,
     /// Seconds since the start of the supervisor.
     pub uptime_s: f64,
     /// How the map is saved to disk, when it is.
@@ -116,7 +118,11 @@ impl StageState {
 
 impl fmt::Display for SetStatus {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let state = if self.state == SetState::Degraded { "DEGRADED" } else { "running" };
+        let state = match (self.state, self.paused) {
+            (SetState::Degraded, _) => "DEGRADED",
+            (SetState::Running, true) => "PAUSED",
+            (SetState::Running, false) => "running",
+        };
         writeln!(f, "{}: {state}, supervisor {}, up {:.0} s", self.robot, self.pid, self.uptime_s)?;
         for stage in &self.stages {
             writeln!(

@@ -16,8 +16,10 @@ use feed::{Fed, Feed};
 pub use bag::{BagError, BagReader};
 pub use feed::count_scans;
 use flockslam_bus::{BellRinger, Publisher, ScanPublisher, Subscriber};
-use flockslam_messages::{Control, ControlKind, LARGE_SCAN_BEAMS, Progress, ScanBuffer, ScanId, Stage};
-use flockslam_stage::{Actor, Mode, StageContext, StageError, StreamEnd, Turn, run};
+use flockslam_messages::{
+    Control, ControlKind, DropReason, LARGE_SCAN_BEAMS, Progress, ScanBuffer, ScanId, Stage,
+};
+use flockslam_stage::{Actor, Mode, Pause, StageContext, StageError, StreamEnd, Turn, run};
 use flockslam_telemetry::{is_sabotaged, monotonic_ns, utc_ns};
 use pacer::Pacer;
 use std::path::PathBuf;
@@ -115,6 +117,9 @@ struct Ingest {
     announced: bool,
     sequence: u64,
     ended: bool,
+    pause: Pause,
+    /// It rested at the last look.
+    rests: bool,
     stream: StreamEnd,
 }
 
@@ -150,6 +155,8 @@ impl Ingest {
             announced: false,
             sequence: resumed,
             ended: false,
+            pause: Pause::of(&context.status_dir),
+            rests: false,
             stream: StreamEnd::open(context)?,
         })
     }
@@ -182,6 +189,21 @@ impl Ingest {
     fn ahead(&self) -> Option<Duration> {
         let pacer = self.pacer.as_ref().filter(|_| self.loaded)?;
         Some(pacer.wait(self.scan.header.times.sensor_ns, monotonic_ns()))
+    }
+
+    /// Live: whether the set is to rest. What a sensor says meanwhile is dropped, for it does not wait; a replay goes on where it
+    /// was, with a clock begun anew.
+    fn rests(&mut self, context: &mut StageContext) -> bool {
+        let rests = context.mode == Mode::Live && self.pause.is_set();
+        if rests && self.loaded && self.feed.is_sensor() {
+            self.loaded = false;
+            context.dropped(DropReason::Paused.name());
+        }
+        if self.rests && !rests {
+            self.pacer.iter_mut().for_each(Pacer::begin_anew);
+        }
+        self.rests = rests;
+        rests
     }
 
     fn announce(&mut self) {
@@ -271,6 +293,12 @@ impl Actor for Ingest {
                     }
                 }
             }
+            if self.rests(context) {
+                if self.loaded {
+                    return Ok(any);
+                }
+                continue;
+            }
             if !self.is_due(context) {
                 self.announce();
                 return Ok(any);
@@ -290,6 +318,9 @@ impl Actor for Ingest {
     }
 
     fn patience(&self) -> Duration {
+        if self.rests {
+            return Duration::from_millis(100);
+        }
         let until_announcement = if self.announced { Duration::ZERO } else { ANNOUNCED_AHEAD };
         let ahead = self.ahead().map(|ahead| ahead.saturating_sub(until_announcement));
         ahead.unwrap_or(Duration::from_millis(100))

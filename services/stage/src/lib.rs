@@ -8,6 +8,7 @@ mod error;
 pub mod flock_files;
 mod grid_reader;
 mod memory;
+mod pause;
 mod pending;
 mod pose_queue;
 mod progress;
@@ -22,6 +23,7 @@ pub use context::{Mode, StageContext, StageOptions, StopFlag, heartbeat_file, me
 pub use error::StageError;
 pub use grid_reader::GridReader;
 pub use memory::MemoryUse;
+pub use pause::Pause;
 pub use pending::PendingScans;
 pub use pose_queue::PoseQueue;
 pub use progress::{Acknowledger, StreamEnd};

@@ -85,6 +85,11 @@ impl Feed {
         Ok(())
     }
 
+    /// Whether it goes on by itself, whoever listens.
+    pub fn is_sensor(&self) -> bool {
+        matches!(self.kind, Kind::Pipe(_))
+    }
+
     /// The next scan.
     pub fn next(&mut self, scan: &mut ScanBuffer) -> Result<Fed, StageError> {
         let source = |error: crate::carmen::ReadError| StageError::Source(error.to_string());

@@ -43,6 +43,11 @@ impl Pacer {
         Duration::from_nanos((due_ns - now_ns as f64).max(0.0) as u64)
     }
 
+    /// The next scan is due at once, and those after it by their distance to it.
+    pub fn begin_anew(&mut self) {
+        self.anchor = None;
+    }
+
     /// The anchor, once the first scan was due.
     pub fn anchor(&self) -> Option<Anchor> {
         self.anchor
