@@ -12,7 +12,8 @@ use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use support::{RunningSet, free_port, http_get, live_building, wait_for};
+use std::time::{SystemTime, UNIX_EPOCH};
+use support::{Browser, RunningSet, free_port, http_get, keep_picture, live_building, wait_for};
 
 const RULES: [&str; 2] = ["recording.yml", "alerts.yml"];
 /// What a histogram's series add to its name.
@@ -178,14 +179,27 @@ impl Prometheus {
         }
     }
 
+    /// The series of an expression between two times, seconds since 1970, four a second.
+    fn history(&self, expression: &str, (from_s, to_s): (f64, f64)) -> Value {
+        let path = format!(
+            "/api/v1/query_range?query={}&start={from_s:.3}&end={to_s:.3}&step=0.25",
+            encoded(expression)
+        );
+        let answer: Value = serde_json::from_str(&get(self.port, &path).unwrap()).unwrap();
+        answer["data"]["result"].clone()
+    }
+
     /// The series that an expression has now, or nothing.
     fn series(&self, expression: &str) -> Option<Vec<Value>> {
-        let encoded: String = expression.bytes().map(|byte| format!("%{byte:02x}")).collect();
-        let answer = get(self.port, &format!("/api/v1/query?query={encoded}"))?;
+        let answer = get(self.port, &format!("/api/v1/query?query={}", encoded(expression)))?;
         let answer: Value = serde_json::from_str(&answer).unwrap();
         let series = answer["data"]["result"].as_array().unwrap().clone();
         (!series.is_empty()).then_some(series)
     }
+}
+
+fn encoded(text: &str) -> String {
+    text.bytes().map(|byte| format!("%{byte:02x}")).collect()
 }
 
 impl Drop for Prometheus {
@@ -223,6 +237,56 @@ fn every_panel_has_something_to_show_in_a_real_run() {
     }
     let stages = prometheus.series("flockslam_stage_up == 1").unwrap();
     assert_eq!(stages.len(), Stage::ALL.len());
+    support::send(set.supervisor_pid(), Signal::INT);
+    set.finish();
+}
+
+fn now_s() -> f64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64()
+}
+
+/// Pictures of the boards with what a real run gave them, in which a stage is killed. They are drawn by a page of the tests' own, since
+/// Grafana is not where tests run: the same panels, queries, units and legends.
+#[test]
+fn boards_are_drawn_from_a_real_run() {
+    let Some(browser) = Browser::start("pictures of the boards") else { return };
+    let directory = tempfile::tempdir().unwrap();
+    let (metrics_port, scraped) = (free_port(), directory.path().join("prometheus"));
+    fs::create_dir(&scraped).unwrap();
+    let Some(prometheus) = Prometheus::start(&scraped, metrics_port) else { return };
+    let mut args = live_building(2000, 4);
+    args.extend(["--metrics-port".to_owned(), metrics_port.to_string()]);
+    args.extend(["--set", "simulation.walkers=6"].map(str::to_owned));
+    let mut set = RunningSet::start("boards", &directory.path().join("out"), &args);
+    let started_s = now_s();
+    set.wait_until_handled(Stage::ScanMatcher, 500);
+    support::send(set.pid(Stage::Mapper), Signal::KILL);
+    set.wait_until_handled(Stage::ScanMatcher, 1200);
+    let span = (started_s, now_s());
+    for (name, board) in boards() {
+        let mut answers = serde_json::Map::new();
+        for panel in board["panels"].as_array().unwrap() {
+            for (place, target) in panel["targets"].as_array().unwrap().iter().enumerate() {
+                let asked = target["expr"].as_str().unwrap();
+                let asked = asked.replace("$robot", ".+").replace("$__rate_interval", "5s");
+                answers.insert(format!("{} {place}", panel["id"]), prometheus.history(&asked, span));
+            }
+        }
+        let data = serde_json::json!({ "board": board, "from": span.0, "to": span.1, "answers": answers });
+        let page = include_str!("support/boards/board.html").replace("DATA", &data.to_string());
+        let file = directory.path().join(format!("{name}.html"));
+        fs::write(&file, page).unwrap();
+        browser.resize(1280, 800, false);
+        browser.open(&format!("file://{}", file.display()));
+        browser.wait_until("a drawn board", "document.body.dataset.drawn");
+        let height = browser.script("return document.documentElement.scrollHeight;").as_u64().unwrap();
+        browser.resize(1280, height as u32, false);
+        let lines =
+            browser.script("return document.querySelectorAll('polyline[points]:not([points=\"\"])').length;");
+        assert!(lines.as_u64() > Some(3), "{name}: {lines} lines");
+        assert_eq!(browser.errors(), [""; 0]);
+        keep_picture(&format!("board-{}", name.trim_start_matches("flockslam-")), &browser.screenshot());
+    }
     support::send(set.supervisor_pid(), Signal::INT);
     set.finish();
 }

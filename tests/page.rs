@@ -5,13 +5,14 @@ mod support;
 
 use flockslam_bus::RuntimeDir;
 use flockslam_messages::Stage;
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use rustix::process::Signal;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
 use std::time::Instant;
-use support::{Browser, Drive, LiveSet, RunningSet, free_port, http_get, of, processes_of, send, wait_for};
+use support::{
+    Browser, Drive, LiveSet, RunningSet, free_port, http_get, keep_picture, of, processes_of, send, wait_for,
+};
 
 /// Round the built-in office and back to where it began, with loops to close.
 const DRIVE: Drive = Drive { scan_rate_hz: 10.0, duration_s: 3000.0, rate: 6.0 };
@@ -55,31 +56,12 @@ const PIXELS: &str = "
     };
     return { all: data.length, unknown: of('--map-unknown'), free: of('--map-free'), path: of('--path'), scan: of('--scan') };";
 
-/// The same picture, as small as it gets.
-fn squeezed(png: &[u8]) -> Vec<u8> {
-    let picture = image::load_from_memory(png).unwrap().to_rgb8();
-    let mut small = Vec::new();
-    let encoder = PngEncoder::new_with_quality(&mut small, CompressionType::Best, FilterType::Adaptive);
-    picture.write_with_encoder(encoder).unwrap();
-    small
-}
-
-/// Stores a picture beside the test's outputs, and, when `FLOCKSLAM_PICTURES` asks for it, among those of the documentation.
-fn keep_picture(name: &str, png: &[u8]) {
-    let places = [Some(env!("CARGO_TARGET_TMPDIR").into()), std::env::var_os("FLOCKSLAM_PICTURES")];
-    for directory in places.into_iter().flatten() {
-        std::fs::write(Path::new(&directory).join(format!("page-{name}.png")), png).unwrap();
-    }
-    println!("page-{name}.png: {} kB", png.len() / 1000);
-}
-
 fn show(browser: &Browser, name: &str, scheme: &str, (width, height, mobile): (u32, u32, bool)) {
     browser.colours(scheme);
     browser.resize(width, height, mobile);
     browser.script("await new Promise((r) => setTimeout(r, 700));");
     let png = browser.screenshot();
-    assert!(png.starts_with(b"\x89PNG") && png.len() > 10_000);
-    keep_picture(name, &squeezed(&png));
+    keep_picture(&format!("page-{name}"), &png);
 }
 
 #[test]

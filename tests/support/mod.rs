@@ -17,6 +17,7 @@ mod moved_map;
 mod moving_drive;
 pub mod ndt_system;
 mod outputs;
+mod pictures;
 mod poses;
 mod running;
 
@@ -30,6 +31,7 @@ pub use log::simulated_log;
 pub use moved_map::{MapFigures, occupied_cells};
 pub use moving_drive::{BUILDINGS, MovingDrive, MovingRun, lively, moving_building};
 pub use outputs::{Outputs, known_truth_error_m, truth_error_m};
+pub use pictures::keep_picture;
 pub use poses::{PoseWatch, SeenPose};
 pub use running::{RunningSet, send};
 
