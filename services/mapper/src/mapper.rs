@@ -255,9 +255,7 @@ impl Mapper {
             tiles: self.window.close_active(),
         };
         self.number += 1;
-        if self.settings.window_m > 0.0 {
-            self.remember(submap.clone());
-        }
+        self.remember(submap.clone());
         Some(submap)
     }
 
@@ -271,10 +269,10 @@ impl Mapper {
         self.left_cleared.extend(self.closed.drain(..).filter(Submap::has_cleared));
     }
 
-    /// Keeps a closed submap while it is in a bounded window, and lets the oldest leave.
+    /// Keeps a closed submap while it is in the window, and lets the oldest leave a bounded one.
     fn remember(&mut self, submap: Submap) {
-        let Some(size) = self.settings.window_submaps() else { return };
         self.closed.push_back(submap);
+        let Some(size) = self.settings.window_submaps() else { return };
         while self.closed.len() > size {
             if let Some(oldest) = self.closed.pop_front() {
                 self.window.withdraw_submap(&oldest);

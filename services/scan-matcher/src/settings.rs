@@ -36,7 +36,7 @@ pub struct Settings {
     /// Whether returns with nothing near beside them (dust, rain, false returns; never those within 2 m) are not matched.
     pub skip_isolated: bool,
     /// Beams that end where the grid knows free space, with nothing near, lie on what moves: they are set aside before a scan is
-    /// fitted, unless they are more than this share of it or the robot is lost; 0 = none ever is.
+    /// fitted, unless they are more than this share of it, many lie on what is too wide to move, or the robot is lost; 0 = none ever is.
     pub moving_share_max: f64,
     /// Of scans with more beams than this only every n-th is matched.
     pub beams_max: usize,
@@ -128,7 +128,7 @@ impl Default for Settings {
             range_min_m: 0.4,
             range_max_m: 30.0,
             skip_isolated: true,
-            moving_share_max: 0.5,
+            moving_share_max: 0.25,
             beams_max: 1000,
             replicas: 1,
             unknown_score: 0.0,
@@ -165,7 +165,8 @@ impl Settings {
     pub fn ndt() -> Self {
         Self {
             strategy: Strategy::Ndt,
-            gate: Gate { travel_m: 0.0, turn_rad: 0.0, ..Gate::default() },
+            // The map is updated with every scan, however well it fits.
+            gate: Gate { travel_m: 0.0, turn_rad: 0.0, score_share: 0.0, ..Gate::default() },
             rescue: Rescue { below: 0.0, lost_scans_max: 0, ..Rescue::default() },
             fits_velocity: false,
             skip_isolated: false,

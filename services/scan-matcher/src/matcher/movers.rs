@@ -24,6 +24,11 @@ const BODY_WIDTH_MAX_M: f64 = 0.6;
 /// … shows at least so many points, and is told from clutter within this range, metres.
 const BODY_POINTS_MIN: usize = 3;
 const BODY_RANGE_MAX_M: f64 = 10.0;
+/// What is wider than this, metres, is a wall or a row of furniture: nobody moves that …
+const WIDE_M: f64 = 1.5;
+/// … so a robot whose scan has more than this share of its points on such things where the grid is free is not where it believes
+/// to be.
+const WIDE_MAX: f64 = 0.08;
 /// A body may have this share of its points near something established.
 const BODY_ESTABLISHED_MAX: f64 = 0.2;
 
@@ -52,7 +57,7 @@ impl ScanMatcher {
         let stride = self.stride(scan) as u32;
         self.set_aside.clear();
         self.set_aside.resize(self.points.len(), false);
-        let mut first = 0;
+        let (mut first, mut wide) = (0, 0);
         for end in 1..=self.points.len() {
             let joined =
                 self.points.get(end).is_some_and(|next| next.distance_m(self.points[end - 1]) < JOIN_M);
@@ -60,6 +65,7 @@ impl ScanMatcher {
                 continue;
             }
             let body = is_new_body(grid, prediction.pose, &self.points[first..end]);
+            let before = self.aside;
             for i in first..end {
                 if body || ends_where_nothing_stood(grid, prediction.pose.apply(self.points[i])) {
                     self.aside += 1;
@@ -67,9 +73,13 @@ impl ScanMatcher {
                     add_beams(&mut self.moving, self.beams[i], stride);
                 }
             }
+            if self.points[first].distance_m(self.points[end - 1]) > WIDE_M {
+                wide += self.aside - before;
+            }
             first = end;
         }
-        if self.aside as f64 > self.settings.moving_share_max * self.points.len() as f64 {
+        let share = |count: usize| count as f64 / self.points.len() as f64;
+        if share(self.aside) > self.settings.moving_share_max || share(wide) > WIDE_MAX {
             self.moving.clear();
             self.aside = 0;
         } else if self.aside > 0 {
