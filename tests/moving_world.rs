@@ -38,8 +38,8 @@ fn somebody_who_follows_does_not_hold_the_robot_back() {
     }
 }
 
-/// How much farther off twenty people may lead the robot. 1.2 times is wanted, and reached in half of the drives; in the others a
-/// closure more or less makes a few centimetres.
+/// How much farther off twenty people may lead the robot. 1.2 times is wanted, and not reached in every drive: a closure more or
+/// less makes a few centimetres.
 fn astray_max_m(alone_m: f64) -> f64 {
     1.2 * alone_m + 0.04
 }

@@ -287,15 +287,13 @@ impl ScanMatcher {
         found: Match,
         prediction: &Prediction,
     ) -> Match {
-        // Beams on movers fit nothing: a robot that was carried away takes half a scan for movers.
-        let (matched, aside) = (self.points.len() as f64, self.aside as f64);
-        let score_of_all = found.score * matched / (matched + aside).max(1.0);
-        let is_poor = score_of_all < CONTRADICTED.0 * self.mean_score;
+        let is_poor = found.score < CONTRADICTED.0 * self.mean_score;
         if self.settings.rescue.lost_scans_max == 0 || !is_poor {
             return found;
         }
         // Where the wheels have the robot, a good part of a scan may be new or have changed; anywhere else it must fit.
         let share_max = if found.rescued { CONTRADICTED.1 } else { CONTRADICTED.1.max(found.score) };
+        let (matched, aside) = (self.points.len() as f64, self.aside as f64);
         let contradicting = matched * contradicted(grid, &self.points, found.pose) + aside;
         if contradicting >= share_max * (matched + aside) {
             return Match { quality: Quality::Lost, ..found };

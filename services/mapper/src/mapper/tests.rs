@@ -97,7 +97,12 @@ fn a_bounded_window_is_the_sum_of_its_submaps_and_retires_what_it_leaves() {
 
 #[test]
 fn cleared_cells_lose_what_says_occupied_for_good() {
-    let settings = Settings { window_m: 100.0, ..Settings::default() };
+    // A window of 0 has no bound.
+    [100.0, 0.0].into_iter().for_each(clears_for_good);
+}
+
+fn clears_for_good(window_m: f64) {
+    let settings = Settings { window_m, ..Settings::default() };
     let mut mapper = Mapper::new(settings);
     drive(&mut mapper, 0..40);
     let stale = window_of(&mapper).into_iter().find_map(|(key, tile)| {

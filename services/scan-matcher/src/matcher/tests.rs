@@ -305,3 +305,25 @@ fn without_a_grid_the_wheels_are_followed() {
         assert_eq!((estimate.quality, estimate.flags), (Quality::Degraded as u32, PoseFlags::HAS_ODOMETRY));
     }
 }
+
+/// The same scan with whatever is nearer in `directions`, beams.
+fn hidden(mut scan: ScanBuffer, directions: std::ops::Range<usize>, range_m: f32) -> ScanBuffer {
+    scan.numbers[directions].iter_mut().for_each(|range| *range = range.min(range_m));
+    scan
+}
+
+#[test]
+fn somebody_in_free_space_is_set_aside_and_a_wall_is_not() {
+    let mut front_end = FrontEnd::new(Settings::default());
+    let mut see = |i: u64, change: &dyn Fn(ScanBuffer) -> ScanBuffer| {
+        front_end.step(&change(look(i, truth(i), Some(truth(i)))), true);
+        front_end.matcher.moving_beams().to_vec()
+    };
+    for i in 0..40 {
+        assert_eq!(see(i, &|scan| scan), [], "nothing moves at scan {i}");
+    }
+    let somebody = see(40, &|scan| hidden(scan, 20..32, 1.5));
+    assert_eq!(somebody, [BeamRange { first: 20, end: 32 }]);
+    // As wide as half of a wall: the robot is not where it believes to be.
+    assert_eq!(see(41, &|scan| hidden(scan, 20..80, 1.8)), []);
+}
