@@ -123,8 +123,8 @@ pub struct FlockSettings {
     pub proximity: ProximitySource,
     /// Bytes that each other robot is sent in a minute at most; a minute's worth may go at once.
     pub bytes_per_minute: u64,
-    /// File with the robot's secret key and the number of its last epoch, made when it is not there; empty = a key that lasts as long
-    /// as the set's directory.
+    /// File with the robot's secret key and the number of its last epoch, made when it is not there; empty = `flock.key` beside
+    /// the saved map, or, without one, a key that goes with the set.
     pub key_file: PathBuf,
     /// Public keys of the robots that are believed, hexadecimal; empty = all that are not banned.
     pub trusted: Vec<String>,

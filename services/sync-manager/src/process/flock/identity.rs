@@ -83,20 +83,20 @@ impl Identity {
 
     fn write(&self) -> Result<(), StageError> {
         let wrong = |error: std::io::Error| StageError::file(&self.path, error);
+        let directory = self.path.parent().filter(|parent| !parent.as_os_str().is_empty());
+        let directory = directory.unwrap_or(Path::new("."));
         let beside = self.path.with_extension(format!("new-{}", std::process::id()));
-        let bytes = [&self.secret[..], &self.epoch.to_le_bytes()].concat();
-        // What a killed process left of the same number.
-        let _ = std::fs::remove_file(&beside);
-        let file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&beside);
-        file.and_then(|mut file| file.write_all(&bytes).and_then(|()| file.sync_all()))
-            .and_then(|()| std::fs::rename(&beside, &self.path))
-            .and_then(|()| {
-                File::open(
-                    self.path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")),
-                )?
-                .sync_all()
-            })
-            .map_err(wrong)
+        let write = || {
+            std::fs::create_dir_all(directory)?;
+            // What a killed process of the same number left.
+            let _ = std::fs::remove_file(&beside);
+            let mut file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&beside)?;
+            file.write_all(&[&self.secret[..], &self.epoch.to_le_bytes()].concat())?;
+            file.sync_all()?;
+            std::fs::rename(&beside, &self.path)?;
+            File::open(directory)?.sync_all()
+        };
+        write().map_err(wrong)
     }
 }
 
