@@ -132,6 +132,9 @@ pub struct SwarmArgs {
     /// each is replayed exactly, and they meet at the end
     #[arg(long, value_name = "RATE", value_parser = positive)]
     pub rate: Option<f64>,
+    /// In the simulated building, live: only robots that are nearer than this, metres, and see each other talk; without it all do
+    #[arg(long, value_name = "METRES", value_parser = positive, requires = "rate", conflicts_with = "log")]
+    pub range: Option<f64>,
     /// Number of robots
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=64))]
     pub robots: u32,

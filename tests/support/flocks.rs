@@ -84,9 +84,10 @@ impl FlockRobot {
         let others: Vec<&String> = endpoints.iter().filter(|other| **other != endpoints[number]).collect();
         let flock = format!("{test}-{}", std::process::id());
         let configuration = format!(
-            "[simulation]\nseed = {}\n[sync_manager.flock]\nname = \"{name}\"\nenabled = true\n\
+            "[simulation]\nseed = {}\nlead_s = {}.0\n[sync_manager.flock]\nname = \"{name}\"\nenabled = true\n\
              flock = \"{flock}\"\nlisten = [{:?}]\nconnect = {others:?}\nkey_file = {:?}\n{more}\n",
             number + 1,
+            40 * number,
             endpoints[number],
             own.join("robot.key"),
         );
@@ -113,16 +114,16 @@ impl FlockRobot {
 
     /// Waits until what it tells of its flock is as asked for.
     pub fn wait_for_flock(&mut self, what: &str, is: impl Fn(&FlockStatus) -> bool) -> FlockStatus {
-        let mut last = None;
+        let last = std::cell::RefCell::new(None);
         let waited = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
             let status = self.set.wait_until(what, |status| {
-                last.clone_from(&status.flock);
+                last.borrow_mut().clone_from(&status.flock);
                 status.flock.as_ref().is_some_and(&is)
             });
             status.flock.unwrap()
         }));
         waited.unwrap_or_else(|problem| {
-            println!("{}: {last:#?}", self.name);
+            println!("{}: {:#?}", self.name, last.borrow());
             std::panic::resume_unwind(problem)
         })
     }

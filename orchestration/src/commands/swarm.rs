@@ -1,5 +1,6 @@
 //! `flockslam swarm`: several robots map together.
 
+use super::contacts::Contacts;
 use super::join::{Member, Order, join, join_met};
 use super::run::prepare_directory;
 use super::{CommandError, say};
@@ -8,6 +9,7 @@ use crate::configuration::Configuration;
 use flockslam_geometry::Pose;
 use flockslam_lidar_ingest::Settings;
 use flockslam_lidar_ingest::carmen::{CarmenReader, write_scan};
+use flockslam_lidar_ingest::simulation::Settings as Simulation;
 use flockslam_messages::ScanBuffer;
 use std::ffi::{OsStr, OsString};
 use std::fs::File;
@@ -20,10 +22,12 @@ use std::time::Duration;
 /// How far a robot's odometry is moved away at most, metres.
 const MOVED_M: f64 = 100.0;
 
+/// In the simulated building each robot is ahead of the one before it by this share of the whole drive.
+const LEAD: f64 = 0.5;
 /// How long robots that have ended wait for the others, seconds: a search may be under way.
 const FAREWELL_S: u32 = 600;
 /// The robots are looked at this often.
-const LOOK: Duration = Duration::from_millis(20);
+const LOOK: Duration = Duration::from_millis(50);
 
 /// Runs the command.
 ///
@@ -52,7 +56,9 @@ pub fn run(args: &SwarmArgs) -> Result<(), CommandError> {
         }
         Some(rate) => {
             connect(&mut robots, rate)?;
-            join_met(&args.out, given, run_at_once(&robots, given)?)?
+            let contacts = args.range.map(|range_m| meet_within(&mut robots, range_m));
+            let members = run_at_once(&robots, given, contacts.transpose()?.as_ref())?;
+            join_met(&args.out, given, members)?
         }
     };
     say(&joined.summary(&args.out));
@@ -63,9 +69,20 @@ pub fn run(args: &SwarmArgs) -> Result<(), CommandError> {
     }
 }
 
+/// Lets the robots talk only while they are within range of each other and see each other.
+fn meet_within(robots: &mut [Robot], range_m: f64) -> Result<Contacts, CommandError> {
+    let simulated = |robot: &Robot| (robot.name.clone(), robot.set(), robot.drive.clone());
+    let contacts = Contacts::new(&robots.iter().map(simulated).collect::<Vec<_>>(), range_m)?;
+    let told = || "sync_manager.flock.proximity=contacts".to_owned();
+    robots.iter_mut().for_each(|robot| robot.assignments.push(told()));
+    Ok(contacts)
+}
+
 /// A robot that is to run.
 struct Robot {
     name: String,
+    /// Its drive through the simulated building.
+    drive: Simulation,
     command: Vec<OsString>,
     assignments: Vec<String>,
     out: PathBuf,
@@ -75,15 +92,24 @@ impl Robot {
     fn new(args: &SwarmArgs, configuration: &Configuration, number: u32, command: Vec<OsString>) -> Self {
         let name = format!("r{number:02}");
         let out = args.out.join(&name);
-        let mut robot = Self { name, command, assignments: Vec::new(), out };
+        // All drive the same tour, so that they come through the same places: the next one begins half a drive ahead.
+        let mut drive = configuration.simulation.clone();
+        drive.seed += u64::from(number) - 1;
+        drive.lead_s += LEAD * drive.duration_s * f64::from(number - 1);
+        let mut robot = Self { name, drive, command, assignments: Vec::new(), out };
         if args.log.is_none() {
             // Each drives its own way, and its odometry begins somewhere else.
             let Pose { x_m, y_m, heading_rad } = moved(args.seed, number);
-            let seed = configuration.simulation.seed + u64::from(number) - 1;
-            robot.assignments.push(format!("simulation.seed={seed}"));
+            robot.assignments.push(format!("simulation.seed={}", robot.drive.seed));
+            robot.assignments.push(format!("simulation.lead_s={:?}", robot.drive.lead_s));
             robot.assignments.push(format!("lidar_ingest.start_pose=[{x_m:?}, {y_m:?}, {heading_rad:?}]"));
         }
         robot
+    }
+
+    /// Name of its process set.
+    fn set(&self) -> String {
+        format!("swarm-{}-{}", std::process::id(), self.name)
     }
 
     fn order<T>(&self, carry_out: impl FnOnce(&Order<'_>) -> T) -> T {
@@ -109,7 +135,7 @@ fn connect(robots: &mut [Robot], rate: f64) -> Result<(), CommandError> {
     let companions = robots.len() - 1;
     for (number, robot) in robots.iter_mut().enumerate() {
         let others: Vec<String> = ports[..number].iter().map(endpoint).collect();
-        let set = format!("swarm-{}-{}", std::process::id(), robot.name);
+        let set = robot.set();
         robot.command.extend(["--rate".into(), rate.to_string().into(), "--robot".into(), set.into()]);
         let flock = [
             "enabled=true".to_owned(),
@@ -125,13 +151,18 @@ fn connect(robots: &mut [Robot], rate: f64) -> Result<(), CommandError> {
 }
 
 /// Runs all robots at once; when one fails, the others are ended.
-fn run_at_once(robots: &[Robot], given: &ConfigurationArgs) -> Result<Vec<Member>, CommandError> {
+fn run_at_once(
+    robots: &[Robot],
+    given: &ConfigurationArgs,
+    contacts: Option<&Contacts>,
+) -> Result<Vec<Member>, CommandError> {
     let mut children = Children(Vec::new());
     for robot in robots {
         children.0.push((robot.order(|order| order.start(given))?, None));
     }
     while children.0.iter().any(|(_, ended)| ended.is_none()) {
         std::thread::sleep(LOOK);
+        contacts.into_iter().for_each(Contacts::report);
         for (robot, (child, ended)) in robots.iter().zip(&mut children.0).filter(|(_, (_, e))| e.is_none()) {
             if let Some(status) = child.try_wait().map_err(CommandError::failed)? {
                 *ended = Some(robot.order(|order| order.recorded(status))?);

@@ -170,7 +170,7 @@ impl SyncProcess {
         self.acts = true;
         self.speak(context)?;
         for number in 0..self.next_submap {
-            self.voice.tell(&mut self.logic, number, || self.store.load(number))?;
+            self.voice.tell(&mut self.logic, number, &self.store)?;
         }
         if let Some(layout) = &self.layout {
             self.layouts.send(layout)?;
@@ -238,7 +238,7 @@ impl SyncProcess {
         let layout = self.logic.submap_closed(notice);
         let took_ns = monotonic_ns().saturating_sub(started_ns);
         self.trajectories.settled(&self.logic.take_settled())?;
-        self.voice.tell(&mut self.logic, notice.number, || self.store.load(notice.number))?;
+        self.voice.tell(&mut self.logic, notice.number, &self.store)?;
         self.next_submap = notice.number + 1;
         self.layout = Some(layout);
         if !self.acts {

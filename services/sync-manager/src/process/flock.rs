@@ -1,7 +1,6 @@
 //! The robot's side of the flock: what it says is kept, and, when it is asked to, others hear of it over the network.
 
 use crate::{Settings, Solution, SyncManager};
-use flockslam_evidence::Submap;
 use flockslam_geometry::Pose;
 use flockslam_messages::FlockFrame;
 use flockslam_stage::flock_files::{NamedPose, OWN_NODES, OWN_SCANS, write_named};
@@ -22,6 +21,9 @@ mod teller;
 mod thread;
 
 pub use metrics::FlockMetrics;
+
+/// After each closed submap so many before it are looked at for stale cells: in older ones nothing is cleared while the robot drives.
+const WATCHED: u32 = 8;
 
 /// How a robot tells others what it finds out.
 pub enum Voice {
@@ -53,7 +55,7 @@ impl Voice {
         })
     }
 
-    /// Tells what is new after a closed submap, which `load` gives when it is asked for.
+    /// Tells what is new after a closed submap of the store.
     ///
     /// # Errors
     /// When the store or the disk fails.
@@ -61,17 +63,21 @@ impl Voice {
         &mut self,
         logic: &mut SyncManager,
         number: u32,
-        load: impl FnOnce() -> Result<Submap, StageError>,
+        store: &SubmapStore,
     ) -> Result<(), StageError> {
         match self {
             Self::Silent => Ok(()),
             Self::Recording(teller) => {
                 teller.tell(logic.take_news())?;
-                if teller.told_submaps().contains(&number) { Ok(()) } else { teller.tell_submap(&load()?) }
+                if teller.told_submaps().contains(&number) {
+                    return Ok(());
+                }
+                teller.tell_submap(&store.load(number)?)
             }
             Self::Talking(thread) => {
                 thread.give(Task::News(logic.take_news()));
-                thread.tell_submap(number, load)?;
+                thread.tell_submap(number, || store.load(number))?;
+                thread.give(Task::Clearances(store.clone(), number.saturating_sub(WATCHED)..number));
                 thread.give(Task::Layout(places(logic)));
                 Ok(())
             }
@@ -107,9 +113,7 @@ impl Voice {
             }
             Self::Talking(thread) => {
                 thread.give(Task::News(logic.take_news()));
-                for number in 0..store.count() {
-                    thread.give(Task::Clearances(Box::new(store.load(number)?)));
-                }
+                thread.give(Task::Clearances(store.clone(), 0..store.count()));
                 thread.give(Task::Layout(places(logic)));
             }
         }

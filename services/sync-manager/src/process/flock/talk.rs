@@ -137,7 +137,9 @@ impl Talk {
         let outcome = match task {
             Task::News(news) => self.teller.tell(news),
             Task::Submap(submap) => self.teller.tell_submap(&submap),
-            Task::Clearances(submap) => self.teller.tell_clearances(&submap),
+            Task::Clearances(store, numbers) => {
+                numbers.into_iter().try_for_each(|number| self.teller.tell_clearances(&store.load(number)?))
+            }
             Task::Layout(map_from_odom) => {
                 self.map_from_odom = map_from_odom;
                 self.place();

@@ -7,8 +7,9 @@ use crate::flock::News;
 use flockslam_evidence::Submap;
 use flockslam_geometry::Pose;
 use flockslam_messages::FlockFrame;
-use flockslam_stage::StageError;
+use flockslam_stage::{StageError, SubmapStore};
 use std::collections::BTreeSet;
+use std::ops::Range;
 use std::path::Path;
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -26,8 +27,8 @@ pub enum Task {
     News(News),
     /// A closed submap.
     Submap(Box<Submap>),
-    /// A submap whose stale cells are to be told.
-    Clearances(Box<Submap>),
+    /// Stored submaps whose stale cells are to be told.
+    Clearances(SubmapStore, Range<u32>),
     /// Where submaps lie in the robot's own map: number and `map_from_odom`, in order.
     Layout(Vec<(u32, Pose)>),
     /// The source has ended: to be answered when the robot may leave the flock.
