@@ -5,7 +5,6 @@ mod flocks;
 mod support;
 
 use flocks::{FlockRobot, Namespace, hostile, own_certificates};
-use flockslam::supervisor::SetStatus;
 use flockslam_messages::Stage;
 use flockslam_stage::FlockStatus;
 use rustix::process::Signal;
@@ -17,10 +16,6 @@ use support::{Drive, flockslam, of, send, stderr, wait_for};
 const MEETING: Drive = Drive { scan_rate_hz: 5.0, duration_s: 100.0, rate: 5.0 };
 /// A drive that no test sees the end of.
 const LONG: Drive = Drive { scan_rate_hz: 5.0, duration_s: 2000.0, rate: 5.0 };
-
-fn flock(status: &SetStatus) -> &FlockStatus {
-    status.flock.as_ref().expect("a robot of a flock tells of it")
-}
 
 /// Waits until a robot is in one map with so many robots, itself among them.
 fn wait_until_merged(robot: &mut FlockRobot, members: usize) -> FlockStatus {

@@ -263,7 +263,8 @@ fn configuration(settings: &FlockSettings) -> Result<zenoh::Config, String> {
     };
     let quoted = |text: &str| format!("{text:?}");
     let listed = |endpoints: &[String]| format!("{endpoints:?}");
-    let mut set = |key: &str, value: &str| config.insert_json5(key, value).map_err(told);
+    let mut set =
+        |key: &str, value: &str| config.insert_json5(key, value).map_err(|error| format!("{key}: {error}"));
     set("mode", "\"peer\"")?;
     set("scouting/multicast/enabled", if settings.multicast { "true" } else { "false" })?;
     set("scouting/gossip/enabled", "false")?;
@@ -274,8 +275,6 @@ fn configuration(settings: &FlockSettings) -> Result<zenoh::Config, String> {
     // Others may come later, and come back.
     set("connect/timeout_ms", "-1")?;
     set("connect/exit_on_failure", "false")?;
-    set("connect/retry/period_init_ms", "500")?;
-    set("connect/retry/period_max_ms", "4000")?;
     set("transport/link/tx/lease", "3000")?;
     set("transport/link/tx/queue/congestion_control/drop/wait_before_drop", &WAIT_TO_SEND_US.to_string())?;
     set(

@@ -300,6 +300,8 @@ impl Talk {
             let others = ended.len() - usize::from(ended.contains(&address(self.teller.flock().robot())));
             agreed |= self.near.keys().all(|peer| ended.contains(peer)) && others >= self.settings.companions;
         }
+        // Nobody will come to a robot without a network.
+        agreed |= self.link.is_none() && self.problem.is_some();
         if agreed || over {
             self.shown = None;
             self.show();
