@@ -142,7 +142,7 @@ fn a_hostile_peer_changes_nothing_and_is_counted() {
     };
     let before = wait_for("a status", || stage(robot));
     let sent = hostile(robot, 30_000);
-    let reasons = ["malformed", "unknown-version", "bad-record", "too-many-messages"];
+    let reasons = ["malformed", "unknown-version", "bad-record", "too-long", "too-many-messages"];
     let flock = robot.wait_for_flock("all reasons", |flock| {
         reasons.iter().all(|reason| flock.dropped.get(*reason).is_some_and(|count| *count > 0))
     });

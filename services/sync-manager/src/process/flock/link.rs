@@ -58,7 +58,7 @@ pub struct Link {
     own: String,
     heard: Receiver<Heard>,
     presence: Arc<Mutex<Presence>>,
-    ended: Option<(String, LivelinessToken)>,
+    ended: Option<(String, Instant, LivelinessToken)>,
     drops: Arc<Drops>,
     traffic: Arc<Traffic>,
     // Kept alive: what they hear comes through `heard` and `presence`.
@@ -137,16 +137,18 @@ impl Link {
         locked(&self.presence).connected.clone()
     }
 
-    /// Tells that this robot's source has ended and that it has nothing to add to the records with this hash.
-    pub fn tell_end(&mut self, hash: &str) {
-        if self.ended.as_ref().is_some_and(|(told, _)| told == hash) {
-            return;
+    /// Tells that this robot's source has ended and that it has nothing to add to the records with this hash; gives for how long it has
+    /// been telling so.
+    pub fn tell_end(&mut self, hash: &str) -> Duration {
+        if let Some((_, since, _)) = self.ended.as_ref().filter(|(told, ..)| told == hash) {
+            return since.elapsed();
         }
         let key = format!("{}/ended/{}/{hash}", self.prefix, self.own);
         match self.session.liveliness().declare_token(key).wait() {
-            Ok(token) => self.ended = Some((hash.to_owned(), token)),
+            Ok(token) => self.ended = Some((hash.to_owned(), Instant::now(), token)),
             Err(error) => tracing::warn!(%error, "the end is not told to the flock"),
         }
+        Duration::ZERO
     }
 
     /// Robots that have ended with the records of this hash.

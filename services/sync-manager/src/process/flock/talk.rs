@@ -36,6 +36,8 @@ const SEARCH_REST: Duration = Duration::from_millis(200);
 const LAYOUT_REST: Duration = Duration::from_secs(1);
 /// A network that cannot be opened is tried again after this.
 const OPEN_PERIOD: Duration = Duration::from_secs(3);
+/// What a robot says before it leaves is heard within this.
+const HEARD_WITHIN: Duration = Duration::from_millis(500);
 /// What others can see is brought up to date this often.
 const SHOW_PERIOD: Duration = Duration::from_millis(250);
 
@@ -295,10 +297,11 @@ impl Talk {
         let mut agreed = quiet && self.settings.companions == 0 && self.near.is_empty();
         if let (Some(link), true) = (&mut self.link, quiet) {
             let hash = hexadecimal(&known[..16]);
-            link.tell_end(&hash);
-            let ended = link.ended_with(&hash);
-            let others = ended.len() - usize::from(ended.contains(&address(self.teller.flock().robot())));
-            agreed |= self.near.keys().all(|peer| ended.contains(peer)) && others >= self.settings.companions;
+            let was_heard = link.tell_end(&hash) >= HEARD_WITHIN;
+            let mut ended = link.ended_with(&hash);
+            ended.remove(&address(self.teller.flock().robot()));
+            let all_ended = self.near.keys().all(|peer| ended.contains(peer));
+            agreed |= was_heard && all_ended && ended.len() >= self.settings.companions;
         }
         // Nobody will come to a robot without a network.
         agreed |= self.link.is_none() && self.problem.is_some();
