@@ -297,8 +297,9 @@ pub fn hostile(robot: &FlockRobot, flood: usize) -> usize {
             _ => None,
         })
     });
+    let short = asked.iter().min_by_key(|record| record.len()).unwrap();
     let bent = |place: usize| {
-        let mut record = asked[0].to_vec();
+        let mut record = short.to_vec();
         let at = place % record.len();
         record[at] ^= 0x10;
         Arc::<[u8]>::from(record)

@@ -16,6 +16,7 @@ mod link;
 mod metrics;
 mod pace;
 mod proximity;
+mod relay;
 mod talk;
 mod teller;
 mod thread;

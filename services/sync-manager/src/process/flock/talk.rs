@@ -4,6 +4,7 @@ use super::link::{Heard, Link, Traffic, address, hexadecimal};
 use super::metrics::FlockMetrics;
 use super::pace::{Budget, Pace};
 use super::proximity::Proximity;
+use super::relay::Relay;
 use super::teller::Teller;
 use super::thread::Task;
 use crate::FlockSettings;
@@ -60,6 +61,7 @@ pub struct Talk {
     proximity: Box<dyn Proximity>,
     connected: BTreeSet<String>,
     near: BTreeMap<String, Neighbour>,
+    relay: Relay,
     drops: Arc<Drops>,
     traffic: Arc<Traffic>,
     /// Hash of the records in which everything has been looked for.
@@ -96,6 +98,7 @@ impl Talk {
             proximity,
             connected: BTreeSet::new(),
             near: BTreeMap::new(),
+            relay: Relay::default(),
             drops: Arc::default(),
             traffic: Arc::default(),
             searched: [0; 32],
@@ -192,6 +195,7 @@ impl Talk {
     }
 
     fn hear(&mut self) {
+        self.relay.look(Instant::now(), self.teller.flock().collection());
         while let Some(heard) = self.link.as_ref().and_then(Link::next) {
             self.answer(&heard);
         }
@@ -216,6 +220,14 @@ impl Talk {
         if asks && budget == 0 {
             return self.drops.count(Dropped::Budget, 1);
         }
+        let message = match message {
+            Message::Have(theirs) => {
+                let near = self.near.keys().filter(|peer| **peer != heard.sender);
+                Message::Have(self.relay.patient(theirs, self.teller.flock().collection(), near))
+            }
+            other => other,
+        };
+        let neighbour = self.near.get_mut(&heard.sender).expect("it was there");
         let answers = match self.teller.answer(&message, budget, &self.drops) {
             Ok(answers) => answers,
             Err(error) => return kept(Err(error)),
