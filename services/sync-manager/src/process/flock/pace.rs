@@ -3,13 +3,14 @@ use std::time::{Duration, Instant};
 /// Keeps work that takes long to a share of the time.
 pub struct Pace {
     pause: Duration,
+    rest: u32,
     next: Option<Instant>,
 }
 
 impl Pace {
-    /// Work that rests at least this long between two times, and at least as long as it took.
-    pub fn new(pause: Duration) -> Self {
-        Self { pause, next: None }
+    /// Work that rests at least this long between two times, and at least `rest` times as long as it took.
+    pub fn new(pause: Duration, rest: u32) -> Self {
+        Self { pause, rest, next: None }
     }
 
     /// Whether it is time again.
@@ -22,7 +23,7 @@ impl Pace {
         let started = Instant::now();
         let done = work();
         let ended = Instant::now();
-        self.next = Some(ended + self.pause.max(ended - started));
+        self.next = Some(ended + self.pause.max(self.rest * (ended - started)));
         done
     }
 }
@@ -71,12 +72,12 @@ mod tests {
     }
 
     #[test]
-    fn work_rests_as_long_as_it_took() {
-        let mut pace = Pace::new(Duration::from_millis(1));
+    fn work_rests_a_multiple_of_what_it_took() {
+        let mut pace = Pace::new(Duration::from_millis(1), 3);
         assert!(pace.is_due(Instant::now()));
         let before = Instant::now();
         pace.keep(|| std::thread::sleep(Duration::from_millis(20)));
-        assert!(!pace.is_due(before + Duration::from_millis(35)));
+        assert!(!pace.is_due(before + Duration::from_millis(75)));
         assert!(pace.is_due(before + Duration::from_secs(60)));
     }
 }

@@ -32,9 +32,10 @@ const ANSWER_PERIOD: Duration = Duration::from_millis(500);
 const ANSWER_BYTES: usize = 1 << 20;
 /// Searches between two looks at the mail.
 const SEARCHES: u64 = 40;
-/// Rest between two times of looking for shared places, and between two layouts.
-const SEARCH_REST: Duration = Duration::from_millis(200);
-const LAYOUT_REST: Duration = Duration::from_secs(1);
+/// Looking for shared places takes at most half of a processor's time as long as the robot drives …
+const SEARCH_PACE: (Duration, u32) = (Duration::from_millis(200), 1);
+/// … and laying them out a quarter.
+const LAYOUT_PACE: (Duration, u32) = (Duration::from_secs(1), 3);
 /// A network that cannot be opened is tried again after this.
 const OPEN_PERIOD: Duration = Duration::from_secs(3);
 /// What a robot says before it leaves is heard within this.
@@ -102,9 +103,9 @@ impl Talk {
             drops: Arc::default(),
             traffic: Arc::default(),
             searched: [0; 32],
-            search_pace: Pace::new(SEARCH_REST),
+            search_pace: Pace::new(SEARCH_PACE.0, SEARCH_PACE.1),
             common: Common::default(),
-            layout_pace: Pace::new(LAYOUT_REST),
+            layout_pace: Pace::new(LAYOUT_PACE.0, LAYOUT_PACE.1),
             revision: 0,
             map_from_odom: Vec::new(),
             frame,
