@@ -72,7 +72,7 @@ mod tests {
     fn what_its_author_says_itself_is_passed_on_later() {
         let (author, start) = (RobotKey::of_replay("b").unwrap(), Instant::now());
         let mut collection = Collection::new(Limits::default());
-        let mut say = |collection: &mut Collection, number: u64| {
+        let say = |collection: &mut Collection, number: u64| {
             let content = Content::Withdrawal(Withdrawal { epoch: 9, number });
             collection.insert(Record::new(&author, 1, number, &content).unwrap());
         };
