@@ -132,7 +132,8 @@ pub struct SwarmArgs {
     /// each is replayed exactly, and they meet at the end
     #[arg(long, value_name = "RATE", value_parser = positive)]
     pub rate: Option<f64>,
-    /// In the simulated building, live: only robots that are nearer than this, metres, and see each other talk; without it all do
+    /// In the simulated building, live: only robots that are nearer than this, metres, and see each other talk until
+    /// their drives have ended; without it all do
     #[arg(long, value_name = "METRES", value_parser = positive, requires = "rate", conflicts_with = "log")]
     pub range: Option<f64>,
     /// Number of robots

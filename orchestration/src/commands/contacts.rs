@@ -5,7 +5,7 @@ use flockslam_bus::RuntimeDir;
 use flockslam_geometry::{Point, Pose};
 use flockslam_lidar_ingest::simulation::{Settings, Simulation, World};
 use flockslam_messages::{ScanBuffer, Stage};
-use flockslam_stage::heartbeat_file;
+use flockslam_stage::{FlockStatus, heartbeat_file};
 use flockslam_telemetry::read_heartbeat;
 use std::os::unix::net::UnixDatagram;
 use std::path::PathBuf;
@@ -53,12 +53,14 @@ impl Contacts {
         Ok(Self { robots, world, range_m, socket })
     }
 
-    /// Reports to every robot which others are near it now.
+    /// Reports to every robot which others are near it now. When all have ended their drives, they come together.
     pub fn report(&self) {
+        let together = self.robots.iter().all(Simulated::has_ended);
         let places: Vec<Option<Pose>> = self.robots.iter().map(Simulated::place).collect();
         for (robot, place) in self.robots.iter().zip(&places) {
             let near = self.robots.iter().zip(&places).filter(|(other, at)| {
-                other.name != robot.name && place.zip(**at).is_some_and(|(a, b)| self.are_near(a, b))
+                let sees = || place.zip(**at).is_some_and(|(a, b)| self.are_near(a, b));
+                other.name != robot.name && (together || sees())
             });
             let lines: String = near.map(|(other, _)| format!("near {} {LASTING_S}\n", other.name)).collect();
             if !lines.is_empty() {
@@ -80,6 +82,11 @@ impl Contacts {
 }
 
 impl Simulated {
+    /// Whether it has come to the end of its drive.
+    fn has_ended(&self) -> bool {
+        FlockStatus::read(&self.runtime.join("status")).is_some_and(|status| status.has_ended)
+    }
+
     /// Where the robot is now; `None` before its first scan.
     fn place(&self) -> Option<Pose> {
         let matcher = format!("{}-0", Stage::ScanMatcher.name());
