@@ -83,6 +83,7 @@ fn robots_die_until_one_is_left_which_goes_on_and_a_reborn_one_rejoins() {
     assert_eq!(back.epoch, 2);
     let address = reborn.address();
     last.wait_for_flock("the reborn one", |flock| flock.peers.contains(&address));
+    dead.into_iter().for_each(FlockRobot::leave_nothing);
 }
 
 #[test]

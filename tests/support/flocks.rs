@@ -140,6 +140,11 @@ impl FlockRobot {
         Self { set: self.set.start_once_more(), ..self }
     }
 
+    /// Removes what a robot that was killed has left for a successor that will not come.
+    pub fn leave_nothing(self) {
+        std::fs::remove_dir_all(self.set.runtime_dir()).unwrap();
+    }
+
     /// Waits for the end of its source; what it told of its flock last.
     pub fn finish(self) -> FlockStatus {
         self.set.finish();
