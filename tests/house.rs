@@ -25,8 +25,8 @@ const SERVICE_LAYER: u32 = 5;
 const ORCHESTRATION_LAYER: u32 = 6;
 const LINES_MAX: usize = 500;
 /// What logic, which is a function of its inputs, must not reach for.
-const OUTSIDE_WORLD: [&str; 6] =
-    ["std::fs", "std::thread", "std::time::Instant", "SystemTime", "std::net", "iceoryx2"];
+const OUTSIDE_WORLD: [&str; 7] =
+    ["std::fs", "std::thread", "std::time::Instant", "SystemTime", "std::net", "iceoryx2", "zenoh::"];
 
 /// Normal dependencies of every member of the workspace.
 fn imports() -> BTreeMap<String, Vec<String>> {
@@ -72,7 +72,7 @@ fn one_crate_each_opens_the_two_networks() {
             .collect()
     };
     assert_eq!(importers("iceoryx2"), ["flockslam-bus"]);
-    assert!(importers("zenoh").iter().all(|package| package == "flockslam-sync-manager"));
+    assert_eq!(importers("zenoh"), ["flockslam-sync-manager"]);
 }
 
 fn rust_files(below: &Path) -> Vec<PathBuf> {

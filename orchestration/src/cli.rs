@@ -23,7 +23,7 @@ enum Command {
     Map(MapArgs),
     /// The same from a simulated building, with its error against the exact truth
     Demo(DemoArgs),
-    /// Lets several robots, each a process set of its own, map one log together: it is cut into as many equal spans of time
+    /// Lets several robots, each a process set of its own, map together: spans of one log, or the simulated building
     Swarm(SwarmArgs),
     /// Runs a process set until it is told to stop
     Up(UpArgs),
@@ -128,10 +128,19 @@ pub struct DemoArgs {
 /// `flockslam swarm`.
 #[derive(Clone, Debug, Args)]
 pub struct SwarmArgs {
-    /// CARMEN log
+    /// CARMEN log, of which each robot gets an equal span of time; without it the robots drive through the simulated building, each
+    /// with a seed of its own
     #[arg(value_name = "LOG")]
-    pub log: PathBuf,
-    /// Number of robots, each with an equal span of the log's time
+    pub log: Option<PathBuf>,
+    /// Live, at this many log seconds per second: the robots run at once and meet over the network, on this machine; without it
+    /// each is replayed exactly, and they meet at the end
+    #[arg(long, value_name = "RATE", value_parser = positive)]
+    pub rate: Option<f64>,
+    /// In the simulated building, live: only robots that are nearer than this, metres, and see each other talk until
+    /// their drives have ended; without it all do
+    #[arg(long, value_name = "METRES", value_parser = positive, requires = "rate", conflicts_with = "log")]
+    pub range: Option<f64>,
+    /// Number of robots
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=64))]
     pub robots: u32,
     /// Seed of the motions by which each robot's odometry is moved away, so that nothing of how they lie to each other leaks

@@ -3,6 +3,7 @@
 mod accounting;
 mod attendants;
 pub mod config;
+mod contacts;
 pub mod control;
 pub mod demo;
 pub mod evaluate;
