@@ -6,9 +6,12 @@
 //! records alone, whatever the order in which they came.
 
 mod atlas;
+mod consistency;
 mod fused;
+mod inspection;
 mod layout;
 mod member;
+mod resemblance;
 mod search;
 mod start;
 mod trajectory;
