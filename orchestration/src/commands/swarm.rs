@@ -1,9 +1,10 @@
 //! `flockslam swarm`: several robots map together.
 
 use super::join::{join, run_member};
+use super::meetings::meet;
 use super::run::prepare_directory;
 use super::{CommandError, say};
-use crate::cli::SwarmArgs;
+use crate::cli::{ProtocolArg, SwarmArgs};
 use crate::configuration::Configuration;
 use flockslam_geometry::Pose;
 use flockslam_lidar_ingest::Settings;
@@ -30,6 +31,10 @@ pub fn run(args: &SwarmArgs) -> Result<(), CommandError> {
         let name = format!("r{number:02}");
         let command = ["map".as_ref(), log.as_os_str()];
         members.push(run_member(&command, given, &name, &args.out.join(&name))?);
+    }
+    if args.protocol == ProtocolArg::Meeting {
+        say(&meet(&args.out, given, &members, args.fusion)?.summary(&args.out));
+        return Ok(());
     }
     let joined = join(&args.out, given, members)?;
     say(&joined.summary(&args.out));

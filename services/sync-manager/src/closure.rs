@@ -57,15 +57,15 @@ pub struct Closure {
     pub shift_m: f64,
 }
 
-/// What a look at a place says of a layout.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Look {
-    /// Both sides see the same.
-    Agrees,
-    /// One side sees things where the other looked through.
-    Contradicts,
-    /// They see too little in common.
-    Silent,
+/// What a look at a place says of a layout: shares, 0 … 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Look {
+    /// Of the query's points those on the segment's lines.
+    pub inliers: f64,
+    /// Of the query's points where the segment looked at all, those in space that it saw free.
+    pub intruding: f64,
+    /// The same of the segment's points and the query.
+    pub intruded: f64,
 }
 
 /// What has been looked at so far.
@@ -239,11 +239,11 @@ impl ClosureFinder {
     }
 
     /// Looks whether the surroundings of a node are in a segment where the poses in force say, without searching.
-    pub fn look(&mut self, world: &World<'_>, query: usize, number: usize) -> Look {
+    pub fn look(&mut self, world: &World<'_>, query: usize, number: usize) -> Option<Look> {
         let (nodes, scans, segment) = (world.nodes, world.scans, &world.segments[number]);
         let points = cloud(nodes, scans, surroundings(nodes, query, QUERY_NODES), query);
         if points.len() < POINTS_MIN {
-            return Look::Silent;
+            return None;
         }
         let guess = world.poses[segment.anchor].to(world.poses[query]);
         let anchor = nodes[segment.anchor].chain;
@@ -258,13 +258,8 @@ impl ClosureFinder {
         let refined = refined.filter(near);
         let placement = refined.map_or(guess, |refined| refined.placement);
         let nearest = nearest_node(segment, &placement, at);
-        if !free_space_agrees(world, query, &points, segment, nearest, &placement, at) {
-            Look::Contradicts
-        } else if refined.is_some_and(|refined| refined.inliers >= self.settings.inliers_min) {
-            Look::Agrees
-        } else {
-            Look::Silent
-        }
+        let (intruding, intruded) = intrusions(world, query, &points, segment, nearest, &placement, at);
+        Some(Look { inliers: refined.map_or(0.0, |refined| refined.inliers), intruding, intruded })
     }
 
     fn search(
@@ -339,17 +334,28 @@ fn free_space_agrees(
     placement: &Placement,
     at: impl Fn(usize) -> Placement,
 ) -> bool {
+    let (intruding, intruded) = intrusions(world, query, points, segment, nearest, placement, at);
+    intruding <= INTRUDING_MAX && intruded <= INTRUDED_MAX
+}
+
+/// Shares of the points of either side that lie in space that the other saw free: the query's at most, and the segment's.
+fn intrusions(
+    world: &World<'_>,
+    query: usize,
+    points: &[(f64, f64)],
+    segment: &Segment,
+    nearest: usize,
+    placement: &Placement,
+    at: impl Fn(usize) -> Placement,
+) -> (f64, f64) {
     let scan_of = |i: usize| world.scans.points(world.nodes[i].scan);
     let around = nearest.saturating_sub(3).max(segment.nodes.start)..(nearest + 4).min(segment.nodes.end);
     let placed: Vec<(f64, f64)> = points.iter().map(|&(x, y)| placement.apply(x, y)).collect();
-    for node in around.step_by(3) {
-        if intruding(&Polar::new(scan_of(node)), &at(node), placed.iter().copied()) > INTRUDING_MAX {
-            return false;
-        }
-    }
+    let seen_by = |node: usize| intruding(&Polar::new(scan_of(node)), &at(node), placed.iter().copied());
+    let most = around.step_by(3).map(seen_by).fold(0.0, f64::max);
     let own = at(nearest);
     let theirs = scan_of(nearest).iter().map(|p: &PackedPoint| own.apply(p.x_m(), p.y_m()));
-    intruding(&Polar::new(scan_of(query)), placement, theirs) <= INTRUDED_MAX
+    (most, intruding(&Polar::new(scan_of(query)), placement, theirs))
 }
 
 /// Share of the points that lie where a scan looked through, of those where it looked at all.

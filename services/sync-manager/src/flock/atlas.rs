@@ -8,6 +8,7 @@ use crate::segment::Segment;
 use crate::settings::Settings;
 use flockslam_records::{Collection, Constraint, Content, NodeName, RecordedNode, RobotId, Stretch};
 use flockslam_registration::cloud::{PackedPoint, Placement};
+use std::collections::BTreeSet;
 use std::ops::Range;
 
 /// Information where nothing is known: just enough that the graph hangs together.
@@ -181,16 +182,16 @@ impl Atlas {
         Some(closure)
     }
 
-    /// By closure: whether it may act. A robot's own are judged as the robot itself judges them; those between robots, of which
-    /// any may be a lie, need more.
-    pub(super) fn eligible(&self) -> Vec<bool> {
+    /// By closure: whether it may act, when nothing is held of those `denied`. A robot's own are judged as the robot itself judges
+    /// them; those between robots, of which any may be a lie, need more.
+    pub(super) fn eligible(&self, denied: &BTreeSet<usize>) -> Vec<bool> {
         let across: Vec<bool> = self.closures.iter().map(|closure| self.is_across(closure)).collect();
-        let mut eligible = eligible(&self.closures, &self.nodes);
-        let consistent = consistent(&self.closures, &self.nodes, &across);
-        for (i, across) in across.into_iter().enumerate().filter(|(_, across)| *across) {
-            eligible[i] = across && consistent[i];
-        }
-        eligible
+        let judged: Vec<bool> =
+            across.iter().enumerate().map(|(i, across)| *across && !denied.contains(&i)).collect();
+        let own = eligible(&self.closures, &self.nodes);
+        let consistent = consistent(&self.closures, &self.nodes, &judged);
+        let each = across.iter().zip(own).zip(consistent);
+        each.map(|((across, own), consistent)| if *across { consistent } else { own }).collect()
     }
 
     /// Of these closures those that do not act if these alone are left: between robots, what the others have confirmed is

@@ -10,7 +10,10 @@ use crate::strands::Strands;
 use flockslam_geometry::Pose;
 use flockslam_records::RobotId;
 use flockslam_registration::cloud::{MomentGrid, Placement};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// How often closures are put on trial before robots are left apart.
+const TRIALS_MAX: usize = 8;
 
 /// Poses of an atlas's nodes, and what holds them together.
 #[derive(Clone, Debug, PartialEq)]
@@ -87,9 +90,9 @@ impl Atlas {
     /// Solves the graph from the chains, with all closures that agree on trial. What is left between two robots after that must still
     /// agree, and what both have seen must look the same where the solution puts it.
     pub(super) fn solve(&self, settings: &Settings, finder: &mut ClosureFinder) -> Solved {
-        let mut on_trial = self.eligible();
-        loop {
-            let solved = self.solve_with(&on_trial, settings);
+        let mut denied = BTreeSet::new();
+        for _ in 0..TRIALS_MAX {
+            let solved = self.solve_with(&self.eligible(&denied), settings);
             let mut doubtful = self.unconfirmed(&solved.in_force);
             if doubtful.is_empty() {
                 doubtful = self.contradicted(&solved, finder);
@@ -97,10 +100,10 @@ impl Atlas {
             if doubtful.is_empty() {
                 return solved;
             }
-            // At least one less each time.
-            on_trial = solved.in_force;
-            doubtful.into_iter().for_each(|i| on_trial[i] = false);
+            denied.extend(doubtful);
         }
+        denied.extend((0..self.closures.len()).filter(|i| self.is_across(&self.closures[*i])));
+        self.solve_with(&self.eligible(&denied), settings)
     }
 
     fn solve_with(&self, on_trial: &[bool], settings: &Settings) -> Solved {

@@ -15,8 +15,6 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 const WIDE_EVERY: usize = 2;
 /// Squares that a search anywhere looks at before it gives up.
 const WIDE_SUMS_MAX: u64 = 500_000;
-/// A query is looked for anywhere in so many segments of each other log: those that resemble its surroundings most.
-const RESEMBLING: usize = 8;
 /// So many queries before and after one that was found somewhere are looked for there next, and in so many segments before and
 /// after: agreement is among neighbours.
 const NEIGHBOURS: usize = 3;
@@ -79,16 +77,28 @@ impl Search {
             if self.searches() >= until {
                 break;
             }
-            let distances_m = distances(atlas, &solved, query);
-            let near = nearby(atlas, &solved, query, &distances_m, settings.closure.segments_per_query);
-            let candidates: Vec<(usize, Window)> = near
-                .into_iter()
-                .filter(|number| self.is_new(atlas, query, *number, false))
-                .map(|number| (number, window(distances_m[atlas.segments[number].anchor])))
-                .collect();
-            self.search(atlas, &solved, query, &candidates, &mut found);
+            self.near(atlas, query, settings, &solved, &mut found);
         }
         found
+    }
+
+    /// Looks for a query where the solution puts it.
+    fn near(
+        &mut self,
+        atlas: &mut Atlas,
+        query: usize,
+        settings: &Settings,
+        solved: &Solved,
+        found: &mut Vec<Constraint>,
+    ) {
+        let distances_m = distances(atlas, solved, query);
+        let near = nearby(atlas, solved, query, &distances_m, settings.closure.segments_per_query);
+        let candidates: Vec<(usize, Window)> = near
+            .into_iter()
+            .filter(|number| self.is_new(atlas, query, *number, false))
+            .map(|number| (number, window(distances_m[atlas.segments[number].anchor])))
+            .collect();
+        self.search(atlas, solved, query, &candidates, found);
     }
 
     /// Looks for queries in all that nothing is known of, the most similar first, until it is known; the solution is kept up.
@@ -103,7 +113,6 @@ impl Search {
     ) {
         let mut known = firmly_tied(atlas, solved);
         let mut order: VecDeque<Pair> = self.resembling(atlas, queries, &known).into();
-        let mut eligible = counted(atlas);
         while let Some(Pair { place, segment, .. }) = order.pop_front() {
             let query = queries[place];
             if self.searches() >= until {
@@ -117,37 +126,33 @@ impl Search {
             if found.len() == before {
                 continue;
             }
-            for near in place.saturating_sub(NEIGHBOURS)..(place + NEIGHBOURS + 1).min(queries.len()) {
+            *solved = atlas.solve(settings, &mut self.finder);
+            let neighbours = place.saturating_sub(NEIGHBOURS)..(place + NEIGHBOURS + 1).min(queries.len());
+            if is_strange(atlas, &solved.strands, query, segment) {
                 let around = segment.saturating_sub(SEGMENTS_AROUND)
                     ..(segment + SEGMENTS_AROUND + 1).min(atlas.segments.len());
-                around.for_each(|segment| order.push_front(Pair { apart: 0, place: near, segment }));
-            }
-            let now = counted(atlas);
-            if now != eligible {
-                eligible = now;
+                let pairs = neighbours
+                    .flat_map(|place| around.clone().map(move |segment| Pair { apart: 0, place, segment }));
+                pairs.for_each(|pair| order.push_front(pair));
+            } else {
+                // Tied, if loosely: what confirms it or not lies where that says.
+                neighbours.for_each(|place| self.near(atlas, queries[place], settings, solved, found));
                 *solved = atlas.solve(settings, &mut self.finder);
-                known = firmly_tied(atlas, solved);
             }
+            known = firmly_tied(atlas, solved);
         }
     }
 
-    /// For each query the segments of each other log that resemble it most, the most similar pairs first.
+    /// All pairs of a query and a segment of which it is not known how they lie to each other, the most similar first.
     fn resembling(&self, atlas: &Atlas, queries: &[usize], known: &Strands) -> Vec<Pair> {
         let resemblance = Resemblance::new(atlas);
         let mut pairs = Vec::new();
         for (place, &query) in queries.iter().enumerate() {
-            for log in 0..atlas.logs.len() as u32 {
-                let of_log = |number: &usize| atlas.owner(atlas.segments[*number].anchor) == log;
-                let mut best: Vec<Pair> = (0..atlas.segments.len())
-                    .filter(|number| of_log(number) && is_strange(atlas, known, query, *number))
-                    .map(|segment| {
-                        let apart = resemblance.distance(query, &atlas.segments[segment]);
-                        Pair { apart, place, segment }
-                    })
-                    .collect();
-                best.sort_unstable();
-                pairs.extend(best.into_iter().take(RESEMBLING));
-            }
+            let strange = (0..atlas.segments.len()).filter(|k| is_strange(atlas, known, query, *k));
+            pairs.extend(strange.map(|segment| {
+                let apart = resemblance.distance(query, &atlas.segments[segment]);
+                Pair { apart, place, segment }
+            }));
         }
         pairs.sort_unstable();
         pairs
@@ -202,11 +207,6 @@ fn is_strange(atlas: &Atlas, known: &Strands, query: usize, segment: usize) -> b
     let anchor = atlas.segments[segment].anchor;
     let part = |node: usize| known.part(atlas.nodes[node].strand);
     atlas.owner(anchor) != atlas.owner(query) && part(anchor) != part(query)
-}
-
-/// Closures that may act.
-fn counted(atlas: &Atlas) -> usize {
-    atlas.eligible().into_iter().filter(|eligible| *eligible).count()
 }
 
 /// Nodes of a robot at which a search is due, `every_m` metres of its way apart, away from the ends of its strands.
