@@ -4,6 +4,7 @@
 
 #[path = "../tests/support/flocks.rs"]
 mod flocks;
+#[allow(dead_code, reason = "what several tests share, one of them does not need all of")]
 #[path = "../tests/support/mod.rs"]
 mod support;
 #[path = "../tests/support/trials.rs"]

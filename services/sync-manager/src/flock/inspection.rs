@@ -13,7 +13,7 @@ const EVERY_M: f64 = 1.0;
 const INLIERS_MIN: f64 = 0.6;
 const AGREEING_MIN: usize = 3;
 /// Shares of the points of both sides in space that the other saw free, added up, on average over these places: what is the same
-/// has up to 0.05 in logs and in simulated buildings, what only looks alike 0.1 and more.
+/// has up to 0.05 in most logs and in simulated buildings, what only looks alike 0.1 and more.
 const INTRUDING_MAX: f64 = 0.07;
 
 impl Atlas {

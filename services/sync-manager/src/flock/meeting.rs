@@ -344,7 +344,7 @@ mod tests {
 
     /// Walls of an uneven hall as points, in the building's frame.
     fn hall() -> Vec<(f64, f64)> {
-        let corners = [
+        let corners: [(f64, f64); 11] = [
             (0.0, 0.0),
             (9.0, 0.0),
             (9.0, 2.5),

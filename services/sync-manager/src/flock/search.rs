@@ -14,7 +14,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 /// Of the queries, every so many are looked for anywhere.
 const WIDE_EVERY: usize = 2;
 /// Squares that a search anywhere looks at before it gives up.
-const WIDE_SUMS_MAX: u64 = 500_000;
+const WIDE_SUMS_MAX: u64 = 250_000;
 /// So many queries before and after one that was found somewhere are looked for there next, and in so many segments before and
 /// after: agreement is among neighbours.
 const NEIGHBOURS: usize = 3;
