@@ -102,9 +102,8 @@ pub fn meet(
         tracks.push(track.into_iter().map(carried).collect());
         inside.push(member.name().to_owned());
     }
-    let sum = |count: fn(&MeetingCounts) -> u64| -> u64 {
-        robots.iter().map(|robot| count(&robot.counts())).sum()
-    };
+    let sum =
+        |count: fn(&MeetingCounts) -> u64| -> u64 { robots.iter().map(|robot| count(&robot.counts())).sum() };
     let met = Met {
         robots: members.iter().map(|member| member.name().to_owned()).collect(),
         seen_by: own.robot.name().to_owned(),
