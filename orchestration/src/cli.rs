@@ -3,8 +3,10 @@
 use crate::commands::{self, CommandError};
 use crate::configuration::Profile;
 use crate::supervisor::known_stage;
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum};
 use flockslam_messages::Stage;
+use flockslam_sync_manager::flock::CellFusion;
+use serde::Serialize;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -146,12 +148,54 @@ pub struct SwarmArgs {
     /// Seed of the motions by which each robot's odometry is moved away, so that nothing of how they lie to each other leaks
     #[arg(long, value_name = "SEED", default_value_t = 1)]
     pub seed: u64,
+    /// How robots come to one map
+    #[arg(long, value_enum, default_value_t)]
+    pub protocol: ProtocolArg,
+    /// How cells of several maps become one, in the protocol of meetings
+    #[arg(long, value_enum, default_value_t)]
+    pub fusion: FusionArg,
     /// Directory for the outputs; made when it is not there
     #[arg(long, value_name = "DIR", default_value = "flockslam-out")]
     pub out: PathBuf,
     /// How each robot is configured
     #[command(flatten)]
     pub configuration: ConfigurationArgs,
+}
+
+/// How robots come to one map.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum ProtocolArg {
+    /// All exchange what they have recorded, and each works out the same map
+    #[default]
+    Records,
+    /// When two meet, each looks for the other's current scan in its map and takes over the other's map
+    Meeting,
+}
+
+/// How cells of several maps become one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FusionArg {
+    /// Dempster's rule
+    #[default]
+    Dempster,
+    /// The greatest occupancy
+    Maximum,
+    /// The least occupancy
+    Minimum,
+    /// The mean occupancy
+    Mean,
+}
+
+impl From<FusionArg> for CellFusion {
+    fn from(argument: FusionArg) -> Self {
+        match argument {
+            FusionArg::Dempster => Self::Dempster,
+            FusionArg::Maximum => Self::Maximum,
+            FusionArg::Minimum => Self::Minimum,
+            FusionArg::Mean => Self::Mean,
+        }
+    }
 }
 
 /// `flockslam up`.

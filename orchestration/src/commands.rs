@@ -10,6 +10,7 @@ pub mod evaluate;
 mod join;
 pub mod log;
 pub mod map;
+mod meetings;
 pub mod page;
 mod progress_bar;
 pub mod record;

@@ -7,6 +7,7 @@ use crate::cli::ConfigurationArgs;
 use crate::configuration::Configuration;
 use crate::outputs::{TrajectoryPoint, map_hash, write_flock_picture, write_map, write_trajectory};
 use clap::ValueEnum;
+use flockslam_evidence::FusedMap;
 use flockslam_geometry::Pose;
 use flockslam_journal::{Durability, replace_file};
 use flockslam_records::{Limits, Message, RobotKey};
@@ -14,6 +15,7 @@ use flockslam_records::{Limits, Message, RobotKey};
 use flockslam_stage::flock_files::{NamedPose, OWN_NODES, OWN_SCANS, RecordLog, read_named};
 use flockslam_stage::results::StoredMap;
 use flockslam_stage::{FlockStatus, StageError};
+use flockslam_sync_manager::Settings;
 use flockslam_sync_manager::flock::{Carried, Flock, FlockLayout, carried};
 use serde::Serialize;
 use std::ffi::OsStr;
@@ -37,6 +39,11 @@ pub struct Member {
 }
 
 impl Member {
+    /// The robot's name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
     /// Reads what a robot's sync-manager has left in a directory.
     ///
     /// # Errors
@@ -173,12 +180,13 @@ impl Joined {
 pub fn join(out: &Path, given: &ConfigurationArgs, members: Vec<Member>) -> Result<Joined, CommandError> {
     let mut flocks = flocks(given, &members)?;
     let mut met = Met { bytes_exchanged: exchange(&mut flocks), ..Met::default() };
-    let started = Instant::now();
-    for flock in &mut flocks {
-        flock.search(u64::MAX).map_err(CommandError::failed)?;
+    for k in 0..flocks.len() {
+        let started = Instant::now();
+        flocks[k].search(u64::MAX).map_err(CommandError::failed)?;
+        met.search_s += started.elapsed().as_secs_f64();
+        // What one has found, the others need not look for.
+        met.bytes_exchanged += exchange(&mut flocks);
     }
-    met.search_s = started.elapsed().as_secs_f64();
-    met.bytes_exchanged += exchange(&mut flocks);
     met.searches = flocks.iter().map(Flock::searches).sum();
     conclude(out, &members, &flocks, &met)
 }
@@ -216,12 +224,7 @@ fn flocks(given: &ConfigurationArgs, members: &[Member]) -> Result<Vec<Flock>, C
     let configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
     let mut flocks = Vec::new();
     for member in members {
-        let key = RobotKey::of_replay(&member.name).map_err(CommandError::user)?;
-        let mut flock = Flock::new(key, EPOCH, configuration.sync_manager.clone(), Limits::default());
-        for record in &member.records {
-            flock.collection_mut().take(record).map_err(CommandError::failed)?;
-        }
-        flocks.push(flock);
+        flocks.push(alone(member, &configuration.sync_manager)?);
     }
     Ok(flocks)
 }
@@ -264,6 +267,19 @@ fn conclude(out: &Path, members: &[Member], flocks: &[Flock], met: &Met) -> Resu
     Ok(joined)
 }
 
+/// A robot that knows its own records only.
+///
+/// # Errors
+/// When its name is not one of a robot, or its records are not.
+pub fn alone(member: &Member, settings: &Settings) -> Result<Flock, CommandError> {
+    let key = RobotKey::of_replay(&member.name).map_err(CommandError::user)?;
+    let mut flock = Flock::new(key, EPOCH, settings.clone(), Limits::default());
+    for record in &member.records {
+        flock.collection_mut().take(record).map_err(CommandError::failed)?;
+    }
+    Ok(flock)
+}
+
 /// Each robot tells every other what it has, until nobody learns anything; gives the bytes that travelled.
 fn exchange(flocks: &mut [Flock]) -> u64 {
     let mut bytes = 0;
@@ -292,11 +308,16 @@ fn exchange(flocks: &mut [Flock]) -> u64 {
 }
 
 fn stored(flock: &Flock, layout: &FlockLayout) -> StoredMap {
-    flock.map(layout).map.as_ref().map_or_else(StoredMap::empty, StoredMap::of)
+    stored_or_empty(flock.map(layout).map.as_ref())
+}
+
+/// A fused map as it is written; an empty one when there is none.
+pub fn stored_or_empty(map: Option<&FusedMap>) -> StoredMap {
+    map.map_or_else(StoredMap::empty, StoredMap::of)
 }
 
 /// A robot's way in the frame of the flock; nothing when it is not part of it.
-fn track(member: &Member, layout: &FlockLayout) -> Vec<TrajectoryPoint> {
+pub fn track(member: &Member, layout: &FlockLayout) -> Vec<TrajectoryPoint> {
     let nodes = layout.nodes.iter().find(|((robot, _), _)| robot.name() == member.name);
     let Some((_, nodes)) = nodes else { return Vec::new() };
     let inside: Vec<_> = nodes.iter().filter(|node| node.part == layout.main_part).copied().collect();
@@ -306,9 +327,13 @@ fn track(member: &Member, layout: &FlockLayout) -> Vec<TrajectoryPoint> {
     member.scans.iter().zip(poses).map(point).collect()
 }
 
-fn write(
+/// Writes the outputs: what became of it as JSON, the map, the ways of all robots.
+///
+/// # Errors
+/// When the disk refuses.
+pub fn write(
     out: &Path,
-    joined: &Joined,
+    joined: &impl Serialize,
     map: &StoredMap,
     tracks: &[Vec<TrajectoryPoint>],
 ) -> Result<(), CommandError> {

@@ -2,9 +2,10 @@
 
 use super::contacts::Contacts;
 use super::join::{Member, Order, join, join_met};
+use super::meetings::meet;
 use super::run::prepare_directory;
 use super::{CommandError, say};
-use crate::cli::{ConfigurationArgs, SwarmArgs};
+use crate::cli::{ConfigurationArgs, ProtocolArg, SwarmArgs};
 use crate::configuration::Configuration;
 use flockslam_geometry::Pose;
 use flockslam_lidar_ingest::Settings;
@@ -52,7 +53,12 @@ pub fn run(args: &SwarmArgs) -> Result<(), CommandError> {
         None => {
             let members: Result<Vec<_>, _> =
                 robots.iter().map(|robot| robot.order(|o| o.run(given))).collect();
-            join(&args.out, given, members?)?
+            let members = members?;
+            if args.protocol == ProtocolArg::Meeting {
+                say(&meet(&args.out, given, &members, args.fusion)?.summary(&args.out));
+                return Ok(());
+            }
+            join(&args.out, given, members)?
         }
         Some(rate) => {
             connect(&mut robots, rate)?;
