@@ -157,7 +157,7 @@ fn files_are_short() {
 fn the_architecture_is_described_briefly_and_names_files_that_exist() {
     let text = fs::read_to_string(repository().join("ARCHITECTURE.md")).expect("ARCHITECTURE.md is there");
     assert!(text.lines().count() < 250, "{} lines", text.lines().count());
-    let more = ["decisions", "seeing"].map(|name| repository().join(format!("docs/{name}.md")));
+    let more = ["decisions", "seeing", "flock"].map(|name| repository().join(format!("docs/{name}.md")));
     let more = more.map(|path| fs::read_to_string(path).expect("a page of its own"));
     let named = [text, more.join("\n")].join("\n");
     let named = named
