@@ -136,7 +136,7 @@ impl LiveSet {
             Request::Status => {
                 let mut status = self.set.status();
                 status.saved = self.keeper.as_ref().map(MapKeeper::status);
-                return order.answer(Reply::Status(status));
+                return order.answer(Reply::Status(Box::new(status)));
             }
             Request::Down => Ok(()),
             Request::Restart(name) => known_stage(&name).and_then(|stage| {

@@ -140,8 +140,9 @@ impl<'a> Compared<'a> {
             i
         };
         for i in (0..self.members.len()).filter(|i| outvoting[*i]) {
-            for k in i + 1..self.members.len().min(i + 1 + BAND) {
-                if outvoting[k] && self.agree(i, k) == Some(true) {
+            let near = i + 1..self.members.len().min(i + 1 + BAND);
+            for k in near.filter(|k| outvoting[*k]) {
+                if self.agree(i, k) == Some(true) {
                     let (a, b) = (first(&parent, i), first(&parent, k));
                     parent[a.max(b)] = a.min(b);
                 }
