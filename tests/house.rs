@@ -25,8 +25,8 @@ const SERVICE_LAYER: u32 = 5;
 const ORCHESTRATION_LAYER: u32 = 6;
 const LINES_MAX: usize = 500;
 /// What logic, which is a function of its inputs, must not reach for.
-const OUTSIDE_WORLD: [&str; 6] =
-    ["std::fs", "std::thread", "std::time::Instant", "SystemTime", "std::net", "iceoryx2"];
+const OUTSIDE_WORLD: [&str; 7] =
+    ["std::fs", "std::thread", "std::time::Instant", "SystemTime", "std::net", "iceoryx2", "zenoh::"];
 
 /// Normal dependencies of every member of the workspace.
 fn imports() -> BTreeMap<String, Vec<String>> {
@@ -72,7 +72,7 @@ fn one_crate_each_opens_the_two_networks() {
             .collect()
     };
     assert_eq!(importers("iceoryx2"), ["flockslam-bus"]);
-    assert!(importers("zenoh").iter().all(|package| package == "flockslam-sync-manager"));
+    assert_eq!(importers("zenoh"), ["flockslam-sync-manager"]);
 }
 
 fn rust_files(below: &Path) -> Vec<PathBuf> {
@@ -157,7 +157,7 @@ fn files_are_short() {
 fn the_architecture_is_described_briefly_and_names_files_that_exist() {
     let text = fs::read_to_string(repository().join("ARCHITECTURE.md")).expect("ARCHITECTURE.md is there");
     assert!(text.lines().count() < 250, "{} lines", text.lines().count());
-    let more = ["decisions", "seeing"].map(|name| repository().join(format!("docs/{name}.md")));
+    let more = ["decisions", "seeing", "flock"].map(|name| repository().join(format!("docs/{name}.md")));
     let more = more.map(|path| fs::read_to_string(path).expect("a page of its own"));
     let named = [text, more.join("\n")].join("\n");
     let named = named

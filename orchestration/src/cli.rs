@@ -3,8 +3,10 @@
 use crate::commands::{self, CommandError};
 use crate::configuration::Profile;
 use crate::supervisor::known_stage;
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum};
 use flockslam_messages::Stage;
+use flockslam_sync_manager::flock::CellFusion;
+use serde::Serialize;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -23,7 +25,7 @@ enum Command {
     Map(MapArgs),
     /// The same from a simulated building, with its error against the exact truth
     Demo(DemoArgs),
-    /// Lets several robots, each a process set of its own, map one log together: it is cut into as many equal spans of time
+    /// Lets several robots, each a process set of its own, map together: spans of one log, or the simulated building
     Swarm(SwarmArgs),
     /// Runs a process set until it is told to stop
     Up(UpArgs),
@@ -128,21 +130,72 @@ pub struct DemoArgs {
 /// `flockslam swarm`.
 #[derive(Clone, Debug, Args)]
 pub struct SwarmArgs {
-    /// CARMEN log
+    /// CARMEN log, of which each robot gets an equal span of time; without it the robots drive through the simulated building, each
+    /// with a seed of its own
     #[arg(value_name = "LOG")]
-    pub log: PathBuf,
-    /// Number of robots, each with an equal span of the log's time
+    pub log: Option<PathBuf>,
+    /// Live, at this many log seconds per second: the robots run at once and meet over the network, on this machine; without it
+    /// each is replayed exactly, and they meet at the end
+    #[arg(long, value_name = "RATE", value_parser = positive)]
+    pub rate: Option<f64>,
+    /// In the simulated building, live: only robots that are nearer than this, metres, and see each other talk until
+    /// their drives have ended; without it all do
+    #[arg(long, value_name = "METRES", value_parser = positive, requires = "rate", conflicts_with = "log")]
+    pub range: Option<f64>,
+    /// Number of robots
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=64))]
     pub robots: u32,
     /// Seed of the motions by which each robot's odometry is moved away, so that nothing of how they lie to each other leaks
     #[arg(long, value_name = "SEED", default_value_t = 1)]
     pub seed: u64,
+    /// How robots come to one map
+    #[arg(long, value_enum, default_value_t)]
+    pub protocol: ProtocolArg,
+    /// How cells of several maps become one, in the protocol of meetings
+    #[arg(long, value_enum, default_value_t)]
+    pub fusion: FusionArg,
     /// Directory for the outputs; made when it is not there
     #[arg(long, value_name = "DIR", default_value = "flockslam-out")]
     pub out: PathBuf,
     /// How each robot is configured
     #[command(flatten)]
     pub configuration: ConfigurationArgs,
+}
+
+/// How robots come to one map.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum ProtocolArg {
+    /// All exchange what they have recorded, and each works out the same map
+    #[default]
+    Records,
+    /// When two meet, each looks for the other's current scan in its map and takes over the other's map
+    Meeting,
+}
+
+/// How cells of several maps become one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FusionArg {
+    /// Dempster's rule
+    #[default]
+    Dempster,
+    /// The greatest occupancy
+    Maximum,
+    /// The least occupancy
+    Minimum,
+    /// The mean occupancy
+    Mean,
+}
+
+impl From<FusionArg> for CellFusion {
+    fn from(argument: FusionArg) -> Self {
+        match argument {
+            FusionArg::Dempster => Self::Dempster,
+            FusionArg::Maximum => Self::Maximum,
+            FusionArg::Minimum => Self::Minimum,
+            FusionArg::Mean => Self::Mean,
+        }
+    }
 }
 
 /// `flockslam up`.

@@ -3,12 +3,14 @@
 mod accounting;
 mod attendants;
 pub mod config;
+mod contacts;
 pub mod control;
 pub mod demo;
 pub mod evaluate;
 mod join;
 pub mod log;
 pub mod map;
+mod meetings;
 pub mod page;
 mod progress_bar;
 pub mod record;

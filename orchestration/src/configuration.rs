@@ -191,6 +191,10 @@ impl Configuration {
         };
         self.lidar_ingest.check().map_err(|reason| wrong("lidar_ingest", reason))?;
         self.simulation.check().map_err(|reason| wrong("simulation", reason))?;
+        self.sync_manager
+            .flock
+            .check()
+            .map_err(|(key, reason)| wrong(&format!("sync_manager.flock.{key}"), reason))?;
         range::check(&Table::try_from(self).expect("a configuration can be written as TOML"))
             .map_err(|(key, reason)| wrong(&key, &reason))
     }

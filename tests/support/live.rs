@@ -109,7 +109,7 @@ impl LiveSet {
     /// How the set is; `None` while nobody answers.
     pub fn status(&self) -> Option<SetStatus> {
         match self.ask(&Request::Status)? {
-            Reply::Status(status) => Some(status),
+            Reply::Status(status) => Some(*status),
             other => panic!("{other:?}"),
         }
     }

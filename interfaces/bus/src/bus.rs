@@ -7,8 +7,8 @@ use crate::{
     SlicePublisher, SliceSubscriber, SliceTopic, Subscriber, Topic,
 };
 use flockslam_messages::{
-    Commit, Control, LayoutHeader, MarksHeader, MovingBeamsHeader, PartInserted, PoseEstimate, Progress,
-    ScanHeader, ScanTally, SectorHeader, Stage, SubmapClosed, TileMessage, TracksHeader, Verdict,
+    Commit, Control, FlockFrame, LayoutHeader, MarksHeader, MovingBeamsHeader, PartInserted, PoseEstimate,
+    Progress, ScanHeader, ScanTally, SectorHeader, Stage, SubmapClosed, TileMessage, TracksHeader, Verdict,
 };
 use std::any::Any;
 
@@ -44,6 +44,7 @@ impl Bus {
             create::<PartInserted>(&bus)?,
             create::<SubmapClosed>(&bus)?,
             create::<LayoutHeader>(&bus)?,
+            create::<FlockFrame>(&bus)?,
             create::<Control>(&bus)?,
             create::<Progress>(&bus)?,
             create::<TileMessage>(&bus)?,

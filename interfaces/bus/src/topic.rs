@@ -1,7 +1,7 @@
 use crate::tile_port::LANES;
 use flockslam_messages::{
-    BeamRange, ClearedCell, Commit, Control, JudgedCell, Layout, LayoutHeader, MarksHeader, Message,
-    MovingBeamsHeader, PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally, SectorHeader,
+    BeamRange, ClearedCell, Commit, Control, FlockFrame, JudgedCell, Layout, LayoutHeader, MarksHeader,
+    Message, MovingBeamsHeader, PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally, SectorHeader,
     SubmapClosed, TileMessage, Track, TracksHeader, Verdict,
 };
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
@@ -97,6 +97,9 @@ impl Topic for PartInserted {
 }
 impl Topic for LayoutHeader {
     const NAME: &'static str = "layout";
+}
+impl Topic for FlockFrame {
+    const NAME: &'static str = "flock-frame";
 }
 impl Topic for Control {
     const NAME: &'static str = "control";

@@ -5,6 +5,7 @@
 
 mod control;
 mod deskew;
+mod flock;
 mod grid;
 mod identity;
 mod layout;
@@ -20,6 +21,7 @@ mod verdict;
 
 pub use control::{Control, ControlKind};
 pub use deskew::Deskew;
+pub use flock::FlockFrame;
 pub use grid::{Commit, PartInserted, SubmapClosed, TileMessage};
 pub use identity::{ScanId, Times};
 pub use layout::LayoutHeader;

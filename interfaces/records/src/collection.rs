@@ -21,11 +21,19 @@ pub struct Limits {
     pub records_max: u64,
     /// Bytes of all records of one robot.
     pub robot_bytes_max: u64,
+    /// Bytes of all records of all robots but those of [`Collection::never_refuse`].
+    pub bytes_max: u64,
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { robots_max: 256, epochs_max: 64, records_max: 200_000, robot_bytes_max: 256 << 20 }
+        Self {
+            robots_max: 256,
+            epochs_max: 64,
+            records_max: 200_000,
+            robot_bytes_max: 256 << 20,
+            bytes_max: 1 << 30,
+        }
     }
 }
 
@@ -55,9 +63,15 @@ pub enum Refusal {
     Records,
     /// Its robot has said more than it may.
     Bytes,
+    /// All robots together have said more than is kept.
+    AllBytes,
 }
 
 impl Refusal {
+    /// All of them.
+    pub const ALL: [Refusal; 6] =
+        [Self::NotTrusted, Self::Robots, Self::Epochs, Self::Records, Self::Bytes, Self::AllBytes];
+
     /// Its name in metrics.
     pub fn name(self) -> &'static str {
         match self {
@@ -66,6 +80,7 @@ impl Refusal {
             Self::Epochs => "too-many-epochs",
             Self::Records => "too-many-records",
             Self::Bytes => "too-many-bytes",
+            Self::AllBytes => "too-many-bytes-in-all",
         }
     }
 }
@@ -95,6 +110,8 @@ pub struct Collection {
     /// Who is believed; `None` = everybody who is not banned.
     trusted: Option<BTreeSet<[u8; 32]>>,
     banned: BTreeSet<[u8; 32]>,
+    /// Whose records are never too many.
+    own: Option<RobotId>,
     logs: BTreeMap<(RobotId, u64), Log>,
     /// Records that their authors have withdrawn.
     withdrawn: BTreeSet<RecordName>,
@@ -119,7 +136,15 @@ impl Collection {
         self.forget_untrusted();
     }
 
+    /// Takes in what this robot says whatever there is already: its own records are not for others to crowd out.
+    pub fn never_refuse(&mut self, robot: RobotId) {
+        self.own = Some(robot);
+    }
+
     fn trusts(&self, robot: &RobotId) -> bool {
+        if self.own.as_ref() == Some(robot) {
+            return true;
+        }
         let listed = self.trusted.as_ref().is_none_or(|keys| keys.contains(robot.public_key()));
         listed && !self.banned.contains(robot.public_key())
     }
@@ -204,6 +229,9 @@ impl Collection {
         if !self.trusts(&name.robot) {
             return Some(Refusal::NotTrusted);
         }
+        if self.own.as_ref() == Some(&name.robot) {
+            return None;
+        }
         if name.number >= self.limits.records_max {
             return Some(Refusal::Records);
         }
@@ -216,7 +244,13 @@ impl Collection {
             return Some(Refusal::Epochs);
         }
         let said: u64 = of_robot().map(|(_, log)| log.bytes()).sum();
-        (said + bytes as u64 > self.limits.robot_bytes_max).then_some(Refusal::Bytes)
+        let bytes = bytes as u64;
+        if said + bytes > self.limits.robot_bytes_max {
+            return Some(Refusal::Bytes);
+        }
+        let of_others = self.logs.iter().filter(|((robot, _), _)| self.own.as_ref() != Some(robot));
+        let all: u64 = of_others.map(|(_, log)| log.bytes()).sum();
+        (all + bytes > self.limits.bytes_max).then_some(Refusal::AllBytes)
     }
 
     /// What withdrawals say that count.

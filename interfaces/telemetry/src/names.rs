@@ -277,6 +277,52 @@ pub const MAP_AREA: Metric = of_one_stage(
     "Area of the fused map that something is known of, in blocks of 8 by 8 cells",
 );
 
+/// Robots that are connected.
+pub const FLOCK_PEERS: Metric = of_one_stage(
+    "sync-manager",
+    "flockslam_flock_peers",
+    Kind::Gauge,
+    "Other robots of the flock that are connected just now",
+);
+/// Robots in the common map.
+pub const FLOCK_MEMBERS: Metric = of_one_stage(
+    "sync-manager",
+    "flockslam_flock_members",
+    Kind::Gauge,
+    "Robots that are part of the common map, this one among them; 0 while it is not",
+);
+/// Size of what is known of the flock.
+pub const FLOCK_RECORD_BYTES: Metric = of_one_stage(
+    "sync-manager",
+    "flockslam_flock_record_bytes",
+    Kind::Gauge,
+    "Bytes of all records that the robot knows, its own among them",
+);
+/// Traffic out.
+pub const FLOCK_SAID: Metric = of_one_stage(
+    "sync-manager",
+    "flockslam_flock_said_bytes_total",
+    Kind::Counter,
+    "Bytes of messages to other robots",
+);
+/// Traffic in.
+pub const FLOCK_HEARD: Metric = of_one_stage(
+    "sync-manager",
+    "flockslam_flock_heard_bytes_total",
+    Kind::Counter,
+    "Bytes of messages of other robots that were looked at",
+);
+/// What was not taken from or sent to others, by `reason`.
+pub const FLOCK_DROPPED: Metric = with_labels(
+    of_one_stage(
+        "sync-manager",
+        "flockslam_flock_dropped_total",
+        Kind::Counter,
+        "Messages and records of other robots that were refused, and messages that were not sent",
+    ),
+    STAGE_REASON,
+);
+
 /// Restarts, by `stage` and `reason`.
 pub const STAGE_RESTARTS: Metric = of_supervisor(
     "flockslam_stage_restarts_total",
@@ -324,7 +370,7 @@ pub const NOT_DURABLE: Metric =
     of_supervisor("flockslam_not_durable", Kind::Gauge, &[], "1 when the map cannot be saved to disk");
 
 /// All metrics, by who tells them.
-pub const ALL: [Metric; 35] = [
+pub const ALL: [Metric; 41] = [
     STAGE_LATENCY,
     SCAN_TO_OUTPUT,
     SCANS_HANDLED,
@@ -353,6 +399,12 @@ pub const ALL: [Metric; 35] = [
     CLOSURES_REVOKED,
     OPTIMISATION,
     MAP_AREA,
+    FLOCK_PEERS,
+    FLOCK_MEMBERS,
+    FLOCK_RECORD_BYTES,
+    FLOCK_SAID,
+    FLOCK_HEARD,
+    FLOCK_DROPPED,
     STAGE_RESTARTS,
     STAGE_UP,
     HEARTBEAT_AGE,

@@ -39,6 +39,11 @@ impl LabelledCounters {
     pub fn count(&self, place: usize) {
         self.0[place].inc();
     }
+
+    /// Counts so many for the value at this place.
+    pub fn count_by(&self, place: usize, times: u64) {
+        self.0[place].inc_by(times);
+    }
 }
 
 impl StageMetrics {

@@ -20,7 +20,7 @@ impl Attendants {
         self.page.iter_mut().for_each(PageProcess::look_after);
         while let Some(order) = self.control.as_ref().and_then(ControlSocket::next) {
             let reply = match &order.request {
-                Request::Status => Reply::Status(set.status()),
+                Request::Status => Reply::Status(Box::new(set.status())),
                 Request::Restart(name) => match known_stage(name) {
                     Ok(stage) if set.restart(stage) => Reply::Done,
                     Ok(_) => Reply::Refused(format!("no process of {name} runs just now")),

@@ -7,17 +7,20 @@ use crate::cli::ConfigurationArgs;
 use crate::configuration::Configuration;
 use crate::outputs::{TrajectoryPoint, map_hash, write_flock_picture, write_map, write_trajectory};
 use clap::ValueEnum;
+use flockslam_evidence::FusedMap;
 use flockslam_geometry::Pose;
 use flockslam_journal::{Durability, replace_file};
 use flockslam_records::{Limits, Message, RobotKey};
-use flockslam_stage::StageError;
+
 use flockslam_stage::flock_files::{NamedPose, OWN_NODES, OWN_SCANS, RecordLog, read_named};
 use flockslam_stage::results::StoredMap;
+use flockslam_stage::{FlockStatus, StageError};
+use flockslam_sync_manager::Settings;
 use flockslam_sync_manager::flock::{Carried, Flock, FlockLayout, carried};
 use serde::Serialize;
 use std::ffi::OsStr;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Instant;
 
 /// Records that a robot sends in answer to one message, bytes.
@@ -31,9 +34,16 @@ pub struct Member {
     records: Vec<Vec<u8>>,
     scans: Vec<Carried>,
     nodes: Vec<(u64, Pose)>,
+    /// What it told of its flock last, when it was in one.
+    status: Option<FlockStatus>,
 }
 
 impl Member {
+    /// The robot's name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
     /// Reads what a robot's sync-manager has left in a directory.
     ///
     /// # Errors
@@ -46,6 +56,7 @@ impl Member {
         };
         Ok(Self {
             name: name.to_owned(),
+            status: FlockStatus::read(directory),
             records: RecordLog::read(directory)?,
             scans: read_named(directory, OWN_SCANS)?.into_iter().map(scan).collect(),
             nodes: read_named(directory, OWN_NODES)?
@@ -56,35 +67,60 @@ impl Member {
     }
 }
 
-/// Runs a robot of this name as a process set of its own – one to a supervisor – and gives what it has recorded. `command` is the
-/// command that it runs, without outputs and configuration.
-///
-/// # Errors
-/// When it fails: what it says goes to the standard error.
-pub fn run_member(
-    command: &[&OsStr],
-    given: &ConfigurationArgs,
-    name: &str,
-    out: &Path,
-) -> Result<Member, CommandError> {
-    let program = std::env::current_exe().map_err(CommandError::failed)?;
-    let mut child = Command::new(program);
-    child.args(command).arg("--out").arg(out);
-    if let Some(config) = &given.config {
-        child.arg("--config").arg(config);
+/// A robot that is to run as a process set of its own.
+pub struct Order<'a> {
+    /// Its name in the flock.
+    pub name: &'a str,
+    /// The command that it runs, without outputs and configuration.
+    pub command: &'a [&'a OsStr],
+    /// What it is configured with beside what the user gave.
+    pub assignments: &'a [String],
+    /// Where its outputs go.
+    pub out: &'a Path,
+}
+
+impl Order<'_> {
+    /// Starts the robot as a supervisor of its own: what it says goes to the standard error.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn start(&self, given: &ConfigurationArgs) -> Result<Child, CommandError> {
+        let program = std::env::current_exe().map_err(CommandError::failed)?;
+        let mut child = Command::new(program);
+        child.args(self.command).arg("--out").arg(self.out);
+        if let Some(config) = &given.config {
+            child.arg("--config").arg(config);
+        }
+        if let Some(profile) = given.profile.to_possible_value() {
+            child.args(["--profile", profile.get_name()]);
+        }
+        let name = format!("sync_manager.flock.name=\"{}\"", self.name);
+        for assignment in given.assignments.iter().chain(self.assignments).chain([&name]) {
+            child.args(["--set", assignment]);
+        }
+        child.stdout(Stdio::null()).spawn().map_err(CommandError::failed)
     }
-    if let Some(profile) = given.profile.to_possible_value() {
-        child.args(["--profile", profile.get_name()]);
+
+    /// What a robot has recorded that has ended.
+    ///
+    /// # Errors
+    /// When it has failed.
+    pub fn recorded(&self, status: ExitStatus) -> Result<Member, CommandError> {
+        let name = self.name;
+        match status.code() {
+            Some(0) => Member::read(name, self.out).map_err(CommandError::failed),
+            Some(2) => Err(CommandError::user(format!("robot {name} cannot run"))),
+            _ => Err(CommandError::failed(format!("robot {name} has failed ({status})"))),
+        }
     }
-    for assignment in &given.assignments {
-        child.args(["--set", assignment]);
-    }
-    child.args(["--set", &format!("sync_manager.flock.name=\"{name}\"")]).stdout(Stdio::null());
-    let status = child.status().map_err(CommandError::failed)?;
-    match status.code() {
-        Some(0) => Member::read(name, out).map_err(CommandError::failed),
-        Some(2) => Err(CommandError::user(format!("robot {name} cannot run"))),
-        _ => Err(CommandError::failed(format!("robot {name} has failed ({status})"))),
+
+    /// Runs the robot to its end and gives what it has recorded.
+    ///
+    /// # Errors
+    /// When it fails.
+    pub fn run(&self, given: &ConfigurationArgs) -> Result<Member, CommandError> {
+        let status = self.start(given)?.wait().map_err(CommandError::failed)?;
+        self.recorded(status)
     }
 }
 
@@ -111,7 +147,7 @@ pub struct Joined {
     pub records: (u64, u64),
     /// Bytes that travelled between the robots.
     pub bytes_exchanged: u64,
-    /// Time that looking for each other took, all robots together, seconds.
+    /// Time that looking for each other took, all robots together, seconds; 0 when they met while they drove.
     pub search_s: f64,
     /// Time of one final layout, seconds.
     pub layout_s: f64,
@@ -142,23 +178,59 @@ impl Joined {
 /// # Errors
 /// When the configuration is not usable or the disk refuses.
 pub fn join(out: &Path, given: &ConfigurationArgs, members: Vec<Member>) -> Result<Joined, CommandError> {
+    let mut flocks = flocks(given, &members)?;
+    let mut met = Met { bytes_exchanged: exchange(&mut flocks), ..Met::default() };
+    for k in 0..flocks.len() {
+        let started = Instant::now();
+        flocks[k].search(u64::MAX).map_err(CommandError::failed)?;
+        met.search_s += started.elapsed().as_secs_f64();
+        // What one has found, the others need not look for.
+        met.bytes_exchanged += exchange(&mut flocks);
+    }
+    met.searches = flocks.iter().map(Flock::searches).sum();
+    conclude(out, &members, &flocks, &met)
+}
+
+/// As [`join`], of robots that have met while they drove: each knows the records of all.
+///
+/// # Errors
+/// When the configuration is not usable, a robot has left no status, or the disk refuses.
+pub fn join_met(out: &Path, given: &ConfigurationArgs, members: Vec<Member>) -> Result<Joined, CommandError> {
+    let statuses: Option<Vec<&FlockStatus>> = members.iter().map(|member| member.status.as_ref()).collect();
+    let statuses = statuses.ok_or_else(|| CommandError::failed("a robot has left no status of its flock"))?;
+    let same = |status: &&FlockStatus| status.settled && status.map_hash == statuses[0].map_hash;
+    let met = Met {
+        bytes_exchanged: statuses.iter().map(|status| status.said_bytes).sum(),
+        searches: statuses.iter().map(|status| status.searches).sum(),
+        search_s: 0.0,
+        differ: !statuses.iter().all(same),
+    };
+    let flocks = flocks(given, &members)?;
+    conclude(out, &members, &flocks, &met)
+}
+
+/// How the robots came together.
+#[derive(Default)]
+struct Met {
+    bytes_exchanged: u64,
+    searches: u64,
+    search_s: f64,
+    /// The robots themselves have concluded different things.
+    differ: bool,
+}
+
+/// What each robot knows.
+fn flocks(given: &ConfigurationArgs, members: &[Member]) -> Result<Vec<Flock>, CommandError> {
     let configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
     let mut flocks = Vec::new();
-    for member in &members {
-        let key = RobotKey::of_replay(&member.name).map_err(CommandError::user)?;
-        let mut flock = Flock::new(key, EPOCH, configuration.sync_manager.clone(), Limits::default());
-        for record in &member.records {
-            flock.collection_mut().take(record).map_err(CommandError::failed)?;
-        }
-        flocks.push(flock);
+    for member in members {
+        flocks.push(alone(member, &configuration.sync_manager)?);
     }
-    let mut bytes_exchanged = exchange(&mut flocks);
-    let started = Instant::now();
-    for flock in &mut flocks {
-        flock.search(u64::MAX).map_err(CommandError::failed)?;
-    }
-    let search_s = started.elapsed().as_secs_f64();
-    bytes_exchanged += exchange(&mut flocks);
+    Ok(flocks)
+}
+
+/// Lets each robot work out the common map, compares them, and writes it into a directory.
+fn conclude(out: &Path, members: &[Member], flocks: &[Flock], met: &Met) -> Result<Joined, CommandError> {
     let started = Instant::now();
     let layouts: Vec<FlockLayout> = flocks.iter().map(|flock| flock.layout(true)).collect();
     let layout_s = started.elapsed().as_secs_f64() / flocks.len().max(1) as f64;
@@ -176,19 +248,36 @@ pub fn join(out: &Path, given: &ConfigurationArgs, members: Vec<Member>) -> Resu
     let joined = Joined {
         robots: members.iter().map(|member| member.name.clone()).collect(),
         members: layout.members().iter().map(|robot| robot.name().to_owned()).collect(),
-        all_agree: hashes.iter().all(|other| other == hash),
+        all_agree: !met.differ && hashes.iter().all(|other| other == hash),
         layout_hash: format!("{:016x}", hash.0),
         map_hash: hash.1.clone(),
         records_hash: flock.collection().hash()[..16].iter().map(|byte| format!("{byte:02x}")).collect(),
         constraints_between: layout.across,
-        searches: flocks.iter().map(Flock::searches).sum(),
+        searches: met.searches,
         records: (records.len() as u64, records.iter().map(|record| record.bytes().len() as u64).sum()),
-        bytes_exchanged,
-        search_s,
+        bytes_exchanged: met.bytes_exchanged,
+        search_s: met.search_s,
         layout_s,
     };
     write(out, &joined, map, &tracks)?;
+    for (member, track) in members.iter().zip(&tracks) {
+        let own = out.join(&member.name).join("trajectory_flock.tum");
+        write_trajectory(&own, track).map_err(CommandError::failed)?;
+    }
     Ok(joined)
+}
+
+/// A robot that knows its own records only.
+///
+/// # Errors
+/// When its name is not one of a robot, or its records are not.
+pub fn alone(member: &Member, settings: &Settings) -> Result<Flock, CommandError> {
+    let key = RobotKey::of_replay(&member.name).map_err(CommandError::user)?;
+    let mut flock = Flock::new(key, EPOCH, settings.clone(), Limits::default());
+    for record in &member.records {
+        flock.collection_mut().take(record).map_err(CommandError::failed)?;
+    }
+    Ok(flock)
 }
 
 /// Each robot tells every other what it has, until nobody learns anything; gives the bytes that travelled.
@@ -219,11 +308,16 @@ fn exchange(flocks: &mut [Flock]) -> u64 {
 }
 
 fn stored(flock: &Flock, layout: &FlockLayout) -> StoredMap {
-    flock.map(layout).map.as_ref().map_or_else(StoredMap::empty, StoredMap::of)
+    stored_or_empty(flock.map(layout).map.as_ref())
+}
+
+/// A fused map as it is written; an empty one when there is none.
+pub fn stored_or_empty(map: Option<&FusedMap>) -> StoredMap {
+    map.map_or_else(StoredMap::empty, StoredMap::of)
 }
 
 /// A robot's way in the frame of the flock; nothing when it is not part of it.
-fn track(member: &Member, layout: &FlockLayout) -> Vec<TrajectoryPoint> {
+pub fn track(member: &Member, layout: &FlockLayout) -> Vec<TrajectoryPoint> {
     let nodes = layout.nodes.iter().find(|((robot, _), _)| robot.name() == member.name);
     let Some((_, nodes)) = nodes else { return Vec::new() };
     let inside: Vec<_> = nodes.iter().filter(|node| node.part == layout.main_part).copied().collect();
@@ -233,9 +327,13 @@ fn track(member: &Member, layout: &FlockLayout) -> Vec<TrajectoryPoint> {
     member.scans.iter().zip(poses).map(point).collect()
 }
 
-fn write(
+/// Writes the outputs: what became of it as JSON, the map, the ways of all robots.
+///
+/// # Errors
+/// When the disk refuses.
+pub fn write(
     out: &Path,
-    joined: &Joined,
+    joined: &impl Serialize,
     map: &StoredMap,
     tracks: &[Vec<TrajectoryPoint>],
 ) -> Result<(), CommandError> {

@@ -19,7 +19,7 @@ use flockslam_messages::Stage;
 use flockslam_scan_matcher::process::LOST;
 use flockslam_stage::flock_files;
 use flockslam_stage::results::{self, StampedPose, StoredMap, Summary};
-use flockslam_stage::{MemoryUse, Mode, StageError, SubmapStore, read_reports};
+use flockslam_stage::{FlockStatus, MemoryUse, Mode, StageError, SubmapStore, read_reports};
 use flockslam_telemetry::LatencyHistogram;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -242,6 +242,9 @@ pub(super) fn write_outputs(out: &Path, run: &Finished<'_>) -> Result<Outcome, C
     let truth = results::read_trajectory(&directory, results::TRUE_TRAJECTORY).ok();
     if !run.configuration.sync_manager.flock.name.is_empty() {
         flock_files::keep(&directory, out).map_err(CommandError::failed)?;
+        if let Some(status) = FlockStatus::read(&run.set.runtime().status()) {
+            status.write(out).map_err(CommandError::failed)?;
+        }
     }
     Ok(Outcome { report, last, online, refined, truth })
 }

@@ -1,7 +1,7 @@
 //! `flockslam store`: saved maps are checked, saved, loaded and exported.
 
 use super::control::{choose, order};
-use super::join::{join, run_member};
+use super::join::{Order, join};
 use super::run::{Run, run as run_set, summary};
 use super::{CommandError, say};
 use crate::cli::{ExportArgs, MapDirArgs, MapOrderArgs, MergeArgs, RunArgs, StoreCommand};
@@ -71,7 +71,8 @@ fn merge(args: &MergeArgs) -> Result<(), CommandError> {
         existing(directory)?;
         let name = format!("map-{number:03}");
         let command = ["store".as_ref(), "export".as_ref(), directory.as_os_str()];
-        members.push(run_member(&command, &args.configuration, &name, &args.out.join(&name))?);
+        let order = Order { name: &name, command: &command, assignments: &[], out: &args.out.join(&name) };
+        members.push(order.run(&args.configuration)?);
     }
     let joined = join(&args.out, &args.configuration, members)?;
     say(&joined.summary(&args.out));

@@ -1,20 +1,34 @@
 //! `flockslam swarm`: several robots map together.
 
-use super::join::{join, run_member};
+use super::contacts::Contacts;
+use super::join::{Member, Order, join, join_met};
+use super::meetings::meet;
 use super::run::prepare_directory;
 use super::{CommandError, say};
-use crate::cli::SwarmArgs;
+use crate::cli::{ConfigurationArgs, ProtocolArg, SwarmArgs};
 use crate::configuration::Configuration;
 use flockslam_geometry::Pose;
 use flockslam_lidar_ingest::Settings;
 use flockslam_lidar_ingest::carmen::{CarmenReader, write_scan};
+use flockslam_lidar_ingest::simulation::Settings as Simulation;
 use flockslam_messages::ScanBuffer;
+use std::ffi::{OsStr, OsString};
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Write};
+use std::net::TcpListener;
 use std::path::{Path, PathBuf};
+use std::process::Child;
+use std::time::Duration;
 
 /// How far a robot's odometry is moved away at most, metres.
 const MOVED_M: f64 = 100.0;
+
+/// In the simulated building each robot is ahead of the one before it by this share of the whole drive.
+const LEAD: f64 = 0.5;
+/// How long robots that have ended wait for the others, seconds: a search may be under way.
+const FAREWELL_S: u32 = 600;
+/// The robots are looked at this often.
+const LOOK: Duration = Duration::from_millis(50);
 
 /// Runs the command.
 ///
@@ -24,14 +38,35 @@ pub fn run(args: &SwarmArgs) -> Result<(), CommandError> {
     let given = &args.configuration;
     let configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
     prepare_directory(&args.out)?;
-    let spans = cut(args, &configuration.lidar_ingest)?;
-    let mut members = Vec::new();
-    for (number, log) in (1..).zip(spans) {
-        let name = format!("r{number:02}");
-        let command = ["map".as_ref(), log.as_os_str()];
-        members.push(run_member(&command, given, &name, &args.out.join(&name))?);
-    }
-    let joined = join(&args.out, given, members)?;
+    let robots = match &args.log {
+        Some(log) => {
+            let spans = cut(args, log, &configuration.lidar_ingest)?;
+            spans.into_iter().map(|log| vec!["map".into(), log.into_os_string()]).collect()
+        }
+        None => vec![vec![OsString::from("demo")]; args.robots as usize],
+    };
+    let mut robots: Vec<Robot> = (1..)
+        .zip(robots)
+        .map(|(number, command)| Robot::new(args, &configuration, number, command))
+        .collect();
+    let joined = match args.rate {
+        None => {
+            let members: Result<Vec<_>, _> =
+                robots.iter().map(|robot| robot.order(|o| o.run(given))).collect();
+            let members = members?;
+            if args.protocol == ProtocolArg::Meeting {
+                say(&meet(&args.out, given, &members, args.fusion)?.summary(&args.out));
+                return Ok(());
+            }
+            join(&args.out, given, members)?
+        }
+        Some(rate) => {
+            connect(&mut robots, rate)?;
+            let contacts = args.range.map(|range_m| meet_within(&mut robots, range_m));
+            let members = run_at_once(&robots, given, contacts.transpose()?.as_ref())?;
+            join_met(&args.out, given, members)?
+        }
+    };
     say(&joined.summary(&args.out));
     if joined.all_agree {
         Ok(())
@@ -40,10 +75,125 @@ pub fn run(args: &SwarmArgs) -> Result<(), CommandError> {
     }
 }
 
+/// Lets the robots talk only while they are within range of each other and see each other.
+fn meet_within(robots: &mut [Robot], range_m: f64) -> Result<Contacts, CommandError> {
+    let simulated = |robot: &Robot| (robot.name.clone(), robot.set(), robot.drive.clone());
+    let contacts = Contacts::new(&robots.iter().map(simulated).collect::<Vec<_>>(), range_m)?;
+    let told = || "sync_manager.flock.proximity=contacts".to_owned();
+    robots.iter_mut().for_each(|robot| robot.assignments.push(told()));
+    Ok(contacts)
+}
+
+/// A robot that is to run.
+struct Robot {
+    name: String,
+    /// Its drive through the simulated building.
+    drive: Simulation,
+    command: Vec<OsString>,
+    assignments: Vec<String>,
+    out: PathBuf,
+}
+
+impl Robot {
+    fn new(args: &SwarmArgs, configuration: &Configuration, number: u32, command: Vec<OsString>) -> Self {
+        let name = format!("r{number:02}");
+        let out = args.out.join(&name);
+        // All drive the same tour, so that they come through the same places: the next one begins half a drive ahead.
+        let mut drive = configuration.simulation.clone();
+        drive.seed += u64::from(number) - 1;
+        drive.lead_s += LEAD * drive.duration_s * f64::from(number - 1);
+        let mut robot = Self { name, drive, command, assignments: Vec::new(), out };
+        if args.log.is_none() {
+            // Each drives its own way, and its odometry begins somewhere else.
+            let Pose { x_m, y_m, heading_rad } = moved(args.seed, number);
+            robot.assignments.push(format!("simulation.seed={}", robot.drive.seed));
+            robot.assignments.push(format!("simulation.lead_s={:?}", robot.drive.lead_s));
+            robot.assignments.push(format!("lidar_ingest.start_pose=[{x_m:?}, {y_m:?}, {heading_rad:?}]"));
+        }
+        robot
+    }
+
+    /// Name of its process set.
+    fn set(&self) -> String {
+        format!("swarm-{}-{}", std::process::id(), self.name)
+    }
+
+    fn order<T>(&self, carry_out: impl FnOnce(&Order<'_>) -> T) -> T {
+        let command: Vec<&OsStr> = self.command.iter().map(OsString::as_os_str).collect();
+        let order =
+            Order { name: &self.name, command: &command, assignments: &self.assignments, out: &self.out };
+        carry_out(&order)
+    }
+}
+
+/// Lets the robots run live, reach each other on this machine, and stay until all have ended.
+fn connect(robots: &mut [Robot], rate: f64) -> Result<(), CommandError> {
+    // Held all at once, so that they are different.
+    let held: Result<Vec<TcpListener>, _> =
+        robots.iter().map(|_| TcpListener::bind(("127.0.0.1", 0))).collect();
+    let ports: Result<Vec<u16>, _> = held
+        .map_err(CommandError::failed)?
+        .iter()
+        .map(|listener| Ok(listener.local_addr()?.port()))
+        .collect();
+    let ports = ports.map_err(|e: std::io::Error| CommandError::failed(e))?;
+    let endpoint = |port: &u16| format!("tcp/127.0.0.1:{port}");
+    let companions = robots.len() - 1;
+    for (number, robot) in robots.iter_mut().enumerate() {
+        let others: Vec<String> = ports[..number].iter().map(endpoint).collect();
+        let set = robot.set();
+        robot.command.extend(["--rate".into(), rate.to_string().into(), "--robot".into(), set.into()]);
+        let flock = [
+            "enabled=true".to_owned(),
+            format!("flock=\"swarm-{}\"", std::process::id()),
+            format!("listen={:?}", [endpoint(&ports[number])]),
+            format!("connect={others:?}"),
+            format!("companions={companions}"),
+            format!("farewell_s={FAREWELL_S}"),
+        ];
+        robot.assignments.extend(flock.map(|assignment| format!("sync_manager.flock.{assignment}")));
+    }
+    Ok(())
+}
+
+/// Runs all robots at once; when one fails, the others are ended.
+fn run_at_once(
+    robots: &[Robot],
+    given: &ConfigurationArgs,
+    contacts: Option<&Contacts>,
+) -> Result<Vec<Member>, CommandError> {
+    let mut children = Children(Vec::new());
+    for robot in robots {
+        children.0.push((robot.order(|order| order.start(given))?, None));
+    }
+    while children.0.iter().any(|(_, ended)| ended.is_none()) {
+        std::thread::sleep(LOOK);
+        contacts.into_iter().for_each(Contacts::report);
+        for (robot, (child, ended)) in robots.iter().zip(&mut children.0).filter(|(_, (_, e))| e.is_none()) {
+            if let Some(status) = child.try_wait().map_err(CommandError::failed)? {
+                *ended = Some(robot.order(|order| order.recorded(status))?);
+            }
+        }
+    }
+    Ok(children.0.drain(..).filter_map(|(_, member)| member).collect())
+}
+
+/// Supervisors that are killed when nobody waits for them any more; their stages go with them.
+struct Children(Vec<(Child, Option<Member>)>);
+
+impl Drop for Children {
+    fn drop(&mut self) {
+        for (child, _) in self.0.iter_mut().filter(|(_, ended)| ended.is_none()) {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
 /// Cuts the log into equal spans of time, a file for each robot, with the odometry of each moved by a motion of its own.
-fn cut(args: &SwarmArgs, settings: &Settings) -> Result<Vec<PathBuf>, CommandError> {
+fn cut(args: &SwarmArgs, log: &Path, settings: &Settings) -> Result<Vec<PathBuf>, CommandError> {
     let (mut first_ns, mut last_ns) = (i64::MAX, i64::MIN);
-    read(&args.log, settings, |scan| {
+    read(log, settings, |scan| {
         let stamp_ns = scan.header.times.sensor_ns;
         (first_ns, last_ns) = (first_ns.min(stamp_ns), last_ns.max(stamp_ns));
         Ok(())
@@ -59,7 +209,7 @@ fn cut(args: &SwarmArgs, settings: &Settings) -> Result<Vec<PathBuf>, CommandErr
     }
     // Stamps of logs run backwards now and then: the order of lines decides where a robot takes over.
     let mut current = 0;
-    read(&args.log, settings, |scan| {
+    read(log, settings, |scan| {
         let place = (scan.header.times.sensor_ns.abs_diff(first_ns) / span_ns) as usize;
         current = place.min(parts.len() - 1).max(current);
         parts[current].write(scan)

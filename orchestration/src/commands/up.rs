@@ -67,12 +67,16 @@ struct LiveSet {
 
 impl LiveSet {
     fn start(args: &UpArgs, description: &SetDescription) -> Result<Self, CommandError> {
-        let configuration = description.configuration(&args.assignments)?;
+        let mut configuration = description.configuration(&args.assignments)?;
         let head = MapHead::of_this_build(&description.robot, configuration.mapper.cell_size_m);
         let spill_dir = configuration.set.spill_dir.as_deref();
         let (runtime, taken_over) =
             RuntimeDir::create_or_take_over(&description.robot, spill_dir).map_err(CommandError::user)?;
         let map = args.map.as_ref().or(description.map.as_ref()).map(|directory| SavedMap::at(directory));
+        if let (Some(map), "") = (&map, &*configuration.sync_manager.flock.key_file.to_string_lossy()) {
+            // Whose records go with the map stays who it is.
+            configuration.sync_manager.flock.key_file = map.directory().join("flock.key");
+        }
         let first_sequence = match &map {
             _ if taken_over => first_of_killed_set(&runtime, &configuration)?,
             Some(map) if map.exists() => {
@@ -132,7 +136,7 @@ impl LiveSet {
             Request::Status => {
                 let mut status = self.set.status();
                 status.saved = self.keeper.as_ref().map(MapKeeper::status);
-                return order.answer(Reply::Status(status));
+                return order.answer(Reply::Status(Box::new(status)));
             }
             Request::Down => Ok(()),
             Request::Restart(name) => known_stage(&name).and_then(|stage| {
@@ -203,7 +207,8 @@ fn restore(map: &SavedMap, runtime: &RuntimeDir, head: &MapHead) -> Result<Findi
 }
 
 fn mirror(set: &ProcessSet, map: SavedMap, head: &MapHead) -> Mirror {
-    Mirror::new(&set.runtime().journal(), &set.runtime().submaps(), map, head.clone())
+    let runtime = set.runtime();
+    Mirror::new(&runtime.journal(), &runtime.submaps(), &runtime.results(), map, head.clone())
 }
 
 fn keep(map: SavedMap, set: &ProcessSet, head: &MapHead, every_s: f64) -> Result<MapKeeper, CommandError> {

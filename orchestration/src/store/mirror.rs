@@ -1,5 +1,6 @@
 use super::{MapHead, SavedMap, StoreError};
 use flockslam_journal::{Durability, RecordReader, RecordWriter, replace_file};
+use flockslam_stage::flock_files::records_file;
 use flockslam_stage::{SubmapStore, journal_file};
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -8,10 +9,13 @@ use std::path::{Path, PathBuf};
 /// Brings a saved map up to what the set in a directory knows, by what is new since the last time.
 pub struct Mirror {
     journal: PathBuf,
+    /// What the robot has told its flock and heard there, when it is part of one.
+    records: PathBuf,
     submaps: SubmapStore,
     map: SavedMap,
     head: MapHead,
     open: Option<Open>,
+    open_records: Option<Open>,
     /// By number: which file of the set is saved.
     saved: Vec<FileStamp>,
 }
@@ -22,6 +26,26 @@ struct Open {
     to: RecordWriter,
 }
 
+impl Open {
+    /// Both ends at the end of the copy, which must be a copy of this journal.
+    fn at(original: &Path, copy: &Path) -> Result<Self, StoreError> {
+        let to = RecordWriter::open(copy)?;
+        let mut from = RecordReader::open(original)?;
+        while from.good_bytes() < to.bytes() && from.next_record()?.is_some() {}
+        let same = from.good_bytes() == to.bytes()
+            && last_bytes(original, to.bytes())? == last_bytes(copy, to.bytes())?;
+        let directory = copy.parent().unwrap_or(copy);
+        if same { Ok(Self { from, to }) } else { Err(StoreError::Other(directory.to_owned())) }
+    }
+
+    fn bring_up(&mut self) -> Result<(), StoreError> {
+        while let Some(record) = self.from.next_record()? {
+            self.to.append(record.kind, &[record.payload])?;
+        }
+        Ok(self.to.sync()?)
+    }
+}
+
 /// Tells a replaced file from the one before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct FileStamp {
@@ -30,14 +54,22 @@ struct FileStamp {
 }
 
 impl Mirror {
-    /// From the journal and the submaps of a set to a saved map, which is begun when there is none.
-    pub fn new(journal_dir: &Path, submap_dir: &Path, map: SavedMap, head: MapHead) -> Self {
+    /// From what a set knows to a saved map, which is begun when there is none.
+    pub fn new(
+        journal_dir: &Path,
+        submap_dir: &Path,
+        result_dir: &Path,
+        map: SavedMap,
+        head: MapHead,
+    ) -> Self {
         Self {
             journal: journal_file(journal_dir),
+            records: records_file(result_dir),
             submaps: SubmapStore::new(submap_dir),
             map,
             head,
             open: None,
+            open_records: None,
             saved: Vec::new(),
         }
     }
@@ -48,12 +80,12 @@ impl Mirror {
     /// # Errors
     /// When the disk refuses, or another map lies there: it may be tried again.
     pub fn bring_up(&mut self) -> Result<(), StoreError> {
-        // Whatever the submaps know by now is in the journal, so the journal goes first.
+        // Whatever the submaps and the flock know by now is in the journal, so the journal goes after that is counted.
         let submaps = self.submaps.count();
-        let outcome = self.bring_up_journal();
+        let outcome = self.bring_up_records().and_then(|()| self.bring_up_journal());
         if outcome.is_err() {
             // The disk may have been exchanged, or the map be moved away: begin from what is there.
-            self.open = None;
+            (self.open, self.open_records) = (None, None);
         }
         outcome?;
         (0..submaps).try_for_each(|number| self.bring_up_submap(number))
@@ -63,33 +95,33 @@ impl Mirror {
         if !self.journal.exists() {
             return Ok(());
         }
-        let open = match &mut self.open {
-            Some(open) => open,
-            None => {
-                let opened = self.open()?;
-                self.open.insert(opened)
-            }
-        };
-        while let Some(record) = open.from.next_record()? {
-            open.to.append(record.kind, &[record.payload])?;
+        if self.open.is_none() {
+            self.begin()?;
+            self.open = Some(Open::at(&self.journal, &journal_file(self.map.directory()))?);
         }
-        Ok(open.to.sync()?)
+        self.open.iter_mut().try_for_each(Open::bring_up)
     }
 
-    fn open(&self) -> Result<Open, StoreError> {
+    fn bring_up_records(&mut self) -> Result<(), StoreError> {
+        if !self.records.exists() {
+            return Ok(());
+        }
+        if self.open_records.is_none() {
+            self.begin()?;
+            self.open_records = Some(Open::at(&self.records, &records_file(self.map.directory()))?);
+        }
+        self.open_records.iter_mut().try_for_each(Open::bring_up)
+    }
+
+    /// Makes the map when there is none; what lies there must be one of this kind.
+    fn begin(&self) -> Result<(), StoreError> {
         let directory = self.map.directory();
         fs::create_dir_all(directory.join("submaps")).map_err(StoreError::io(directory))?;
         if self.map.exists() {
-            MapHead::read(directory)?.fits(directory, &self.head)?;
+            MapHead::read(directory)?.fits(directory, &self.head)
         } else {
-            self.head.write(directory)?;
+            self.head.write(directory)
         }
-        let to = RecordWriter::open(&journal_file(directory))?;
-        let mut from = RecordReader::open(&self.journal)?;
-        while from.good_bytes() < to.bytes() && from.next_record()?.is_some() {}
-        let same = from.good_bytes() == to.bytes()
-            && last_bytes(&self.journal, to.bytes())? == last_bytes(&journal_file(directory), to.bytes())?;
-        if same { Ok(Open { from, to }) } else { Err(StoreError::Other(directory.to_owned())) }
     }
 
     fn bring_up_submap(&mut self, number: u32) -> Result<(), StoreError> {

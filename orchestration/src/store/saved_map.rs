@@ -1,6 +1,7 @@
 use super::{MapHead, StoreError};
 use flockslam_bus::RuntimeDir;
 use flockslam_journal::{Durability, Ending, RecordReader, RecordWriter, replace_file};
+use flockslam_stage::flock_files::records_file;
 use flockslam_stage::{JournalReader, SubmapStore, journal_file};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -112,6 +113,10 @@ impl SavedMap {
         if from.exists() {
             copy_records(&from, &to)?;
         }
+        let (from, to) = (records_file(&self.directory), records_file(&runtime.results()));
+        if from.exists() && findings.problems.is_empty() {
+            copy_records(&from, &to)?;
+        }
         let (from, to) = (self.submaps(), SubmapStore::new(&runtime.submaps()));
         for number in 0..findings.submaps {
             let bytes = fs::read(from.file(number)).map_err(StoreError::io(from.file(number)))?;
@@ -133,6 +138,12 @@ impl SavedMap {
         let kept = journal.with_extension("damaged");
         if journal.exists() {
             fs::copy(&journal, &kept).map_err(StoreError::io(kept))?;
+        }
+        // What was told of what is lost is not taken back: the robot begins a new log.
+        let records = records_file(&self.directory);
+        if records.exists() {
+            let kept = records.with_extension("damaged");
+            fs::rename(&records, &kept).map_err(StoreError::io(kept))?;
         }
         (findings.submaps..submaps.count()).try_for_each(|number| {
             let file = submaps.file(number);

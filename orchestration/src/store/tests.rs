@@ -3,6 +3,7 @@ use flockslam_bus::RuntimeDir;
 use flockslam_evidence::{PackedCell, Submap, SubmapTile, TILE_CELLS, TileKey};
 use flockslam_geometry::Pose;
 use flockslam_messages::{PoseEstimate, PoseFlags, ScanBuffer};
+use flockslam_stage::flock_files::RecordLog;
 use flockslam_stage::{JournalReader, JournalWriter, SubmapStore, journal_file};
 use std::fs;
 use std::path::Path;
@@ -53,7 +54,7 @@ impl Source {
 
     fn mirror(&self, to: &Path) -> Mirror {
         let (path, head) = (self.directory.path(), MapHead::of_this_build("r1", 0.045));
-        Mirror::new(path, &path.join("submaps"), SavedMap::at(to), head)
+        Mirror::new(path, &path.join("submaps"), path, SavedMap::at(to), head)
     }
 }
 
@@ -198,4 +199,21 @@ fn what_is_good_of_a_damaged_map_is_restored() {
     // A map of other cells is refused.
     let coarse = MapHead::of_this_build("r1", 0.1);
     assert!(matches!(map.restore(&runtime, &coarse), Err(StoreError::Mismatch { .. })));
+}
+
+#[test]
+fn what_the_flock_was_told_is_saved_and_restored_with_the_map() {
+    let saved = tempfile::tempdir().unwrap();
+    let mut source = Source::new();
+    source.drive(4);
+    let (mut log, _) = RecordLog::open(source.directory.path()).unwrap();
+    log.append(b"one").unwrap();
+    let mut mirror = source.mirror(saved.path());
+    mirror.bring_up().unwrap();
+    log.append(b"two").unwrap();
+    mirror.bring_up().unwrap();
+    assert_eq!(RecordLog::read(saved.path()).unwrap(), [b"one", b"two"]);
+    let runtime = RuntimeDir::create(&format!("store-flock-{}", std::process::id())).unwrap();
+    SavedMap::at(saved.path()).restore(&runtime, &MapHead::of_this_build("r1", 0.045)).unwrap();
+    assert_eq!(RecordLog::read(&runtime.results()).unwrap(), [b"one", b"two"]);
 }

@@ -44,7 +44,7 @@ pub enum Reply {
     /// It is done, or on its way.
     Done,
     /// How the set is.
-    Status(SetStatus),
+    Status(Box<SetStatus>),
     /// It cannot be done, and why.
     Refused(String),
 }

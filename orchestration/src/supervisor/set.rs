@@ -6,7 +6,7 @@ use super::{ProcessLimits, SetFile, Supervision};
 use crate::configuration::Configuration;
 use flockslam_bus::{BellRinger, Bus, BusError, OrphanedNodes, Publisher, RuntimeDir, Subscriber};
 use flockslam_messages::{Control, ControlKind, Progress, Stage};
-use flockslam_stage::{Mode, Pause};
+use flockslam_stage::{FlockStatus, Mode, Pause};
 use flockslam_telemetry::{SupervisorMetrics, monotonic_ns};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::process::Signal;
@@ -289,6 +289,7 @@ impl ProcessSet {
             paused: Pause::of(&status_dir).is_set(),
             uptime_s: self.started.elapsed().as_secs_f64(),
             saved: None,
+            flock: FlockStatus::read(&status_dir),
             stages,
         }
     }

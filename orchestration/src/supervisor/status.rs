@@ -1,4 +1,5 @@
 use super::child::StageChild;
+use flockslam_stage::FlockStatus;
 use flockslam_telemetry::{Beat, monotonic_ns};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -19,6 +20,9 @@ pub struct SetStatus {
     pub uptime_s: f64,
     /// How the map is saved to disk, when it is.
     pub saved: Option<SaveStatus>,
+    /// What its sync-manager tells of its flock, when it is part of one.
+    #[serde(default)]
+    pub flock: Option<FlockStatus>,
     /// All processes, in the order of their start.
     pub stages: Vec<StageStatus>,
 }
@@ -137,6 +141,9 @@ impl fmt::Display for SetStatus {
                 stage.handled
             )?;
         }
+        if let Some(flock) = &self.flock {
+            write_flock(f, flock)?;
+        }
         match &self.saved {
             Some(SaveStatus { directory, durable: true, age_s: Some(age_s), .. }) => {
                 writeln!(f, "  map saved in {directory} {age_s:.0} s ago")
@@ -147,5 +154,17 @@ impl fmt::Display for SetStatus {
             Some(SaveStatus { directory, .. }) => writeln!(f, "  map not yet saved in {directory}"),
             None => writeln!(f, "  the map is not saved: give --map DIR"),
         }
+    }
+}
+
+fn write_flock(f: &mut fmt::Formatter<'_>, flock: &FlockStatus) -> fmt::Result {
+    let peers = flock.peers.len();
+    write!(f, "  flock {}: {peers} connected, {} near, ", flock.flock, flock.near.len())?;
+    let kilobytes = flock.records.1 as f64 * 1e-3;
+    write!(f, "{} robots known by {} records ({kilobytes:.0} kB)", flock.robots.len(), flock.records.0)?;
+    match (&flock.problem, flock.merged) {
+        (Some(problem), _) => writeln!(f, "; THE NETWORK IS NOT OPEN: {problem}"),
+        (None, true) => writeln!(f, "; in one map: {}", flock.members.join(", ")),
+        (None, false) => writeln!(f, "; not in a common map"),
     }
 }

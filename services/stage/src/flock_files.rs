@@ -58,20 +58,25 @@ pub fn read_named(directory: &Path, name: &str) -> Result<Vec<NamedPose>, StageE
     rows.collect::<Result<_, _>>().map_err(|_| StageError::file(&path, "cut off in the middle of a pose"))
 }
 
-/// A robot's log of records as a file.
+/// Where the records lie in a directory.
+pub fn records_file(directory: &Path) -> PathBuf {
+    directory.join(RECORDS)
+}
+
+/// A robot's log of records as a file: its own, and those of others that it has heard.
 pub struct RecordLog {
-    path: PathBuf,
     writer: RecordWriter,
 }
 
 impl RecordLog {
-    /// An empty log in this directory.
+    /// Opens the log in this directory, which is begun when there is none, and gives the records that it has.
     ///
     /// # Errors
     /// When the disk refuses.
-    pub fn create(directory: &Path) -> Result<Self, StageError> {
-        let path = directory.join(RECORDS);
-        Ok(Self { writer: RecordWriter::create(&path)?, path })
+    pub fn open(directory: &Path) -> Result<(Self, Vec<Vec<u8>>), StageError> {
+        let path = records_file(directory);
+        let writer = RecordWriter::open(&path)?;
+        Ok((Self { writer }, Self::read(directory)?))
     }
 
     /// Appends a record.
@@ -80,17 +85,6 @@ impl RecordLog {
     /// When the disk refuses.
     pub fn append(&mut self, record: &[u8]) -> Result<(), StageError> {
         Ok(self.writer.append(RECORD, &[record])?)
-    }
-
-    /// Goes on in another directory, in place of what lies there.
-    ///
-    /// # Errors
-    /// When the disk refuses.
-    pub fn move_to(&mut self, directory: &Path) -> Result<(), StageError> {
-        let to = directory.join(RECORDS);
-        fs::rename(&self.path, &to).map_err(|e| StageError::file(&self.path, e))?;
-        self.path = to;
-        Ok(())
     }
 
     /// All records of the log in a directory.
@@ -114,12 +108,14 @@ mod tests {
     #[test]
     fn records_and_poses_come_back() {
         let directory = tempfile::tempdir().unwrap();
-        fs::create_dir(directory.path().join("later")).unwrap();
-        let mut log = RecordLog::create(directory.path()).unwrap();
+        let (mut log, before) = RecordLog::open(directory.path()).unwrap();
+        assert!(before.is_empty());
         log.append(b"one").unwrap();
-        log.move_to(&directory.path().join("later")).unwrap();
+        drop(log);
+        let (mut log, before) = RecordLog::open(directory.path()).unwrap();
+        assert_eq!(before, [b"one"]);
         log.append(b"two").unwrap();
-        assert_eq!(RecordLog::read(&directory.path().join("later")).unwrap(), [b"one", b"two"]);
+        assert_eq!(RecordLog::read(directory.path()).unwrap(), [b"one", b"two"]);
         let rows = [NamedPose { sequence: 7, stamp_ns: -3, pose: Pose::new(1.0, 2.0, 3.0) }];
         write_named(directory.path(), OWN_SCANS, &rows).unwrap();
         assert_eq!(read_named(directory.path(), OWN_SCANS).unwrap(), rows);

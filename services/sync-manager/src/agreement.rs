@@ -123,7 +123,7 @@ impl Groups {
 
 /// Whether the cycle over two closures and the chain between their ends closes; `None` when they lie too far
 /// apart.
-fn agree(a: &Closure, b: &Closure, nodes: &[Node]) -> Option<bool> {
+pub fn agree(a: &Closure, b: &Closure, nodes: &[Node]) -> Option<bool> {
     let between = |i: usize, k: usize| (nodes[i].doubt_m - nodes[k].doubt_m).abs();
     let way_m = between(a.edge.from, b.edge.from) + between(a.edge.to, b.edge.to);
     if way_m > COMPARED_WITHIN_M {

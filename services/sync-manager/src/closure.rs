@@ -1,7 +1,7 @@
 use crate::agreement::WIDE_M;
 use crate::chain::{BROKEN_M, Node, POINT_INFORMATION};
 use crate::edge::Edge;
-use crate::fields::FieldCache;
+use crate::fields::{FIELDS_MAX, FieldCache};
 use crate::polar::Polar;
 use crate::scans::ScanStore;
 use crate::segment::{Segment, cloud, load, packed, picked, unload};
@@ -14,6 +14,8 @@ use flockslam_registration::cloud::{
 
 /// A query is its node and this many before and after it.
 pub const QUERY_NODES: usize = 3;
+/// A query of fewer points is not looked for.
+const POINTS_MIN: usize = 30;
 /// Points of a query in a search.
 const SEARCH_POINTS: usize = 150;
 /// Points of a query in the refinement.
@@ -55,6 +57,17 @@ pub struct Closure {
     pub shift_m: f64,
 }
 
+/// What a look at a place says of a layout: shares, 0 … 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Look {
+    /// Of the query's points those on the segment's lines.
+    pub inliers: f64,
+    /// Of the query's points where the segment looked at all, those in space that it saw free.
+    pub intruding: f64,
+    /// The same of the segment's points and the query.
+    pub intruded: f64,
+}
+
 /// What has been looked at so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SearchCounts {
@@ -93,7 +106,7 @@ impl ClosureFinder {
         let align = AlignSettings { iterations: 12, gate_wide_m: 0.4, ..AlignSettings::default() };
         Self {
             settings: settings.clone(),
-            fields: FieldCache::default(),
+            fields: FieldCache::new(FIELDS_MAX),
             searcher: Searcher::default(),
             searcher_anywhere: Searcher::bounded(ANYWHERE_SUMS_MAX),
             aligner: Aligner::new(align),
@@ -102,9 +115,10 @@ impl ClosureFinder {
         }
     }
 
-    /// A finder that looks at so many squares in a search anywhere before it gives up.
-    pub fn thorough(settings: &ClosureSettings, sums_max: u64) -> Self {
-        Self { searcher_anywhere: Searcher::bounded(sums_max), ..Self::new(settings) }
+    /// A finder that looks at so many squares in a search anywhere before it gives up, and that keeps so many segments ready.
+    pub fn thorough(settings: &ClosureSettings, sums_max: u64, fields: usize) -> Self {
+        let searcher_anywhere = Searcher::bounded(sums_max);
+        Self { searcher_anywhere, fields: FieldCache::new(fields), ..Self::new(settings) }
     }
 
     /// An empty grid to work with, lent between searches: it must be given back empty.
@@ -133,7 +147,7 @@ impl ClosureFinder {
         candidates: &[(usize, Window)],
     ) -> Vec<Closure> {
         let points = cloud(world.nodes, world.scans, surroundings(world.nodes, query, reach), query);
-        if points.len() < 30 {
+        if points.len() < POINTS_MIN {
             return Vec::new();
         }
         candidates
@@ -224,6 +238,30 @@ impl ClosureFinder {
         Some(Closure { edge, reach_m: window.reach_m, shift_m })
     }
 
+    /// Looks whether the surroundings of a node are in a segment where the poses in force say, without searching.
+    pub fn look(&mut self, world: &World<'_>, query: usize, number: usize) -> Option<Look> {
+        let (nodes, scans, segment) = (world.nodes, world.scans, &world.segments[number]);
+        let points = cloud(nodes, scans, surroundings(nodes, query, QUERY_NODES), query);
+        if points.len() < POINTS_MIN {
+            return None;
+        }
+        let guess = world.poses[segment.anchor].to(world.poses[query]);
+        let anchor = nodes[segment.anchor].chain;
+        let at = |i: usize| anchor.to(nodes[i].chain);
+        load(&mut self.grid, nodes, scans, segment.nodes.clone(), at);
+        let refined = self.aligner.align(&mut self.grid, &packed(&picked(&points, REFINE_POINTS)), guess);
+        unload(&mut self.grid, nodes, scans, segment.nodes.clone(), at);
+        let near = |refined: &Alignment| {
+            refined.placement.distance_m(&guess) <= REFINED_MAX.0
+                && refined.placement.turn_rad(&guess) <= REFINED_MAX.1
+        };
+        let refined = refined.filter(near);
+        let placement = refined.map_or(guess, |refined| refined.placement);
+        let nearest = nearest_node(segment, &placement, at);
+        let (intruding, intruded) = intrusions(world, query, &points, segment, nearest, &placement, at);
+        Some(Look { inliers: refined.map_or(0.0, |refined| refined.inliers), intruding, intruded })
+    }
+
     fn search(
         &mut self,
         world: &World<'_>,
@@ -296,17 +334,28 @@ fn free_space_agrees(
     placement: &Placement,
     at: impl Fn(usize) -> Placement,
 ) -> bool {
+    let (intruding, intruded) = intrusions(world, query, points, segment, nearest, placement, at);
+    intruding <= INTRUDING_MAX && intruded <= INTRUDED_MAX
+}
+
+/// Shares of the points of either side that lie in space that the other saw free: the query's at most, and the segment's.
+fn intrusions(
+    world: &World<'_>,
+    query: usize,
+    points: &[(f64, f64)],
+    segment: &Segment,
+    nearest: usize,
+    placement: &Placement,
+    at: impl Fn(usize) -> Placement,
+) -> (f64, f64) {
     let scan_of = |i: usize| world.scans.points(world.nodes[i].scan);
     let around = nearest.saturating_sub(3).max(segment.nodes.start)..(nearest + 4).min(segment.nodes.end);
     let placed: Vec<(f64, f64)> = points.iter().map(|&(x, y)| placement.apply(x, y)).collect();
-    for node in around.step_by(3) {
-        if intruding(&Polar::new(scan_of(node)), &at(node), placed.iter().copied()) > INTRUDING_MAX {
-            return false;
-        }
-    }
+    let seen_by = |node: usize| intruding(&Polar::new(scan_of(node)), &at(node), placed.iter().copied());
+    let most = around.step_by(3).map(seen_by).fold(0.0, f64::max);
     let own = at(nearest);
     let theirs = scan_of(nearest).iter().map(|p: &PackedPoint| own.apply(p.x_m(), p.y_m()));
-    intruding(&Polar::new(scan_of(query)), placement, theirs) <= INTRUDED_MAX
+    (most, intruding(&Polar::new(scan_of(query)), placement, theirs))
 }
 
 /// Share of the points that lie where a scan looked through, of those where it looked at all.

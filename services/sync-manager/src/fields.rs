@@ -1,17 +1,22 @@
 use flockslam_registration::cloud::PooledField;
 
 /// Fields kept ready for searching; each takes one to two hundred kilobytes.
-const FIELDS_MAX: usize = 48;
+pub const FIELDS_MAX: usize = 48;
 
 /// The fields of the segments searched last, made again when they are wanted after having been dropped.
-#[derive(Default)]
 pub struct FieldCache {
     /// (segment, use that was its last, field).
     held: Vec<(u64, u64, PooledField)>,
     uses: u64,
+    most: usize,
 }
 
 impl FieldCache {
+    /// A cache that holds so many fields.
+    pub fn new(most: usize) -> Self {
+        Self { held: Vec::new(), uses: 0, most }
+    }
+
     /// The field of the segment whose anchor has this sequence, made by `make` when it is not held.
     pub fn get(&mut self, segment: u64, make: impl FnOnce() -> PooledField) -> &PooledField {
         self.uses += 1;
@@ -28,9 +33,9 @@ impl FieldCache {
     }
 
     fn make_room(&mut self) {
-        if self.held.len() == FIELDS_MAX {
+        if self.held.len() == self.most {
             let oldest =
-                (0..FIELDS_MAX).min_by_key(|&slot| self.held[slot].1).expect("the cache holds fields");
+                (0..self.most).min_by_key(|&slot| self.held[slot].1).expect("the cache holds fields");
             self.held.swap_remove(oldest);
         }
     }
@@ -42,7 +47,7 @@ mod tests {
 
     #[test]
     fn drops_what_was_used_longest_ago() {
-        let mut cache = FieldCache::default();
+        let mut cache = FieldCache::new(FIELDS_MAX);
         let mut made = Vec::new();
         for segment in (0..FIELDS_MAX as u64 + 3).flat_map(|k| [0, k]).chain([0, 1]) {
             cache.get(segment, || {

@@ -6,9 +6,13 @@
 //! records alone, whatever the order in which they came.
 
 mod atlas;
+mod consistency;
 mod fused;
+mod inspection;
 mod layout;
+mod meeting;
 mod member;
+mod resemblance;
 mod search;
 mod start;
 mod trajectory;
@@ -17,5 +21,6 @@ pub use crate::manager::{News, OwnLoop};
 pub use atlas::Atlas;
 pub use fused::FlockMap;
 pub use layout::{FlockLayout, PlacedNode, PlacedRecord};
+pub use meeting::{CellFusion, Layer, MeetingCounts, Meetings, Snapshot};
 pub use member::Flock;
 pub use trajectory::{Carried, carried};

@@ -36,5 +36,5 @@ mod trajectory;
 
 pub use fusion::{Fusion, Step};
 pub use manager::SyncManager;
-pub use settings::{ClosureSettings, FlockSettings, Settings};
+pub use settings::{ClosureSettings, FlockSettings, ProximitySource, Settings};
 pub use solution::{ClosureCounts, PlacedScan, PlacedSubmap, SettledScan, Solution};

@@ -6,13 +6,13 @@
 
 use crate::fuse::Fuser;
 use crate::{PlacedScan, PlacedSubmap, Settings, Solution, SyncManager};
+use flock::{FlockMetrics, Voice};
 use flockslam_bus::{BellRinger, Publisher, ScanSample, SliceSubscriber, Subscriber};
 use flockslam_geometry::Pose;
 use flockslam_messages::{
-    BeamRange, Control, ControlKind, DropReason, LayoutHeader, MovingBeamsHeader, PoseEstimate, PoseFlags,
-    ScanView, Stage, SubmapClosed,
+    BeamRange, Control, ControlKind, DropReason, FlockFrame, LayoutHeader, MovingBeamsHeader, PoseEstimate,
+    PoseFlags, ScanView, Stage, SubmapClosed,
 };
-use flockslam_stage::flock_files::{OWN_SCANS, write_named};
 use flockslam_stage::results::{self, LayoutRow, LiveLayout, StampedPose, Summary};
 use flockslam_stage::{
     Acknowledger, Actor, JournalReader, Mode, PendingScans, PoseQueue, StageContext, StageError, StreamEnd,
@@ -22,11 +22,10 @@ use flockslam_telemetry::monotonic_ns;
 use metrics::LayoutMetrics;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
-use teller::Teller;
 use trajectories::Trajectories;
 
+mod flock;
 mod metrics;
-mod teller;
 mod trajectories;
 
 /// Runs the stage until it is asked to stop.
@@ -79,8 +78,13 @@ struct SyncProcess {
     acknowledger: Acknowledger,
     stream: StreamEnd,
     trajectories: Trajectories,
-    /// Says to the flock what this robot finds out; `None` when it is alone.
-    teller: Option<Teller>,
+    settings: Settings,
+    /// Says to the flock what this robot finds out.
+    voice: Voice,
+    /// What the voice will be shown by, until there is one.
+    flock_metrics: Option<FlockMetrics>,
+    flock_frames: Publisher<FlockFrame>,
+    flock_frame: Option<FlockFrame>,
     summary: Summary,
     finished: bool,
     /// What a predecessor knew is taken in.
@@ -95,14 +99,13 @@ impl SyncProcess {
         let result_dir = if acts { context.result_dir.clone() } else { own };
         std::fs::create_dir_all(&result_dir).map_err(|e| StageError::file(&result_dir, e))?;
         let bus = &context.bus;
-        let teller = Teller::open(&settings, &result_dir)?;
         let mut process = Self {
             optimises: settings.enabled,
             refines: settings.refine,
             is_watched: context.mode == Mode::Live,
             result_dir: context.result_dir.clone(),
             fuser: Fuser::new(SubmapStore::new(&context.submap_dir), &settings),
-            logic: SyncManager::new(settings),
+            logic: SyncManager::new(settings.clone()),
             turn,
             acts,
             layout: None,
@@ -123,14 +126,21 @@ impl SyncProcess {
             acknowledger: Acknowledger::open(context, 0)?,
             stream: StreamEnd::open(context)?,
             trajectories: Trajectories::create(&result_dir)?,
-            teller,
+            settings,
+            voice: Voice::Silent,
+            flock_metrics: Some(FlockMetrics::new(&context.metrics)),
+            flock_frames: bus.publisher()?,
+            flock_frame: None,
             summary: Summary::default(),
             finished: false,
             recovered: false,
             metrics: LayoutMetrics::new(&context.metrics),
         };
-        if process.teller.is_some() {
+        if !process.settings.flock.name.is_empty() {
             process.logic.tell_the_flock();
+        }
+        if process.acts {
+            process.speak(context)?;
         }
         process.recover(context)?;
         Ok(process)
@@ -145,14 +155,23 @@ impl SyncProcess {
         self.done(self.expected)
     }
 
+    /// From now on this process speaks to the flock.
+    fn speak(&mut self, context: &StageContext) -> Result<(), StageError> {
+        if let Some(metrics) = self.flock_metrics.take() {
+            self.voice = Voice::open(&self.settings, &context.result_dir, &context.status_dir, metrics)?;
+        }
+        Ok(())
+    }
+
     /// The process that spoke is gone: from here on this one does, beginning with the last conclusion, which may not have been heard.
     fn take_over(&mut self, context: &StageContext) -> Result<(), StageError> {
         tracing::info!(stage = context.stage.name(), replica = context.replica, "takes over");
         self.trajectories.move_to(&context.result_dir)?;
-        if let Some(teller) = &mut self.teller {
-            teller.move_to(&context.result_dir)?;
-        }
         self.acts = true;
+        self.speak(context)?;
+        for number in 0..self.next_submap {
+            self.voice.tell(&mut self.logic, number, &self.store)?;
+        }
         if let Some(layout) = &self.layout {
             self.layouts.send(layout)?;
             self.matcher.ring();
@@ -219,9 +238,7 @@ impl SyncProcess {
         let layout = self.logic.submap_closed(notice);
         let took_ns = monotonic_ns().saturating_sub(started_ns);
         self.trajectories.settled(&self.logic.take_settled())?;
-        if let Some(teller) = &mut self.teller {
-            teller.tell(&mut self.logic, Some(&self.store.load(notice.number)?))?;
-        }
+        self.voice.tell(&mut self.logic, notice.number, &self.store)?;
         self.next_submap = notice.number + 1;
         self.layout = Some(layout);
         if !self.acts {
@@ -331,18 +348,14 @@ impl SyncProcess {
         }
     }
 
-    fn finish(&mut self, context: &StageContext) -> Result<(), StageError> {
+    fn finish(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         for number in self.next_submap..self.store.count() {
             let submap = self.store.load(number)?;
             self.conclude(&self.store.notice(&submap)?)?;
         }
         let solution = self.logic.finish();
-        let directory = &context.result_dir;
+        let directory = &context.result_dir.clone();
         let scans = self.trajectories.finish(&solution)?;
-        if let Some(teller) = &mut self.teller {
-            teller.finish(&mut self.logic, &solution, &self.store, directory)?;
-            write_named(directory, OWN_SCANS, &scans)?;
-        }
         results::write_map(directory, &self.fuser.finish(&solution.submaps)?)?;
         if self.refines {
             self.refine(directory, &solution)?;
@@ -355,6 +368,7 @@ impl SyncProcess {
         self.summary.closures_accepted = solution.closures.accepted;
         self.summary.closures_revoked = solution.closures.revoked;
         results::write_summary(directory, &self.summary)?;
+        self.voice.finish(&mut self.logic, &solution, &self.store, &scans, context)?;
         self.finished = true;
         self.repeat_the_end()
     }
@@ -424,6 +438,12 @@ impl Actor for SyncProcess {
         if !self.acts {
             return Ok(());
         }
+        let frame = self.voice.frame();
+        if frame != self.flock_frame {
+            self.flock_frame = frame;
+            frame.iter().try_for_each(|frame| self.flock_frames.send(frame))?;
+        }
+        self.flock_frames.refresh();
         self.acknowledger.send()?;
         if self.finished { self.repeat_the_end() } else { Ok(()) }
     }

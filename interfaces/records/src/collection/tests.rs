@@ -186,7 +186,8 @@ fn the_urgent_goes_first_and_within_the_budget() {
 
 #[test]
 fn what_is_too_much_is_refused_and_counted() {
-    let limits = Limits { robots_max: 2, epochs_max: 1, records_max: 4, robot_bytes_max: 2000 };
+    let limits =
+        Limits { robots_max: 2, epochs_max: 1, records_max: 4, robot_bytes_max: 2000, ..Limits::default() };
     let mut collection = Collection::new(limits);
     let mut say = |name: &str, epoch, number, size| {
         let record = Record::new(&key(name), epoch, number, &submap(number as u32, size)).unwrap();

@@ -28,6 +28,8 @@ pub struct Settings {
     pub world: WorldName,
     /// How long the robot drives, seconds.
     pub duration_s: f64,
+    /// How far into its tour the robot is when it takes the first scan, seconds of driving.
+    pub lead_s: f64,
     /// Fastest driving, m/s.
     pub speed_m_s: f64,
     /// Fastest turning, rad/s.
@@ -86,6 +88,7 @@ impl Default for Settings {
             seed: 1,
             world: WorldName::Office,
             duration_s: 250.0,
+            lead_s: 0.0,
             speed_m_s: 0.8,
             turn_rad_s: 1.0,
             scan_rate_hz: 10.0,
@@ -121,6 +124,7 @@ impl Settings {
         let error = |value: f64| (0.0..=10.0).contains(&value);
         let rules = [
             ((0.1..=100_000.0).contains(&self.duration_s), "duration_s must be between 0.1 and 100000"),
+            ((0.0..=10_000.0).contains(&self.lead_s), "lead_s must be between 0 and 10000"),
             ((0.05..=5.0).contains(&self.speed_m_s), "speed_m_s must be between 0.05 and 5"),
             ((0.05..=10.0).contains(&self.turn_rad_s), "turn_rad_s must be between 0.05 and 10"),
             ((0.1..=1000.0).contains(&self.scan_rate_hz), "scan_rate_hz must be between 0.1 and 1000"),

@@ -1,3 +1,5 @@
+use super::consistency::consistent;
+use crate::agreement::eligible;
 use crate::chain::{BROKEN_M, Node};
 use crate::closure::Closure;
 use crate::edge::Edge;
@@ -6,15 +8,11 @@ use crate::segment::Segment;
 use crate::settings::Settings;
 use flockslam_records::{Collection, Constraint, Content, NodeName, RecordedNode, RobotId, Stretch};
 use flockslam_registration::cloud::{PackedPoint, Placement};
+use std::collections::BTreeSet;
 use std::ops::Range;
 
 /// Information where nothing is known: just enough that the graph hangs together.
 const UNKNOWN: [f64; 6] = [1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-4];
-/// Closures between robots count as found in a window of at least this reach, metres: never without others that agree, since
-/// where one was expected rests on other closures between robots.
-const ACROSS_REACH_M: f64 = 6.0;
-/// … and as if they moved the robot this far, metres: those that agree must extend over twice the way.
-const ACROSS_SHIFT_M: f64 = 2.0;
 
 /// One log's part of the atlas.
 #[derive(Clone, Debug)]
@@ -177,15 +175,32 @@ impl Atlas {
         };
         let (reach_m, shift_m) = (f64::from(constraint.reach_m), f64::from(constraint.shift_m));
         let mut closure = Closure { edge, reach_m, shift_m };
-        if self.is_across(&closure) {
-            // All between two robots in one direction, whoever measured them: only so they can be compared.
-            if from > to {
-                closure.edge = closure.edge.reversed();
-            }
-            closure.reach_m = reach_m.max(ACROSS_REACH_M);
-            closure.shift_m = ACROSS_SHIFT_M;
+        // All between two robots in one direction, whoever measured them: only so they can be compared.
+        if self.is_across(&closure) && from > to {
+            closure.edge = closure.edge.reversed();
         }
         Some(closure)
+    }
+
+    /// By closure: whether it may act, when nothing is held of those `denied`. A robot's own are judged as the robot itself judges
+    /// them; those between robots, of which any may be a lie, need more.
+    pub(super) fn eligible(&self, denied: &BTreeSet<usize>) -> Vec<bool> {
+        let across: Vec<bool> = self.closures.iter().map(|closure| self.is_across(closure)).collect();
+        let judged: Vec<bool> =
+            across.iter().enumerate().map(|(i, across)| *across && !denied.contains(&i)).collect();
+        let own = eligible(&self.closures, &self.nodes);
+        let consistent = consistent(&self.closures, &self.nodes, &judged);
+        let each = across.iter().zip(own).zip(consistent);
+        each.map(|((across, own), consistent)| if *across { consistent } else { own }).collect()
+    }
+
+    /// Of these closures those that do not act if these alone are left: between robots, what the others have confirmed is
+    /// confirmed no more.
+    pub(super) fn unconfirmed(&self, in_force: &[bool]) -> Vec<usize> {
+        let acts = |i: usize| in_force[i] && self.is_across(&self.closures[i]);
+        let across: Vec<bool> = (0..self.closures.len()).map(acts).collect();
+        let consistent = consistent(&self.closures, &self.nodes, &across);
+        (0..self.closures.len()).filter(|i| across[*i] && !consistent[*i]).collect()
     }
 
     /// Whether a closure connects two robots.

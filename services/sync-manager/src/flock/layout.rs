@@ -1,6 +1,6 @@
 use super::start::start;
 use super::{Atlas, Flock};
-use crate::agreement::eligible;
+use crate::closure::ClosureFinder;
 use crate::dense::DensePass;
 use crate::edge::Edge;
 use crate::refine::Refinement;
@@ -10,7 +10,10 @@ use crate::strands::Strands;
 use flockslam_geometry::Pose;
 use flockslam_records::RobotId;
 use flockslam_registration::cloud::{MomentGrid, Placement};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// How often closures are put on trial before robots are left apart.
+const TRIALS_MAX: usize = 8;
 
 /// Poses of an atlas's nodes, and what holds them together.
 #[derive(Clone, Debug, PartialEq)]
@@ -84,12 +87,29 @@ impl FlockLayout {
 }
 
 impl Atlas {
-    /// Solves the graph from the chains, with all closures that agree on trial.
-    pub(super) fn solve(&self, settings: &Settings) -> Solved {
-        let eligible = eligible(&self.closures, &self.nodes);
+    /// Solves the graph from the chains, with all closures that agree on trial. What is left between two robots after that must still
+    /// agree, and what both have seen must look the same where the solution puts it.
+    pub(super) fn solve(&self, settings: &Settings, finder: &mut ClosureFinder) -> Solved {
+        let mut denied = BTreeSet::new();
+        for _ in 0..TRIALS_MAX {
+            let solved = self.solve_with(&self.eligible(&denied), settings);
+            let mut doubtful = self.unconfirmed(&solved.in_force);
+            if doubtful.is_empty() {
+                doubtful = self.contradicted(&solved, finder);
+            }
+            if doubtful.is_empty() {
+                return solved;
+            }
+            denied.extend(doubtful);
+        }
+        denied.extend((0..self.closures.len()).filter(|i| self.is_across(&self.closures[*i])));
+        self.solve_with(&self.eligible(&denied), settings)
+    }
+
+    fn solve_with(&self, on_trial: &[bool], settings: &Settings) -> Solved {
         let mut edges: Vec<Edge> = self.edges.clone();
         let trusted = edges.len();
-        edges.extend(self.closures.iter().zip(&eligible).filter(|(_, e)| **e).map(|(c, _)| c.edge));
+        edges.extend(self.closures.iter().zip(on_trial).filter(|(_, e)| **e).map(|(c, _)| c.edge));
         let (mut poses, _) = start(&self.nodes, &edges[trusted..]);
         let robust = RobustSettings {
             chi_squared_max: settings.closure.chi_squared_max,
@@ -99,7 +119,7 @@ impl Atlas {
         };
         let solved = solve(self.nodes.len(), &edges, trusted, &robust, &mut poses);
         let mut acting = solved.weights[trusted..].iter().map(|&w| w > 0.5);
-        let in_force: Vec<bool> = eligible.iter().map(|e| *e && acting.next() == Some(true)).collect();
+        let in_force: Vec<bool> = on_trial.iter().map(|e| *e && acting.next() == Some(true)).collect();
         let strands = self.strands(&in_force);
         Solved { poses, in_force, strands }
     }
@@ -139,7 +159,7 @@ impl Atlas {
         if self.is_empty() {
             return FlockLayout::default();
         }
-        let mut solved = self.solve(settings);
+        let mut solved = self.solve(settings, &mut ClosureFinder::new(&settings.closure));
         if finely {
             self.measure_again(settings, &mut solved, &mut MomentGrid::default());
         }

@@ -110,8 +110,13 @@ impl Flock {
     /// # Errors
     /// As [`Self::say`].
     pub fn search(&mut self, searches_max: u64) -> Result<Vec<Arc<[u8]>>, RecordError> {
-        let mut atlas = Atlas::new(&self.collection, &self.settings);
-        let found = self.search.run(&mut atlas, self.key.id(), &self.settings, searches_max);
+        let found = self.find(searches_max);
         found.into_iter().map(|constraint| self.say(&Content::Constraint(constraint))).collect()
+    }
+
+    /// As [`Self::search`], without saying it: for who knows some of it already.
+    pub fn find(&mut self, searches_max: u64) -> Vec<Constraint> {
+        let mut atlas = Atlas::new(&self.collection, &self.settings);
+        self.search.run(&mut atlas, self.key.id(), &self.settings, searches_max)
     }
 }

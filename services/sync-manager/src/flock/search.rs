@@ -1,21 +1,38 @@
 use super::Atlas;
 use super::layout::Solved;
-use crate::agreement::eligible;
+use super::resemblance::Resemblance;
 use crate::chain::BROKEN_M;
 use crate::closure::{
     ANYWHERE, Closure, ClosureFinder, QUERY_NODES, SIGHT_M, World, apart_m, graph_distances, window,
 };
 use crate::settings::Settings;
+use crate::strands::Strands;
 use flockslam_records::{Constraint, RobotId};
 use flockslam_registration::cloud::Window;
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// Of the queries, every so many are looked for anywhere.
 const WIDE_EVERY: usize = 2;
 /// Squares that a search anywhere looks at before it gives up.
-const WIDE_SUMS_MAX: u64 = 500_000;
-/// So many queries before and after one that was found somewhere are looked for next: agreement is among neighbours.
+const WIDE_SUMS_MAX: u64 = 250_000;
+/// So many queries before and after one that was found somewhere are looked for there next, and in so many segments before and
+/// after: agreement is among neighbours.
 const NEIGHBOURS: usize = 3;
+const SEGMENTS_AROUND: usize = 1;
+/// Closures between two logs that act from which it counts as known how they lie to each other. Until then rival explanations are looked for.
+const FIRM: usize = 6;
+/// Segments kept ready for matching.
+const FIELDS: usize = 160;
+
+/// A query and a segment to be compared anywhere.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Pair {
+    /// How different their surroundings are.
+    apart: u32,
+    /// Place of the query among those that are looked for anywhere.
+    place: usize,
+    segment: usize,
+}
 
 /// Looks for the places that a robot shares with others.
 pub struct Search {
@@ -26,7 +43,10 @@ pub struct Search {
 
 impl Search {
     pub fn new(settings: &Settings) -> Self {
-        Self { finder: ClosureFinder::thorough(&settings.closure, WIDE_SUMS_MAX), tried: BTreeSet::new() }
+        Self {
+            finder: ClosureFinder::thorough(&settings.closure, WIDE_SUMS_MAX, FIELDS),
+            tried: BTreeSet::new(),
+        }
     }
 
     /// Searches so far.
@@ -35,7 +55,7 @@ impl Search {
     }
 
     /// Looks for the nodes of `own` in the segments of other robots, with at most about so many searches: first anywhere, until
-    /// closures agree on how the robots lie to each other, then near where that says. Gives what was found, which is in the atlas
+    /// enough closures agree on how the robots lie to each other, then near where that says. Gives what was found, which is in the atlas
     /// as well.
     pub fn run(
         &mut self,
@@ -50,40 +70,98 @@ impl Search {
         }
         let until = self.searches().saturating_add(searches_max);
         let queries = queries(atlas, own, settings.closure.every_m);
-        let mut solved = atlas.solve(settings);
         let few: Vec<usize> = queries.iter().copied().step_by(WIDE_EVERY).collect();
-        let mut order: VecDeque<usize> = spread(few.len()).collect();
-        while let Some(place) = order.pop_front() {
-            let query = few[place];
-            if self.searches() >= until {
-                break;
-            }
-            let candidates: Vec<usize> = self.strangers(atlas, &solved, query).collect();
-            let candidates = self.untried(atlas, query, candidates, |_| ANYWHERE, true);
-            if candidates.is_empty() {
-                continue;
-            }
-            let before = found.len();
-            self.search(atlas, &solved, query, &candidates, &mut found);
-            if found.len() > before {
-                let around = place.saturating_sub(NEIGHBOURS)..(place + NEIGHBOURS + 1).min(few.len());
-                around.for_each(|near| order.push_front(near));
-                if connects(atlas, &solved) {
-                    solved = atlas.solve(settings);
-                }
-            }
-        }
+        let mut solved = atlas.solve(settings, &mut self.finder);
+        self.anywhere(atlas, &few, settings, until, &mut solved, &mut found);
         for query in queries {
             if self.searches() >= until {
                 break;
             }
-            let distances_m = distances(atlas, &solved, query);
-            let near = nearby(atlas, &solved, query, &distances_m, settings.closure.segments_per_query);
-            let anchor = |number: usize| atlas.segments[number].anchor;
-            let candidates = self.untried(atlas, query, near, |n| window(distances_m[anchor(n)]), false);
-            self.search(atlas, &solved, query, &candidates, &mut found);
+            self.near(atlas, query, settings, &solved, &mut found);
         }
         found
+    }
+
+    /// Looks for a query where the solution puts it.
+    fn near(
+        &mut self,
+        atlas: &mut Atlas,
+        query: usize,
+        settings: &Settings,
+        solved: &Solved,
+        found: &mut Vec<Constraint>,
+    ) {
+        let distances_m = distances(atlas, solved, query);
+        let near = nearby(atlas, solved, query, &distances_m, settings.closure.segments_per_query);
+        let candidates: Vec<(usize, Window)> = near
+            .into_iter()
+            .filter(|number| self.is_new(atlas, query, *number, false))
+            .map(|number| (number, window(distances_m[atlas.segments[number].anchor])))
+            .collect();
+        self.search(atlas, solved, query, &candidates, found);
+    }
+
+    /// Looks for queries in all that nothing is known of, the most similar first, until it is known; the solution is kept up.
+    fn anywhere(
+        &mut self,
+        atlas: &mut Atlas,
+        queries: &[usize],
+        settings: &Settings,
+        until: u64,
+        solved: &mut Solved,
+        found: &mut Vec<Constraint>,
+    ) {
+        let mut known = firmly_tied(atlas, solved);
+        let mut order: VecDeque<Pair> = self.resembling(atlas, queries, &known).into();
+        while let Some(Pair { place, segment, .. }) = order.pop_front() {
+            let query = queries[place];
+            if self.searches() >= until {
+                return;
+            }
+            if !is_strange(atlas, &known, query, segment) || !self.is_new(atlas, query, segment, true) {
+                continue;
+            }
+            let before = found.len();
+            self.search(atlas, solved, query, &[(segment, ANYWHERE)], found);
+            if found.len() == before {
+                continue;
+            }
+            *solved = atlas.solve(settings, &mut self.finder);
+            let neighbours = place.saturating_sub(NEIGHBOURS)..(place + NEIGHBOURS + 1).min(queries.len());
+            if is_strange(atlas, &solved.strands, query, segment) {
+                let around = segment.saturating_sub(SEGMENTS_AROUND)
+                    ..(segment + SEGMENTS_AROUND + 1).min(atlas.segments.len());
+                let pairs = neighbours
+                    .flat_map(|place| around.clone().map(move |segment| Pair { apart: 0, place, segment }));
+                pairs.for_each(|pair| order.push_front(pair));
+            } else {
+                // Tied, if loosely: what confirms it or not lies where that says.
+                neighbours.for_each(|place| self.near(atlas, queries[place], settings, solved, found));
+                *solved = atlas.solve(settings, &mut self.finder);
+            }
+            known = firmly_tied(atlas, solved);
+        }
+    }
+
+    /// All pairs of a query and a segment of which it is not known how they lie to each other, the most similar first.
+    fn resembling(&self, atlas: &Atlas, queries: &[usize], known: &Strands) -> Vec<Pair> {
+        let resemblance = Resemblance::new(atlas);
+        let mut pairs = Vec::new();
+        for (place, &query) in queries.iter().enumerate() {
+            let strange = (0..atlas.segments.len()).filter(|k| is_strange(atlas, known, query, *k));
+            pairs.extend(strange.map(|segment| {
+                let apart = resemblance.distance(query, &atlas.segments[segment]);
+                Pair { apart, place, segment }
+            }));
+        }
+        pairs.sort_unstable();
+        pairs
+    }
+
+    /// Whether a query and a segment have not been compared like this yet; from now on they have.
+    fn is_new(&mut self, atlas: &Atlas, query: usize, segment: usize, anywhere: bool) -> bool {
+        let name = |node: usize| atlas.nodes[node].sequence;
+        self.tried.insert((name(query), name(atlas.segments[segment].anchor), anywhere))
     }
 
     fn search(
@@ -107,39 +185,28 @@ impl Search {
             found.push(constraint);
         }
     }
+}
 
-    /// Segments of other robots of which it is not known how they lie to the query.
-    fn strangers<'a>(
-        &self,
-        atlas: &'a Atlas,
-        solved: &'a Solved,
-        query: usize,
-    ) -> impl Iterator<Item = usize> + 'a {
-        let part = solved.strands.part(atlas.nodes[query].strand);
-        let owner = atlas.owner(query);
-        let foreign = move |segment: &crate::segment::Segment| {
-            let strand = atlas.nodes[segment.anchor].strand;
-            atlas.owner(segment.anchor) != owner && solved.strands.part(strand) != part
-        };
-        (0..atlas.segments.len()).filter(move |number| foreign(&atlas.segments[*number]))
-    }
+/// Which strands are tied to each other by enough closures that act.
+fn firmly_tied(atlas: &Atlas, solved: &Solved) -> Strands {
+    let logs = |i: usize| {
+        let edge = &atlas.closures[i].edge;
+        let (a, b) = (atlas.owner(edge.from), atlas.owner(edge.to));
+        (a.min(b), a.max(b))
+    };
+    let mut ties: BTreeMap<(u32, u32), usize> = BTreeMap::new();
+    let acting: Vec<usize> = (0..atlas.closures.len()).filter(|i| solved.in_force[*i]).collect();
+    acting.iter().for_each(|i| *ties.entry(logs(*i)).or_default() += 1);
+    let firm = |i: &usize| !atlas.is_across(&atlas.closures[*i]) || ties[&logs(*i)] >= FIRM;
+    let firm: Vec<bool> = (0..atlas.closures.len()).map(|i| solved.in_force[i] && firm(&i)).collect();
+    atlas.strands(&firm)
+}
 
-    /// Those segments that this query has not been compared with, each with where to look; they count as tried from now on.
-    fn untried(
-        &mut self,
-        atlas: &Atlas,
-        query: usize,
-        segments: Vec<usize>,
-        window: impl Fn(usize) -> Window,
-        anywhere: bool,
-    ) -> Vec<(usize, Window)> {
-        let name = |node: usize| atlas.nodes[node].sequence;
-        segments
-            .into_iter()
-            .filter(|number| self.tried.insert((name(query), name(atlas.segments[*number].anchor), anywhere)))
-            .map(|number| (number, window(number)))
-            .collect()
-    }
+/// Whether a segment is another robot's and it is not known how it lies to the query.
+fn is_strange(atlas: &Atlas, known: &Strands, query: usize, segment: usize) -> bool {
+    let anchor = atlas.segments[segment].anchor;
+    let part = |node: usize| known.part(atlas.nodes[node].strand);
+    atlas.owner(anchor) != atlas.owner(query) && part(anchor) != part(query)
 }
 
 /// Nodes of a robot at which a search is due, `every_m` metres of its way apart, away from the ends of its strands.
@@ -155,23 +222,6 @@ fn queries(atlas: &Atlas, own: &RobotId, every_m: f64) -> Vec<usize> {
         }
     }
     queries
-}
-
-/// The places 0 … `count`, from all over first and then from between: what is far apart tells the most.
-fn spread(count: usize) -> impl Iterator<Item = usize> {
-    let stride = count.div_ceil(8).max(1);
-    (0..stride).flat_map(move |offset| (offset..count).step_by(stride))
-}
-
-/// Whether closures that were found since the solution connect parts that it does not.
-fn connects(atlas: &Atlas, solved: &Solved) -> bool {
-    let eligible = eligible(&atlas.closures, &atlas.nodes);
-    let part = |node: usize| solved.strands.part(atlas.nodes[node].strand);
-    atlas
-        .closures
-        .iter()
-        .zip(&eligible)
-        .any(|(c, eligible)| *eligible && part(c.edge.from) != part(c.edge.to))
 }
 
 fn distances(atlas: &Atlas, solved: &Solved, query: usize) -> Vec<f64> {

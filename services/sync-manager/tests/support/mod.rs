@@ -5,6 +5,7 @@ use flockslam_messages::ScanBuffer;
 use std::f64::consts::TAU;
 
 /// Walls as line segments.
+#[derive(Clone)]
 pub struct Building(pub Vec<(Point, Point)>);
 
 impl Building {

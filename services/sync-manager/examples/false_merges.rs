@@ -1,0 +1,75 @@
+//! Trials of meetings with as many lies as truths: how many are merged that should be, and how many that should not.
+//!
+//! `cargo run --example false_merges -- [FIRST] [COUNT]` prints a line for each trial and the sum; 200 from 0 on by default.
+
+#[path = "../tests/support/flocks.rs"]
+mod flocks;
+#[allow(dead_code, reason = "what several tests share, one of them does not need all of")]
+#[path = "../tests/support/mod.rs"]
+mod support;
+#[path = "../tests/support/trials.rs"]
+mod trials;
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+/// How trials of one kind went.
+#[derive(Default)]
+struct Tally {
+    trials: u32,
+    merged: u32,
+    wrongly: u32,
+    worst_m: f64,
+    searches: u64,
+}
+
+fn main() {
+    let mut arguments = std::env::args().skip(1).map(|argument| argument.parse().expect("a number"));
+    let (first, count): (u64, u64) = (arguments.next().unwrap_or(0), arguments.next().unwrap_or(200));
+    let mut tallies: BTreeMap<(bool, &str), Tally> = BTreeMap::new();
+    for number in first..first + count {
+        let (trial, started) = (trials::trial(number), Instant::now());
+        let outcome = trials::run(&trial);
+        let tally = tallies.entry((trial.is_meeting, trial.kind)).or_default();
+        tally.trials += 1;
+        tally.merged += u32::from(outcome.merged);
+        tally.wrongly += u32::from(outcome.is_false_merge());
+        tally.worst_m = tally.worst_m.max(outcome.worst_m);
+        tally.searches += outcome.searches;
+        println!(
+            "{number:3} {:32} {} worst {:.3} m, {} truths, {} lies, {} searches, {:.1} s",
+            trial.kind,
+            if outcome.is_false_merge() {
+                "MERGED WRONGLY"
+            } else if outcome.merged {
+                "merged"
+            } else {
+                "apart"
+            },
+            outcome.worst_m,
+            outcome.told.0,
+            outcome.told.1,
+            outcome.searches,
+            started.elapsed().as_secs_f64()
+        );
+    }
+    let mut sums = [Tally::default(), Tally::default()];
+    for ((is_meeting, kind), tally) in &tallies {
+        println!(
+            "{kind}: {} trials, {} merged, {} of them wrongly, worst error {:.3} m, {} searches",
+            tally.trials, tally.merged, tally.wrongly, tally.worst_m, tally.searches
+        );
+        let sum = &mut sums[usize::from(*is_meeting)];
+        sum.trials += tally.trials;
+        sum.merged += tally.merged;
+        sum.wrongly += tally.wrongly;
+    }
+    let [strangers, meetings] = sums;
+    println!(
+        "{} of {} meetings merged rightly; {} false merges in {} trials",
+        meetings.merged - meetings.wrongly,
+        meetings.trials,
+        meetings.wrongly + strangers.wrongly,
+        meetings.trials + strangers.trials
+    );
+}

@@ -1,0 +1,138 @@
+//! The robot's side of the flock: what it says is kept, and, when it is asked to, others hear of it over the network.
+
+use crate::{Settings, Solution, SyncManager};
+use flockslam_geometry::Pose;
+use flockslam_messages::FlockFrame;
+use flockslam_stage::flock_files::{NamedPose, OWN_NODES, OWN_SCANS, write_named};
+use flockslam_stage::{StageContext, StageError, SubmapStore};
+use std::path::Path;
+use teller::Teller;
+use thread::{FlockThread, Task};
+
+mod common;
+mod drops;
+mod identity;
+mod link;
+mod metrics;
+mod pace;
+mod proximity;
+mod relay;
+mod talk;
+mod teller;
+mod thread;
+
+pub use metrics::FlockMetrics;
+
+/// After each closed submap so many before it are looked at for stale cells: in older ones nothing is cleared while the robot drives.
+const WATCHED: u32 = 8;
+
+/// How a robot tells others what it finds out.
+pub enum Voice {
+    /// It is alone, or stands by.
+    Silent,
+    /// It keeps what it would say.
+    Recording(Box<Teller>),
+    /// It talks.
+    Talking(FlockThread),
+}
+
+impl Voice {
+    /// The voice of the process that acts; `directory` is where what it says is kept.
+    ///
+    /// # Errors
+    /// When the robot's key cannot be had, or the system refuses.
+    pub fn open(
+        settings: &Settings,
+        directory: &Path,
+        status_dir: &Path,
+        metrics: FlockMetrics,
+    ) -> Result<Self, StageError> {
+        Ok(match Teller::open(settings, directory)? {
+            None => Self::Silent,
+            Some(teller) if settings.flock.enabled => {
+                Self::Talking(FlockThread::start(&settings.flock, teller, status_dir, metrics)?)
+            }
+            Some(teller) => Self::Recording(Box::new(teller)),
+        })
+    }
+
+    /// Tells what is new after a closed submap of the store.
+    ///
+    /// # Errors
+    /// When the store or the disk fails.
+    pub fn tell(
+        &mut self,
+        logic: &mut SyncManager,
+        number: u32,
+        store: &SubmapStore,
+    ) -> Result<(), StageError> {
+        match self {
+            Self::Silent => Ok(()),
+            Self::Recording(teller) => {
+                teller.tell(logic.take_news())?;
+                if teller.told_submaps().contains(&number) {
+                    return Ok(());
+                }
+                teller.tell_submap(&store.load(number)?)
+            }
+            Self::Talking(thread) => {
+                thread.give(Task::News(logic.take_news()));
+                thread.tell_submap(number, || store.load(number))?;
+                thread.give(Task::Clearances(store.clone(), number.saturating_sub(WATCHED)..number));
+                thread.give(Task::Layout(places(logic)));
+                Ok(())
+            }
+        }
+    }
+
+    /// How the robot's map lies in that of the flock, while it is part of it.
+    pub fn frame(&self) -> Option<FlockFrame> {
+        match self {
+            Self::Talking(thread) => thread.frame(),
+            Self::Silent | Self::Recording(_) => None,
+        }
+    }
+
+    /// Tells what is left at the end – stale cells of all submaps – and leaves the robot's own trajectory beside its records. Then
+    /// waits for the others.
+    ///
+    /// # Errors
+    /// When the store or the disk fails.
+    pub fn finish(
+        &mut self,
+        logic: &mut SyncManager,
+        solution: &Solution,
+        store: &SubmapStore,
+        scans: &[NamedPose],
+        context: &mut StageContext,
+    ) -> Result<(), StageError> {
+        match self {
+            Self::Silent => return Ok(()),
+            Self::Recording(teller) => {
+                teller.tell(logic.take_news())?;
+                (0..store.count()).try_for_each(|number| teller.tell_clearances(&store.load(number)?))?;
+            }
+            Self::Talking(thread) => {
+                thread.give(Task::News(logic.take_news()));
+                thread.give(Task::Clearances(store.clone(), 0..store.count()));
+                thread.give(Task::Layout(places(logic)));
+            }
+        }
+        let row = |(sequence, pose): &(u64, _)| NamedPose { sequence: *sequence, stamp_ns: 0, pose: *pose };
+        let nodes: Vec<_> = solution.anchors.iter().map(row).collect();
+        write_named(&context.result_dir, OWN_NODES, &nodes)?;
+        write_named(&context.result_dir, OWN_SCANS, scans)?;
+        if let Self::Talking(thread) = self {
+            thread.finish(|| {
+                context.alive();
+                context.stop.is_set()
+            });
+        }
+        Ok(())
+    }
+}
+
+/// Where submaps lie in the robot's own map.
+fn places(logic: &SyncManager) -> Vec<(u32, Pose)> {
+    logic.layout().iter().map(|placed| (placed.number, placed.map_from_odom)).collect()
+}

@@ -1,0 +1,92 @@
+use crate::flock::Flock;
+use flockslam_geometry::Pose;
+use flockslam_messages::FlockFrame;
+use flockslam_stage::results::StoredMap;
+
+/// What a robot concludes of all records that it knows: how the robots lie to each other. A function of the records alone.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Common {
+    /// Hash of the records that it is of.
+    pub of_records: [u8; 32],
+    /// Names of the robots in the common map, in order.
+    pub members: Vec<String>,
+    /// Whether this robot is one of at least two.
+    pub merged: bool,
+    /// Hash of layout and fused map.
+    pub map_hash: u64,
+    /// This robot's submaps in the common map, in order, each with what takes the frame that its evidence is in to that of the flock.
+    submaps: Vec<(u32, Pose)>,
+}
+
+impl Common {
+    /// Works out the layout and the fused map.
+    pub fn of(flock: &Flock, epoch: u64) -> Self {
+        let layout = flock.layout(false);
+        let fused = flock.map(&layout);
+        let stored = fused.map.as_ref().map_or_else(StoredMap::empty, StoredMap::of);
+        let members = layout.members();
+        let own = (flock.robot().clone(), epoch);
+        let in_map = layout.submaps.get(&own).into_iter().flatten();
+        let submaps: Vec<_> = in_map
+            .filter(|placed| placed.part == layout.main_part)
+            .map(|placed| (placed.submap, placed.flock_from_odom))
+            .collect();
+        Self {
+            of_records: flock.collection().hash(),
+            merged: members.len() > 1 && members.contains(&flock.robot()) && !submaps.is_empty(),
+            members: members.iter().map(|robot| robot.name().to_owned()).collect(),
+            map_hash: hash(layout.hash(), &stored),
+            submaps,
+        }
+    }
+
+    /// How the robot's map lies in that of the flock, given where its own submaps lie in its map: the newest submap decides, since
+    /// that is where the robot is.
+    pub fn frame(&self, map_from_odom: &[(u32, Pose)], revision: u32) -> Option<FlockFrame> {
+        let known = |number: u32| {
+            let place = map_from_odom.binary_search_by_key(&number, |(number, _)| *number).ok()?;
+            Some(map_from_odom[place].1)
+        };
+        let placed = self.submaps.iter().rev().find_map(|(number, pose)| Some((*pose, known(*number)?)));
+        let (flock_from_odom, map_from_odom) = placed.filter(|_| self.merged)?;
+        Some(FlockFrame {
+            flock_from_map: flock_from_odom * map_from_odom.inverse(),
+            map_hash: self.map_hash,
+            members: self.members.len() as u32,
+            revision,
+        })
+    }
+}
+
+/// FNV-1a over words.
+fn hash(layout: u64, map: &StoredMap) -> u64 {
+    let mut hash = 0xcbf2_9ce4_8422_2325u64;
+    let mut mix = |word: u64| hash = (hash ^ word).wrapping_mul(0x0000_0100_0000_01b3).rotate_left(23);
+    [layout, map.width as u64, map.height as u64].into_iter().for_each(&mut mix);
+    [map.origin.x_m, map.origin.y_m].into_iter().for_each(|value| mix(value.to_bits()));
+    for cell in &map.cells {
+        mix(u64::from(cell.occupied));
+        mix(u64::from(cell.free));
+    }
+    hash
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_newest_submap_that_both_know_decides() {
+        let pose = |x: f64| Pose::new(x, 0.0, 0.0);
+        let common = Common {
+            merged: true,
+            members: vec!["a".to_owned(), "b".to_owned()],
+            submaps: vec![(0, pose(10.0)), (2, pose(20.0)), (3, pose(30.0))],
+            ..Common::default()
+        };
+        let frame = common.frame(&[(0, pose(1.0)), (2, pose(2.0))], 7).unwrap();
+        assert_eq!((frame.flock_from_map, frame.members, frame.revision), (pose(18.0), 2, 7));
+        assert_eq!(common.frame(&[(1, pose(1.0))], 1), None);
+        assert_eq!(Common { merged: false, ..common }.frame(&[(0, pose(1.0))], 1), None);
+    }
+}

@@ -1,0 +1,338 @@
+//! The one place that opens the network between robots.
+
+use super::drops::{Dropped, Drops};
+use crate::FlockSettings;
+use flockslam_records::{MESSAGE_BYTES_MAX, Message, RobotId};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+use zenoh::Wait;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::pubsub::Subscriber;
+use zenoh::qos::CongestionControl;
+use zenoh::sample::{Sample, SampleKind};
+
+/// Messages that wait to be looked at: more are dropped.
+const WAITING_MAX: usize = 64;
+/// Messages of one sender in a second: more are dropped.
+const SENDER_RATE_MAX: u32 = 100;
+/// Senders and peers that are told apart: all further senders share one account, further peers are not seen.
+const PEERS_MAX: usize = 256;
+/// How long a message may wait for room on its way out before it is dropped, microseconds.
+const WAIT_TO_SEND_US: u64 = 1_000_000;
+
+/// What was heard.
+pub struct Heard {
+    /// Where to answer.
+    pub sender: String,
+    /// What was said: not looked at yet.
+    pub bytes: Vec<u8>,
+}
+
+/// Bytes that went through the link.
+#[derive(Debug, Default)]
+pub struct Traffic {
+    /// Of messages that were looked at.
+    pub heard: AtomicU64,
+    /// Of messages that were sent.
+    pub said: AtomicU64,
+}
+
+/// Who is there.
+#[derive(Debug, Default)]
+struct Presence {
+    connected: BTreeSet<String>,
+    /// Robots whose source has ended, with the hash of the records that they have nothing to add to. Who has said so may leave.
+    ended: BTreeMap<String, String>,
+}
+
+/// The way to the other robots: peer to peer, without a broker.
+///
+/// What a robot says to another goes to `flockslam/FLOCK/to/RECEIVER/SENDER`. Messages may be lost at any time: they are said again
+/// as long as somebody lacks something. Who is there is told by tokens `flockslam/FLOCK/there/ROBOT`, which go with their robot.
+pub struct Link {
+    session: zenoh::Session,
+    prefix: String,
+    own: String,
+    heard: Receiver<Heard>,
+    presence: Arc<Mutex<Presence>>,
+    ended: Option<(String, Instant, LivelinessToken)>,
+    drops: Arc<Drops>,
+    traffic: Arc<Traffic>,
+    // Kept alive: what they hear comes through `heard` and `presence`.
+    _subscribers: Vec<Subscriber<()>>,
+    _there: LivelinessToken,
+}
+
+impl Link {
+    /// Joins the flock that settings name.
+    ///
+    /// # Errors
+    /// When the network cannot be opened: why, for people.
+    pub fn open(
+        settings: &FlockSettings,
+        robot: &RobotId,
+        drops: &Arc<Drops>,
+        traffic: &Arc<Traffic>,
+    ) -> Result<Self, String> {
+        let session = zenoh::open(configuration(settings)?).wait().map_err(told)?;
+        let prefix = format!("flockslam/{}", settings.flock);
+        let own = address(robot);
+        let (queue, heard) = sync_channel(WAITING_MAX);
+        let presence = Arc::new(Mutex::new(Presence::default()));
+        let mailbox = Mutex::new(Mailbox {
+            queue,
+            own: own.clone(),
+            drops: Arc::clone(drops),
+            traffic: Arc::clone(traffic),
+            gate: Gate::default(),
+        });
+        let mail = format!("{prefix}/to/{own}/*");
+        let hear = move |sample: Sample| locked(&mailbox).take(&sample);
+        let mail = session.declare_subscriber(mail).callback(hear).wait().map_err(told)?;
+        let there = watch(&session, format!("{prefix}/there/*"), &presence, Presence::there)?;
+        let ended = watch(&session, format!("{prefix}/ended/*/*"), &presence, Presence::ended)?;
+        let token = format!("{prefix}/there/{own}");
+        let token = session.liveliness().declare_token(token).wait().map_err(told)?;
+        Ok(Self {
+            session,
+            prefix,
+            own,
+            heard,
+            presence,
+            ended: None,
+            drops: Arc::clone(drops),
+            traffic: Arc::clone(traffic),
+            _subscribers: vec![mail, there, ended],
+            _there: token,
+        })
+    }
+
+    /// Says something to one robot; gives its bytes. What finds no room on its way is dropped and counted.
+    pub fn say_to(&self, receiver: &str, message: &Message) -> usize {
+        let bytes = message.encode();
+        let length = bytes.len();
+        let key = format!("{}/to/{receiver}/{}", self.prefix, self.own);
+        match self.session.put(key, bytes).congestion_control(CongestionControl::Drop).wait() {
+            Ok(()) => {
+                self.traffic.said.fetch_add(length as u64, Ordering::Relaxed);
+            }
+            Err(error) => {
+                tracing::debug!(%error, receiver, "a message to the flock was not sent");
+                self.drops.count(Dropped::NotSent, 1);
+            }
+        }
+        length
+    }
+
+    /// The next message that was heard, if there is one.
+    pub fn next(&self) -> Option<Heard> {
+        self.heard.try_recv().ok()
+    }
+
+    /// Addresses of all robots that are connected.
+    pub fn connected(&self) -> BTreeSet<String> {
+        locked(&self.presence).connected.clone()
+    }
+
+    /// Tells that this robot's source has ended and that it has nothing to add to the records with this hash; gives for how long it has
+    /// been telling so.
+    pub fn tell_end(&mut self, hash: &str) -> Duration {
+        if let Some((_, since, _)) = self.ended.as_ref().filter(|(told, ..)| told == hash) {
+            return since.elapsed();
+        }
+        let key = format!("{}/ended/{}/{hash}", self.prefix, self.own);
+        match self.session.liveliness().declare_token(key).wait() {
+            Ok(token) => self.ended = Some((hash.to_owned(), Instant::now(), token)),
+            Err(error) => tracing::warn!(%error, "the end is not told to the flock"),
+        }
+        Duration::ZERO
+    }
+
+    /// Robots that have ended with the records of this hash.
+    pub fn ended_with(&self, hash: &str) -> BTreeSet<String> {
+        let presence = locked(&self.presence);
+        presence.ended.iter().filter(|(_, told)| *told == hash).map(|(robot, _)| robot.clone()).collect()
+    }
+}
+
+/// How a robot is called on the network.
+pub fn address(robot: &RobotId) -> String {
+    format!("{}-{}", robot.name(), hexadecimal(&robot.public_key()[..8]))
+}
+
+/// Bytes as people write them.
+pub fn hexadecimal(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+impl Presence {
+    fn there(&mut self, parts: &[&str], is_there: bool) {
+        let [robot] = parts else { return };
+        if !is_there {
+            self.connected.remove(*robot);
+        } else if self.connected.len() < PEERS_MAX {
+            self.connected.insert((*robot).to_owned());
+        }
+    }
+
+    fn ended(&mut self, parts: &[&str], is_there: bool) {
+        // Who has ended and gone has ended all the same.
+        let [robot, hash] = parts else { return };
+        if is_there && (self.ended.contains_key(*robot) || self.ended.len() < PEERS_MAX) {
+            self.ended.insert((*robot).to_owned(), (*hash).to_owned());
+        }
+    }
+}
+
+fn watch(
+    session: &zenoh::Session,
+    key: String,
+    presence: &Arc<Mutex<Presence>>,
+    note: fn(&mut Presence, &[&str], bool),
+) -> Result<Subscriber<()>, String> {
+    let presence = Arc::clone(presence);
+    let kinds = key.matches('*').count();
+    let seen = move |sample: Sample| {
+        let key = sample.key_expr().as_str();
+        let parts: Vec<&str> = key.rsplitn(kinds + 1, '/').take(kinds).collect();
+        let parts: Vec<&str> = parts.into_iter().rev().collect();
+        note(&mut locked(&presence), &parts, sample.kind() == SampleKind::Put);
+    };
+    session.liveliness().declare_subscriber(key).history(true).callback(seen).wait().map_err(told)
+}
+
+fn locked<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Takes messages from the network's own threads to that of the flock, as far as they are not too long or too many.
+struct Mailbox {
+    queue: SyncSender<Heard>,
+    own: String,
+    drops: Arc<Drops>,
+    traffic: Arc<Traffic>,
+    gate: Gate,
+}
+
+impl Mailbox {
+    fn take(&mut self, sample: &Sample) {
+        let Some(sender) = sample.key_expr().as_str().rsplit('/').next().filter(|sender| *sender != self.own)
+        else {
+            return;
+        };
+        let length = sample.payload().len();
+        if length > MESSAGE_BYTES_MAX {
+            return self.drops.count(Dropped::TooLong, 1);
+        }
+        if !self.gate.admits(sender, Instant::now()) {
+            return self.drops.count(Dropped::TooMany, 1);
+        }
+        let heard = Heard { sender: sender.to_owned(), bytes: sample.payload().to_bytes().into_owned() };
+        match self.queue.try_send(heard) {
+            Ok(()) => drop(self.traffic.heard.fetch_add(length as u64, Ordering::Relaxed)),
+            Err(TrySendError::Full(_)) => self.drops.count(Dropped::Overflow, 1),
+            Err(TrySendError::Disconnected(_)) => {}
+        }
+    }
+}
+
+/// How much each sender has said lately.
+#[derive(Default)]
+struct Gate {
+    senders: BTreeMap<String, (Option<Instant>, u32)>,
+}
+
+impl Gate {
+    fn admits(&mut self, sender: &str, now: Instant) -> bool {
+        let known = self.senders.contains_key(sender) || self.senders.len() < PEERS_MAX;
+        let account = self.senders.entry(if known { sender.to_owned() } else { String::new() }).or_default();
+        if account.0.is_none_or(|since| now.duration_since(since) >= Duration::from_secs(1)) {
+            *account = (Some(now), 0);
+        }
+        account.1 = account.1.saturating_add(1);
+        account.1 <= SENDER_RATE_MAX
+    }
+}
+
+/// Peer to peer; what settings do not name stays off.
+fn configuration(settings: &FlockSettings) -> Result<zenoh::Config, String> {
+    let mut config = match settings.zenoh_file.as_os_str().is_empty() {
+        true => zenoh::Config::default(),
+        false => zenoh::Config::from_file(&settings.zenoh_file).map_err(told)?,
+    };
+    let quoted = |text: &str| format!("{text:?}");
+    let listed = |endpoints: &[String]| format!("{endpoints:?}");
+    let mut set =
+        |key: &str, value: &str| config.insert_json5(key, value).map_err(|error| format!("{key}: {error}"));
+    set("mode", "\"peer\"")?;
+    set("scouting/multicast/enabled", if settings.multicast { "true" } else { "false" })?;
+    set("scouting/gossip/enabled", "false")?;
+    set("listen/endpoints", &listed(&settings.listen))?;
+    set("connect/endpoints", &listed(&settings.connect))?;
+    // Whoever is found by multicast is no reason to open another door.
+    set("transport/link/protocols", if settings.uses_tls() { "[\"tls\"]" } else { "[\"tcp\"]" })?;
+    // Others may come later, and come back.
+    set("connect/timeout_ms", "-1")?;
+    set("connect/exit_on_failure", "false")?;
+    set("transport/link/tx/lease", "3000")?;
+    set("transport/link/tx/queue/congestion_control/drop/wait_before_drop", &WAIT_TO_SEND_US.to_string())?;
+    set(
+        "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments",
+        &WAIT_TO_SEND_US.to_string(),
+    )?;
+    // A message may be as long, and a little for what is around it.
+    set("transport/link/rx/max_message_size", &(MESSAGE_BYTES_MAX + 65_536).to_string())?;
+    set("transport/unicast/max_sessions", &PEERS_MAX.to_string())?;
+    if settings.uses_tls() {
+        let file = |path: &std::path::Path| quoted(&path.to_string_lossy());
+        set("transport/link/tls/root_ca_certificate", &file(&settings.tls_ca))?;
+        set("transport/link/tls/enable_mtls", "true")?;
+        for side in ["listen", "connect"] {
+            set(&format!("transport/link/tls/{side}_certificate"), &file(&settings.tls_certificate))?;
+            set(&format!("transport/link/tls/{side}_private_key"), &file(&settings.tls_key))?;
+        }
+    }
+    Ok(config)
+}
+
+fn told(error: impl std::fmt::Display) -> String {
+    error.to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sender_has_so_many_messages_a_second_and_strangers_share_one_account() {
+        let (mut gate, start) = (Gate::default(), Instant::now());
+        let admitted = |gate: &mut Gate, sender: &str, now| {
+            (0..2 * SENDER_RATE_MAX).filter(|_| gate.admits(sender, now)).count() as u32
+        };
+        assert_eq!(admitted(&mut gate, "a", start), SENDER_RATE_MAX);
+        assert_eq!(admitted(&mut gate, "b", start), SENDER_RATE_MAX);
+        assert_eq!(admitted(&mut gate, "a", start + Duration::from_secs(1)), SENDER_RATE_MAX);
+        let strangers: u32 =
+            (0..10_000).map(|number| u32::from(gate.admits(&format!("stranger-{number}"), start))).sum();
+        assert!(strangers <= PEERS_MAX as u32 + SENDER_RATE_MAX, "{strangers}");
+        assert!(gate.senders.len() <= PEERS_MAX + 1);
+    }
+
+    #[test]
+    fn a_configuration_of_ours_is_one_of_zenoh() {
+        let settings =
+            FlockSettings { listen: vec!["tcp/127.0.0.1:0".to_owned()], ..FlockSettings::default() };
+        configuration(&settings).unwrap();
+        let file = |name: &str| std::path::PathBuf::from(format!("/etc/flockslam/{name}"));
+        let secret = FlockSettings {
+            tls_ca: file("ca.pem"),
+            tls_certificate: file("robot.pem"),
+            tls_key: file("robot.key"),
+            ..settings
+        };
+        configuration(&secret).unwrap();
+    }
+}

@@ -1,0 +1,392 @@
+use super::common::Common;
+use super::drops::{Dropped, Drops};
+use super::link::{Heard, Link, Traffic, address, hexadecimal};
+use super::metrics::FlockMetrics;
+use super::pace::{Budget, Pace};
+use super::proximity::Proximity;
+use super::relay::Relay;
+use super::teller::Teller;
+use super::thread::Task;
+use crate::FlockSettings;
+use crate::flock::Flock;
+use flockslam_geometry::Pose;
+use flockslam_messages::FlockFrame;
+use flockslam_records::{Message, RecordError};
+use flockslam_stage::{FlockStatus, StageError};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// How long the thread sleeps when nothing happens.
+const PAUSE: Duration = Duration::from_millis(50);
+/// A neighbour is told what there is this often, when nothing is new …
+const TELL_PERIOD: Duration = Duration::from_secs(5);
+/// … and when something is.
+const NEWS_PERIOD: Duration = Duration::from_millis(500);
+/// A neighbour is sent records no more often than this: what it was sent last may still be on its way.
+const ANSWER_PERIOD: Duration = Duration::from_millis(500);
+/// Records in answer to one message, bytes: what a slow radio link carries in a second.
+const ANSWER_BYTES: usize = 1 << 20;
+/// Searches between two looks at the mail.
+const SEARCHES: u64 = 40;
+/// Looking for shared places takes at most half of a processor's time as long as the robot drives …
+const SEARCH_PACE: (Duration, u32) = (Duration::from_millis(200), 1);
+/// … and laying them out a quarter.
+const LAYOUT_PACE: (Duration, u32) = (Duration::from_secs(1), 3);
+/// A network that cannot be opened is tried again after this.
+const OPEN_PERIOD: Duration = Duration::from_secs(3);
+/// What a robot says before it leaves is heard within this.
+const HEARD_WITHIN: Duration = Duration::from_millis(500);
+/// What others can see is brought up to date this often.
+const SHOW_PERIOD: Duration = Duration::from_millis(250);
+
+/// A robot that is near.
+struct Neighbour {
+    /// When it was told last what there is, and the hash of that.
+    told: Option<(Instant, [u8; 32])>,
+    /// When it was sent records last.
+    answered: Option<Instant>,
+    budget: Budget,
+}
+
+/// What the thread of the flock knows.
+pub struct Talk {
+    settings: FlockSettings,
+    teller: Teller,
+    link: Option<Link>,
+    opened: Option<Instant>,
+    problem: Option<String>,
+    proximity: Box<dyn Proximity>,
+    connected: BTreeSet<String>,
+    near: BTreeMap<String, Neighbour>,
+    relay: Relay,
+    drops: Arc<Drops>,
+    traffic: Arc<Traffic>,
+    /// Hash of the records in which everything has been looked for.
+    searched: [u8; 32],
+    search_pace: Pace,
+    common: Common,
+    layout_pace: Pace,
+    revision: u32,
+    /// Where this robot's submaps lie in its own map.
+    map_from_odom: Vec<(u32, Pose)>,
+    frame: Arc<Mutex<Option<FlockFrame>>>,
+    status_dir: PathBuf,
+    metrics: FlockMetrics,
+    shown: Option<Instant>,
+    ending: Option<(Sender<()>, Instant)>,
+}
+
+impl Talk {
+    /// A talk that has not begun.
+    pub fn new(
+        settings: &FlockSettings,
+        teller: Teller,
+        proximity: Box<dyn Proximity>,
+        status_dir: PathBuf,
+        metrics: FlockMetrics,
+        frame: Arc<Mutex<Option<FlockFrame>>>,
+    ) -> Self {
+        Self {
+            settings: settings.clone(),
+            teller,
+            link: None,
+            opened: None,
+            problem: None,
+            proximity,
+            connected: BTreeSet::new(),
+            near: BTreeMap::new(),
+            relay: Relay::default(),
+            drops: Arc::default(),
+            traffic: Arc::default(),
+            searched: [0; 32],
+            search_pace: Pace::new(SEARCH_PACE.0, SEARCH_PACE.1),
+            common: Common::default(),
+            layout_pace: Pace::new(LAYOUT_PACE.0, LAYOUT_PACE.1),
+            revision: 0,
+            map_from_odom: Vec::new(),
+            frame,
+            status_dir,
+            metrics,
+            shown: None,
+            ending: None,
+        }
+    }
+
+    /// Goes on until the stage has gone.
+    pub fn run(&mut self, tasks: &Receiver<Task>) {
+        loop {
+            let mut task = tasks.recv_timeout(PAUSE);
+            loop {
+                match task {
+                    Ok(task) => self.take(task),
+                    Err(RecvTimeoutError::Timeout) => break,
+                    Err(RecvTimeoutError::Disconnected) => return,
+                }
+                task = tasks.recv_timeout(Duration::ZERO);
+            }
+            self.open();
+            self.look_around();
+            self.hear();
+            self.search();
+            self.conclude();
+            self.tell_neighbours();
+            self.end();
+            self.show();
+        }
+    }
+
+    fn take(&mut self, task: Task) {
+        let outcome = match task {
+            Task::News(news) => self.teller.tell(news),
+            Task::Submap(submap) => self.teller.tell_submap(&submap),
+            Task::Clearances(store, numbers) => {
+                numbers.into_iter().try_for_each(|number| self.teller.tell_clearances(&store.load(number)?))
+            }
+            Task::Layout(map_from_odom) => {
+                self.map_from_odom = map_from_odom;
+                self.place();
+                Ok(())
+            }
+            Task::Finish(done) => {
+                self.ending = Some((done, Instant::now()));
+                Ok(())
+            }
+        };
+        kept(outcome);
+    }
+
+    /// Opens the network, when it is time to try: nothing else depends on it.
+    fn open(&mut self) {
+        let now = Instant::now();
+        if self.link.is_some() || self.opened.is_some_and(|at| now - at < OPEN_PERIOD) {
+            return;
+        }
+        self.opened = Some(now);
+        let opened = Link::open(&self.settings, self.teller.flock().robot(), &self.drops, &self.traffic);
+        match opened {
+            Ok(link) => (self.link, self.problem) = (Some(link), None),
+            Err(error) => {
+                if self.problem.as_ref() != Some(&error) {
+                    tracing::error!(error, "the network of the flock cannot be opened; the robot maps alone");
+                }
+                self.problem = Some(error);
+            }
+        }
+    }
+
+    /// Finds out who is near.
+    fn look_around(&mut self) {
+        let (Some(link), now) = (&self.link, Instant::now()) else { return };
+        self.connected = link.connected();
+        self.connected.remove(&address(self.teller.flock().robot()));
+        let proximity = &mut self.proximity;
+        let near: BTreeSet<&String> =
+            self.connected.iter().filter(|peer| proximity.is_near(peer, now)).collect();
+        self.near.retain(|peer, _| near.contains(peer));
+        for peer in near {
+            if !self.near.contains_key(peer) {
+                let budget = Budget::new(self.settings.bytes_per_minute, now);
+                self.near.insert(peer.clone(), Neighbour { told: None, answered: None, budget });
+            }
+        }
+    }
+
+    fn hear(&mut self) {
+        self.relay.look(Instant::now(), self.teller.flock().collection());
+        while let Some(heard) = self.link.as_ref().and_then(Link::next) {
+            self.answer(&heard);
+        }
+    }
+
+    fn answer(&mut self, heard: &Heard) {
+        let message = match Message::decode(&heard.bytes) {
+            Ok(message) => message,
+            Err(RecordError::Version(_)) => return self.drops.count(Dropped::Version, 1),
+            Err(_) => return self.drops.count(Dropped::Malformed, 1),
+        };
+        let Some(neighbour) = self.near.get_mut(&heard.sender) else {
+            return self.drops.count(Dropped::NotNear, 1);
+        };
+        let now = Instant::now();
+        let asks = !matches!(message, Message::Records(_));
+        if asks && neighbour.answered.is_some_and(|at| now - at < ANSWER_PERIOD) {
+            // It asks again.
+            return;
+        }
+        let budget = neighbour.budget.left(now).min(ANSWER_BYTES);
+        if asks && budget == 0 {
+            return self.drops.count(Dropped::Budget, 1);
+        }
+        let message = match message {
+            Message::Have(theirs) => {
+                let near = self.near.keys().filter(|peer| **peer != heard.sender);
+                Message::Have(self.relay.patient(theirs, self.teller.flock().collection(), near))
+            }
+            other => other,
+        };
+        let neighbour = self.near.get_mut(&heard.sender).expect("it was there");
+        let answers = match self.teller.answer(&message, budget, &self.drops) {
+            Ok(answers) => answers,
+            Err(error) => return kept(Err(error)),
+        };
+        if !answers.is_empty() {
+            neighbour.answered = Some(now);
+        }
+        let Some(link) = &self.link else { return };
+        for answer in &answers {
+            neighbour.budget.spend(link.say_to(&heard.sender, answer));
+        }
+    }
+
+    /// Looks for shared places while there is something that was not looked at.
+    fn search(&mut self) {
+        let known = self.known();
+        if known == self.searched || !(self.search_pace.is_due(Instant::now()) || self.ending.is_some()) {
+            return;
+        }
+        if self.is_alone() {
+            self.searched = known;
+            return;
+        }
+        let teller = &mut self.teller;
+        match self.search_pace.keep(|| teller.search(SEARCHES)) {
+            Ok(true) => self.searched = self.known(),
+            Ok(false) => {}
+            Err(error) => kept(Err(error)),
+        }
+    }
+
+    /// Works out the common layout of what is known by now.
+    fn conclude(&mut self) {
+        let known = self.known();
+        let due = self.layout_pace.is_due(Instant::now()) || self.ending.is_some() && known == self.searched;
+        if known == self.common.of_records || self.is_alone() || !due {
+            return;
+        }
+        let (teller, epoch) = (&self.teller, self.teller.epoch());
+        self.common = self.layout_pace.keep(|| Common::of(teller.flock(), epoch));
+        self.revision += 1;
+        self.place();
+    }
+
+    /// Tells the stage how its map lies in that of the flock.
+    fn place(&self) {
+        let frame = self.common.frame(&self.map_from_odom, self.revision);
+        *self.frame.lock().unwrap_or_else(PoisonError::into_inner) = frame;
+    }
+
+    fn tell_neighbours(&mut self) {
+        let (known, now) = (self.known(), Instant::now());
+        let Some(link) = &self.link else { return };
+        let mut have = None;
+        for (peer, neighbour) in &mut self.near {
+            let due = neighbour.told.is_none_or(|(at, told)| {
+                let period = if told == known { TELL_PERIOD } else { NEWS_PERIOD };
+                now - at >= period
+            });
+            if !due {
+                continue;
+            }
+            neighbour.told = Some((now, known));
+            if neighbour.budget.left(now) == 0 {
+                self.drops.count(Dropped::Budget, 1);
+                continue;
+            }
+            let have = have.get_or_insert_with(|| self.teller.flock().have());
+            neighbour.budget.spend(link.say_to(peer, have));
+        }
+    }
+
+    /// After the end of the source: waits for the others, but not for ever.
+    fn end(&mut self) {
+        let Some((_, since)) = &self.ending else { return };
+        let over = since.elapsed().as_secs_f64() > self.settings.farewell_s;
+        let known = self.known();
+        let quiet = known == self.searched && (self.is_alone() || known == self.common.of_records);
+        let mut agreed = quiet && self.settings.companions == 0 && self.near.is_empty();
+        if let (Some(link), true) = (&mut self.link, quiet) {
+            let hash = hexadecimal(&known[..16]);
+            let was_heard = link.tell_end(&hash) >= HEARD_WITHIN;
+            let mut ended = link.ended_with(&hash);
+            ended.remove(&address(self.teller.flock().robot()));
+            let all_ended = self.near.keys().all(|peer| ended.contains(peer));
+            agreed |= was_heard && all_ended && ended.len() >= self.settings.companions;
+        }
+        // Nobody will come to a robot without a network.
+        agreed |= self.link.is_none() && self.problem.is_some();
+        if agreed || over {
+            self.shown = None;
+            self.show();
+            let (done, _) = self.ending.take().expect("it was there");
+            // The stage may have gone.
+            let _ = done.send(());
+        }
+    }
+
+    fn show(&mut self) {
+        if self.shown.is_some_and(|at| at.elapsed() < SHOW_PERIOD) {
+            return;
+        }
+        self.shown = Some(Instant::now());
+        let status = self.status();
+        self.metrics.show(&status, self.drops.counts());
+        kept(status.write(&self.status_dir));
+    }
+
+    fn status(&self) -> FlockStatus {
+        let (flock, known) = (self.teller.flock(), self.known());
+        let frame = *self.frame.lock().unwrap_or_else(PoisonError::into_inner);
+        let records = flock.collection().records().count() as u64;
+        FlockStatus {
+            flock: self.settings.flock.clone(),
+            robot: flock.robot().name().to_owned(),
+            public_key: hexadecimal(flock.robot().public_key()),
+            epoch: self.teller.epoch(),
+            problem: self.problem.clone(),
+            peers: self.connected.iter().cloned().collect(),
+            near: self.near.keys().cloned().collect(),
+            robots: flock.collection().robots().map(|robot| robot.name().to_owned()).collect(),
+            records: (records, flock.collection().bytes()),
+            records_hash: hexadecimal(&known[..16]),
+            settled: known == self.searched && (self.is_alone() || known == self.common.of_records),
+            members: self.common.members.clone(),
+            merged: self.common.merged,
+            map_hash: match self.common.map_hash {
+                0 => String::new(),
+                hash => format!("{hash:016x}"),
+            },
+            flock_from_map: frame.map(|frame| {
+                let Pose { x_m, y_m, heading_rad } = frame.flock_from_map;
+                [x_m, y_m, heading_rad]
+            }),
+            searches: flock.searches(),
+            heard_bytes: self.traffic.heard.load(Ordering::Relaxed),
+            said_bytes: self.traffic.said.load(Ordering::Relaxed),
+            dropped: self.drops.by_name(),
+            has_ended: self.ending.is_some(),
+        }
+    }
+
+    fn known(&self) -> [u8; 32] {
+        self.flock().collection().hash()
+    }
+
+    fn is_alone(&self) -> bool {
+        self.flock().collection().robots().count() < 2
+    }
+
+    fn flock(&self) -> &Flock {
+        self.teller.flock()
+    }
+}
+
+/// What fails here is the disk: it is told, and the robot goes on mapping.
+fn kept(outcome: Result<(), StageError>) {
+    if let Err(error) = outcome {
+        tracing::error!(%error, "the flock's records or status are not kept");
+    }
+}

@@ -1,0 +1,366 @@
+use super::drops::{Dropped, Drops};
+use super::identity::Identity;
+use crate::Settings;
+use crate::flock::{Flock, News, OwnLoop};
+use flockslam_evidence::{Submap, TILE_SIDE, TileKey};
+use flockslam_records::{
+    Clearance, Content, Limits, Message, NodeName, Outcome, Record, RecordError, RobotKey,
+};
+use flockslam_stage::StageError;
+use flockslam_stage::flock_files::RecordLog;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::sync::Arc;
+
+/// Epoch of a replay.
+const FIRST_EPOCH: u64 = 1;
+
+/// Says to the flock what this robot finds out, and keeps it in a file before anybody else hears of it, as well as what it hears.
+///
+/// What the file has been told already is not told again: a process that takes over, or is started again, finds out the same.
+pub struct Teller {
+    flock: Flock,
+    epoch: u64,
+    log: RecordLog,
+    told: Told,
+}
+
+/// What this robot has said in its present epoch.
+#[derive(Default)]
+struct Told {
+    /// Sequence of the last node.
+    last: Option<u64>,
+    /// Loops by the nodes that they connect.
+    loops: BTreeSet<(u64, u64)>,
+    /// What a predecessor has measured between this robot and others: this process finds it again.
+    across: BTreeSet<(NodeName, NodeName)>,
+    submaps: BTreeSet<u32>,
+    /// Cells of submaps that are stale.
+    cleared: BTreeMap<(u32, TileKey), Box<[u64; TILE_SIDE]>>,
+}
+
+impl Teller {
+    /// The teller of the robot that settings name, which goes on with the log in `directory`, when there is one; `None` when they name
+    /// none. A robot whose log is lost begins a new epoch.
+    ///
+    /// # Errors
+    /// When the name is not one of a robot, the key cannot be had, or the disk refuses.
+    pub fn open(settings: &Settings, directory: &Path) -> Result<Option<Self>, StageError> {
+        let flock = &settings.flock;
+        if flock.name.is_empty() {
+            return Ok(None);
+        }
+        let wrong = |error: RecordError| StageError::Source(format!("sync_manager.flock.name: {error}"));
+        let (log, kept) = RecordLog::open(directory)?;
+        let (key, epoch) = if flock.enabled {
+            let mut identity = Identity::open(flock, directory)?;
+            let key = identity.key(&flock.name).map_err(wrong)?;
+            let has_spoken = kept.iter().any(|bytes| is_of(bytes, &key, identity.epoch()));
+            let epoch = if has_spoken { identity.epoch() } else { identity.begin_epoch()? };
+            (key, epoch)
+        } else {
+            (RobotKey::of_replay(&flock.name).map_err(wrong)?, FIRST_EPOCH)
+        };
+        let mut flock = Flock::new(key, epoch, settings.clone(), Limits::default());
+        restrict(&mut flock, settings);
+        for bytes in &kept {
+            // What cannot be read was refused when it came, or is of a robot that is banned by now.
+            let _ = flock.collection_mut().take(bytes);
+        }
+        let told = Told::of(&flock, epoch);
+        Ok(Some(Self { flock, epoch, log, told }))
+    }
+
+    /// What it knows.
+    pub fn flock(&self) -> &Flock {
+        &self.flock
+    }
+
+    /// The log that its records go to.
+    pub fn epoch(&self) -> u64 {
+        self.epoch
+    }
+
+    /// Numbers of the submaps that the flock knows.
+    pub fn told_submaps(&self) -> &BTreeSet<u32> {
+        &self.told.submaps
+    }
+
+    /// Says what is new of it.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub fn tell(&mut self, news: News) -> Result<(), StageError> {
+        let news = self.told.new_of(news);
+        let said = self.flock.say_news(&news).map_err(unsaid)?;
+        self.keep(&said)
+    }
+
+    /// Says what the evidence of a closed submap is, unless that is known.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub fn tell_submap(&mut self, submap: &Submap) -> Result<(), StageError> {
+        if !self.told.submaps.insert(submap.number) {
+            return Ok(());
+        }
+        let said = self.flock.say_submap(submap).map_err(unsaid)?;
+        self.keep(&[said])
+    }
+
+    /// Says which cells of a submap are stale, as far as that is not known.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub fn tell_clearances(&mut self, submap: &Submap) -> Result<(), StageError> {
+        for tile in submap.tiles.iter().filter(|tile| tile.has_cleared()) {
+            let (key, rows) = ((submap.number, tile.key), Box::new(tile.cleared));
+            if self.told.cleared.get(&key) == Some(&rows) {
+                continue;
+            }
+            let clearance = Clearance {
+                robot: self.flock.robot().clone(),
+                epoch: self.epoch,
+                submap: submap.number,
+                tile: tile.key,
+                rows: rows.clone(),
+            };
+            let said = self.flock.say(&Content::Clearance(clearance)).map_err(unsaid)?;
+            self.keep(&[said])?;
+            self.told.cleared.insert(key, rows);
+        }
+        Ok(())
+    }
+
+    /// Takes in a message of another robot and gives what to answer, with records for at most so many bytes.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub fn answer(
+        &mut self,
+        message: &Message,
+        budget_bytes: usize,
+        drops: &Drops,
+    ) -> Result<Vec<Message>, StageError> {
+        let Message::Records(records) = message else {
+            return Ok(self.flock.answer(message, budget_bytes));
+        };
+        for bytes in records {
+            match self.flock.collection_mut().take(bytes) {
+                Ok(Outcome::New) => self.log.append(bytes)?,
+                Ok(Outcome::Quarantined) => {
+                    drops.count(Dropped::Quarantined, 1);
+                    self.log.append(bytes)?;
+                }
+                Ok(Outcome::Known) => {}
+                Ok(Outcome::Refused(refusal)) => drops.count(Dropped::Refused(refusal), 1),
+                Err(RecordError::Version(_)) => drops.count(Dropped::Version, 1),
+                Err(_) => drops.count(Dropped::BadRecord, 1),
+            }
+        }
+        Ok(Vec::new())
+    }
+
+    /// Looks for places that it shares with others, with at most about so many searches; true when there is nothing left to look at
+    /// and nothing was found.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub fn search(&mut self, searches_max: u64) -> Result<bool, StageError> {
+        let before = self.flock.searches();
+        let mut found = self.flock.find(searches_max);
+        let exhausted = self.flock.searches() - before >= searches_max;
+        found.retain(|constraint| {
+            !self.told.across.contains(&(constraint.from.clone(), constraint.to.clone()))
+        });
+        for constraint in &found {
+            let said = self.flock.say(&Content::Constraint(constraint.clone())).map_err(unsaid)?;
+            self.keep(&[said])?;
+        }
+        Ok(found.is_empty() && !exhausted)
+    }
+
+    fn keep(&mut self, said: &[Arc<[u8]>]) -> Result<(), StageError> {
+        said.iter().try_for_each(|record| self.log.append(record))
+    }
+}
+
+impl Told {
+    fn of(flock: &Flock, epoch: u64) -> Self {
+        let mut told = Self::default();
+        let own = flock.robot();
+        let records = flock.collection().records();
+        for record in records.filter(|record| record.name.robot == *own && record.name.epoch == epoch) {
+            match &record.content {
+                Content::Stretch(stretch) => {
+                    told.last = told.last.max(stretch.nodes.last().map(|node| node.sequence));
+                }
+                Content::Constraint(loop_) if loop_.from.robot == *own => {
+                    told.loops.insert((loop_.from.sequence, loop_.to.sequence));
+                }
+                Content::Submap(submap) => drop(told.submaps.insert(submap.number)),
+                Content::Clearance(c) => {
+                    told.cleared.insert((c.submap, c.tile), c.rows.clone());
+                }
+                Content::Constraint(across) => {
+                    told.across.insert((across.from.clone(), across.to.clone()));
+                }
+                Content::Withdrawal(_) => {}
+            }
+        }
+        told
+    }
+
+    /// What of the news has not been told; it counts as told from now on.
+    fn new_of(&mut self, news: News) -> News {
+        let mut new = News::default();
+        for mut stretch in news.stretches {
+            let known = stretch.nodes.partition_point(|node| Some(node.sequence) <= self.last);
+            if let Some(last) = stretch.nodes.drain(..known).next_back() {
+                stretch.previous = Some(last.sequence);
+            }
+            if let Some(last) = stretch.nodes.last() {
+                self.last = Some(last.sequence);
+                new.stretches.push(stretch);
+            }
+        }
+        let is_new = |found: &OwnLoop| self.loops.insert((found.from, found.to));
+        new.loops = news.loops.into_iter().filter(is_new).collect();
+        new
+    }
+}
+
+/// Whom the robot believes.
+fn restrict(flock: &mut Flock, settings: &Settings) {
+    let own = flock.robot().clone();
+    let keys = |listed: &[String]| crate::FlockSettings::keys(listed).unwrap_or_default();
+    let collection = flock.collection_mut();
+    collection.never_refuse(own);
+    if !settings.flock.trusted.is_empty() {
+        collection.trust_only(keys(&settings.flock.trusted));
+    }
+    keys(&settings.flock.banned).into_iter().for_each(|key| collection.ban(key));
+}
+
+fn is_of(bytes: &[u8], key: &RobotKey, epoch: u64) -> bool {
+    Record::read(bytes).is_ok_and(|record| record.name.robot == *key.id() && record.name.epoch == epoch)
+}
+
+fn unsaid(error: RecordError) -> StageError {
+    StageError::file("a record for the flock", error)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockslam_geometry::Pose;
+    use flockslam_records::{Descriptor, RecordedNode, Stretch};
+
+    fn news(sequences: std::ops::Range<u64>) -> News {
+        let node = |sequence: u64| RecordedNode {
+            sequence,
+            submap: 0,
+            odom_from_base: Pose::new(sequence as f64, 0.0, 0.0),
+            motion: Pose::new(1.0, 0.0, 0.0),
+            information: [1.0, 0.0, 0.0, 1.0, 0.0, 1.0],
+            doubt_m: 0.0,
+            points: vec![[1, 2]],
+        };
+        let previous = sequences.start.checked_sub(1);
+        let nodes = sequences.map(node).collect();
+        News {
+            stretches: vec![Stretch { chain: 0, previous, descriptor: Descriptor::default(), nodes }],
+            loops: Vec::new(),
+        }
+    }
+
+    fn settings(enabled: bool) -> Settings {
+        let mut settings = Settings::default();
+        (settings.flock.name, settings.flock.enabled) = ("a".to_owned(), enabled);
+        settings
+    }
+
+    fn nodes(teller: &Teller) -> Vec<(Option<u64>, u64)> {
+        let told = |record: &Arc<Record>| match &record.content {
+            Content::Stretch(stretch) => Some((stretch.previous, stretch.nodes.last()?.sequence)),
+            _ => None,
+        };
+        teller.flock().collection().records().filter_map(told).collect()
+    }
+
+    #[test]
+    fn a_process_that_is_started_again_tells_nothing_twice() {
+        for enabled in [false, true] {
+            let directory = tempfile::tempdir().unwrap();
+            let open = || Teller::open(&settings(enabled), directory.path()).unwrap().unwrap();
+            let mut first = open();
+            first.tell(news(0..5)).unwrap();
+            first.tell(news(5..8)).unwrap();
+            let told = first.flock().collection().hash();
+            drop(first);
+            let mut second = open();
+            assert_eq!(second.flock().collection().hash(), told);
+            // It takes in all of the journal again.
+            second.tell(news(0..6)).unwrap();
+            second.tell(news(6..10)).unwrap();
+            assert_eq!(nodes(&second), [(None, 4), (Some(4), 7), (Some(7), 9)]);
+            assert_eq!(second.epoch(), 1);
+        }
+    }
+
+    #[test]
+    fn who_has_lost_the_log_begins_a_new_epoch() {
+        let (keys, first, second) =
+            (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let mut settings = settings(true);
+        settings.flock.key_file = keys.path().join("a.key");
+        let open =
+            |directory: &tempfile::TempDir| Teller::open(&settings, directory.path()).unwrap().unwrap();
+        let mut before = open(&first);
+        before.tell(news(0..5)).unwrap();
+        drop(before);
+        let mut reborn = open(&second);
+        assert_eq!(reborn.epoch(), 2);
+        // What others remember of its first life is not what it says now.
+        let records =
+            Message::Records(RecordLog::read(first.path()).unwrap().into_iter().map(Arc::from).collect());
+        reborn.answer(&records, 0, &Drops::default()).unwrap();
+        reborn.tell(news(0..3)).unwrap();
+        assert_eq!(nodes(&reborn), [(None, 4), (None, 2)]);
+        drop(reborn);
+        assert_eq!(open(&second).epoch(), 2);
+    }
+
+    #[test]
+    fn what_others_send_is_kept_or_counted() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut teller = Teller::open(&settings(true), directory.path()).unwrap().unwrap();
+        let other = RobotKey::of_replay("b").unwrap();
+        let record = |number: u64, chain: u32| {
+            let mut news = news(0..2);
+            news.stretches[0].chain = chain;
+            let content = Content::Stretch(news.stretches.remove(0));
+            Record::new(&other, 1, number, &content).unwrap().bytes().clone()
+        };
+        let drops = Drops::default();
+        let mut bent = record(1, 0).to_vec();
+        bent[80] ^= 1;
+        let mut later = record(1, 0).to_vec();
+        later[4] = 99;
+        let message =
+            Message::Records(vec![record(0, 0), record(0, 1), bent.into(), later.into(), record(2, 0)]);
+        teller.answer(&message, 0, &drops).unwrap();
+        let counted = drops.by_name();
+        let expected = [("bad-record", 1), ("quarantined", 1), ("unknown-version", 1)];
+        assert!(counted.iter().map(|(name, n)| (name.as_str(), *n)).eq(expected), "{counted:?}");
+        let known = teller.flock().collection().hash();
+        drop(teller);
+        let again = Teller::open(&settings(true), directory.path()).unwrap().unwrap();
+        assert_eq!(again.flock().collection().hash(), known);
+        let mut strict = settings(true);
+        strict.flock.banned = vec![super::super::link::hexadecimal(other.id().public_key())];
+        drop(again);
+        let strict = Teller::open(&strict, directory.path()).unwrap().unwrap();
+        assert_eq!(strict.flock().collection().robots().count(), 0);
+    }
+}

@@ -1,0 +1,111 @@
+use super::metrics::FlockMetrics;
+use super::proximity::proximity;
+use super::talk::Talk;
+use super::teller::Teller;
+use crate::FlockSettings;
+use crate::flock::News;
+use flockslam_evidence::Submap;
+use flockslam_geometry::Pose;
+use flockslam_messages::FlockFrame;
+use flockslam_stage::{StageError, SubmapStore};
+use std::collections::BTreeSet;
+use std::ops::Range;
+use std::path::Path;
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+use std::time::Duration;
+
+/// While the stage waits for the end, it gives a sign of life this often.
+const LOOK: Duration = Duration::from_millis(50);
+/// Niceness of the thread and of those of the network, which it starts: whatever others send, poses and maps go first.
+const NICENESS: i32 = 19;
+
+/// What the stage hands over.
+pub enum Task {
+    /// What the robot has found out.
+    News(News),
+    /// A closed submap.
+    Submap(Box<Submap>),
+    /// Stored submaps whose stale cells are to be told.
+    Clearances(SubmapStore, Range<u32>),
+    /// Where submaps lie in the robot's own map: number and `map_from_odom`, in order.
+    Layout(Vec<(u32, Pose)>),
+    /// The source has ended: to be answered when the robot may leave the flock.
+    Finish(Sender<()>),
+}
+
+/// The stage's end of the thread that talks to other robots, looks for places that are shared with them, and works out the common
+/// layout: all of it beside the stage's own work, which only hands over what the robot itself has found out.
+pub struct FlockThread {
+    // Without a limit: it holds what the robot finds out itself, a few times a minute, and none of it may be lost.
+    tasks: Sender<Task>,
+    told_submaps: BTreeSet<u32>,
+    frame: Arc<Mutex<Option<FlockFrame>>>,
+}
+
+impl FlockThread {
+    /// Starts the thread.
+    ///
+    /// # Errors
+    /// When a socket cannot be made, or the system has no thread left.
+    pub fn start(
+        settings: &FlockSettings,
+        teller: Teller,
+        status_dir: &Path,
+        metrics: FlockMetrics,
+    ) -> Result<Self, StageError> {
+        let (tasks, received) = channel();
+        let frame = Arc::new(Mutex::new(None));
+        let told_submaps = teller.told_submaps().clone();
+        let near = proximity(settings, status_dir)?;
+        let mut talk = Talk::new(settings, teller, near, status_dir.to_owned(), metrics, Arc::clone(&frame));
+        let run = move || {
+            // Should it be refused, the whole process yields to the others anyway.
+            let _ = rustix::process::setpriority_process(Some(rustix::thread::gettid()), NICENESS);
+            talk.run(&received);
+        };
+        let started = thread::Builder::new().name("flock".to_owned()).spawn(run);
+        started.map_err(|error| StageError::file("the thread of the flock", error))?;
+        Ok(Self { tasks, told_submaps, frame })
+    }
+
+    /// Hands something over.
+    pub fn give(&self, task: Task) {
+        // The thread ends with the process alone.
+        let _ = self.tasks.send(task);
+    }
+
+    /// Hands over a submap that was just closed, unless the flock knows it; `load` gives it.
+    ///
+    /// # Errors
+    /// When it cannot be loaded.
+    pub fn tell_submap(
+        &mut self,
+        number: u32,
+        load: impl FnOnce() -> Result<Submap, StageError>,
+    ) -> Result<(), StageError> {
+        if self.told_submaps.insert(number) {
+            self.give(Task::Submap(Box::new(load()?)));
+        }
+        Ok(())
+    }
+
+    /// How the robot's map lies in that of the flock, while it is part of it.
+    pub fn frame(&self) -> Option<FlockFrame> {
+        *self.frame.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Waits until the flock knows everything and everything of the flock is known, or too long has passed, or `stops` says so, which
+    /// is asked all the while.
+    pub fn finish(&self, mut stops: impl FnMut() -> bool) {
+        let (done, waits) = channel();
+        self.give(Task::Finish(done));
+        while !stops() {
+            match waits.recv_timeout(LOOK) {
+                Err(RecvTimeoutError::Timeout) => {}
+                Ok(()) | Err(RecvTimeoutError::Disconnected) => return,
+            }
+        }
+    }
+}

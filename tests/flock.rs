@@ -1,0 +1,216 @@
+//! Robots that meet: real process sets, each with its own root and names, over the real network on this machine.
+
+#[path = "support/flocks.rs"]
+mod flocks;
+mod support;
+
+use flocks::{FlockRobot, Namespace, hostile, own_certificates};
+use flockslam_messages::Stage;
+use flockslam_stage::FlockStatus;
+use rustix::process::Signal;
+use serde_json::Value;
+use std::process::Command;
+use support::{Drive, flockslam, of, send, stderr, wait_for};
+
+/// A drive long enough for robots to come through the same places.
+const MEETING: Drive = Drive { scan_rate_hz: 5.0, duration_s: 100.0, rate: 5.0 };
+/// A drive that no test sees the end of.
+const LONG: Drive = Drive { scan_rate_hz: 5.0, duration_s: 2000.0, rate: 5.0 };
+
+/// Waits until a robot is in one map with so many robots, itself among them.
+fn wait_until_merged(robot: &mut FlockRobot, members: usize) -> FlockStatus {
+    let what = format!("a map of {members} robots");
+    robot.wait_for_flock(&what, |flock| flock.merged && flock.members.len() == members)
+}
+
+#[test]
+fn three_robots_meet_while_they_drive_and_have_one_map() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut command = flockslam();
+    command.args(["swarm", "--robots", "3", "--rate", "5", "--set", "simulation.duration_s=100"]);
+    command.args(["--set", "simulation.scan_rate_hz=5"]).arg("--out").arg(directory.path());
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    let read = |name: &str| -> Value {
+        serde_json::from_slice(&std::fs::read(directory.path().join(name)).unwrap()).unwrap()
+    };
+    let joined = read("flock.json");
+    println!("{}", serde_json::to_string_pretty(&joined).unwrap());
+    assert_eq!(joined["members"].as_array().unwrap().len(), 3);
+    assert_eq!(joined["all_agree"], true);
+    let own: Vec<_> = ["r01", "r02", "r03"].map(|name| read(&format!("{name}/flock.json"))).into();
+    assert!(own.iter().all(|status| status["map_hash"] == own[0]["map_hash"] && status["merged"] == true));
+    assert!(own.iter().all(|status| status["flock_from_map"].is_array()));
+    for file in ["trajectory.tum", "map.png", "map.pgm", "r02/trajectory_flock.tum"] {
+        assert!(directory.path().join(file).metadata().unwrap().len() > 0, "{file}");
+    }
+}
+
+#[test]
+fn robots_die_until_one_is_left_which_goes_on_and_a_reborn_one_rejoins() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut robots = FlockRobot::start_all("mortal", directory.path(), LONG, 3);
+    for robot in &mut robots {
+        wait_until_merged(robot, 3);
+    }
+    let mut last = robots.pop().unwrap();
+    let names = |flock: &FlockStatus| flock.robots.clone();
+    let known = last.flock().unwrap();
+    let mut dead = Vec::new();
+    for mut robot in robots {
+        let address = robot.address();
+        robot.kill();
+        last.wait_for_flock("the death of another", |flock| !flock.peers.contains(&address));
+        dead.push(robot);
+    }
+    let handled =
+        |robot: &FlockRobot| robot.set.status().map(|status| of(&status, Stage::SyncManager).handled);
+    let before = wait_for("a status", || handled(&last));
+    wait_for("more scans", || handled(&last).filter(|scans| *scans > before + 50));
+    let alone = last.wait_for_flock("more of its own", |flock| flock.records.0 > known.records.0);
+    assert!(alone.peers.is_empty() && alone.merged, "{alone:?}");
+    assert_eq!(names(&alone), names(&known), "it still knows all of them");
+    assert_eq!(alone.members.len(), 3);
+    // What it has heard outlives its own process too.
+    send(last.set.pid(Stage::SyncManager), Signal::KILL);
+    let again = last.wait_for_flock("the same after a restart", |flock| {
+        flock.records.0 >= alone.records.0 && flock.members.len() == 3 && flock.merged
+    });
+    assert_eq!((again.epoch, names(&again)), (alone.epoch, names(&known)));
+    // One comes back that has lost everything but its key.
+    let mut reborn = dead.remove(0).be_born_again();
+    let back = wait_until_merged(&mut reborn, 3);
+    assert_eq!(back.epoch, 2);
+    let address = reborn.address();
+    last.wait_for_flock("the reborn one", |flock| flock.peers.contains(&address));
+    dead.into_iter().for_each(FlockRobot::leave_nothing);
+}
+
+#[test]
+fn a_process_that_is_killed_while_it_talks_tells_nothing_twice() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut robots = FlockRobot::start_all("twice", directory.path(), LONG, 2);
+    for robot in &mut robots {
+        wait_until_merged(robot, 2);
+    }
+    for _ in 0..3 {
+        let before = robots[0].flock().unwrap();
+        let pid = robots[0].set.pid(Stage::SyncManager);
+        send(pid, Signal::KILL);
+        robots[0].set.wait_until("a successor", |status| {
+            of(status, Stage::SyncManager).pid.is_some_and(|now| now != pid)
+        });
+        robots[0].wait_for_flock("more records", |flock| flock.records.0 > before.records.0);
+    }
+    for robot in &mut robots {
+        let flock = wait_until_merged(robot, 2);
+        assert!(!flock.dropped.contains_key("quarantined"), "{:?}", flock.dropped);
+        assert_eq!(flock.epoch, 1);
+    }
+}
+
+#[test]
+fn a_link_that_was_cut_and_mended_leaves_no_trace() {
+    let Some(namespaces) = Namespace::pair("flock-cut") else { return };
+    let directory = tempfile::tempdir().unwrap();
+    let mut robots = FlockRobot::start_in(&namespaces, "cut", directory.path(), MEETING);
+    for robot in &mut robots {
+        robot.wait_for_flock("a peer", |flock| flock.peers.len() == 1);
+    }
+    namespaces[0].cut(true);
+    let mut parted = Vec::new();
+    for robot in &mut robots {
+        parted.push(robot.wait_for_flock("a cut link", |flock| flock.peers.is_empty()));
+    }
+    for (robot, parted) in robots.iter_mut().zip(&parted) {
+        robot.wait_for_flock("records of its own", |flock| flock.records.0 > parted.records.0);
+    }
+    namespaces[0].cut(false);
+    let statuses: Vec<FlockStatus> = robots.into_iter().map(FlockRobot::finish).collect();
+    assert!(statuses.iter().all(|status| status.settled && status.map_hash == statuses[0].map_hash));
+    assert!(statuses.iter().all(|status| status.robots.len() == 2), "{statuses:?}");
+}
+
+#[test]
+fn a_hostile_peer_changes_nothing_and_is_counted() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut robots = FlockRobot::start_all("hostile", directory.path(), LONG, 1);
+    let robot = &mut robots[0];
+    robot.wait_for_flock("a record", |flock| flock.records.0 > 2);
+    let stage = |robot: &FlockRobot| {
+        let status = robot.set.status()?;
+        Some(of(&status, Stage::SyncManager).clone())
+    };
+    let before = wait_for("a status", || stage(robot));
+    let sent = hostile(robot, 30_000);
+    let reasons = ["malformed", "unknown-version", "bad-record", "too-long", "too-many-messages"];
+    let flock = robot.wait_for_flock("all reasons", |flock| {
+        reasons.iter().all(|reason| flock.dropped.get(*reason).is_some_and(|count| *count > 0))
+    });
+    let dropped: u64 = flock.dropped.values().sum();
+    println!("{sent} messages sent, {dropped} dropped: {:?}", flock.dropped);
+    assert!(!flock.merged && flock.flock_from_map.is_none() && flock.members.len() <= 1, "{flock:?}");
+    let after = wait_for("more scans", || stage(robot).filter(|now| now.handled > before.handled + 20));
+    assert_eq!((after.restarts, after.hangs), (0, 0));
+    let rss_kb = resident_kb(after.pid.unwrap());
+    println!("sync-manager takes {rss_kb} kB");
+    assert!(rss_kb < 400_000);
+}
+
+fn resident_kb(pid: u32) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
+    let line = status.lines().find(|line| line.starts_with("VmRSS:")).unwrap();
+    line.split_whitespace().nth(1).unwrap().parse().unwrap()
+}
+
+#[test]
+fn who_has_no_certificate_of_the_flock_is_kept_out() {
+    let directory = tempfile::tempdir().unwrap();
+    let Some([good, other]) = own_certificates(directory.path()) else { return };
+    let mut robots =
+        FlockRobot::start_certified("certified", directory.path(), LONG, &[&good, &good, &other]);
+    let mut stranger = robots.pop().unwrap();
+    for robot in &mut robots {
+        robot.wait_for_flock("a peer", |flock| flock.peers.len() == 1);
+        robot.wait_for_flock("its records", |flock| flock.robots.len() == 2);
+    }
+    let outside = stranger.wait_for_flock("records of its own", |flock| flock.records.0 > 2);
+    assert!(outside.peers.is_empty() && outside.robots.len() == 1, "{outside:?}");
+    let inside = robots[0].flock().unwrap();
+    assert!(!inside.peers.contains(&stranger.address()), "{inside:?}");
+}
+
+#[test]
+fn robots_talk_only_when_somebody_reports_a_contact() {
+    let directory = tempfile::tempdir().unwrap();
+    let more = "proximity = \"contacts\"";
+    let mut robots = FlockRobot::start_with("contacts", directory.path(), LONG, 2, more);
+    for robot in &mut robots {
+        robot.wait_for_flock("a peer", |flock| flock.peers.len() == 1 && flock.records.0 > 1);
+        let flock = robot.flock().unwrap();
+        assert!(flock.near.is_empty() && flock.robots.len() == 1, "{flock:?}");
+    }
+    let names: Vec<String> = robots.iter().map(FlockRobot::name).collect();
+    let socket = std::os::unix::net::UnixDatagram::unbound().unwrap();
+    for (robot, other) in robots.iter().zip(names.iter().rev()) {
+        let report = format!("near {other} 3600\n");
+        socket.send_to(report.as_bytes(), robot.set.runtime_dir().join("status/contacts")).unwrap();
+    }
+    for robot in &mut robots {
+        robot.wait_for_flock("the other", |flock| flock.robots.len() == 2 && flock.near.len() == 1);
+    }
+}
+
+#[test]
+fn a_mistake_in_the_settings_is_one_line() {
+    let directory = tempfile::tempdir().unwrap();
+    let refused = |assignment: &str| {
+        let mut command: Command = flockslam();
+        command.args(["demo", "--set", "sync_manager.flock.enabled=true", "--set", assignment]);
+        let output = command.arg("--out").arg(directory.path().join("out")).output().unwrap();
+        let told = stderr(&output);
+        assert_eq!((output.status.code(), told.lines().count()), (Some(2), 1), "{told}");
+        told
+    };
+    assert!(refused("sync_manager.flock.name=").contains("sync_manager.flock.name: "));
+}
