@@ -1,8 +1,11 @@
 //! Boards, rules and the Prometheus configuration: they name metrics that exist, their own tools accept them, and in a real run
 //! that a real Prometheus scrapes, each panel and each recorded rule has something to show.
 
+#[path = "support/flocks.rs"]
+mod flocks;
 mod support;
 
+use flocks::FlockRobot;
 use flockslam_messages::Stage;
 use flockslam_telemetry::names;
 use rustix::process::Signal;
@@ -13,9 +16,11 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{SystemTime, UNIX_EPOCH};
-use support::{Browser, RunningSet, free_port, http_get, keep_picture, live_building, wait_for};
+use support::{Browser, Drive, RunningSet, free_port, http_get, keep_picture, live_building, wait_for};
 
 const RULES: [&str; 2] = ["recording.yml", "alerts.yml"];
+/// The board that shows something only where there are several robots.
+const FLOCK_BOARD: &str = "flockslam-flock";
 /// What a histogram's series add to its name.
 const HISTOGRAM_ENDINGS: [&str; 3] = ["_bucket", "_sum", "_count"];
 
@@ -43,7 +48,7 @@ fn boards() -> Vec<(String, Value)> {
         })
         .collect();
     boards.sort_by(|a, b| a.0.cmp(&b.0));
-    assert!(boards.len() >= 3);
+    assert!(boards.len() >= 4);
     boards
 }
 
@@ -144,21 +149,29 @@ fn get(port: u16, path: &str) -> Option<String> {
     head.lines().next()?.contains(" 200 ").then_some(body)
 }
 
-/// A Prometheus with the project's rules, which scrapes one port several times a second.
+/// A Prometheus with the project's rules, which scrapes each robot's port several times a second.
 struct Prometheus {
     child: Child,
     port: u16,
 }
 
 impl Prometheus {
-    /// `None` where it is not installed.
+    /// One that scrapes a robot, `r1`, at this port; `None` where it is not installed.
     fn start(directory: &Path, target: u16) -> Option<Self> {
+        Self::start_for(directory, &[("r1", target)])
+    }
+
+    /// One that scrapes these robots.
+    fn start_for(directory: &Path, targets: &[(&str, u16)]) -> Option<Self> {
         for name in RULES {
             fs::copy(dashboards().join(name), directory.join(name)).unwrap();
         }
         fs::create_dir(directory.join("sets")).unwrap();
-        let example = text("sets/r1.yml").replace("127.0.0.1:9464", &format!("127.0.0.1:{target}"));
-        fs::write(directory.join("sets/r1.yml"), example).unwrap();
+        for (robot, port) in targets {
+            let example = text("sets/r1.yml").replace("127.0.0.1:9464", &format!("127.0.0.1:{port}"));
+            let example = example.replace("robot: r1", &format!("robot: {robot}"));
+            fs::write(directory.join(format!("sets/{robot}.yml")), example).unwrap();
+        }
         let configuration = text("prometheus.yml").replace("_interval: 5s", "_interval: 250ms");
         fs::write(directory.join("prometheus.yml"), configuration).unwrap();
         let port = free_port();
@@ -209,6 +222,18 @@ impl Drop for Prometheus {
     }
 }
 
+/// Waits until every panel of a board shows something, of these robots alone.
+fn assert_panels_show(prometheus: &Prometheus, name: &str, board: &Value, robots: &[&str]) {
+    for query in queries(name, board) {
+        let asked = query.expression.replace("$robot", ".+").replace("$__rate_interval", "5s");
+        let series = wait_for(&query.panel, || prometheus.series(&asked));
+        assert!(series.iter().all(|one| {
+            let robot = one["metric"]["robot"].as_str();
+            robot.is_some_and(|robot| robots.contains(&robot)) || query.expression.starts_with("sum by (le)")
+        }));
+    }
+}
+
 #[test]
 fn every_panel_has_something_to_show_in_a_real_run() {
     let directory = tempfile::tempdir().unwrap();
@@ -222,15 +247,8 @@ fn every_panel_has_something_to_show_in_a_real_run() {
     set.wait_until_handled(Stage::SyncManager, 20);
     let page = wait_for("the merged page", || get(metrics_port, "/metrics"));
     tool("promtool", &["check", "metrics"], &page);
-    for (name, board) in boards() {
-        for query in queries(&name, &board) {
-            let asked = query.expression.replace("$robot", ".+").replace("$__rate_interval", "5s");
-            let series = wait_for(&query.panel, || prometheus.series(&asked));
-            assert!(series.iter().all(|one| {
-                let robot = one["metric"]["robot"].as_str();
-                robot == Some("r1") || query.expression.starts_with("sum by (le)")
-            }));
-        }
+    for (name, board) in boards().into_iter().filter(|(name, _)| name != FLOCK_BOARD) {
+        assert_panels_show(&prometheus, &name, &board, &["r1"]);
     }
     for name in recorded() {
         wait_for(&name, || prometheus.series(&name));
@@ -263,30 +281,74 @@ fn boards_are_drawn_from_a_real_run() {
     support::send(set.pid(Stage::Mapper), Signal::KILL);
     set.wait_until_handled(Stage::ScanMatcher, 1200);
     let span = (started_s, now_s());
-    for (name, board) in boards() {
-        let mut answers = serde_json::Map::new();
-        for panel in board["panels"].as_array().unwrap() {
-            for (place, target) in panel["targets"].as_array().unwrap().iter().enumerate() {
-                let asked = target["expr"].as_str().unwrap();
-                let asked = asked.replace("$robot", ".+").replace("$__rate_interval", "5s");
-                answers.insert(format!("{} {place}", panel["id"]), prometheus.history(&asked, span));
-            }
-        }
-        let data = serde_json::json!({ "board": board, "from": span.0, "to": span.1, "answers": answers });
-        let page = include_str!("support/boards/board.html").replace("DATA", &data.to_string());
-        let file = directory.path().join(format!("{name}.html"));
-        fs::write(&file, page).unwrap();
-        browser.resize(1280, 800, false);
-        browser.open(&format!("file://{}", file.display()));
-        browser.wait_until("a drawn board", "document.body.dataset.drawn");
-        let height = browser.script("return document.documentElement.scrollHeight;").as_u64().unwrap();
-        browser.resize(1280, height as u32, false);
-        let lines =
-            browser.script("return document.querySelectorAll('polyline[points]:not([points=\"\"])').length;");
-        assert!(lines.as_u64() > Some(3), "{name}: {lines} lines");
-        assert_eq!(browser.errors(), [""; 0]);
-        keep_picture(&format!("board-{}", name.trim_start_matches("flockslam-")), &browser.screenshot());
+    for (name, board) in boards().into_iter().filter(|(name, _)| name != FLOCK_BOARD) {
+        draw(&browser, directory.path(), &name, &board, &prometheus, span);
     }
     support::send(set.supervisor_pid(), Signal::INT);
     set.finish();
+}
+
+/// Draws a board with what Prometheus has seen between two times.
+fn draw(
+    browser: &Browser,
+    directory: &Path,
+    name: &str,
+    board: &Value,
+    prometheus: &Prometheus,
+    span: (f64, f64),
+) {
+    let mut answers = serde_json::Map::new();
+    for panel in board["panels"].as_array().unwrap() {
+        for (place, target) in panel["targets"].as_array().unwrap().iter().enumerate() {
+            let asked = target["expr"].as_str().unwrap();
+            let asked = asked.replace("$robot", ".+").replace("$__rate_interval", "5s");
+            answers.insert(format!("{} {place}", panel["id"]), prometheus.history(&asked, span));
+        }
+    }
+    let data = serde_json::json!({ "board": board, "from": span.0, "to": span.1, "answers": answers });
+    let page = include_str!("support/boards/board.html").replace("DATA", &data.to_string());
+    let file = directory.join(format!("{name}.html"));
+    fs::write(&file, page).unwrap();
+    browser.resize(1280, 800, false);
+    browser.open(&format!("file://{}", file.display()));
+    browser.wait_until("a drawn board", "document.body.dataset.drawn");
+    let height = browser.script("return document.documentElement.scrollHeight;").as_u64().unwrap();
+    browser.resize(1280, height as u32, false);
+    let lines =
+        browser.script("return document.querySelectorAll('polyline[points]:not([points=\"\"])').length;");
+    assert!(lines.as_u64() > Some(3), "{name}: {lines} lines");
+    assert_eq!(browser.errors(), [""; 0]);
+    keep_picture(&format!("board-{}", name.trim_start_matches("flockslam-")), &browser.screenshot());
+}
+
+/// Three robots meet, and one of them dies: the board of the flock shows it, and the alert for it is on its way.
+#[test]
+fn the_flock_s_board_shows_robots_that_meet_and_one_that_dies() {
+    let directory = tempfile::tempdir().unwrap();
+    let (ports, names) = ([free_port(), free_port(), free_port()], ["r1", "r2", "r3"]);
+    let scraped = directory.path().join("prometheus");
+    fs::create_dir(&scraped).unwrap();
+    let targets: Vec<_> = names.into_iter().zip(ports).collect();
+    let Some(prometheus) = Prometheus::start_for(&scraped, &targets) else { return };
+    let drive = Drive { scan_rate_hz: 5.0, duration_s: 2000.0, rate: 5.0 };
+    let started_s = now_s();
+    let mut robots = FlockRobot::start_scraped("board", directory.path(), drive, &ports);
+    for robot in &mut robots {
+        robot.wait_for_flock("a map of three robots", |flock| flock.merged && flock.members.len() == 3);
+    }
+    let (name, board) = boards().into_iter().find(|(name, _)| name == FLOCK_BOARD).unwrap();
+    assert_panels_show(&prometheus, &name, &board, &names);
+    let in_map = "min(flockslam_flock_members) == 3 and min(flockslam_flock_closures) > 0";
+    wait_for("three robots in one map", || prometheus.series(in_map));
+    let mut dead = robots.pop().unwrap();
+    dead.kill();
+    let alert = |state: &str| {
+        format!("ALERTS{{alertname=\"FlockslamPeerLost\", robot=\"r1\", alertstate=\"{state}\"}}")
+    };
+    wait_for("an alert in the making", || prometheus.series(&alert("pending")));
+    wait_for("a peer less", || prometheus.series("flockslam_flock_peers{robot=\"r1\"} == 1"));
+    if let Some(browser) = Browser::start("the picture of the flock's board") {
+        draw(&browser, directory.path(), &name, &board, &prometheus, (started_s, now_s()));
+    }
+    dead.leave_nothing();
 }

@@ -1,8 +1,11 @@
 //! The live page, in a real Chromium where there is one: it shows what the set does, marks what happens to its stages, takes orders,
 //! and comes back after everything behind it has died.
 
+#[path = "support/flocks.rs"]
+mod flocks;
 mod support;
 
+use flocks::FlockRobot;
 use flockslam_bus::RuntimeDir;
 use flockslam_messages::Stage;
 use rustix::process::Signal;
@@ -54,7 +57,7 @@ const PIXELS: &str = "
         const [r, g, b] = [0, 2, 4].map((at) => parseInt(hex.slice(at, at + 2), 16));
         return counts.get(((255 << 24) | (b << 16) | (g << 8) | r) >>> 0) ?? 0;
     };
-    return { all: data.length, unknown: of('--map-unknown'), free: of('--map-free'), path: of('--path'), scan: of('--scan') };";
+    return { all: data.length, unknown: of('--map-unknown'), free: of('--map-free'), path: of('--path'), scan: of('--scan'), flock: of('--flock') };";
 
 fn show(browser: &Browser, name: &str, scheme: &str, (width, height, mobile): (u32, u32, bool)) {
     browser.colours(scheme);
@@ -236,4 +239,36 @@ fn a_token_that_is_none_is_refused_at_the_start() {
     assert_eq!(output.status.code(), Some(2));
     let said = support::stderr(&output);
     assert!(said.contains("page.token_file") && said.lines().count() == 1, "{said}");
+}
+
+/// Robots that have met see each other on their pages.
+#[test]
+fn a_browser_shows_the_other_robots_of_the_flock() {
+    let Some(browser) = Browser::start("the flock on the live page") else { return };
+    let (directory, port) = (tempfile::tempdir().unwrap(), free_port());
+    let drive = Drive { scan_rate_hz: 5.0, duration_s: 2000.0, rate: 5.0 };
+    let mut robots = FlockRobot::start_with_page("page-flock", directory.path(), drive, 3, port);
+    wait_for("the page", || http_get(port, "/"));
+    browser.resize(1280, 800, false);
+    browser.colours("dark");
+    browser.open(&format!("http://localhost:{port}/"));
+    let rows = "document.querySelectorAll('#robots [data-reach=near]').length";
+    browser.wait_until("two robots near", &format!("{rows} === 2"));
+    for robot in &mut robots {
+        robot.wait_for_flock("a map of three robots", |flock| flock.merged && flock.members.len() == 3);
+    }
+    let view = "(await import('/main.js')).view";
+    browser.wait_until("two robots on the map", &format!("{view}.companions.size === 2"));
+    let has_moved = format!("[...{view}.companions.values()].every(({{ trail }}) => trail.length > 20)");
+    browser.wait_until("ways of both", &has_moved);
+    let pixels = browser.script(PIXELS);
+    assert!(pixels["flock"].as_u64() > Some(50), "{pixels}");
+    show(&browser, "flock", "dark", (1280, 800, false));
+
+    // One dies: it stays where it was seen last, and is marked.
+    let mut dead = robots.pop().unwrap();
+    dead.kill();
+    browser.wait_until("one less near", &format!("{rows} === 1"));
+    assert_eq!(browser.errors(), [""; 0]);
+    dead.leave_nothing();
 }

@@ -1,5 +1,8 @@
 //! Robots of a flock, the network between them, and who means them harm.
 
+// Every test executable uses its own part of this.
+#![allow(dead_code)]
+
 use crate::support::{Drive, LiveSet, flockslam, free_port, send, wait_for};
 use flockslam_records::{Content, MESSAGE_BYTES_MAX, Message, Record, RobotKey, Vector, Withdrawal};
 use flockslam_stage::FlockStatus;
@@ -32,6 +35,32 @@ impl FlockRobot {
         let start = |number: usize| {
             Self::start(test, directory, &endpoints, number, more, |set, description, more| {
                 LiveSet::start(set, description, drive, more)
+            })
+        };
+        (0..count).map(start).collect()
+    }
+
+    /// As [`FlockRobot::start_all`], each robot with its metrics at one of these ports.
+    pub fn start_scraped(test: &str, directory: &Path, drive: Drive, ports: &[u16]) -> Vec<Self> {
+        let endpoints: Vec<String> = ports.iter().map(|_| format!("tcp/127.0.0.1:{}", free_port())).collect();
+        let start = |(number, port): (usize, &u16)| {
+            Self::start(test, directory, &endpoints, number, "", |set, description, more| {
+                LiveSet::start(set, description, drive, &format!("{more}\nmetrics_port = {port}"))
+            })
+        };
+        ports.iter().enumerate().map(start).collect()
+    }
+
+    /// As [`FlockRobot::start_all`], the first robot with its page at this port.
+    pub fn start_with_page(test: &str, directory: &Path, drive: Drive, count: usize, port: u16) -> Vec<Self> {
+        let endpoints: Vec<String> = (0..count).map(|_| format!("tcp/127.0.0.1:{}", free_port())).collect();
+        let start = |number: usize| {
+            Self::start(test, directory, &endpoints, number, "", |set, description, more| {
+                let page = ["page.enabled=true".to_owned(), format!("page.listen=127.0.0.1:{port}")];
+                let arguments: Vec<String> =
+                    page.into_iter().flat_map(|setting| ["--set".to_owned(), setting]).collect();
+                let arguments = if number == 0 { &arguments[..] } else { &[] };
+                LiveSet::start_sabotaged(set, description, drive, more, arguments, "")
             })
         };
         (0..count).map(start).collect()

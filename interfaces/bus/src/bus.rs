@@ -7,8 +7,9 @@ use crate::{
     SlicePublisher, SliceSubscriber, SliceTopic, Subscriber, Topic,
 };
 use flockslam_messages::{
-    Commit, Control, FlockFrame, LayoutHeader, MarksHeader, MovingBeamsHeader, PartInserted, PoseEstimate,
-    Progress, ScanHeader, ScanTally, SectorHeader, Stage, SubmapClosed, TileMessage, TracksHeader, Verdict,
+    Commit, Control, FlockFrame, FlockRobots, LayoutHeader, MarksHeader, MovingBeamsHeader, PartInserted,
+    PoseEstimate, Progress, ScanHeader, ScanTally, SectorHeader, Stage, SubmapClosed, TileMessage,
+    TracksHeader, Verdict,
 };
 use std::any::Any;
 
@@ -45,6 +46,7 @@ impl Bus {
             create::<SubmapClosed>(&bus)?,
             create::<LayoutHeader>(&bus)?,
             create::<FlockFrame>(&bus)?,
+            create::<FlockRobots>(&bus)?,
             create::<Control>(&bus)?,
             create::<Progress>(&bus)?,
             create::<TileMessage>(&bus)?,

@@ -1,8 +1,8 @@
 use crate::tile_port::LANES;
 use flockslam_messages::{
-    BeamRange, ClearedCell, Commit, Control, FlockFrame, JudgedCell, Layout, LayoutHeader, MarksHeader,
-    Message, MovingBeamsHeader, PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally, SectorHeader,
-    SubmapClosed, TileMessage, Track, TracksHeader, Verdict,
+    BeamRange, ClearedCell, Commit, Control, FlockFrame, FlockRobots, JudgedCell, Layout, LayoutHeader,
+    MarksHeader, Message, MovingBeamsHeader, PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally,
+    SectorHeader, SubmapClosed, TileMessage, Track, TracksHeader, Verdict,
 };
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
@@ -100,6 +100,14 @@ impl Topic for LayoutHeader {
 }
 impl Topic for FlockFrame {
     const NAME: &'static str = "flock-frame";
+}
+impl Topic for FlockRobots {
+    const NAME: &'static str = "flock-robots";
+
+    fn limits(capacity: &Capacity) -> Limits {
+        // Only the newest counts.
+        Limits { buffer: 4, borrowed: 2, preallocated: Some(32), ..Limits::small(capacity) }
+    }
 }
 impl Topic for Control {
     const NAME: &'static str = "control";

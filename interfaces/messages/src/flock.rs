@@ -14,3 +14,47 @@ message! {
         pub revision: u32,
     }
 }
+
+/// Robots that are told of at once.
+pub const FLOCK_ROBOTS_MAX: usize = 16;
+
+message! {
+    /// Where other robots of the flock are, as they say themselves; sent whenever one of them has said so.
+    pub struct FlockRobots = "flockslam/flock-robots/v1" {
+        /// Those that are known, `count` of them.
+        pub robots: [FlockRobot; FLOCK_ROBOTS_MAX],
+        /// How many.
+        pub count: u32,
+        /// Reserved, zero.
+        pub reserved: u32,
+    }
+}
+
+message! {
+    /// Another robot of the flock.
+    pub struct FlockRobot = "flockslam/flock-robot/v1" {
+        /// Where it is in this robot's map.
+        pub map_from_base: Pose,
+        /// CLOCK_MONOTONIC of when it was heard here, nanoseconds: no clock of another robot is trusted.
+        pub heard_ns: u64,
+        /// Radius of a circle around it that holds its body, metres.
+        pub radius_m: f64,
+        /// Its name in the flock, with zeros behind.
+        pub name: [u8; 32],
+    }
+}
+
+impl FlockRobots {
+    /// Those that are known.
+    pub fn as_slice(&self) -> &[FlockRobot] {
+        &self.robots[..(self.count as usize).min(FLOCK_ROBOTS_MAX)]
+    }
+}
+
+impl FlockRobot {
+    /// Its name; what is no text is left out.
+    pub fn name(&self) -> &str {
+        let name = self.name.split(|byte| *byte == 0).next().unwrap_or_default();
+        std::str::from_utf8(name).unwrap_or_default()
+    }
+}

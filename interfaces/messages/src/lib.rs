@@ -21,7 +21,7 @@ mod verdict;
 
 pub use control::{Control, ControlKind};
 pub use deskew::Deskew;
-pub use flock::FlockFrame;
+pub use flock::{FLOCK_ROBOTS_MAX, FlockFrame, FlockRobot, FlockRobots};
 pub use grid::{Commit, PartInserted, SubmapClosed, TileMessage};
 pub use identity::{ScanId, Times};
 pub use layout::LayoutHeader;

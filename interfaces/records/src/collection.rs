@@ -359,6 +359,7 @@ impl Collection {
                 pack(self.disputed(robot, *epoch, hashes, budget_bytes), &mut answers);
                 answers
             }
+            Message::Here(_) => Vec::new(),
         }
     }
 

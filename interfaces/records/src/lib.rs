@@ -13,6 +13,7 @@ mod content;
 mod error;
 mod message;
 mod numbers;
+mod presence;
 mod record;
 mod robot;
 mod sealed;
@@ -26,6 +27,7 @@ pub use content::{
 pub use error::RecordError;
 pub use message::{MESSAGE_BYTES_MAX, Message};
 pub use numbers::Numbers;
+pub use presence::Presence;
 pub use record::{Record, RecordName};
 pub use robot::{RobotId, RobotKey};
 pub use sealed::{PAYLOAD_BYTES_MAX, RECORD_BYTES_MAX, SCHEMA_VERSION};

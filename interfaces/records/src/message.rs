@@ -1,6 +1,6 @@
 use crate::codec::{Reader, Writer};
 use crate::sealed::RECORD_BYTES_MAX;
-use crate::{RecordError, RobotId, SCHEMA_VERSION, Vector};
+use crate::{Presence, RecordError, RobotId, SCHEMA_VERSION, Vector};
 use std::sync::Arc;
 
 const MAGIC: [u8; 4] = *b"FLMS";
@@ -27,6 +27,8 @@ pub enum Message {
         /// Number and hash of each record.
         hashes: Vec<(u64, [u8; 32])>,
     },
+    /// Where the sender is.
+    Here(Presence),
 }
 
 impl Message {
@@ -58,6 +60,10 @@ impl Message {
                     out.varint(*number);
                     out.bytes(hash);
                 }
+            }
+            Self::Here(presence) => {
+                out.u8(4);
+                presence.write(&mut out);
             }
         }
         out.0
@@ -92,6 +98,7 @@ impl Message {
                 }
                 Self::Hashes { robot, epoch, hashes }
             }
+            4 => Self::Here(Presence::read(&mut input)?),
             other => return Err(RecordError::Kind(other)),
         };
         input.end()?;

@@ -30,5 +30,5 @@ pub use metrics_page::metrics_page;
 pub use prometheus::{Gauge, Histogram, IntCounter as Counter};
 pub use sabotage::{is_sabotaged, sabotage};
 pub use scrape::{ScrapeError, scrape};
-pub use stage_metrics::{LabelledCounters, StageMetrics};
+pub use stage_metrics::{CountersByLabels, LabelledCounters, StageMetrics};
 pub use supervisor_metrics::{RestartReason, SupervisorMetrics};

@@ -10,6 +10,10 @@ pub const LABEL_STAGE: &str = "stage";
 pub const LABEL_REPLICA: &str = "replica";
 /// Label: why something happened.
 pub const LABEL_REASON: &str = "reason";
+/// Label: another robot of the flock: its name and the first digits of its key, or `others` beyond 32 of them.
+pub const LABEL_PEER: &str = "peer";
+/// Label: `said` to another robot, or `heard` of it.
+pub const LABEL_DIRECTION: &str = "direction";
 /// Label: how far a pose can be trusted: `tracking`, `degraded` or `lost`.
 pub const LABEL_QUALITY: &str = "quality";
 
@@ -284,6 +288,13 @@ pub const FLOCK_PEERS: Metric = of_one_stage(
     Kind::Gauge,
     "Other robots of the flock that are connected just now",
 );
+/// Robots that are talked to.
+pub const FLOCK_NEAR: Metric = of_one_stage(
+    "sync-manager",
+    "flockslam_flock_near",
+    Kind::Gauge,
+    "Of the robots that are connected, those that are near: only they are talked to",
+);
 /// Robots in the common map.
 pub const FLOCK_MEMBERS: Metric = of_one_stage(
     "sync-manager",
@@ -298,19 +309,43 @@ pub const FLOCK_RECORD_BYTES: Metric = of_one_stage(
     Kind::Gauge,
     "Bytes of all records that the robot knows, its own among them",
 );
-/// Traffic out.
-pub const FLOCK_SAID: Metric = of_one_stage(
+/// Records that are known.
+pub const FLOCK_RECORDS: Metric = of_one_stage(
     "sync-manager",
-    "flockslam_flock_said_bytes_total",
-    Kind::Counter,
-    "Bytes of messages to other robots",
+    "flockslam_flock_records",
+    Kind::Gauge,
+    "Records that the robot knows, its own among them",
 );
-/// Traffic in.
-pub const FLOCK_HEARD: Metric = of_one_stage(
+/// What ties robots together.
+pub const FLOCK_CLOSURES: Metric = of_one_stage(
     "sync-manager",
-    "flockslam_flock_heard_bytes_total",
+    "flockslam_flock_closures",
+    Kind::Gauge,
+    "Closures between robots that act in the common map",
+);
+/// What does not.
+pub const FLOCK_CONFLICTS: Metric = of_one_stage(
+    "sync-manager",
+    "flockslam_flock_conflicts",
+    Kind::Gauge,
+    "Closures between robots that do not act, since they are too few or contradict the others",
+);
+/// Searches between robots.
+pub const FLOCK_SEARCHES: Metric = of_one_stage(
+    "sync-manager",
+    "flockslam_flock_searches_total",
     Kind::Counter,
-    "Bytes of messages of other robots that were looked at",
+    "Searches for own places in the maps of other robots",
+);
+/// Traffic, by `peer` and `direction`.
+pub const FLOCK_PEER_BYTES: Metric = with_labels(
+    of_one_stage(
+        "sync-manager",
+        "flockslam_flock_peer_bytes_total",
+        Kind::Counter,
+        "Bytes of messages that were `said` to and `heard` of another robot",
+    ),
+    &[LABEL_STAGE, LABEL_REPLICA, LABEL_PEER, LABEL_DIRECTION],
 );
 /// What was not taken from or sent to others, by `reason`.
 pub const FLOCK_DROPPED: Metric = with_labels(
@@ -370,7 +405,7 @@ pub const NOT_DURABLE: Metric =
     of_supervisor("flockslam_not_durable", Kind::Gauge, &[], "1 when the map cannot be saved to disk");
 
 /// All metrics, by who tells them.
-pub const ALL: [Metric; 41] = [
+pub const ALL: [Metric; 45] = [
     STAGE_LATENCY,
     SCAN_TO_OUTPUT,
     SCANS_HANDLED,
@@ -401,9 +436,13 @@ pub const ALL: [Metric; 41] = [
     MAP_AREA,
     FLOCK_PEERS,
     FLOCK_MEMBERS,
+    FLOCK_NEAR,
+    FLOCK_RECORDS,
     FLOCK_RECORD_BYTES,
-    FLOCK_SAID,
-    FLOCK_HEARD,
+    FLOCK_CLOSURES,
+    FLOCK_CONFLICTS,
+    FLOCK_SEARCHES,
+    FLOCK_PEER_BYTES,
     FLOCK_DROPPED,
     STAGE_RESTARTS,
     STAGE_UP,

@@ -46,6 +46,18 @@ impl LabelledCounters {
     }
 }
 
+/// Counters of one metric by labels whose values are not known beforehand. Counting looks the labels up under a lock: nothing for
+/// what happens with every scan.
+#[derive(Clone)]
+pub struct CountersByLabels(IntCounterVec);
+
+impl CountersByLabels {
+    /// Counts so many for these values, in the order of the labels.
+    pub fn count_by(&self, values: &[&str], times: u64) {
+        self.0.with_label_values(values).inc_by(times);
+    }
+}
+
 impl StageMetrics {
     /// Metrics of one replica of a stage; `reasons` are the drop reasons that are known beforehand (they appear with
     /// a count of 0 from the start).
@@ -94,6 +106,11 @@ impl StageMetrics {
     pub fn counters(&self, metric: Metric, label: &str, values: &[&'static str]) -> LabelledCounters {
         let counters = registered(&self.registry, IntCounterVec::new(self.opts(metric), &[label]));
         LabelledCounters(values.iter().map(|value| counters.with_label_values(&[value])).collect())
+    }
+
+    /// Counters of the stage's own by labels whose values come later; to be made once, at start.
+    pub fn counters_by(&self, metric: Metric, labels: &[&str]) -> CountersByLabels {
+        CountersByLabels(registered(&self.registry, IntCounterVec::new(self.opts(metric), labels)))
     }
 
     fn opts(&self, metric: Metric) -> Opts {

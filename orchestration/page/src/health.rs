@@ -16,6 +16,36 @@ pub struct Health {
     pub saved: Option<serde_json::Value>,
     /// All processes.
     pub stages: Vec<StageHealth>,
+    /// The robot's flock, when it is part of one.
+    pub flock: Option<FlockHealth>,
+}
+
+/// How it is with the flock, as the robot's sync-manager tells it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct FlockHealth {
+    /// Name of the flock.
+    pub flock: String,
+    /// Name of this robot in it.
+    pub robot: String,
+    /// Why the network is not open; `None` when it is.
+    pub problem: Option<String>,
+    /// Addresses of robots that are connected: name, `-`, digits of the key.
+    pub peers: Vec<String>,
+    /// Of those, robots that are near.
+    pub near: Vec<String>,
+    /// Names of all robots of which something is known, this one among them.
+    pub robots: Vec<String>,
+    /// Records that are known, and their bytes.
+    pub records: (u64, u64),
+    /// Names of the robots that are part of the common map.
+    pub members: Vec<String>,
+    /// Whether this robot is one of at least two of them.
+    pub merged: bool,
+    /// Bytes of messages heard and said.
+    pub heard_bytes: u64,
+    /// Bytes of messages said.
+    pub said_bytes: u64,
 }
 
 /// How one process of a set is.

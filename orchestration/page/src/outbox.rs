@@ -31,6 +31,7 @@ struct Seen {
     scan: u64,
     layout: u64,
     tracks: u64,
+    companions: u64,
     catching_up: u64,
     health: Option<u64>,
     latencies: u64,
@@ -96,6 +97,9 @@ impl Outbox {
         tell("robot", &mut seen.robot, view.robot.version(), &|_| json!(view.robot.get()));
         tell("layout", &mut seen.layout, view.layout.version(), &|_| json!(view.layout.get()));
         tell("tracks", &mut seen.tracks, view.tracks.version(), &|_| json!(view.tracks.get()));
+        tell("companions", &mut seen.companions, view.companions.version(), &|_| {
+            json!(view.companions.get())
+        });
         tell("catching_up", &mut seen.catching_up, view.is_catching_up.version(), &|_| {
             json!(view.is_catching_up.get())
         });

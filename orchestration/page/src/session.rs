@@ -3,17 +3,19 @@ use crate::health::{Event, EventKind};
 use crate::path::Path;
 use crate::shade::{Shader, Shades};
 use crate::shared::{Place, Shared};
-use crate::view::{Layout, RobotNow, SCAN_UNIT_M, ScanNow, Track, numbers};
+use crate::view::{Companion, Layout, RobotNow, SCAN_UNIT_M, ScanNow, Track, numbers};
 use flockslam_bus::{
     Bus, Publisher, RuntimeDir, Sample, ScanSample, ScanSubscriber, SliceSubscriber, Subscriber,
 };
 use flockslam_evidence::{Submap, TILE_CELLS, TileKey};
 use flockslam_geometry::Pose;
 use flockslam_messages::{
-    Control, ControlKind, Deskew, PoseEstimate, Quality, ScanView, Stage, TileMessage, TracksHeader,
+    Control, ControlKind, Deskew, FlockRobot, FlockRobots, PoseEstimate, Quality, ScanView, Stage,
+    TileMessage, TracksHeader,
 };
 use flockslam_stage::results::{self, LiveLayout};
 use flockslam_stage::{JournalReader, StageError, SubmapStore};
+use flockslam_telemetry::monotonic_ns;
 use std::collections::{BTreeMap, VecDeque};
 use std::os::unix::fs::MetadataExt;
 use std::path::PathBuf;
@@ -42,6 +44,7 @@ pub struct Session {
     scans: ScanSubscriber,
     tiles: Subscriber<TileMessage>,
     tracks: SliceSubscriber<TracksHeader>,
+    companions: Subscriber<FlockRobots>,
     waiting_scans: VecDeque<ScanSample>,
     journal: JournalReader,
     /// The journal was read to its end once.
@@ -81,6 +84,7 @@ impl Session {
             scans: bus.scan_subscriber()?,
             tiles: bus.subscriber()?,
             tracks: bus.slice_subscriber()?,
+            companions: bus.subscriber()?,
             waiting_scans: VecDeque::new(),
             journal: JournalReader::open(&runtime.journal())?,
             has_caught_up: false,
@@ -118,6 +122,7 @@ impl Session {
         let pose = self.take_poses()?;
         self.take_scans(pose.as_ref(), shared)?;
         self.take_tracks(shared)?;
+        self.take_companions(shared)?;
         self.read_journal(&mut shared.view().path)?;
         if let Some(pose) = pose {
             let mut view = shared.view();
@@ -191,6 +196,20 @@ impl Session {
         if view.tracks.get().as_ref() != Some(&moving) {
             view.tracks.set(Some(moving));
         }
+        Ok(())
+    }
+
+    fn take_companions(&mut self, shared: &Shared) -> Result<(), StageError> {
+        let mut newest = None;
+        while let Some(robots) = self.companions.receive()? {
+            newest = Some(*robots);
+        }
+        let Some(robots) = newest else { return Ok(()) };
+        let now_ns = monotonic_ns();
+        shared
+            .view()
+            .companions
+            .set(robots.as_slice().iter().map(|robot| companion(robot, now_ns)).collect());
         Ok(())
     }
 
@@ -346,6 +365,14 @@ fn track_now(track: &flockslam_messages::Track) -> Track {
         at: [track.position.x_m, track.position.y_m],
         velocity: [track.velocity_m_s.x_m, track.velocity_m_s.y_m],
         radius_m: BODY_RADIUS_M + track.position_variance.max(0.0).sqrt(),
+    }
+}
+
+fn companion(robot: &FlockRobot, now_ns: u64) -> Companion {
+    Companion {
+        name: robot.name().to_owned(),
+        map_from_base: numbers(robot.map_from_base),
+        age_s: now_ns.saturating_sub(robot.heard_ns) as f64 * 1e-9,
     }
 }
 

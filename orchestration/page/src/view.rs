@@ -130,6 +130,17 @@ pub struct Track {
     pub radius_m: f64,
 }
 
+/// Another robot of the flock.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Companion {
+    /// Its name.
+    pub name: String,
+    /// Where it says that it is, in this robot's map: metres, metres, radians.
+    pub map_from_base: [f64; 3],
+    /// Seconds since it was heard.
+    pub age_s: f64,
+}
+
 /// Ends of the beams of the current scan.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ScanNow {
@@ -176,6 +187,8 @@ pub struct View {
     pub layout: Versioned<Layout>,
     /// What moves; `None` when nobody tells.
     pub tracks: Versioned<Option<Vec<Track>>>,
+    /// The other robots of the flock.
+    pub companions: Versioned<Vec<Companion>>,
     /// Whether what lies behind is still being read.
     pub is_catching_up: Versioned<bool>,
     /// How the set is; `None` while its supervisor does not answer.
@@ -199,6 +212,7 @@ impl View {
             scan: Versioned::default(),
             layout: Versioned::default(),
             tracks: Versioned::default(),
+            companions: Versioned::default(),
             is_catching_up: Versioned::default(),
             health: Versioned::default(),
             latencies: Recent::new(LATENCIES_MAX),
@@ -212,6 +226,7 @@ impl View {
         (self.map, self.live, self.path) = (Layer::default(), Layer::default(), Path::default());
         (self.robot, self.scan) = (Versioned::default(), Versioned::default());
         (self.layout, self.tracks) = (Versioned::default(), Versioned::default());
+        self.companions = Versioned::default();
         self.is_catching_up = Versioned::default();
     }
 }

@@ -5,12 +5,14 @@ import { Tiles, shades } from './tiles.js';
 
 const IDENTITY = [0, 0, 0];
 const SCAN_UNIT_M = 0.005;
+// Of other robots.
+const [TRAIL_EVERY_M, TRAIL_MAX, SILENT_MS] = [0.1, 4000, 3000];
 
 export class MapView {
   constructor(canvas) {
     this.canvas = canvas;
     this.context = canvas.getContext('2d', { alpha: false });
-    this.layers = { path: true, scan: true, submaps: false, closures: true, tracks: true };
+    this.layers = { path: true, scan: true, submaps: false, closures: true, tracks: true, flock: true };
     this.map = new Tiles();
     this.live = new Tiles();
     this.cellSize = 0.05;
@@ -33,6 +35,7 @@ export class MapView {
     this.origins = [];
     this.closures = [];
     this.tracks = [];
+    this.companions = new Map();
     this.robot = null;
     this.scan = null;
   }
@@ -44,6 +47,7 @@ export class MapView {
     }
     if (json.robot !== undefined) this.robot = json.robot;
     if (json.tracks !== undefined) this.tracks = json.tracks ?? [];
+    if (json.companions) this.meet(json.companions);
     if (json.layout) {
       this.placed = new Map(json.layout.submaps);
       this.origins = json.layout.origins;
@@ -78,7 +82,7 @@ export class MapView {
     const style = getComputedStyle(document.documentElement);
     const colour = (name) => style.getPropertyValue(`--${name}`).trim();
     this.colours = Object.fromEntries(
-      ['map-unknown', 'map-free', 'map-occupied', 'path', 'scan', 'submap', 'loop', 'track', 'warn', 'bad', 'ink', 'line', 'sheet', 'accent'].map((name) => [name, colour(name)]),
+      ['map-unknown', 'map-free', 'map-occupied', 'path', 'scan', 'submap', 'loop', 'track', 'flock', 'warn', 'bad', 'ink', 'line', 'sheet', 'accent'].map((name) => [name, colour(name)]),
     );
     this.shades = shades(numbers(this.colours['map-free']), numbers(this.colours['map-occupied']));
     this.map.forgetColours();
@@ -125,6 +129,7 @@ export class MapView {
     if (this.layers.path) this.drawPath();
     if (this.layers.scan && this.scan) this.drawScan();
     if (this.layers.tracks) this.drawTracks();
+    if (this.layers.flock) this.drawFlock();
     if (this.robot) this.drawRobot();
     this.onDrawn?.();
   }
@@ -235,6 +240,42 @@ export class MapView {
     }
   }
 
+  /** Other robots: where they are, and where they were since the page was opened. */
+  meet(companions) {
+    for (const { name, map_from_base: pose, age_s: age } of companions) {
+      const known = this.companions.get(name) ?? { trail: [] };
+      const last = known.trail.at(-1);
+      if (!last || Math.hypot(last[0] - pose[0], last[1] - pose[1]) > TRAIL_EVERY_M) known.trail.push(pose);
+      if (known.trail.length > TRAIL_MAX) known.trail.shift();
+      this.companions.set(name, { ...known, pose, heard: performance.now() - age * 1000 });
+    }
+  }
+
+  drawFlock() {
+    const { context, colours, camera } = this;
+    for (const [name, { pose, trail, heard }] of this.companions) {
+      const silent = performance.now() - heard > SILENT_MS;
+      this.enter(IDENTITY);
+      context.globalAlpha = silent ? 0.45 : 1;
+      context.strokeStyle = colours.flock;
+      context.lineWidth = 1.6 / camera.scale;
+      context.beginPath();
+      trail.forEach(([x, y], i) => (i && Math.hypot(x - trail[i - 1][0], y - trail[i - 1][1]) < 2 ? context.lineTo(x, y) : context.moveTo(x, y)));
+      context.stroke();
+      this.enter(pose);
+      this.drawArrow(colours.flock);
+      this.enter([pose[0], pose[1], 0]);
+      context.scale(1 / camera.scale, -1 / camera.scale);
+      context.font = '600 12px system-ui, sans-serif';
+      context.lineWidth = 3;
+      context.strokeStyle = colours.sheet;
+      context.fillStyle = colours.flock;
+      context.strokeText(name, 13, -9);
+      context.fillText(name, 13, -9);
+      context.globalAlpha = 1;
+    }
+  }
+
   drawRobot() {
     const { context, colours, camera, robot } = this;
     this.enter(robot.map_from_base);
@@ -248,6 +289,12 @@ export class MapView {
       context.fill();
       context.globalAlpha = 1;
     }
+    this.drawArrow(colour);
+  }
+
+  /** The mark of a robot, at the pose that was entered. */
+  drawArrow(colour) {
+    const { context, colours, camera } = this;
     const size = Math.max(0.28, 11 / camera.scale);
     context.beginPath();
     context.moveTo(size, 0);

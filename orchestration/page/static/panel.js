@@ -49,6 +49,7 @@ export class Panel {
     if (json.health !== undefined) {
       this.health = json.health;
       this.showStages();
+      this.showFlock(json.health?.flock);
     }
     if (json.latencies || json.events) this.tick();
   }
@@ -88,6 +89,28 @@ export class Panel {
     const uptime = this.health ? `up ${span(this.health.uptime_s)}` : 'the supervisor does not answer';
     set(document.querySelector('#uptime'), uptime);
     this.tick();
+  }
+
+  /** Every robot that is known of: whether it is in the common map, and whether it is near. */
+  showFlock(flock) {
+    const section = document.querySelector('#flock');
+    section.hidden = !flock;
+    if (!flock) return;
+    const state = flock.problem ?? (flock.merged ? `one map of ${flock.members.length} robots` : 'a map of its own');
+    set(document.querySelector('#flock-state'), state);
+    const named = (addresses, name) => addresses.some((address) => address.slice(0, address.lastIndexOf('-')) === name);
+    const rows = [...new Set(flock.robots)].map((name) => {
+      const place = flock.merged && flock.members.includes(name) ? 'in the map' : 'not placed';
+      const reach = name === flock.robot ? 'this robot' : named(flock.near, name) ? 'near' : named(flock.peers, name) ? 'connected' : 'out of reach';
+      const row = element('li', 'robot');
+      row.dataset.robot = name;
+      row.dataset.reach = reach;
+      row.append(element('i', 'dot'), element('span', 'name', name), element('span', 'detail', `${place}, ${reach}`));
+      return row;
+    });
+    document.querySelector('#robots').replaceChildren(...rows);
+    const size = (bytes) => (bytes < 1e6 ? `${(bytes / 1e3).toFixed(1)} kB` : `${(bytes / 1e6).toFixed(1)} MB`);
+    set(document.querySelector('#flock-traffic'), `${flock.records[0]} records, ${size(flock.records[1])}; heard ${size(flock.heard_bytes)}, said ${size(flock.said_bytes)}`);
   }
 
   card(stage) {

@@ -4,7 +4,7 @@ use crate::settings::Settings;
 use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::{Covariance, Point, Pose, Twist};
 use flockslam_messages::{
-    BeamRange, Commit, Deskew, LayoutHeader, PoseEstimate, PoseFlags, Quality, ScanView, Verdict,
+    BeamRange, Commit, Deskew, FlockRobots, LayoutHeader, PoseEstimate, PoseFlags, Quality, ScanView, Verdict,
 };
 use flockslam_registration::{Correlative, CorrelativeSearch, Fit, GridField, Ndt};
 use std::ops::Deref;
@@ -22,6 +22,7 @@ const NEW_PLACE: f64 = 0.7;
 /// Wheels that miss a fit by more than this are slipping: metres and radians.
 const SLIPPED: (f64, f64) = (0.15, 0.08);
 
+mod companions;
 mod fitting;
 mod movers;
 
@@ -56,6 +57,8 @@ pub struct ScanMatcher {
     /// Beams of the scan at hand that lie on what moves, and how many points they would be.
     moving: Vec<BeamRange>,
     aside: usize,
+    /// Where other robots say that they are.
+    companions: FlockRobots,
     /// Which of the points they were.
     set_aside: Vec<bool>,
     /// Seconds after the stamp at which each point was measured.
@@ -100,6 +103,7 @@ impl ScanMatcher {
             beams: Vec::new(),
             moving: Vec::new(),
             aside: 0,
+            companions: FlockRobots::default(),
             set_aside: Vec::new(),
             times_s: Vec::new(),
             weights: Vec::new(),
@@ -170,6 +174,11 @@ impl ScanMatcher {
     pub fn committed(&mut self, commit: &Commit) {
         self.generation = commit.generation;
         self.active_submap = commit.active_submap;
+    }
+
+    /// Other robots have said where they are.
+    pub fn companions_are(&mut self, robots: &FlockRobots) {
+        self.companions = *robots;
     }
 
     /// sync-manager has a new correction.

@@ -6,7 +6,8 @@
 use crate::{ScanMatcher, Settings};
 use flockslam_bus::{BellRinger, Publisher, ScanSample, SlicePublisher, Subscriber};
 use flockslam_messages::{
-    DropReason, KeepReason, LayoutHeader, MovingBeamsHeader, PoseEstimate, PoseFlags, Stage, Verdict,
+    DropReason, FlockRobots, KeepReason, LayoutHeader, MovingBeamsHeader, PoseEstimate, PoseFlags, Stage,
+    Verdict,
 };
 use flockslam_stage::{
     Acknowledger, Actor, GridReader, JournalReader, JournalWriter, Mode, PendingScans, StageContext,
@@ -64,6 +65,7 @@ struct Matcher {
     layout: Option<LayoutHeader>,
     /// sync-manager has finished with all submaps below this.
     finished_submaps: u32,
+    companions: Subscriber<FlockRobots>,
     grid: GridReader,
     /// Sequences of the accepted scans whose commits are awaited, and since when, oldest first.
     awaited: VecDeque<(u64, u64)>,
@@ -101,6 +103,7 @@ impl Matcher {
             waiting_layouts: VecDeque::new(),
             layout: None,
             finished_submaps: 0,
+            companions: bus.subscriber()?,
             grid: GridReader::open(context, cell_size_m)?,
             awaited: VecDeque::with_capacity(2 + LAG_LIVE),
             poses: bus.publisher()?,
@@ -201,6 +204,9 @@ impl Matcher {
             self.waiting_layouts.push_back(*layout);
         }
         self.apply_layouts(context.mode);
+        while let Some(robots) = self.companions.receive()? {
+            self.logic.companions_are(&robots);
+        }
         Ok(())
     }
 

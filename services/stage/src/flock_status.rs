@@ -43,6 +43,10 @@ pub struct FlockStatus {
     pub heard_bytes: u64,
     /// Bytes of messages said.
     pub said_bytes: u64,
+    /// The same by robot, in this order.
+    pub traffic: BTreeMap<String, (u64, u64)>,
+    /// Closures between robots that act, and those that contradict what the rest says.
+    pub across: (u64, u64),
     /// Messages and records that were dropped, by reason.
     pub dropped: BTreeMap<String, u64>,
     /// The source of this robot has ended.

@@ -10,8 +10,8 @@ use flock::{FlockMetrics, Voice};
 use flockslam_bus::{BellRinger, Publisher, ScanSample, SliceSubscriber, Subscriber};
 use flockslam_geometry::Pose;
 use flockslam_messages::{
-    BeamRange, Control, ControlKind, DropReason, FlockFrame, LayoutHeader, MovingBeamsHeader, PoseEstimate,
-    PoseFlags, ScanView, Stage, SubmapClosed,
+    BeamRange, Control, ControlKind, DropReason, FlockFrame, FlockRobots, LayoutHeader, MovingBeamsHeader,
+    PoseEstimate, PoseFlags, ScanView, Stage, SubmapClosed,
 };
 use flockslam_stage::results::{self, LayoutRow, LiveLayout, StampedPose, Summary};
 use flockslam_stage::{
@@ -85,6 +85,11 @@ struct SyncProcess {
     flock_metrics: Option<FlockMetrics>,
     flock_frames: Publisher<FlockFrame>,
     flock_frame: Option<FlockFrame>,
+    flock_robots: Publisher<FlockRobots>,
+    /// Where they were told to be.
+    told_robots: FlockRobots,
+    /// The last one taken in.
+    pose: Option<PoseEstimate>,
     summary: Summary,
     finished: bool,
     /// What a predecessor knew is taken in.
@@ -131,6 +136,9 @@ impl SyncProcess {
             flock_metrics: Some(FlockMetrics::new(&context.metrics)),
             flock_frames: bus.publisher()?,
             flock_frame: None,
+            flock_robots: bus.publisher()?,
+            told_robots: FlockRobots::default(),
+            pose: None,
             summary: Summary::default(),
             finished: false,
             recovered: false,
@@ -214,6 +222,7 @@ impl SyncProcess {
         moving: &[BeamRange],
     ) -> Result<(), StageError> {
         self.logic.pose(pose);
+        self.pose = Some(*pose);
         self.trajectories.published(pose)?;
         let count = |flag, counter: &mut u64| *counter += u64::from(pose.has(flag));
         self.summary.scans += 1;
@@ -348,6 +357,20 @@ impl SyncProcess {
         }
     }
 
+    /// Tells the other stages where the other robots are, and them where this one is.
+    fn tell_robots(&mut self) -> Result<(), StageError> {
+        if let Some(pose) = &self.pose {
+            self.voice.is_at(pose);
+        }
+        let robots = self.voice.robots();
+        if robots != self.told_robots {
+            self.told_robots = robots;
+            self.flock_robots.send(&robots)?;
+        }
+        self.flock_robots.refresh();
+        Ok(())
+    }
+
     fn finish(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         for number in self.next_submap..self.store.count() {
             let submap = self.store.load(number)?;
@@ -444,6 +467,7 @@ impl Actor for SyncProcess {
             frame.iter().try_for_each(|frame| self.flock_frames.send(frame))?;
         }
         self.flock_frames.refresh();
+        self.tell_robots()?;
         self.acknowledger.send()?;
         if self.finished { self.repeat_the_end() } else { Ok(()) }
     }

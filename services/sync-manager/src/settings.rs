@@ -121,6 +121,9 @@ pub struct FlockSettings {
     /// Who is near and so talked to: `always` – Whoever is connected; `contacts` – Whom an outside program reports on the
     /// set's socket.
     pub proximity: ProximitySource,
+    /// Radius of a circle that holds the body of any robot of the flock, metres: where another robot says that it is, so much is
+    /// taken for its body and kept out of the map.
+    pub body_radius_m: f64,
     /// Bytes that each other robot is sent in a minute at most; a minute's worth may go at once.
     pub bytes_per_minute: u64,
     /// File with the robot's secret key and the number of its last epoch, made when it is not there; empty = `flock.key` beside
@@ -166,6 +169,7 @@ impl Default for FlockSettings {
             connect: Vec::new(),
             multicast: false,
             proximity: ProximitySource::Always,
+            body_radius_m: 0.35,
             bytes_per_minute: 6_000_000,
             key_file: PathBuf::new(),
             trusted: Vec::new(),

@@ -54,6 +54,8 @@ impl ScanMatcher {
         if !knows_its_place || self.points.len() < TELLING_POINTS {
             return;
         }
+        self.set_companions_aside(scan, prediction);
+        let companions = self.moving.len();
         let stride = self.stride(scan) as u32;
         self.set_aside.clear();
         self.set_aside.resize(self.points.len(), false);
@@ -80,14 +82,16 @@ impl ScanMatcher {
         }
         let share = |count: usize| count as f64 / self.points.len() as f64;
         if share(self.aside) > self.settings.moving_share_max || share(wide) > WIDE_MAX {
-            self.moving.clear();
+            self.moving.truncate(companions);
             self.aside = 0;
         } else if self.aside > 0 {
             self.leave_out_what_is_aside();
         }
+        // Several companions are not in the order of their beams; no beam is told twice.
+        self.moving.sort_unstable_by_key(|range| range.first);
     }
 
-    fn leave_out_what_is_aside(&mut self) {
+    pub(super) fn leave_out_what_is_aside(&mut self) {
         let mut kept = 0;
         for i in (0..self.points.len()).filter(|i| !self.set_aside[*i]) {
             self.points[kept] = self.points[i];
@@ -101,7 +105,7 @@ impl ScanMatcher {
     }
 }
 
-fn add_beams(ranges: &mut Vec<BeamRange>, first: u32, count: u32) {
+pub(super) fn add_beams(ranges: &mut Vec<BeamRange>, first: u32, count: u32) {
     match ranges.last_mut().filter(|range| range.end == first) {
         Some(range) => range.end += count,
         None => ranges.push(BeamRange { first, end: first + count }),

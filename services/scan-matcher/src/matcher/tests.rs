@@ -2,7 +2,7 @@ use super::*;
 use crate::settings::Strategy;
 use flockslam_geometry::wrap_angle;
 use flockslam_mapper::Mapper;
-use flockslam_messages::{DropReason, ScanBuffer};
+use flockslam_messages::{DropReason, FlockRobot, ScanBuffer};
 
 /// A room of 8 × 6 m with a pillar, seen from `pose`; odometry is what the wheels claim.
 fn look(sequence: u64, pose: Pose, odometry: Option<Pose>) -> ScanBuffer {
@@ -304,6 +304,35 @@ fn without_a_grid_the_wheels_are_followed() {
         assert!(estimate.odom_from_base.distance_m(expected) < 1e-9, "{i}: {estimate:?}");
         assert_eq!((estimate.quality, estimate.flags), (Quality::Degraded as u32, PoseFlags::HAS_ODOMETRY));
     }
+}
+
+#[test]
+fn another_robot_that_stands_at_a_wall_is_set_aside_where_it_says_that_it_is() {
+    let mut front_end = FrontEnd::new(Settings::default());
+    let heard_ns = 5_000_000_000;
+    let mut robots = FlockRobots { count: 1, ..FlockRobots::default() };
+    let see = |front_end: &mut FrontEnd, i: u64, now_ns: u64| {
+        let mut scan = look(i, truth(i), Some(truth(i)));
+        scan.header.times.monotonic_ns = now_ns;
+        front_end.step(&scan, true);
+        front_end.matcher.moving_beams().to_vec()
+    };
+    (0..40).for_each(|i| assert_eq!(see(&mut front_end, i, heard_ns), []));
+    // It says that it stands where the pillar is.
+    let there = truth(40);
+    robots.robots[0] = FlockRobot {
+        map_from_base: Pose::new(2.7, 1.2, 0.0) * Pose::new(0.0, 0.0, 1.0),
+        heard_ns,
+        radius_m: 0.35,
+        name: *b"other\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0",
+    };
+    front_end.matcher.companions_are(&robots);
+    let [seen] = see(&mut front_end, 40, heard_ns + 100_000_000)[..] else { panic!("one range") };
+    let bearing = (1.2 - there.y_m).atan2(2.7 - there.x_m) - there.heading_rad;
+    let middle = ((bearing + 3.0) / 0.02).round() as u32;
+    assert!(seen.first < middle && middle < seen.end && seen.end - seen.first < 30, "{seen:?} {middle}");
+    // What it said is too old.
+    assert_eq!(see(&mut front_end, 41, heard_ns + 3_000_000_000), []);
 }
 
 /// The same scan with whatever is nearer in `directions`, beams.

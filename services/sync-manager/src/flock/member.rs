@@ -1,9 +1,10 @@
 use super::search::Search;
 use super::{Atlas, News};
 use crate::settings::Settings;
+use flockslam_geometry::Pose;
 use flockslam_records::{
-    Collection, Constraint, Content, Limits, Message, NodeName, Record, RecordError, RobotId, RobotKey,
-    SubmapRecord,
+    Collection, Constraint, Content, Limits, Message, NodeName, Presence, Record, RecordError, RobotId,
+    RobotKey, SubmapRecord,
 };
 use std::sync::Arc;
 
@@ -98,6 +99,11 @@ impl Flock {
     /// Takes in a message of another robot and gives what to answer, with records for at most so many bytes.
     pub fn answer(&mut self, message: &Message, budget_bytes: usize) -> Vec<Message> {
         self.collection.answer(message, budget_bytes)
+    }
+
+    /// What it tells others of where it is.
+    pub fn here(&self, sequence: u64, submap: u32, odom_from_base: Pose) -> Message {
+        Message::Here(Presence::sign(&self.key, self.epoch, sequence, submap, odom_from_base))
     }
 
     /// What it tells others that it has.

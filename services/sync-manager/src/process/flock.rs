@@ -2,7 +2,7 @@
 
 use crate::{Settings, Solution, SyncManager};
 use flockslam_geometry::Pose;
-use flockslam_messages::FlockFrame;
+use flockslam_messages::{FlockFrame, FlockRobots, PoseEstimate};
 use flockslam_stage::flock_files::{NamedPose, OWN_NODES, OWN_SCANS, write_named};
 use flockslam_stage::{StageContext, StageError, SubmapStore};
 use std::path::Path;
@@ -10,6 +10,7 @@ use teller::Teller;
 use thread::{FlockThread, Task};
 
 mod common;
+mod companions;
 mod drops;
 mod identity;
 mod link;
@@ -90,6 +91,21 @@ impl Voice {
         match self {
             Self::Talking(thread) => thread.frame(),
             Self::Silent | Self::Recording(_) => None,
+        }
+    }
+
+    /// Where the other robots are in the robot's map, as far as they are part of the same.
+    pub fn robots(&self) -> FlockRobots {
+        match self {
+            Self::Talking(thread) => thread.robots(),
+            Self::Silent | Self::Recording(_) => FlockRobots::default(),
+        }
+    }
+
+    /// Takes note of where the robot is, for those who are near.
+    pub fn is_at(&self, pose: &PoseEstimate) {
+        if let Self::Talking(thread) = self {
+            thread.is_at(pose);
         }
     }
 

@@ -1,7 +1,9 @@
 use crate::flock::Flock;
 use flockslam_geometry::Pose;
 use flockslam_messages::FlockFrame;
+use flockslam_records::{Presence, RobotId};
 use flockslam_stage::results::StoredMap;
+use std::collections::BTreeMap;
 
 /// What a robot concludes of all records that it knows: how the robots lie to each other. A function of the records alone.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -14,9 +16,16 @@ pub struct Common {
     pub merged: bool,
     /// Hash of layout and fused map.
     pub map_hash: u64,
-    /// This robot's submaps in the common map, in order, each with what takes the frame that its evidence is in to that of the flock.
-    submaps: Vec<(u32, Pose)>,
+    /// Closures between robots that act, and those that do not.
+    pub across: (u64, u64),
+    /// This robot's log.
+    own: Option<Log>,
+    /// Submaps of each log in the common map, in order, each with what takes the frame that its evidence is in to that of the flock.
+    submaps: BTreeMap<Log, Vec<(u32, Pose)>>,
 }
+
+/// A robot, and which of its logs.
+type Log = (RobotId, u64);
 
 impl Common {
     /// Works out the layout and the fused map.
@@ -26,16 +35,21 @@ impl Common {
         let stored = fused.map.as_ref().map_or_else(StoredMap::empty, StoredMap::of);
         let members = layout.members();
         let own = (flock.robot().clone(), epoch);
-        let in_map = layout.submaps.get(&own).into_iter().flatten();
-        let submaps: Vec<_> = in_map
-            .filter(|placed| placed.part == layout.main_part)
-            .map(|placed| (placed.submap, placed.flock_from_odom))
-            .collect();
+        let mut submaps: BTreeMap<Log, Vec<(u32, Pose)>> = BTreeMap::new();
+        for (log, placed) in &layout.submaps {
+            let in_map = placed.iter().filter(|placed| placed.part == layout.main_part);
+            let rows: Vec<_> = in_map.map(|placed| (placed.submap, placed.flock_from_odom)).collect();
+            if !rows.is_empty() {
+                submaps.insert(log.clone(), rows);
+            }
+        }
         Self {
             of_records: flock.collection().hash(),
-            merged: members.len() > 1 && members.contains(&flock.robot()) && !submaps.is_empty(),
+            merged: members.len() > 1 && members.contains(&flock.robot()) && submaps.contains_key(&own),
             members: members.iter().map(|robot| robot.name().to_owned()).collect(),
             map_hash: hash(layout.hash(), &stored),
+            across: layout.across,
+            own: Some(own),
             submaps,
         }
     }
@@ -47,7 +61,8 @@ impl Common {
             let place = map_from_odom.binary_search_by_key(&number, |(number, _)| *number).ok()?;
             Some(map_from_odom[place].1)
         };
-        let placed = self.submaps.iter().rev().find_map(|(number, pose)| Some((*pose, known(*number)?)));
+        let own = self.own.as_ref().and_then(|own| self.submaps.get(own))?;
+        let placed = own.iter().rev().find_map(|(number, pose)| Some((*pose, known(*number)?)));
         let (flock_from_odom, map_from_odom) = placed.filter(|_| self.merged)?;
         Some(FlockFrame {
             flock_from_map: flock_from_odom * map_from_odom.inverse(),
@@ -55,6 +70,22 @@ impl Common {
             members: self.members.len() as u32,
             revision,
         })
+    }
+
+    /// How the map of a robot lies where it says that it is: `flock_from_odom` of the submap that it is in, or of the last one before
+    /// it that is known. `None` for who is not part of the common map, and for this robot.
+    pub fn place_of(&self, presence: &Presence) -> Option<Pose> {
+        let log = (presence.robot.clone(), presence.epoch);
+        let placed = self.submaps.get(&log).filter(|_| self.own.as_ref() != Some(&log))?;
+        let up_to = placed.partition_point(|(number, _)| *number <= presence.submap);
+        placed.get(up_to.max(1) - 1).map(|(_, pose)| *pose)
+    }
+
+    /// A common map of these logs.
+    #[cfg(test)]
+    pub fn with_submaps(own: &RobotId, logs: &[(&RobotId, u64, &[(u32, Pose)])]) -> Self {
+        let submaps = logs.iter().map(|(robot, epoch, rows)| (((*robot).clone(), *epoch), rows.to_vec()));
+        Self { own: Some((own.clone(), 1)), submaps: submaps.collect(), ..Self::default() }
     }
 }
 
@@ -78,11 +109,12 @@ mod tests {
     #[test]
     fn the_newest_submap_that_both_know_decides() {
         let pose = |x: f64| Pose::new(x, 0.0, 0.0);
+        let key = flockslam_records::RobotKey::of_replay("a").unwrap();
+        let submaps: &[_] = &[(0, pose(10.0)), (2, pose(20.0)), (3, pose(30.0))];
         let common = Common {
             merged: true,
             members: vec!["a".to_owned(), "b".to_owned()],
-            submaps: vec![(0, pose(10.0)), (2, pose(20.0)), (3, pose(30.0))],
-            ..Common::default()
+            ..Common::with_submaps(key.id(), &[(key.id(), 1, submaps)])
         };
         let frame = common.frame(&[(0, pose(1.0)), (2, pose(2.0))], 7).unwrap();
         assert_eq!((frame.flock_from_map, frame.members, frame.revision), (pose(18.0), 2, 7));

@@ -1,12 +1,12 @@
 //! The one place that opens the network between robots.
 
 use super::drops::{Dropped, Drops};
+use super::thread::locked;
 use crate::FlockSettings;
 use flockslam_records::{MESSAGE_BYTES_MAX, Message, RobotId};
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use zenoh::Wait;
 use zenoh::liveliness::LivelinessToken;
@@ -20,6 +20,10 @@ const WAITING_MAX: usize = 64;
 const SENDER_RATE_MAX: u32 = 100;
 /// Senders and peers that are told apart: all further senders share one account, further peers are not seen.
 const PEERS_MAX: usize = 256;
+/// Robots whose traffic is counted apart.
+const TRAFFIC_PEERS_MAX: usize = 32;
+/// What stands for all further ones.
+pub const OTHERS: &str = "others";
 /// How long a message may wait for room on its way out before it is dropped, microseconds.
 const WAIT_TO_SEND_US: u64 = 1_000_000;
 
@@ -31,13 +35,30 @@ pub struct Heard {
     pub bytes: Vec<u8>,
 }
 
-/// Bytes that went through the link.
+/// Bytes that went through the link, by robot: of messages that were looked at, and of messages that were sent.
 #[derive(Debug, Default)]
-pub struct Traffic {
-    /// Of messages that were looked at.
-    pub heard: AtomicU64,
-    /// Of messages that were sent.
-    pub said: AtomicU64,
+pub struct Traffic(Mutex<BTreeMap<String, (u64, u64)>>);
+
+impl Traffic {
+    fn heard(&self, peer: &str, bytes: usize) {
+        self.count(peer, (bytes as u64, 0));
+    }
+
+    fn said(&self, peer: &str, bytes: usize) {
+        self.count(peer, (0, bytes as u64));
+    }
+
+    fn count(&self, peer: &str, (heard, said): (u64, u64)) {
+        let mut peers = locked(&self.0);
+        let known = peers.contains_key(peer) || peers.len() < TRAFFIC_PEERS_MAX;
+        let account = peers.entry(if known { peer } else { OTHERS }.to_owned()).or_default();
+        *account = (account.0 + heard, account.1 + said);
+    }
+
+    /// Bytes heard and said so far, by robot.
+    pub fn by_peer(&self) -> BTreeMap<String, (u64, u64)> {
+        locked(&self.0).clone()
+    }
 }
 
 /// Who is there.
@@ -117,7 +138,7 @@ impl Link {
         let key = format!("{}/to/{receiver}/{}", self.prefix, self.own);
         match self.session.put(key, bytes).congestion_control(CongestionControl::Drop).wait() {
             Ok(()) => {
-                self.traffic.said.fetch_add(length as u64, Ordering::Relaxed);
+                self.traffic.said(receiver, length);
             }
             Err(error) => {
                 tracing::debug!(%error, receiver, "a message to the flock was not sent");
@@ -204,10 +225,6 @@ fn watch(
     session.liveliness().declare_subscriber(key).history(true).callback(seen).wait().map_err(told)
 }
 
-fn locked<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
-    shared.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 /// Takes messages from the network's own threads to that of the flock, as far as they are not too long or too many.
 struct Mailbox {
     queue: SyncSender<Heard>,
@@ -232,7 +249,7 @@ impl Mailbox {
         }
         let heard = Heard { sender: sender.to_owned(), bytes: sample.payload().to_bytes().into_owned() };
         match self.queue.try_send(heard) {
-            Ok(()) => drop(self.traffic.heard.fetch_add(length as u64, Ordering::Relaxed)),
+            Ok(()) => self.traffic.heard(sender, length),
             Err(TrySendError::Full(_)) => self.drops.count(Dropped::Overflow, 1),
             Err(TrySendError::Disconnected(_)) => {}
         }

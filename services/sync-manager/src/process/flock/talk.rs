@@ -1,4 +1,5 @@
 use super::common::Common;
+use super::companions::Companions;
 use super::drops::{Dropped, Drops};
 use super::link::{Heard, Link, Traffic, address, hexadecimal};
 use super::metrics::FlockMetrics;
@@ -6,19 +7,20 @@ use super::pace::{Budget, Pace};
 use super::proximity::Proximity;
 use super::relay::Relay;
 use super::teller::Teller;
-use super::thread::Task;
+use super::thread::{Shared, Task, locked};
 use crate::FlockSettings;
 use crate::flock::Flock;
 use flockslam_geometry::Pose;
-use flockslam_messages::FlockFrame;
 use flockslam_records::{Message, RecordError};
-use flockslam_stage::{FlockStatus, StageError};
+use flockslam_stage::StageError;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
-use std::sync::atomic::Ordering;
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
+
+mod status;
+mod whereabouts;
 
 /// How long the thread sleeps when nothing happens.
 const PAUSE: Duration = Duration::from_millis(50);
@@ -40,8 +42,6 @@ const LAYOUT_PACE: (Duration, u32) = (Duration::from_secs(1), 3);
 const OPEN_PERIOD: Duration = Duration::from_secs(3);
 /// What a robot says before it leaves is heard within this.
 const HEARD_WITHIN: Duration = Duration::from_millis(500);
-/// What others can see is brought up to date this often.
-const SHOW_PERIOD: Duration = Duration::from_millis(250);
 
 /// A robot that is near.
 struct Neighbour {
@@ -73,7 +73,10 @@ pub struct Talk {
     revision: u32,
     /// Where this robot's submaps lie in its own map.
     map_from_odom: Vec<(u32, Pose)>,
-    frame: Arc<Mutex<Option<FlockFrame>>>,
+    shared: Arc<Shared>,
+    companions: Companions,
+    /// When neighbours were told last where the robot is, and the scan of that.
+    was_here: Option<(Instant, u64)>,
     status_dir: PathBuf,
     metrics: FlockMetrics,
     shown: Option<Instant>,
@@ -88,7 +91,7 @@ impl Talk {
         proximity: Box<dyn Proximity>,
         status_dir: PathBuf,
         metrics: FlockMetrics,
-        frame: Arc<Mutex<Option<FlockFrame>>>,
+        shared: Arc<Shared>,
     ) -> Self {
         Self {
             settings: settings.clone(),
@@ -108,7 +111,9 @@ impl Talk {
             layout_pace: Pace::new(LAYOUT_PACE.0, LAYOUT_PACE.1),
             revision: 0,
             map_from_odom: Vec::new(),
-            frame,
+            shared,
+            companions: Companions::default(),
+            was_here: None,
             status_dir,
             metrics,
             shown: None,
@@ -134,6 +139,7 @@ impl Talk {
             self.search();
             self.conclude();
             self.tell_neighbours();
+            self.tell_place();
             self.end();
             self.show();
         }
@@ -211,6 +217,9 @@ impl Talk {
         let Some(neighbour) = self.near.get_mut(&heard.sender) else {
             return self.drops.count(Dropped::NotNear, 1);
         };
+        if let Message::Here(presence) = message {
+            return self.meet(presence, &heard.sender);
+        }
         let now = Instant::now();
         let asks = !matches!(message, Message::Records(_));
         if asks && neighbour.answered.is_some_and(|at| now - at < ANSWER_PERIOD) {
@@ -276,7 +285,8 @@ impl Talk {
     /// Tells the stage how its map lies in that of the flock.
     fn place(&self) {
         let frame = self.common.frame(&self.map_from_odom, self.revision);
-        *self.frame.lock().unwrap_or_else(PoisonError::into_inner) = frame;
+        *locked(&self.shared.frame) = frame;
+        self.show_companions();
     }
 
     fn tell_neighbours(&mut self) {
@@ -324,50 +334,6 @@ impl Talk {
             let (done, _) = self.ending.take().expect("it was there");
             // The stage may have gone.
             let _ = done.send(());
-        }
-    }
-
-    fn show(&mut self) {
-        if self.shown.is_some_and(|at| at.elapsed() < SHOW_PERIOD) {
-            return;
-        }
-        self.shown = Some(Instant::now());
-        let status = self.status();
-        self.metrics.show(&status, self.drops.counts());
-        kept(status.write(&self.status_dir));
-    }
-
-    fn status(&self) -> FlockStatus {
-        let (flock, known) = (self.teller.flock(), self.known());
-        let frame = *self.frame.lock().unwrap_or_else(PoisonError::into_inner);
-        let records = flock.collection().records().count() as u64;
-        FlockStatus {
-            flock: self.settings.flock.clone(),
-            robot: flock.robot().name().to_owned(),
-            public_key: hexadecimal(flock.robot().public_key()),
-            epoch: self.teller.epoch(),
-            problem: self.problem.clone(),
-            peers: self.connected.iter().cloned().collect(),
-            near: self.near.keys().cloned().collect(),
-            robots: flock.collection().robots().map(|robot| robot.name().to_owned()).collect(),
-            records: (records, flock.collection().bytes()),
-            records_hash: hexadecimal(&known[..16]),
-            settled: known == self.searched && (self.is_alone() || known == self.common.of_records),
-            members: self.common.members.clone(),
-            merged: self.common.merged,
-            map_hash: match self.common.map_hash {
-                0 => String::new(),
-                hash => format!("{hash:016x}"),
-            },
-            flock_from_map: frame.map(|frame| {
-                let Pose { x_m, y_m, heading_rad } = frame.flock_from_map;
-                [x_m, y_m, heading_rad]
-            }),
-            searches: flock.searches(),
-            heard_bytes: self.traffic.heard.load(Ordering::Relaxed),
-            said_bytes: self.traffic.said.load(Ordering::Relaxed),
-            dropped: self.drops.by_name(),
-            has_ended: self.ending.is_some(),
         }
     }
 

@@ -6,13 +6,13 @@ use crate::FlockSettings;
 use crate::flock::News;
 use flockslam_evidence::Submap;
 use flockslam_geometry::Pose;
-use flockslam_messages::FlockFrame;
+use flockslam_messages::{FlockFrame, FlockRobots, PoseEstimate};
 use flockslam_stage::{StageError, SubmapStore};
 use std::collections::BTreeSet;
 use std::ops::Range;
 use std::path::Path;
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Duration;
 
@@ -41,7 +41,23 @@ pub struct FlockThread {
     // Without a limit: it holds what the robot finds out itself, a few times a minute, and none of it may be lost.
     tasks: Sender<Task>,
     told_submaps: BTreeSet<u32>,
-    frame: Arc<Mutex<Option<FlockFrame>>>,
+    shared: Arc<Shared>,
+}
+
+/// What the stage and the thread look up of each other: the newest of each.
+#[derive(Default)]
+pub struct Shared {
+    /// How the robot's map lies in that of the flock.
+    pub frame: Mutex<Option<FlockFrame>>,
+    /// Where the others are.
+    pub robots: Mutex<FlockRobots>,
+    /// Where this robot is.
+    pub pose: Mutex<Option<PoseEstimate>>,
+}
+
+/// What a lock protects, whoever died with it: each of these values is replaced as a whole.
+pub fn locked<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl FlockThread {
@@ -56,10 +72,10 @@ impl FlockThread {
         metrics: FlockMetrics,
     ) -> Result<Self, StageError> {
         let (tasks, received) = channel();
-        let frame = Arc::new(Mutex::new(None));
+        let shared = Arc::new(Shared::default());
         let told_submaps = teller.told_submaps().clone();
         let near = proximity(settings, status_dir)?;
-        let mut talk = Talk::new(settings, teller, near, status_dir.to_owned(), metrics, Arc::clone(&frame));
+        let mut talk = Talk::new(settings, teller, near, status_dir.to_owned(), metrics, Arc::clone(&shared));
         let run = move || {
             // Should it be refused, the whole process yields to the others anyway.
             let _ = rustix::process::setpriority_process(Some(rustix::thread::gettid()), NICENESS);
@@ -67,7 +83,7 @@ impl FlockThread {
         };
         let started = thread::Builder::new().name("flock".to_owned()).spawn(run);
         started.map_err(|error| StageError::file("the thread of the flock", error))?;
-        Ok(Self { tasks, told_submaps, frame })
+        Ok(Self { tasks, told_submaps, shared })
     }
 
     /// Hands something over.
@@ -93,7 +109,17 @@ impl FlockThread {
 
     /// How the robot's map lies in that of the flock, while it is part of it.
     pub fn frame(&self) -> Option<FlockFrame> {
-        *self.frame.lock().unwrap_or_else(PoisonError::into_inner)
+        *locked(&self.shared.frame)
+    }
+
+    /// Where the others are in the robot's map.
+    pub fn robots(&self) -> FlockRobots {
+        *locked(&self.shared.robots)
+    }
+
+    /// Takes note of where the robot is.
+    pub fn is_at(&self, pose: &PoseEstimate) {
+        *locked(&self.shared.pose) = Some(*pose);
     }
 
     /// Waits until the flock knows everything and everything of the flock is known, or too long has passed, or `stops` says so, which

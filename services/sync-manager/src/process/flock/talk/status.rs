@@ -1,0 +1,58 @@
+use super::super::link::hexadecimal;
+use super::super::thread::locked;
+use super::{Talk, kept};
+use flockslam_geometry::Pose;
+use flockslam_stage::FlockStatus;
+use std::time::{Duration, Instant};
+
+/// What others can see is brought up to date this often.
+const PERIOD: Duration = Duration::from_millis(250);
+
+impl Talk {
+    pub(super) fn show(&mut self) {
+        if self.shown.is_some_and(|at| at.elapsed() < PERIOD) {
+            return;
+        }
+        self.shown = Some(Instant::now());
+        let status = self.status();
+        self.metrics.show(&status, self.drops.counts());
+        kept(status.write(&self.status_dir));
+    }
+
+    fn status(&self) -> FlockStatus {
+        let (flock, known) = (self.teller.flock(), self.known());
+        let frame = *locked(&self.shared.frame);
+        let records = flock.collection().records().count() as u64;
+        let traffic = self.traffic.by_peer();
+        FlockStatus {
+            flock: self.settings.flock.clone(),
+            robot: flock.robot().name().to_owned(),
+            public_key: hexadecimal(flock.robot().public_key()),
+            epoch: self.teller.epoch(),
+            problem: self.problem.clone(),
+            peers: self.connected.iter().cloned().collect(),
+            near: self.near.keys().cloned().collect(),
+            robots: flock.collection().robots().map(|robot| robot.name().to_owned()).collect(),
+            records: (records, flock.collection().bytes()),
+            records_hash: hexadecimal(&known[..16]),
+            settled: known == self.searched && (self.is_alone() || known == self.common.of_records),
+            members: self.common.members.clone(),
+            merged: self.common.merged,
+            map_hash: match self.common.map_hash {
+                0 => String::new(),
+                hash => format!("{hash:016x}"),
+            },
+            flock_from_map: frame.map(|frame| {
+                let Pose { x_m, y_m, heading_rad } = frame.flock_from_map;
+                [x_m, y_m, heading_rad]
+            }),
+            searches: flock.searches(),
+            heard_bytes: traffic.values().map(|(heard, _)| heard).sum(),
+            said_bytes: traffic.values().map(|(_, said)| said).sum(),
+            traffic,
+            across: self.common.across,
+            dropped: self.drops.by_name(),
+            has_ended: self.ending.is_some(),
+        }
+    }
+}

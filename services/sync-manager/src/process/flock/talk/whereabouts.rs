@@ -1,0 +1,48 @@
+use super::super::drops::Dropped;
+use super::super::link::address;
+use super::super::thread::locked;
+use super::Talk;
+use flockslam_messages::{PoseEstimate, Quality};
+use flockslam_records::Presence;
+use flockslam_telemetry::monotonic_ns;
+use std::time::{Duration, Instant};
+
+/// Neighbours are told this often where the robot is.
+const PERIOD: Duration = Duration::from_millis(500);
+
+impl Talk {
+    /// Takes note of where a neighbour says that it is. Nobody says so for another.
+    pub(super) fn meet(&mut self, presence: Presence, sender: &str) {
+        if address(&presence.robot) != sender {
+            return self.drops.count(Dropped::Malformed, 1);
+        }
+        if self.companions.hear(presence, monotonic_ns(), &self.common) {
+            self.show_companions();
+        }
+    }
+
+    pub(super) fn show_companions(&self) {
+        let Some(frame) = *locked(&self.shared.frame) else { return };
+        let radius_m = self.settings.body_radius_m;
+        *locked(&self.shared.robots) = self.companions.in_map(&self.common, frame.flock_from_map, radius_m);
+    }
+
+    /// Tells those who are near where this robot is, when it is somewhere else than before and knows where.
+    pub(super) fn tell_place(&mut self) {
+        let now = Instant::now();
+        let Some(pose) = locked(&self.shared.pose).filter(|_| !self.near.is_empty()) else { return };
+        let is_told = |(at, sequence)| now - at < PERIOD || sequence >= pose.id.sequence;
+        let Some(link) = self.link.as_ref().filter(|_| !self.was_here.is_some_and(is_told)) else { return };
+        if pose.quality != Quality::Tracking as u32 {
+            return;
+        }
+        self.was_here = Some((now, pose.id.sequence));
+        let PoseEstimate { id, submap, odom_from_base, .. } = pose;
+        let here = self.teller.flock().here(id.sequence, submap, odom_from_base);
+        for (peer, neighbour) in &mut self.near {
+            if neighbour.budget.left(now) > 0 {
+                neighbour.budget.spend(link.say_to(peer, &here));
+            }
+        }
+    }
+}
