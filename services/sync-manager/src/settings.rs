@@ -223,6 +223,7 @@ impl FlockSettings {
                 "flock",
                 "letters, digits, '-', '_' and '.', at most 32",
             ),
+            ((0.0..=5.0).contains(&self.body_radius_m), "body_radius_m", "0 … 5"),
             (Self::keys(&self.trusted).is_some(), "trusted", "a public key has 64 hexadecimal digits"),
             (Self::keys(&self.banned).is_some(), "banned", "a public key has 64 hexadecimal digits"),
             (given == 0 || given == 3, "tls_ca", "give tls_ca, tls_certificate and tls_key, or none of them"),
@@ -250,6 +251,7 @@ mod tests {
         assert_eq!(wrong(|_| ()), None);
         assert_eq!(wrong(|s| s.enabled = true), Some("name"));
         assert_eq!(wrong(|s| s.flock = "a/b".to_owned()), Some("flock"));
+        assert_eq!(wrong(|s| s.body_radius_m = f64::NAN), Some("body_radius_m"));
         assert_eq!(wrong(|s| s.banned = vec!["0f".to_owned()]), Some("banned"));
         assert_eq!(wrong(|s| s.trusted = vec!["0F".repeat(32)]), None);
         assert_eq!(wrong(|s| s.tls_ca = "ca.pem".into()), Some("tls_ca"));

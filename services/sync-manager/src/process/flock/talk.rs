@@ -33,7 +33,7 @@ const ANSWER_PERIOD: Duration = Duration::from_millis(500);
 /// Records in answer to one message, bytes: what a slow radio link carries in a second.
 const ANSWER_BYTES: usize = 1 << 20;
 /// Searches between two looks at the mail.
-const SEARCHES: u64 = 40;
+const SEARCHES: u64 = 10;
 /// Looking for shared places takes at most half of a processor's time as long as the robot drives …
 const SEARCH_PACE: (Duration, u32) = (Duration::from_millis(200), 1);
 /// … and laying them out a quarter.
