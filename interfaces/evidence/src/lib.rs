@@ -10,7 +10,7 @@ mod fused_map;
 mod grid;
 mod levels;
 mod masses;
-mod range_coder;
+pub mod range_coder;
 mod ray;
 mod resampling;
 mod sensor_model;

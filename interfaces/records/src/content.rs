@@ -3,12 +3,14 @@ use crate::{RecordError, RobotId};
 
 mod clearance;
 mod constraint;
+mod points;
 mod stretch;
 mod submap;
 mod withdrawal;
 
 pub use clearance::Clearance;
 pub use constraint::{Constraint, NodeName};
+pub use points::rounded as rounded_point;
 pub use stretch::{Descriptor, RecordedNode, Stretch};
 pub use submap::SubmapRecord;
 pub use withdrawal::Withdrawal;

@@ -1,6 +1,8 @@
 use super::constraint::is_information;
+use super::points;
 use crate::RecordError;
 use crate::codec::{Reader, Writer, stored};
+use crate::sealed::PAYLOAD_BYTES_MAX;
 use flockslam_geometry::Pose;
 
 /// Most nodes of a stretch.
@@ -41,7 +43,7 @@ pub struct RecordedNode {
     pub information: [f32; 6],
     /// How doubtful the motion is beyond its length, metres.
     pub doubt_m: f32,
-    /// Points of its scan in the robot's frame, millimetres.
+    /// Points of its scan in the robot's frame, millimetres; they are sent as [`rounded_point`](crate::rounded_point) has them.
     pub points: Vec<[i16; 2]>,
 }
 
@@ -80,6 +82,9 @@ impl Stretch {
             last = node.sequence + 1;
             node.write(out);
         }
+        let coded = points::encode(self.nodes.iter().map(|node| node.points.as_slice()));
+        out.varint(coded.len() as u64);
+        out.bytes(&coded);
     }
 
     pub(crate) fn read(input: &mut Reader<'_>) -> Result<Self, RecordError> {
@@ -91,14 +96,20 @@ impl Stretch {
         };
         let descriptor = Descriptor(input.array()?);
         let count = input.count("nodes of a stretch", NODES_MAX, 40)?;
-        let mut nodes = Vec::with_capacity(count);
+        let (mut nodes, mut counts) = (Vec::with_capacity(count), Vec::with_capacity(count));
         let mut last = previous.map_or(Some(0), |previous: u64| previous.checked_add(1));
         for _ in 0..count {
             let gap = input.varint()?;
             let sequence = last.and_then(|last| last.checked_add(gap)).filter(|at| *at < u64::MAX / 2);
             let sequence = sequence.ok_or(RecordError::Malformed("sequences of nodes"))?;
-            nodes.push(RecordedNode::read(input, sequence)?);
+            let (node, points) = RecordedNode::read(input, sequence)?;
+            nodes.push(node);
+            counts.push(points);
             last = Some(sequence + 1);
+        }
+        let length = input.count("bytes of points", PAYLOAD_BYTES_MAX, 1)?;
+        for (node, points) in nodes.iter_mut().zip(points::decode(input.take(length)?, &counts)?) {
+            node.points = points;
         }
         Ok(Self { chain, previous, descriptor, nodes })
     }
@@ -112,15 +123,10 @@ impl RecordedNode {
         self.information.iter().for_each(|value| out.f32(*value));
         out.f32(self.doubt_m);
         out.varint(self.points.len() as u64);
-        let mut last = [0i16; 2];
-        for point in &self.points {
-            // Neighbours in a scan lie side by side: differences take two or three bytes.
-            (0..2).for_each(|axis| out.signed(i64::from(point[axis]) - i64::from(last[axis])));
-            last = *point;
-        }
     }
 
-    fn read(input: &mut Reader<'_>, sequence: u64) -> Result<Self, RecordError> {
+    /// A node without its points, and how many it has.
+    fn read(input: &mut Reader<'_>, sequence: u64) -> Result<(Self, usize), RecordError> {
         let submap = input.varint()?.try_into().map_err(|_| RecordError::Malformed("a submap's number"))?;
         let (odom_from_base, motion) = (input.pose()?, input.pose()?);
         let mut information = [0.0; 6];
@@ -131,16 +137,11 @@ impl RecordedNode {
         if !is_information(&information, INFORMATION_MAX) || !(0.0..=1e7).contains(&doubt_m) {
             return Err(RecordError::Malformed("information of a motion"));
         }
-        let count = input.count("points of a node", POINTS_MAX, 2)?;
-        let mut points = Vec::with_capacity(count);
-        let mut last = [0i64; 2];
-        for _ in 0..count {
-            for value in &mut last {
-                *value = value.checked_add(input.signed()?).unwrap_or(i64::MAX);
-            }
-            let fits = |value: i64| i16::try_from(value).map_err(|_| RecordError::Malformed("a point"));
-            points.push([fits(last[0])?, fits(last[1])?]);
-        }
-        Ok(Self { sequence, submap, odom_from_base, motion, information, doubt_m, points })
+        // Points that are foreseen take next to no bytes: the limit alone bounds them.
+        let count = input.count("points of a node", POINTS_MAX, 0)?;
+        Ok((
+            Self { sequence, submap, odom_from_base, motion, information, doubt_m, points: Vec::new() },
+            count,
+        ))
     }
 }

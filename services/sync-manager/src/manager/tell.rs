@@ -4,7 +4,7 @@
 use super::SyncManager;
 use crate::chain::Node;
 use crate::closure::Closure;
-use flockslam_records::{Descriptor, RecordedNode, Stretch};
+use flockslam_records::{Descriptor, RecordedNode, Stretch, rounded_point};
 use flockslam_registration::cloud::{PackedPoint, Placement};
 
 /// Most nodes of a stretch that is told at once.
@@ -84,7 +84,12 @@ impl SyncManager {
                 information: edge
                     .map_or([1.0, 0.0, 0.0, 1.0, 0.0, 1.0], |edge| edge.information.map(|v| v as f32)),
                 doubt_m: doubt_m.max(0.0) as f32,
-                points: self.scans.points(node.scan).iter().map(|p: &PackedPoint| [p.x_mm, p.y_mm]).collect(),
+                points: self
+                    .scans
+                    .points(node.scan)
+                    .iter()
+                    .map(|p: &PackedPoint| rounded_point([p.x_mm, p.y_mm]))
+                    .collect(),
             }
         };
         let mut start = first;
