@@ -2,6 +2,8 @@
 
 #[path = "support/flocks.rs"]
 mod flocks;
+#[path = "support/slow_link.rs"]
+mod slow_link;
 mod support;
 
 use flocks::{FlockRobot, Namespace, hostile, own_certificates};
@@ -9,8 +11,10 @@ use flockslam_messages::Stage;
 use flockslam_stage::FlockStatus;
 use rustix::process::Signal;
 use serde_json::Value;
+use slow_link::SlowLink;
 use std::process::Command;
-use support::{Drive, flockslam, of, send, stderr, wait_for};
+use std::time::Instant;
+use support::{Drive, LiveSet, flockslam, free_port, of, send, stderr, wait_for};
 
 /// A drive long enough for robots to come through the same places.
 const MEETING: Drive = Drive { scan_rate_hz: 5.0, duration_s: 100.0, rate: 5.0 };
@@ -84,6 +88,64 @@ fn robots_die_until_one_is_left_which_goes_on_and_a_reborn_one_rejoins() {
     let address = reborn.address();
     last.wait_for_flock("the reborn one", |flock| flock.peers.contains(&address));
     dead.into_iter().for_each(FlockRobot::leave_nothing);
+}
+
+/// Maps of different sessions, none of which knew of the other, become one.
+#[test]
+fn saved_maps_are_merged() {
+    let directory = tempfile::tempdir().unwrap();
+    let saved = ["monday", "tuesday"].map(|day| {
+        let own = directory.path().join(day);
+        std::fs::create_dir(&own).unwrap();
+        let drive = Drive { rate: 20.0, duration_s: 160.0, ..MEETING };
+        let lead_s = if day == "monday" { 0 } else { 60 };
+        let world = format!("[simulation]\nseed = {}\nlead_s = {lead_s}.0\n", 1 + lead_s);
+        std::fs::write(own.join("world.toml"), world).unwrap();
+        let set = LiveSet::start(day, &own, drive, "map = \"map\"\nconfig = \"world.toml\"");
+        set.finish();
+        own.join("map")
+    });
+    let out = directory.path().join("both");
+    let mut command = flockslam();
+    command.args(["store", "merge"]).args(&saved).arg("--out").arg(&out);
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    let joined: Value = serde_json::from_slice(&std::fs::read(out.join("flock.json")).unwrap()).unwrap();
+    assert_eq!(
+        (joined["members"].as_array().unwrap().len(), &joined["all_agree"]),
+        (2, &true.into()),
+        "{joined:#}"
+    );
+    for file in ["trajectory.tum", "map.png", "map.pgm"] {
+        assert!(out.join(file).metadata().unwrap().len() > 0, "{file}");
+    }
+}
+
+/// What a late joiner has to hear goes through a slow radio link: 10 Mbit/s. How long that takes is printed.
+#[test]
+fn a_late_joiner_hears_all_over_a_slow_link() {
+    let directory = tempfile::tempdir().unwrap();
+    let [first, second] = [(); 2].map(|()| format!("tcp/127.0.0.1:{}", free_port()));
+    // The first one stays when its drive has ended.
+    let stays = "companions = 1\nfarewell_s = 80.0";
+    let long = Drive { duration_s: 400.0, rate: 10.0, ..MEETING };
+    let mut early =
+        FlockRobot::start_one("late", directory.path(), long, std::slice::from_ref(&first), 0, stays);
+    let all = early.wait_for_flock("the end of the first drive", |flock| flock.has_ended && flock.settled);
+    let link = SlowLink::to(&first, 10e6 / 8.0);
+    let endpoints = [link.endpoint.clone(), second];
+    let mut late = FlockRobot::start_one("late", directory.path(), MEETING, &endpoints, 1, "");
+    late.wait_for_flock("a peer", |flock| !flock.peers.is_empty());
+    let (met, carried) = (Instant::now(), link.carried());
+    late.wait_for_flock("all records", |flock| flock.records.0 >= all.records.0);
+    println!(
+        "{} records, {} bytes, in {:.2} s over 10 Mbit/s, {} bytes on the link",
+        all.records.0,
+        all.records.1,
+        met.elapsed().as_secs_f64(),
+        link.carried() - carried
+    );
+    wait_until_merged(&mut late, 2);
 }
 
 #[test]

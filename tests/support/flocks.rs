@@ -84,6 +84,20 @@ impl FlockRobot {
         certificates.iter().enumerate().map(start).collect()
     }
 
+    /// One robot of those at these endpoints.
+    pub fn start_one(
+        test: &str,
+        directory: &Path,
+        drive: Drive,
+        endpoints: &[String],
+        number: usize,
+        more: &str,
+    ) -> Self {
+        Self::start(test, directory, endpoints, number, more, |set, description, more| {
+            LiveSet::start(set, description, drive, more)
+        })
+    }
+
     /// A robot in each namespace; at the end of their drives they stay until both have ended.
     pub fn start_in(namespaces: &[Namespace; 2], test: &str, directory: &Path, drive: Drive) -> Vec<Self> {
         let endpoints: Vec<String> =

@@ -83,9 +83,8 @@ impl Common {
 
     /// A common map of these logs.
     #[cfg(test)]
-    pub fn with_submaps(own: &RobotId, logs: &[(&RobotId, u64, &[(u32, Pose)])]) -> Self {
-        let submaps = logs.iter().map(|(robot, epoch, rows)| (((*robot).clone(), *epoch), rows.to_vec()));
-        Self { own: Some((own.clone(), 1)), submaps: submaps.collect(), ..Self::default() }
+    pub fn with_submaps(own: &RobotId, logs: impl IntoIterator<Item = (Log, Vec<(u32, Pose)>)>) -> Self {
+        Self { own: Some((own.clone(), 1)), submaps: logs.into_iter().collect(), ..Self::default() }
     }
 }
 
@@ -110,11 +109,11 @@ mod tests {
     fn the_newest_submap_that_both_know_decides() {
         let pose = |x: f64| Pose::new(x, 0.0, 0.0);
         let key = flockslam_records::RobotKey::of_replay("a").unwrap();
-        let submaps: &[_] = &[(0, pose(10.0)), (2, pose(20.0)), (3, pose(30.0))];
+        let submaps = vec![(0, pose(10.0)), (2, pose(20.0)), (3, pose(30.0))];
         let common = Common {
             merged: true,
             members: vec!["a".to_owned(), "b".to_owned()],
-            ..Common::with_submaps(key.id(), &[(key.id(), 1, submaps)])
+            ..Common::with_submaps(key.id(), [((key.id().clone(), 1), submaps)])
         };
         let frame = common.frame(&[(0, pose(1.0)), (2, pose(2.0))], 7).unwrap();
         assert_eq!((frame.flock_from_map, frame.members, frame.revision), (pose(18.0), 2, 7));

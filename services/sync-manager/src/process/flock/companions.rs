@@ -54,7 +54,8 @@ mod tests {
     fn who_is_in_the_common_map_is_where_it_says_and_nothing_old_counts() {
         let [a, b, stranger] = ["a", "b", "stranger"].map(|name| RobotKey::of_replay(name).unwrap());
         let pose = |x: f64| Pose::new(x, 0.0, 0.0);
-        let common = Common::with_submaps(a.id(), &[(b.id(), 1, &[(0, pose(10.0)), (3, pose(20.0))])]);
+        let common =
+            Common::with_submaps(a.id(), [((b.id().clone(), 1), vec![(0, pose(10.0)), (3, pose(20.0))])]);
         let says = |key: &RobotKey, sequence, submap| Presence::sign(key, 1, sequence, submap, pose(1.0));
         let mut companions = Companions::default();
         assert!(!companions.hear(says(&stranger, 5, 0), 7, &common));
@@ -70,7 +71,7 @@ mod tests {
             (companions.in_map(&common, pose(100.0), 0.4).robots[0].map_from_base.x_m + 89.0).abs() < 1e-9
         );
         // Who is no part of it any more is nowhere.
-        let apart = Common::with_submaps(a.id(), &[]);
+        let apart = Common::with_submaps(a.id(), []);
         assert_eq!(companions.in_map(&apart, pose(0.0), 0.4).count, 0);
     }
 }
