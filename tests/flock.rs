@@ -134,7 +134,7 @@ fn a_late_joiner_hears_all_over_a_slow_link() {
     let all = early.wait_for_flock("the end of the first drive", |flock| flock.has_ended && flock.settled);
     let link = SlowLink::to(&first, 10e6 / 8.0);
     let endpoints = [link.endpoint.clone(), second];
-    let mut late = FlockRobot::start_one("late", directory.path(), MEETING, &endpoints, 1, "");
+    let mut late = FlockRobot::start_one("late", directory.path(), LONG, &endpoints, 1, "");
     late.wait_for_flock("a peer", |flock| !flock.peers.is_empty());
     let (met, carried) = (Instant::now(), link.carried());
     late.wait_for_flock("all records", |flock| flock.records.0 >= all.records.0);
