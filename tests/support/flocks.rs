@@ -183,9 +183,10 @@ impl FlockRobot {
         Self { set: self.set.start_once_more(), ..self }
     }
 
-    /// Removes what a robot that was killed has left for a successor that will not come.
+    /// Gives up what a robot that was killed has left for a successor that will not come: the next start of any set removes it, in
+    /// shared memory as well.
     pub fn leave_nothing(self) {
-        std::fs::remove_dir_all(self.set.runtime_dir()).unwrap();
+        let _ = std::fs::remove_file(self.set.runtime_dir().join("kept"));
     }
 
     /// Waits for the end of its source; what it told of its flock last.
