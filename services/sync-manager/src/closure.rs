@@ -57,17 +57,6 @@ pub struct Closure {
     pub shift_m: f64,
 }
 
-/// What a look at a place says of a layout: shares, 0 … 1.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Look {
-    /// Of the query's points those on the segment's lines.
-    pub inliers: f64,
-    /// Of the query's points where the segment looked at all, those in space that it saw free.
-    pub intruding: f64,
-    /// The same of the segment's points and the query.
-    pub intruded: f64,
-}
-
 /// What has been looked at so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SearchCounts {
@@ -236,30 +225,6 @@ impl ClosureFinder {
         let edge = edge(query, nearest, &at(nearest), &refined)?;
         let shift_m = if window == ANYWHERE { 0.0 } else { refined.placement.distance_m(&guess) };
         Some(Closure { edge, reach_m: window.reach_m, shift_m })
-    }
-
-    /// Looks whether the surroundings of a node are in a segment where the poses in force say, without searching.
-    pub fn look(&mut self, world: &World<'_>, query: usize, number: usize) -> Option<Look> {
-        let (nodes, scans, segment) = (world.nodes, world.scans, &world.segments[number]);
-        let points = cloud(nodes, scans, surroundings(nodes, query, QUERY_NODES), query);
-        if points.len() < POINTS_MIN {
-            return None;
-        }
-        let guess = world.poses[segment.anchor].to(world.poses[query]);
-        let anchor = nodes[segment.anchor].chain;
-        let at = |i: usize| anchor.to(nodes[i].chain);
-        load(&mut self.grid, nodes, scans, segment.nodes.clone(), at);
-        let refined = self.aligner.align(&mut self.grid, &packed(&picked(&points, REFINE_POINTS)), guess);
-        unload(&mut self.grid, nodes, scans, segment.nodes.clone(), at);
-        let near = |refined: &Alignment| {
-            refined.placement.distance_m(&guess) <= REFINED_MAX.0
-                && refined.placement.turn_rad(&guess) <= REFINED_MAX.1
-        };
-        let refined = refined.filter(near);
-        let placement = refined.map_or(guess, |refined| refined.placement);
-        let nearest = nearest_node(segment, &placement, at);
-        let (intruding, intruded) = intrusions(world, query, &points, segment, nearest, &placement, at);
-        Some(Look { inliers: refined.map_or(0.0, |refined| refined.inliers), intruding, intruded })
     }
 
     fn search(

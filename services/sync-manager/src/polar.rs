@@ -5,10 +5,14 @@ use std::f64::consts::{PI, TAU};
 const SECTORS: usize = 360;
 /// A point must lie this much in front of what was seen to count as in free space, metres.
 const MARGIN_M: f64 = 0.3;
+/// A point as far away as what was seen, give or take this, is the same, metres.
+const SAME_M: f64 = 0.2;
 
 /// How far a scan saw in each direction.
 pub struct Polar {
     nearest_m: [f64; SECTORS],
+    /// The nearest point of each sector alone; 0 where there is none.
+    sector_m: [f64; SECTORS],
 }
 
 impl Polar {
@@ -26,7 +30,7 @@ impl Polar {
         let around = |i: usize| [(i + SECTORS - 1) % SECTORS, i, (i + 1) % SECTORS].map(|k| sector_m[k]);
         // A sector is only judged where the scan saw something on both sides too.
         let nearest = |i| if sector_m[i] == 0.0 { 0.0 } else { least(around(i)) };
-        Self { nearest_m: std::array::from_fn(nearest) }
+        Self { nearest_m: std::array::from_fn(nearest), sector_m }
     }
 
     /// Whether the scan, taken at `at`, looked through the point (x, y) metres of the same frame: `None` when
@@ -35,6 +39,19 @@ impl Polar {
         let (x, y) = at.unrotate(x_m - at.x_m, y_m - at.y_m);
         let seen_m = self.nearest_m[sector(x, y)];
         (seen_m > 0.0).then(|| (x * x + y * y).sqrt() + MARGIN_M < seen_m)
+    }
+
+    /// Whether the scan, taken at `at`, saw something at the point (x, y) metres of the same frame (true) or looked through it (false): `None`
+    /// when it tells neither.
+    pub fn shows(&self, at: &Placement, x_m: f64, y_m: f64) -> Option<bool> {
+        let (x, y) = at.unrotate(x_m - at.x_m, y_m - at.y_m);
+        let (sector, range_m) = (sector(x, y), (x * x + y * y).sqrt());
+        let around = [sector + SECTORS - 1, sector, sector + 1].map(|k| self.sector_m[k % SECTORS]);
+        if around.iter().any(|seen_m| *seen_m > 0.0 && (range_m - seen_m).abs() <= SAME_M) {
+            return Some(true);
+        }
+        let nearest_m = self.nearest_m[sector];
+        (nearest_m > 0.0 && range_m + MARGIN_M < nearest_m).then_some(false)
     }
 }
 
@@ -60,5 +77,8 @@ mod tests {
         assert_eq!(polar.looked_through(&at, 5.0, 0.2), Some(false));
         assert_eq!(polar.looked_through(&at, 7.0, 0.2), Some(false));
         assert_eq!(polar.looked_through(&at, -3.0, 0.2), None);
+        assert_eq!(polar.shows(&at, 5.1, 0.2), Some(true));
+        assert_eq!(polar.shows(&at, 3.0, 0.2), Some(false));
+        assert_eq!(polar.shows(&at, 7.0, 0.2), None, "behind the wall");
     }
 }

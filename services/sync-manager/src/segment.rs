@@ -69,7 +69,7 @@ pub fn scan_cloud(points: &[PackedPoint]) -> Vec<(f64, f64)> {
 }
 
 /// The mean of the points in each cell of 0.1 m, in order of cells.
-fn cell_means(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+pub fn cell_means(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let key = |v: f64| (v * (1.0 / MomentGrid::CELL_M)).floor() as i32;
     let mut cells: Vec<(i32, i32, usize)> =
         points.iter().enumerate().map(|(i, &(x, y))| (key(y), key(x), i)).collect();

@@ -1,4 +1,5 @@
 use super::consistency::consistent;
+use super::inspection::Inspected;
 use crate::agreement::eligible;
 use crate::chain::{BROKEN_M, Node};
 use crate::closure::Closure;
@@ -184,12 +185,13 @@ impl Atlas {
 
     /// By closure: whether it may act, when nothing is held of those `denied`. A robot's own are judged as the robot itself judges
     /// them; those between robots, of which any may be a lie, need more.
-    pub(super) fn eligible(&self, denied: &BTreeSet<usize>) -> Vec<bool> {
+    pub(super) fn eligible(&self, denied: &BTreeSet<usize>, inspected: &mut Inspected) -> Vec<bool> {
         let across: Vec<bool> = self.closures.iter().map(|closure| self.is_across(closure)).collect();
         let judged: Vec<bool> =
             across.iter().enumerate().map(|(i, across)| *across && !denied.contains(&i)).collect();
         let own = eligible(&self.closures, &self.nodes);
-        let consistent = consistent(&self.closures, &self.nodes, &judged);
+        let mut stands = |group: &[usize]| self.stands(group, inspected);
+        let consistent = consistent(&self.closures, &self.nodes, &judged, &mut stands);
         let each = across.iter().zip(own).zip(consistent);
         each.map(|((across, own), consistent)| if *across { consistent } else { own }).collect()
     }
@@ -199,7 +201,8 @@ impl Atlas {
     pub(super) fn unconfirmed(&self, in_force: &[bool]) -> Vec<usize> {
         let acts = |i: usize| in_force[i] && self.is_across(&self.closures[i]);
         let across: Vec<bool> = (0..self.closures.len()).map(acts).collect();
-        let consistent = consistent(&self.closures, &self.nodes, &across);
+        // What the robots have seen has been looked at.
+        let consistent = consistent(&self.closures, &self.nodes, &across, &mut |_| true);
         (0..self.closures.len()).filter(|i| across[*i] && !consistent[*i]).collect()
     }
 

@@ -8,8 +8,11 @@ use std::collections::BTreeMap;
 
 /// Matches that have to agree before two robots are tied together, the one that is asked about among them.
 const GROUP_MIN: usize = 3;
-/// Travel over which those that agree must extend, on both sides, metres: what looks alike over a few metres differs over more.
-const EXTENT_M: f64 = 5.0;
+/// Travel over which those that agree must extend, on both sides together and on either, metres: what looks alike over a few metres differs
+/// over more.
+const EXTENT_M: (f64, f64) = (8.0, 2.0);
+/// Groups of each pair of strands that are inspected, the largest first: the work is bounded whatever somebody claims.
+const GROUPS_MAX: usize = 12;
 /// Each closure is compared with so many on either side of it along the way: the work is bounded whatever somebody claims.
 const BAND: usize = 128;
 /// Groups that lie along the way farther apart than this say nothing of each other, metres.
@@ -20,11 +23,15 @@ const BENT: ((f64, f64, f64), (f64, f64)) = ((0.3, 0.02, 0.002), (0.08, 0.004));
 /// Which closures between robots may take part in a solution; `across` says which are between robots, all others are not judged
 /// and come out as `false`.
 ///
-/// A closure needs a group of at least three that agree with each other and extend over several metres, and that is at least twice as large as the
-/// largest group of rivals that agree among themselves: any number of lies that do not agree with each other counts as one. Where
-/// two explanations are about as strong, neither acts (pairwise consistency, after Mangelson et al. 2018, with cliques grown greedily
-/// and rivals counted generously).
-pub fn consistent(closures: &[Closure], nodes: &[Node], across: &[bool]) -> Vec<bool> {
+/// A closure needs a group of at least three that agree with each other, that extends over several metres and that `stands` by what
+/// the robots have seen: any number of lies that do not agree with each other counts as none. Where two groups contradict each other and are about
+/// as strong, neither acts (pairwise consistency, after Mangelson et al. 2018, with cliques grown greedily).
+pub fn consistent(
+    closures: &[Closure],
+    nodes: &[Node],
+    across: &[bool],
+    stands: &mut dyn FnMut(&[usize]) -> bool,
+) -> Vec<bool> {
     let mut pairs: BTreeMap<(u32, u32), Vec<usize>> = BTreeMap::new();
     for (i, closure) in closures.iter().enumerate().filter(|(i, _)| across[*i]) {
         let strands = (nodes[closure.edge.from].strand, nodes[closure.edge.to].strand);
@@ -34,8 +41,11 @@ pub fn consistent(closures: &[Closure], nodes: &[Node], across: &[bool]) -> Vec<
     for mut members in pairs.into_values() {
         members.sort_by(|a, b| in_order(&closures[*a].edge, &closures[*b].edge, nodes));
         let compared = Compared::new(&members, closures, nodes);
-        let outvoting: Vec<bool> = (0..members.len()).map(|i| compared.outvotes(i)).collect();
-        let groups = compared.groups(&outvoting, closures, nodes);
+        let confirmed: Vec<bool> = (0..members.len()).map(|i| compared.is_confirmed(i)).collect();
+        let mut groups = compared.groups(&confirmed, closures, nodes);
+        groups.sort_by_key(|group| std::cmp::Reverse(group.len()));
+        groups.truncate(GROUPS_MAX);
+        groups.retain(|group| stands(&group.iter().map(|i| members[*i]).collect::<Vec<_>>()));
         for i in winners(&groups, &compared, closures, nodes) {
             consistent[members[i]] = true;
         }
@@ -93,21 +103,10 @@ impl<'a> Compared<'a> {
         (i.saturating_sub(BAND)..self.members.len().min(i + 1 + BAND)).filter(move |k| *k != i)
     }
 
-    /// Whether the group that agrees with a closure is large enough, and twice as large as any group of rivals.
-    fn outvotes(&self, i: usize) -> bool {
-        let (mut agreeing, mut rivals) = (Vec::new(), Vec::new());
-        for k in self.near(i) {
-            match self.agree(i, k) {
-                Some(true) => agreeing.push(k),
-                Some(false) => rivals.push(k),
-                None => {}
-            }
-        }
-        if agreeing.len() + 1 < GROUP_MIN {
-            return false;
-        }
-        let group = 1 + self.clique(&agreeing);
-        group >= GROUP_MIN && 2 * self.largest_star(&rivals) <= group
+    /// Whether enough closures agree with this one and do not contradict each other.
+    fn is_confirmed(&self, i: usize) -> bool {
+        let agreeing: Vec<usize> = self.near(i).filter(|k| self.agree(i, *k) == Some(true)).collect();
+        agreeing.len() + 1 >= GROUP_MIN && 1 + self.clique(&agreeing) >= GROUP_MIN
     }
 
     /// Size of a set in which no two contradict each other, grown from those that most agree with: never more than the largest there is.
@@ -124,14 +123,8 @@ impl<'a> Compared<'a> {
         clique.len()
     }
 
-    /// Most closures that agree with one of these, itself among them: never less than the largest set that agrees mutually.
-    fn largest_star(&self, among: &[usize]) -> usize {
-        let star = |i: &usize| 1 + among.iter().filter(|k| self.agree(*i, **k) == Some(true)).count();
-        among.iter().map(star).max().unwrap_or(0)
-    }
-
-    /// Closures that outvote their rivals, by those that agree directly or over others; small and short groups are left out.
-    fn groups(&self, outvoting: &[bool], closures: &[Closure], nodes: &[Node]) -> Vec<Vec<usize>> {
+    /// Confirmed closures by those that agree directly or over others; small and short groups are left out.
+    fn groups(&self, confirmed: &[bool], closures: &[Closure], nodes: &[Node]) -> Vec<Vec<usize>> {
         let mut parent: Vec<usize> = (0..self.members.len()).collect();
         let first = |parent: &[usize], mut i: usize| {
             while parent[i] != i {
@@ -139,9 +132,9 @@ impl<'a> Compared<'a> {
             }
             i
         };
-        for i in (0..self.members.len()).filter(|i| outvoting[*i]) {
+        for i in (0..self.members.len()).filter(|i| confirmed[*i]) {
             let near = i + 1..self.members.len().min(i + 1 + BAND);
-            for k in near.filter(|k| outvoting[*k]) {
+            for k in near.filter(|k| confirmed[*k]) {
                 if self.agree(i, k) == Some(true) {
                     let (a, b) = (first(&parent, i), first(&parent, k));
                     parent[a.max(b)] = a.min(b);
@@ -149,7 +142,7 @@ impl<'a> Compared<'a> {
             }
         }
         let mut groups: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-        for i in (0..self.members.len()).filter(|i| outvoting[*i]) {
+        for i in (0..self.members.len()).filter(|i| confirmed[*i]) {
             groups.entry(first(&parent, i)).or_default().push(i);
         }
         let is_enough = |group: &Vec<usize>| {
@@ -160,9 +153,10 @@ impl<'a> Compared<'a> {
                     .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), m| (low.min(m), high.max(m)));
                 high - low
             };
+            let extents_m = [extent_m(|edge| edge.from), extent_m(|edge| edge.to)];
             group.len() >= GROUP_MIN
-                && extent_m(|edge| edge.from) >= EXTENT_M
-                && extent_m(|edge| edge.to) >= EXTENT_M
+                && extents_m.iter().sum::<f64>() >= EXTENT_M.0
+                && extents_m.iter().all(|extent_m| *extent_m >= EXTENT_M.1)
         };
         groups.into_values().filter(is_enough).collect()
     }
@@ -245,7 +239,7 @@ mod tests {
     }
 
     fn judged(closures: &[Closure], nodes: &[Node]) -> Vec<bool> {
-        consistent(closures, nodes, &vec![true; closures.len()])
+        consistent(closures, nodes, &vec![true; closures.len()], &mut |_| true)
     }
 
     fn at(x_m: f64) -> Placement {

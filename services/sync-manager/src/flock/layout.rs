@@ -1,6 +1,6 @@
+use super::inspection::Inspected;
 use super::start::start;
 use super::{Atlas, Flock};
-use crate::closure::ClosureFinder;
 use crate::dense::DensePass;
 use crate::edge::Edge;
 use crate::refine::Refinement;
@@ -87,23 +87,20 @@ impl FlockLayout {
 }
 
 impl Atlas {
-    /// Solves the graph from the chains, with all closures that agree on trial. What is left between two robots after that must still
-    /// agree, and what both have seen must look the same where the solution puts it.
-    pub(super) fn solve(&self, settings: &Settings, finder: &mut ClosureFinder) -> Solved {
+    /// Solves the graph from the chains, with all closures on trial that agree and that what both robots have seen confirms. What is
+    /// left between two robots after that must still agree.
+    pub(super) fn solve(&self, settings: &Settings, inspected: &mut Inspected) -> Solved {
         let mut denied = BTreeSet::new();
         for _ in 0..TRIALS_MAX {
-            let solved = self.solve_with(&self.eligible(&denied), settings);
-            let mut doubtful = self.unconfirmed(&solved.in_force);
-            if doubtful.is_empty() {
-                doubtful = self.contradicted(&solved, finder);
-            }
+            let solved = self.solve_with(&self.eligible(&denied, inspected), settings);
+            let doubtful = self.unconfirmed(&solved.in_force);
             if doubtful.is_empty() {
                 return solved;
             }
             denied.extend(doubtful);
         }
         denied.extend((0..self.closures.len()).filter(|i| self.is_across(&self.closures[*i])));
-        self.solve_with(&self.eligible(&denied), settings)
+        self.solve_with(&self.eligible(&denied, inspected), settings)
     }
 
     fn solve_with(&self, on_trial: &[bool], settings: &Settings) -> Solved {
@@ -155,11 +152,11 @@ impl Atlas {
 
     /// Where everything lies. With `finely`, after all of it has been matched again: for the end, since it takes a multiple of the
     /// time.
-    pub fn layout(&self, settings: &Settings, finely: bool) -> FlockLayout {
+    pub fn layout(&self, settings: &Settings, finely: bool, inspected: &mut Inspected) -> FlockLayout {
         if self.is_empty() {
             return FlockLayout::default();
         }
-        let mut solved = self.solve(settings, &mut ClosureFinder::new(&settings.closure));
+        let mut solved = self.solve(settings, inspected);
         if finely {
             self.measure_again(settings, &mut solved, &mut MomentGrid::default());
         }
@@ -212,6 +209,7 @@ impl Atlas {
 impl Flock {
     /// Where everything lies that this robot has heard of; with `finely`, matched again as a whole.
     pub fn layout(&self, finely: bool) -> FlockLayout {
-        Atlas::new(self.collection(), self.settings()).layout(self.settings(), finely)
+        let atlas = Atlas::new(self.collection(), self.settings());
+        atlas.layout(self.settings(), finely, &mut self.inspected())
     }
 }

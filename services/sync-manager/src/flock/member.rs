@@ -1,3 +1,4 @@
+use super::inspection::Inspected;
 use super::search::Search;
 use super::{Atlas, News};
 use crate::settings::Settings;
@@ -6,6 +7,7 @@ use flockslam_records::{
     Collection, Constraint, Content, Limits, Message, NodeName, Presence, Record, RecordError, RobotId,
     RobotKey, SubmapRecord,
 };
+use std::cell::{RefCell, RefMut};
 use std::sync::Arc;
 
 /// What one robot knows of its flock, and what it says.
@@ -17,13 +19,21 @@ pub struct Flock {
     settings: Settings,
     collection: Collection,
     search: Search,
+    inspected: RefCell<Inspected>,
 }
 
 impl Flock {
     /// A robot that has said and heard nothing yet. An epoch is never used again after a log has been lost.
     pub fn new(key: RobotKey, epoch: u64, settings: Settings, limits: Limits) -> Self {
         let search = Search::new(&settings);
-        Self { key, epoch, settings, collection: Collection::new(limits), search }
+        Self {
+            key,
+            epoch,
+            settings,
+            collection: Collection::new(limits),
+            search,
+            inspected: RefCell::default(),
+        }
     }
 
     /// Who it is.
@@ -44,6 +54,11 @@ impl Flock {
     /// How it matches and solves.
     pub fn settings(&self) -> &Settings {
         &self.settings
+    }
+
+    /// What it remembers of groups of closures.
+    pub(super) fn inspected(&self) -> RefMut<'_, Inspected> {
+        self.inspected.borrow_mut()
     }
 
     /// Branch-and-bound searches so far.
@@ -123,6 +138,6 @@ impl Flock {
     /// As [`Self::search`], without saying it: for who knows some of it already.
     pub fn find(&mut self, searches_max: u64) -> Vec<Constraint> {
         let mut atlas = Atlas::new(&self.collection, &self.settings);
-        self.search.run(&mut atlas, self.key.id(), &self.settings, searches_max)
+        self.search.run(&mut atlas, self.key.id(), &self.settings, searches_max, self.inspected.get_mut())
     }
 }

@@ -1,24 +1,26 @@
 use super::Atlas;
+use super::inspection::Inspected;
 use super::layout::Solved;
 use super::resemblance::Resemblance;
-use crate::chain::BROKEN_M;
+use crate::chain::{BROKEN_M, Node};
 use crate::closure::{
     ANYWHERE, Closure, ClosureFinder, QUERY_NODES, SIGHT_M, World, apart_m, graph_distances, window,
 };
 use crate::settings::Settings;
 use crate::strands::Strands;
 use flockslam_records::{Constraint, RobotId};
-use flockslam_registration::cloud::Window;
+use flockslam_registration::cloud::{Placement, Window};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// Of the queries, every so many are looked for anywhere.
 const WIDE_EVERY: usize = 2;
 /// Squares that a search anywhere looks at before it gives up.
 const WIDE_SUMS_MAX: u64 = 250_000;
-/// So many queries before and after one that was found somewhere are looked for there next, and in so many segments before and
-/// after: agreement is among neighbours.
+/// So many queries before and after one that tied two robots together are looked for near where that says.
 const NEIGHBOURS: usize = 3;
-const SEGMENTS_AROUND: usize = 1;
+/// What a match would have along so much of both ways before and after it is looked for, metres, each query in so many segments.
+const FOLLOWED_M: f64 = 10.0;
+const FOLLOWED_IN: usize = 2;
 /// Closures between two logs that act from which it counts as known how they lie to each other. Until then rival explanations are looked for.
 const FIRM: usize = 6;
 /// Segments kept ready for matching.
@@ -39,6 +41,8 @@ pub struct Search {
     finder: ClosureFinder,
     /// Pairs of query and segment that have been compared anywhere, or near where they are expected: (query, segment, anywhere).
     tried: BTreeSet<(u64, u64, bool)>,
+    /// The same of those that were looked for where a match would have them: query, segment, and about where, in metres and half radians.
+    followed: BTreeSet<(u64, u64, [i32; 3])>,
 }
 
 impl Search {
@@ -46,6 +50,7 @@ impl Search {
         Self {
             finder: ClosureFinder::thorough(&settings.closure, WIDE_SUMS_MAX, FIELDS),
             tried: BTreeSet::new(),
+            followed: BTreeSet::new(),
         }
     }
 
@@ -63,6 +68,7 @@ impl Search {
         own: &RobotId,
         settings: &Settings,
         searches_max: u64,
+        inspected: &mut Inspected,
     ) -> Vec<Constraint> {
         let mut found = Vec::new();
         if atlas.is_empty() {
@@ -71,8 +77,8 @@ impl Search {
         let until = self.searches().saturating_add(searches_max);
         let queries = queries(atlas, own, settings.closure.every_m);
         let few: Vec<usize> = queries.iter().copied().step_by(WIDE_EVERY).collect();
-        let mut solved = atlas.solve(settings, &mut self.finder);
-        self.anywhere(atlas, &few, settings, until, &mut solved, &mut found);
+        let mut solved = atlas.solve(settings, inspected);
+        self.anywhere(atlas, &few, settings, until, &mut solved, inspected, &mut found);
         for query in queries {
             if self.searches() >= until {
                 break;
@@ -98,7 +104,7 @@ impl Search {
             .filter(|number| self.is_new(atlas, query, *number, false))
             .map(|number| (number, window(distances_m[atlas.segments[number].anchor])))
             .collect();
-        self.search(atlas, solved, query, &candidates, found);
+        self.search(atlas, &solved.poses, query, &candidates, found);
     }
 
     /// Looks for queries in all that nothing is known of, the most similar first, until it is known; the solution is kept up.
@@ -109,6 +115,7 @@ impl Search {
         settings: &Settings,
         until: u64,
         solved: &mut Solved,
+        inspected: &mut Inspected,
         found: &mut Vec<Constraint>,
     ) {
         let mut known = firmly_tied(atlas, solved);
@@ -121,23 +128,18 @@ impl Search {
             if !is_strange(atlas, &known, query, segment) || !self.is_new(atlas, query, segment, true) {
                 continue;
             }
-            let before = found.len();
-            self.search(atlas, solved, query, &[(segment, ANYWHERE)], found);
-            if found.len() == before {
+            let matches = self.search(atlas, &solved.poses, query, &[(segment, ANYWHERE)], found);
+            if matches.is_empty() {
                 continue;
             }
-            *solved = atlas.solve(settings, &mut self.finder);
-            let neighbours = place.saturating_sub(NEIGHBOURS)..(place + NEIGHBOURS + 1).min(queries.len());
-            if is_strange(atlas, &solved.strands, query, segment) {
-                let around = segment.saturating_sub(SEGMENTS_AROUND)
-                    ..(segment + SEGMENTS_AROUND + 1).min(atlas.segments.len());
-                let pairs = neighbours
-                    .flat_map(|place| around.clone().map(move |segment| Pair { apart: 0, place, segment }));
-                pairs.for_each(|pair| order.push_front(pair));
-            } else {
+            matches.iter().for_each(|closure| self.follow(atlas, closure, queries, found));
+            *solved = atlas.solve(settings, inspected);
+            if !is_strange(atlas, &solved.strands, query, segment) {
                 // Tied, if loosely: what confirms it or not lies where that says.
+                let neighbours =
+                    place.saturating_sub(NEIGHBOURS)..(place + NEIGHBOURS + 1).min(queries.len());
                 neighbours.for_each(|place| self.near(atlas, queries[place], settings, solved, found));
-                *solved = atlas.solve(settings, &mut self.finder);
+                *solved = atlas.solve(settings, inspected);
             }
             known = firmly_tied(atlas, solved);
         }
@@ -167,23 +169,62 @@ impl Search {
     fn search(
         &mut self,
         atlas: &mut Atlas,
-        solved: &Solved,
+        poses: &[Placement],
         query: usize,
         candidates: &[(usize, Window)],
         found: &mut Vec<Constraint>,
-    ) {
-        let world = World {
-            nodes: &atlas.nodes,
-            scans: &atlas.scans,
-            segments: &atlas.segments,
-            poses: &solved.poses,
-        };
+    ) -> Vec<Closure> {
+        let world = World { nodes: &atlas.nodes, scans: &atlas.scans, segments: &atlas.segments, poses };
         let closures = self.finder.find_in(&world, query, QUERY_NODES, candidates);
         for closure in &closures {
             let constraint = constraint(atlas, closure);
             atlas.add_across(&constraint);
             found.push(constraint);
         }
+        closures
+    }
+
+    /// Looks for what else would have to match if a match that was found anywhere is right: near it, along both ways.
+    fn follow(
+        &mut self,
+        atlas: &mut Atlas,
+        closure: &Closure,
+        queries: &[usize],
+        found: &mut Vec<Constraint>,
+    ) {
+        let (from, to) = (closure.edge.from, closure.edge.to);
+        let nodes = &atlas.nodes;
+        let along_m = |a: usize, b: usize| (nodes[a].doubt_m - nodes[b].doubt_m).abs();
+        let moved = nodes[from].chain.compose(closure.edge.motion).compose(nodes[to].chain.inverse());
+        let place = |node: &Node| {
+            if node.strand == nodes[to].strand { moved.compose(node.chain) } else { node.chain }
+        };
+        let poses: Vec<Placement> = nodes.iter().map(place).collect();
+        let mut candidates: Vec<(usize, usize, Window)> = Vec::new();
+        for &query in queries.iter().filter(|query| along_m(**query, to) <= FOLLOWED_M) {
+            let world = World { nodes, scans: &atlas.scans, segments: &atlas.segments, poses: &poses };
+            let mut near: Vec<(f64, usize)> = (0..atlas.segments.len())
+                .filter(|k| along_m(atlas.segments[*k].anchor, from) <= FOLLOWED_M)
+                .map(|k| (apart_m(&world, &atlas.segments[k], query), k))
+                .filter(|(apart_m, _)| *apart_m <= SIGHT_M)
+                .collect();
+            near.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let window_of = |k: usize| window(along_m(query, to) + along_m(atlas.segments[k].anchor, from));
+            candidates.extend(near.iter().take(FOLLOWED_IN).map(|(_, k)| (query, *k, window_of(*k))));
+        }
+        for (query, segment, window) in candidates {
+            let guess = poses[atlas.segments[segment].anchor].to(poses[query]);
+            if self.is_new_there(atlas, query, segment, &guess) {
+                self.search(atlas, &poses, query, &[(segment, window)], found);
+            }
+        }
+    }
+
+    /// Whether a query has not been looked for in this part of a segment yet; from now on it has.
+    fn is_new_there(&mut self, atlas: &Atlas, query: usize, segment: usize, guess: &Placement) -> bool {
+        let name = |node: usize| atlas.nodes[node].sequence;
+        let part = [guess.x_m, guess.y_m, 2.0 * guess.heading_rad].map(|value| value.round() as i32);
+        self.followed.insert((name(query), name(atlas.segments[segment].anchor), part))
     }
 }
 
