@@ -1,8 +1,8 @@
 //! What one meeting is worth: two robots drive a hundred metres through the simulated building, exchange what they have recorded
 //! once, in the middle, and go on. Prints the error of each robot's pose as it was known at the time, with and without that.
 //!
-//! `cargo run --release --example one_meeting -- [FLOCKSLAM] [SEEDS]`: the executable that drives the robots (default
-//! `target/release/flockslam`), and how many seeds (default 10).
+//! `cargo run --release --example one_meeting -- [FLOCKSLAM] [SEEDS] [SECTION.KEY=VALUE …]`: the executable that drives the robots (default
+//! `target/release/flockslam`), how many seeds (default 10), and settings of the drives.
 
 use flockslam::evaluation::{evaluate_truth, parse_tum};
 use flockslam::outputs::TrajectoryPoint;
@@ -29,11 +29,12 @@ fn main() -> Result<()> {
     let mut arguments = std::env::args().skip(1);
     let flockslam = PathBuf::from(arguments.next().unwrap_or_else(|| "target/release/flockslam".into()));
     let seeds: u64 = arguments.next().map_or(Ok(10), |seeds| seeds.parse())?;
+    let settings: Vec<String> = arguments.collect();
     println!("seed  driven m  with one meeting m  without m  as the set published it m");
     let (mut worst_m, mut better) = (0.0f64, 0);
     for seed in 1..=seeds {
         let directory = tempfile::tempdir()?;
-        drive(&flockslam, seed, directory.path())?;
+        drive(&flockslam, seed, &settings, directory.path())?;
         let robots = [Robot::read(directory.path(), "r01")?, Robot::read(directory.path(), "r02")?];
         let [with_m, without_m, published_m] = errors_m(&robots)?;
         println!(
@@ -48,11 +49,14 @@ fn main() -> Result<()> {
 }
 
 /// Lets two robots drive alone.
-fn drive(flockslam: &Path, seed: u64, out: &Path) -> Result<()> {
+fn drive(flockslam: &Path, seed: u64, settings: &[String], out: &Path) -> Result<()> {
     let mut command = Command::new(flockslam);
     command.args(["swarm", "--robots", "2", "--out"]).arg(out);
     command.args(["--set", &format!("simulation.seed={}", 100 * seed)]);
     command.args(["--set", &format!("simulation.duration_s={DRIVE_S:?}")]);
+    for setting in settings {
+        command.args(["--set", setting]);
+    }
     let status = command.stdout(Stdio::null()).stderr(Stdio::null()).status()?;
     if status.success() {
         Ok(())
@@ -81,6 +85,8 @@ struct Robot {
     records: Vec<Vec<u8>>,
     /// Sequence of the scan of each stamp.
     sequences: BTreeMap<i64, u64>,
+    /// Poses of its nodes by the front end alone, which never jumps.
+    odometry: BTreeMap<u64, Pose>,
     /// Its poses as the set published them.
     published: Vec<TrajectoryPoint>,
     truth: Vec<TrajectoryPoint>,
@@ -93,9 +99,17 @@ impl Robot {
             Ok(parse_tum(file, &std::fs::read(directory.join(file))?)?)
         };
         let scans = read_named(&directory, OWN_SCANS)?;
+        let records = RecordLog::read(&directory)?;
+        let mut odometry = BTreeMap::new();
+        for bytes in &records {
+            if let Content::Stretch(stretch) = &Record::read(bytes)?.content {
+                odometry.extend(stretch.nodes.iter().map(|node| (node.sequence, node.odom_from_base)));
+            }
+        }
         Ok(Self {
             name,
-            records: RecordLog::read(&directory)?,
+            records,
+            odometry,
             sequences: scans.iter().map(|scan| (scan.stamp_ns, scan.sequence)).collect(),
             published: poses("trajectory_online.tum")?,
             truth: poses("truth.tum")?,
@@ -132,13 +146,15 @@ impl Robot {
         let mut meets = met;
         let mut told = self.told()?.into_iter().peekable();
         let mut newest: Option<(u64, Pose)> = None;
+        let mut seen = BTreeMap::new();
         let mut way = Vec::with_capacity(self.published.len());
         let by_sequence = self.published_by_sequence();
         for point in &self.published {
             let Some(&sequence) = self.sequences.get(&point.stamp_ns) else { continue };
             let mut news = false;
             while let Some((_, bytes)) = told.next_if(|(newest, _)| *newest < sequence) {
-                flock.collection_mut().take(bytes)?;
+                // Said anew, among what it says of the other robot.
+                flock.say(&Record::read(bytes)?.content)?;
                 news = true;
             }
             if sequence >= middle
@@ -154,11 +170,13 @@ impl Robot {
                 if met.is_some() && meets.is_none() {
                     flock.search(SEARCHES)?;
                 }
-                newest = self.newest(&flock.layout(false));
+                newest = self.newest(&flock.layout(false), &mut seen);
             }
             let known = newest.and_then(|(node, at)| {
-                let then = by_sequence.get(&node)?;
-                Some(at * then.inverse() * point.map_from_base)
+                // By the front end to the last node, which has not been told yet, and from there as published: nothing jumps between.
+                let (last, here) = self.odometry.range(..=sequence).next_back()?;
+                let moved = self.odometry.get(&node)?.inverse() * *here;
+                Some(at * moved * by_sequence.get(last)?.inverse() * point.map_from_base)
             });
             way.push(TrajectoryPoint { map_from_base: known.unwrap_or(point.map_from_base), ..*point });
         }
@@ -171,11 +189,41 @@ impl Robot {
         self.published.iter().filter_map(named).collect()
     }
 
-    /// The newest node and its pose, where the first one is the robot's start.
-    fn newest(&self, layout: &FlockLayout) -> Option<(u64, Pose)> {
+    /// The newest node and its pose, in the robot's own frame: that in which its nodes lie nearest to where they lay when they were new, which
+    /// `seen` remembers.
+    fn newest(&self, layout: &FlockLayout, seen: &mut BTreeMap<u64, Pose>) -> Option<(u64, Pose)> {
         let nodes = layout.nodes.iter().find(|((robot, _), _)| robot.name() == self.name)?.1;
-        let (first, last) = (nodes.first()?, nodes.last()?);
-        let start = self.published_by_sequence().get(&first.sequence).copied()?;
-        Some((last.sequence, start * first.flock_from_base.inverse() * last.flock_from_base))
+        let last = nodes.last()?;
+        let pairs: Vec<(Pose, Pose)> =
+            nodes.iter().filter_map(|n| Some((n.flock_from_base, *seen.get(&n.sequence)?))).collect();
+        let own_from_flock = if pairs.is_empty() {
+            *self.published_by_sequence().get(&nodes[0].sequence)? * nodes[0].flock_from_base.inverse()
+        } else {
+            aligned(&pairs)
+        };
+        for node in nodes {
+            seen.entry(node.sequence).or_insert(own_from_flock * node.flock_from_base);
+        }
+        Some((last.sequence, own_from_flock * last.flock_from_base))
     }
+}
+
+/// What takes the first poses nearest to the second: least squares of their positions.
+fn aligned(pairs: &[(Pose, Pose)]) -> Pose {
+    let share = 1.0 / pairs.len() as f64;
+    let mean = |pick: fn(&(Pose, Pose)) -> Pose| {
+        let sum = pairs.iter().map(pick).fold((0.0, 0.0), |sum, pose| (sum.0 + pose.x_m, sum.1 + pose.y_m));
+        (sum.0 * share, sum.1 * share)
+    };
+    let (from, to) = (mean(|pair| pair.0), mean(|pair| pair.1));
+    let (mut dot, mut cross) = (0.0, 0.0);
+    for (a, b) in pairs {
+        let (ax, ay, bx, by) = (a.x_m - from.0, a.y_m - from.1, b.x_m - to.0, b.y_m - to.1);
+        dot += ax * bx + ay * by;
+        cross += ax * by - ay * bx;
+    }
+    let turn =
+        if pairs.len() < 2 { pairs[0].1.heading_rad - pairs[0].0.heading_rad } else { cross.atan2(dot) };
+    let (sin, cos) = turn.sin_cos();
+    Pose::new(to.0 - cos * from.0 + sin * from.1, to.1 - sin * from.0 - cos * from.1, turn)
 }

@@ -43,6 +43,8 @@ pub struct Search {
     tried: BTreeSet<(u64, u64, bool)>,
     /// The same of those that were looked for where a match would have them: query, segment, and about where, in metres and half radians.
     followed: BTreeSet<(u64, u64, [i32; 3])>,
+    /// What has been found in this run.
+    found: Vec<Constraint>,
 }
 
 impl Search {
@@ -51,6 +53,7 @@ impl Search {
             finder: ClosureFinder::thorough(&settings.closure, WIDE_SUMS_MAX, FIELDS),
             tried: BTreeSet::new(),
             followed: BTreeSet::new(),
+            found: Vec::new(),
         }
     }
 
@@ -70,33 +73,25 @@ impl Search {
         searches_max: u64,
         inspected: &mut Inspected,
     ) -> Vec<Constraint> {
-        let mut found = Vec::new();
         if atlas.is_empty() {
-            return found;
+            return Vec::new();
         }
         let until = self.searches().saturating_add(searches_max);
         let queries = queries(atlas, own, settings.closure.every_m);
         let few: Vec<usize> = queries.iter().copied().step_by(WIDE_EVERY).collect();
         let mut solved = atlas.solve(settings, inspected);
-        self.anywhere(atlas, &few, settings, until, &mut solved, inspected, &mut found);
+        self.anywhere(atlas, &few, settings, until, &mut solved, inspected);
         for query in queries {
             if self.searches() >= until {
                 break;
             }
-            self.near(atlas, query, settings, &solved, &mut found);
+            self.near(atlas, query, settings, &solved);
         }
-        found
+        std::mem::take(&mut self.found)
     }
 
     /// Looks for a query where the solution puts it.
-    fn near(
-        &mut self,
-        atlas: &mut Atlas,
-        query: usize,
-        settings: &Settings,
-        solved: &Solved,
-        found: &mut Vec<Constraint>,
-    ) {
+    fn near(&mut self, atlas: &mut Atlas, query: usize, settings: &Settings, solved: &Solved) {
         let distances_m = distances(atlas, solved, query);
         let near = nearby(atlas, solved, query, &distances_m, settings.closure.segments_per_query);
         let candidates: Vec<(usize, Window)> = near
@@ -104,7 +99,7 @@ impl Search {
             .filter(|number| self.is_new(atlas, query, *number, false))
             .map(|number| (number, window(distances_m[atlas.segments[number].anchor])))
             .collect();
-        self.search(atlas, &solved.poses, query, &candidates, found);
+        self.search(atlas, &solved.poses, query, &candidates);
     }
 
     /// Looks for queries in all that nothing is known of, the most similar first, until it is known; the solution is kept up.
@@ -116,7 +111,6 @@ impl Search {
         until: u64,
         solved: &mut Solved,
         inspected: &mut Inspected,
-        found: &mut Vec<Constraint>,
     ) {
         let mut known = firmly_tied(atlas, solved);
         let mut order: VecDeque<Pair> = self.resembling(atlas, queries, &known).into();
@@ -128,17 +122,17 @@ impl Search {
             if !is_strange(atlas, &known, query, segment) || !self.is_new(atlas, query, segment, true) {
                 continue;
             }
-            let matches = self.search(atlas, &solved.poses, query, &[(segment, ANYWHERE)], found);
+            let matches = self.search(atlas, &solved.poses, query, &[(segment, ANYWHERE)]);
             if matches.is_empty() {
                 continue;
             }
-            matches.iter().for_each(|closure| self.follow(atlas, closure, queries, found));
+            matches.iter().for_each(|closure| self.follow(atlas, closure, queries));
             *solved = atlas.solve(settings, inspected);
             if !is_strange(atlas, &solved.strands, query, segment) {
                 // Tied, if loosely: what confirms it or not lies where that says.
                 let neighbours =
                     place.saturating_sub(NEIGHBOURS)..(place + NEIGHBOURS + 1).min(queries.len());
-                neighbours.for_each(|place| self.near(atlas, queries[place], settings, solved, found));
+                neighbours.for_each(|place| self.near(atlas, queries[place], settings, solved));
                 *solved = atlas.solve(settings, inspected);
             }
             known = firmly_tied(atlas, solved);
@@ -172,26 +166,19 @@ impl Search {
         poses: &[Placement],
         query: usize,
         candidates: &[(usize, Window)],
-        found: &mut Vec<Constraint>,
     ) -> Vec<Closure> {
         let world = World { nodes: &atlas.nodes, scans: &atlas.scans, segments: &atlas.segments, poses };
         let closures = self.finder.find_in(&world, query, QUERY_NODES, candidates);
         for closure in &closures {
             let constraint = constraint(atlas, closure);
             atlas.add_across(&constraint);
-            found.push(constraint);
+            self.found.push(constraint);
         }
         closures
     }
 
     /// Looks for what else would have to match if a match that was found anywhere is right: near it, along both ways.
-    fn follow(
-        &mut self,
-        atlas: &mut Atlas,
-        closure: &Closure,
-        queries: &[usize],
-        found: &mut Vec<Constraint>,
-    ) {
+    fn follow(&mut self, atlas: &mut Atlas, closure: &Closure, queries: &[usize]) {
         let (from, to) = (closure.edge.from, closure.edge.to);
         let nodes = &atlas.nodes;
         let along_m = |a: usize, b: usize| (nodes[a].doubt_m - nodes[b].doubt_m).abs();
@@ -215,7 +202,7 @@ impl Search {
         for (query, segment, window) in candidates {
             let guess = poses[atlas.segments[segment].anchor].to(poses[query]);
             if self.is_new_there(atlas, query, segment, &guess) {
-                self.search(atlas, &poses, query, &[(segment, window)], found);
+                self.search(atlas, &poses, query, &[(segment, window)]);
             }
         }
     }
