@@ -9,7 +9,7 @@ mod submap;
 mod withdrawal;
 
 pub use clearance::Clearance;
-pub use constraint::{Constraint, NodeName};
+pub use constraint::{CONSTRAINTS_MAX, Constraint, NodeName};
 pub use points::rounded as rounded_point;
 pub use stretch::{Descriptor, RecordedNode, Stretch};
 pub use submap::SubmapRecord;
@@ -21,7 +21,7 @@ pub use withdrawal::Withdrawal;
 pub enum Kind {
     /// A record of the same robot does not hold any more.
     Withdrawal = 1,
-    /// A measured motion between two nodes.
+    /// Measured motions between nodes.
     Constraint = 2,
     /// A stretch of the pose graph with its scans: what others match against.
     Stretch = 3,
@@ -60,8 +60,8 @@ pub enum Content {
     Submap(SubmapRecord),
     /// A stretch of the pose graph with its scans.
     Stretch(Stretch),
-    /// A measured motion between two nodes.
-    Constraint(Constraint),
+    /// Measured motions between nodes, at most [`CONSTRAINTS_MAX`].
+    Constraints(Vec<Constraint>),
     /// Cells of a submap that are stale.
     Clearance(Clearance),
     /// A record of the same robot does not hold any more.
@@ -74,7 +74,7 @@ impl Content {
         match self {
             Self::Submap(_) => Kind::Submap,
             Self::Stretch(_) => Kind::Stretch,
-            Self::Constraint(_) => Kind::Constraint,
+            Self::Constraints(_) => Kind::Constraint,
             Self::Clearance(_) => Kind::Clearance,
             Self::Withdrawal(_) => Kind::Withdrawal,
         }
@@ -85,7 +85,7 @@ impl Content {
         match self {
             Self::Submap(submap) => submap.write(&mut out),
             Self::Stretch(stretch) => stretch.write(&mut out),
-            Self::Constraint(constraint) => constraint.write(&mut out),
+            Self::Constraints(constraints) => constraint::write(constraints, &mut out),
             Self::Clearance(clearance) => clearance.write(&mut out),
             Self::Withdrawal(withdrawal) => withdrawal.write(&mut out),
         }
@@ -98,7 +98,7 @@ impl Content {
         let content = match kind {
             Kind::Submap => Self::Submap(SubmapRecord::read(&mut input)?),
             Kind::Stretch => Self::Stretch(Stretch::read(&mut input)?),
-            Kind::Constraint => Self::Constraint(Constraint::read(&mut input, author)?),
+            Kind::Constraint => Self::Constraints(constraint::read(&mut input, author)?),
             Kind::Clearance => Self::Clearance(Clearance::read(&mut input)?),
             Kind::Withdrawal => Self::Withdrawal(Withdrawal::read(&mut input)?),
         };

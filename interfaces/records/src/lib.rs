@@ -21,8 +21,8 @@ mod vector;
 
 pub use collection::{Collection, Limits, Outcome, Refusal, Tally};
 pub use content::{
-    Clearance, Constraint, Content, Descriptor, Kind, NodeName, RecordedNode, Stretch, SubmapRecord,
-    Withdrawal, rounded_point,
+    CONSTRAINTS_MAX, Clearance, Constraint, Content, Descriptor, Kind, NodeName, RecordedNode, Stretch,
+    SubmapRecord, Withdrawal, rounded_point,
 };
 pub use error::RecordError;
 pub use message::{MESSAGE_BYTES_MAX, Message};

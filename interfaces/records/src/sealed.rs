@@ -4,7 +4,7 @@ use crate::{RecordError, RecordName, RobotId, RobotKey};
 
 const MAGIC: [u8; 4] = *b"FLRC";
 /// Version of the arrangement of records: builds that do not know it refuse it.
-pub const SCHEMA_VERSION: u8 = 2;
+pub const SCHEMA_VERSION: u8 = 3;
 /// Longest payload of a record, bytes.
 pub const PAYLOAD_BYTES_MAX: usize = 256 * 1024;
 /// Longest record, bytes.

@@ -101,7 +101,7 @@ fn lies_about_how_robots_lie_to_each_other_do_not_act() {
             reach_m: 0.5,
             shift_m: 0.0,
         };
-        flocks[1].say(&Content::Constraint(lie)).unwrap();
+        flocks[1].say(&Content::Constraints(vec![lie])).unwrap();
     }
     meet(&mut flocks);
     let layout = flocks[0].layout(true);

@@ -36,14 +36,14 @@ fn stretch(sequence: u64) -> Content {
 
 fn constraint(from: &RobotKey, to: &RobotKey) -> Content {
     let node = |key: &RobotKey, sequence| NodeName { robot: key.id().clone(), epoch: 1, sequence };
-    Content::Constraint(Constraint {
+    Content::Constraints(vec![Constraint {
         from: node(from, 7),
         to: node(to, 9),
         motion: Pose::new(-3.25, 0.5, 2.0),
         information: [400.0, 0.0, 0.0, 400.0, 0.0, 1e4],
         reach_m: 14.0,
         shift_m: 0.0,
-    })
+    }])
 }
 
 /// What three robots say: of everything something, a lie (two records of one name) among it.

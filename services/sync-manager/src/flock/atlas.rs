@@ -71,9 +71,9 @@ impl Atlas {
             atlas.segments.push(Segment::new(rest));
         }
         for record in collection.records() {
-            if let Content::Constraint(constraint) = &record.content {
-                let closure = atlas.closure(constraint);
-                atlas.closures.extend(closure);
+            if let Content::Constraints(constraints) = &record.content {
+                let closures: Vec<Closure> = constraints.iter().filter_map(|c| atlas.closure(c)).collect();
+                atlas.closures.extend(closures);
             }
         }
         atlas

@@ -4,8 +4,8 @@ use super::{Atlas, News};
 use crate::settings::Settings;
 use flockslam_geometry::Pose;
 use flockslam_records::{
-    Collection, Constraint, Content, Limits, Message, NodeName, Presence, Record, RecordError, RobotId,
-    RobotKey, SubmapRecord,
+    CONSTRAINTS_MAX, Collection, Constraint, Content, Limits, Message, NodeName, Presence, Record,
+    RecordError, RobotId, RobotKey, SubmapRecord,
 };
 use std::cell::{RefCell, RefMut};
 use std::sync::Arc;
@@ -97,10 +97,17 @@ impl Flock {
             shift_m: own.closure.shift_m as f32,
         };
         let constraints: Vec<Constraint> = news.loops.iter().map(constraint).collect();
-        for constraint in constraints {
-            said.push(self.say(&Content::Constraint(constraint))?);
-        }
+        said.extend(self.say_constraints(&constraints)?);
         Ok(said)
+    }
+
+    /// Says what it has measured, in as few records as can be.
+    ///
+    /// # Errors
+    /// As [`Self::say`].
+    pub fn say_constraints(&mut self, constraints: &[Constraint]) -> Result<Vec<Arc<[u8]>>, RecordError> {
+        let records = constraints.chunks(CONSTRAINTS_MAX);
+        records.map(|some| self.say(&Content::Constraints(some.to_vec()))).collect()
     }
 
     /// Says what the evidence of a closed submap is.
@@ -132,7 +139,7 @@ impl Flock {
     /// As [`Self::say`].
     pub fn search(&mut self, searches_max: u64) -> Result<Vec<Arc<[u8]>>, RecordError> {
         let found = self.find(searches_max);
-        found.into_iter().map(|constraint| self.say(&Content::Constraint(constraint))).collect()
+        self.say_constraints(&found)
     }
 
     /// As [`Self::search`], without saying it: for who knows some of it already.

@@ -147,7 +147,7 @@ fn lie(flock: &mut Flock, count: usize, seed: u64) -> usize {
         let information = [600.0, 0.0, 0.0, 600.0, 0.0, 1e4];
         let (from, to) = (from.clone(), to.clone());
         let lie = Constraint { from, to, motion, information, reach_m: 0.5, shift_m: 0.0 };
-        flock.say(&Content::Constraint(lie)).unwrap();
+        flock.say(&Content::Constraints(vec![lie])).unwrap();
     };
     while told < count {
         let motion =

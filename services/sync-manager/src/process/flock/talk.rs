@@ -26,8 +26,10 @@ mod whereabouts;
 const PAUSE: Duration = Duration::from_millis(50);
 /// A neighbour is told what there is this often, when nothing is new …
 const TELL_PERIOD: Duration = Duration::from_secs(5);
-/// … and when something is.
-const NEWS_PERIOD: Duration = Duration::from_millis(500);
+/// … when something is …
+const NEWS_PERIOD: Duration = Duration::from_secs(2);
+/// … and when records have just come: there may be more where they come from.
+const HURRY: Duration = Duration::from_millis(500);
 /// A neighbour is sent records no more often than this: what it was sent last may still be on its way.
 const ANSWER_PERIOD: Duration = Duration::from_millis(500);
 /// Records in answer to one message, bytes: what a slow radio link carries in a second.
@@ -62,6 +64,8 @@ pub struct Talk {
     proximity: Box<dyn Proximity>,
     connected: BTreeSet<String>,
     near: BTreeMap<String, Neighbour>,
+    /// When records of others came last.
+    enriched: Option<Instant>,
     relay: Relay,
     drops: Arc<Drops>,
     traffic: Arc<Traffic>,
@@ -102,6 +106,7 @@ impl Talk {
             proximity,
             connected: BTreeSet::new(),
             near: BTreeMap::new(),
+            enriched: None,
             relay: Relay::default(),
             drops: Arc::default(),
             traffic: Arc::default(),
@@ -222,6 +227,9 @@ impl Talk {
         }
         let now = Instant::now();
         let asks = !matches!(message, Message::Records(_));
+        if !asks {
+            self.enriched = Some(now);
+        }
         if asks && neighbour.answered.is_some_and(|at| now - at < ANSWER_PERIOD) {
             // It asks again.
             return;
@@ -293,9 +301,10 @@ impl Talk {
         let (known, now) = (self.known(), Instant::now());
         let Some(link) = &self.link else { return };
         let mut have = None;
+        let news = if self.enriched.is_some_and(|at| now - at < 2 * HURRY) { HURRY } else { NEWS_PERIOD };
         for (peer, neighbour) in &mut self.near {
             let due = neighbour.told.is_none_or(|(at, told)| {
-                let period = if told == known { TELL_PERIOD } else { NEWS_PERIOD };
+                let period = if told == known { TELL_PERIOD } else { news };
                 now - at >= period
             });
             if !due {

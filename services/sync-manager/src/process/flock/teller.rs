@@ -4,7 +4,8 @@ use crate::Settings;
 use crate::flock::{Flock, News, OwnLoop};
 use flockslam_evidence::{Submap, TILE_SIDE, TileKey};
 use flockslam_records::{
-    Clearance, Content, Limits, Message, NodeName, Outcome, Record, RecordError, RobotKey,
+    Clearance, Constraint, Content, Limits, Message, NodeName, Outcome, Record, RecordError, RobotId,
+    RobotKey,
 };
 use flockslam_stage::StageError;
 use flockslam_stage::flock_files::RecordLog;
@@ -173,10 +174,8 @@ impl Teller {
         found.retain(|constraint| {
             !self.told.across.contains(&(constraint.from.clone(), constraint.to.clone()))
         });
-        for constraint in &found {
-            let said = self.flock.say(&Content::Constraint(constraint.clone())).map_err(unsaid)?;
-            self.keep(&[said])?;
-        }
+        let said = self.flock.say_constraints(&found).map_err(unsaid)?;
+        self.keep(&said)?;
         Ok(found.is_empty() && !exhausted)
     }
 
@@ -195,20 +194,25 @@ impl Told {
                 Content::Stretch(stretch) => {
                     told.last = told.last.max(stretch.nodes.last().map(|node| node.sequence));
                 }
-                Content::Constraint(loop_) if loop_.from.robot == *own => {
-                    told.loops.insert((loop_.from.sequence, loop_.to.sequence));
-                }
+                Content::Constraints(constraints) => told.note(constraints, own),
                 Content::Submap(submap) => drop(told.submaps.insert(submap.number)),
                 Content::Clearance(c) => {
                     told.cleared.insert((c.submap, c.tile), c.rows.clone());
-                }
-                Content::Constraint(across) => {
-                    told.across.insert((across.from.clone(), across.to.clone()));
                 }
                 Content::Withdrawal(_) => {}
             }
         }
         told
+    }
+
+    fn note(&mut self, constraints: &[Constraint], own: &RobotId) {
+        for Constraint { from, to, .. } in constraints {
+            if from.robot == *own {
+                self.loops.insert((from.sequence, to.sequence));
+            } else {
+                self.across.insert((from.clone(), to.clone()));
+            }
+        }
     }
 
     /// What of the news has not been told; it counts as told from now on.

@@ -8,7 +8,7 @@ use flockslam_telemetry::monotonic_ns;
 use std::time::{Duration, Instant};
 
 /// Neighbours are told this often where the robot is.
-const PERIOD: Duration = Duration::from_millis(500);
+const PERIOD: Duration = Duration::from_secs(1);
 
 impl Talk {
     /// Takes note of where a neighbour says that it is. Nobody says so for another.
