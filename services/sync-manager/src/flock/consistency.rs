@@ -45,7 +45,7 @@ pub fn consistent(
         let mut groups = compared.groups(&confirmed, closures, nodes);
         groups.sort_by_key(|group| std::cmp::Reverse(group.len()));
         groups.truncate(GROUPS_MAX);
-        groups.retain(|group| stands(&group.iter().map(|i| members[*i]).collect::<Vec<_>>()));
+        let groups = compared.believed(groups, closures, nodes, stands);
         for i in winners(&groups, &compared, closures, nodes) {
             consistent[members[i]] = true;
         }
@@ -123,6 +123,34 @@ impl<'a> Compared<'a> {
         clique.len()
     }
 
+    /// Of these groups, the largest first, those that stand by what was seen, or that one that does confirms.
+    fn believed(
+        &self,
+        groups: Vec<Vec<usize>>,
+        closures: &[Closure],
+        nodes: &[Node],
+        stands: &mut dyn FnMut(&[usize]) -> bool,
+    ) -> Vec<Vec<usize>> {
+        let mut believed: Vec<Vec<usize>> = Vec::new();
+        for group in groups {
+            let is_confirmed =
+                believed.iter().any(|other| self.relation(other, &group, closures, nodes) == Some(true));
+            if is_confirmed || stands(&group.iter().map(|i| self.members[*i]).collect::<Vec<_>>()) {
+                believed.push(group);
+            }
+        }
+        believed
+    }
+
+    /// Whether two groups tell the same; `None` when they lie too far apart to be compared.
+    fn relation(&self, a: &[usize], b: &[usize], closures: &[Closure], nodes: &[Node]) -> Option<bool> {
+        let closure = |i: usize| &closures[self.members[i]];
+        let pairs = a.iter().flat_map(|i| b.iter().map(move |k| (*i, *k)));
+        let ways = pairs.map(|(i, k)| (way_m(closure(i), closure(k), nodes), i, k));
+        let (way_m, i, k) = ways.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        (way_m <= RELATED_WITHIN_M).then(|| are_related(closure(i), closure(k), nodes, way_m))
+    }
+
     /// Confirmed closures by those that agree directly or over others; small and short groups are left out.
     fn groups(&self, confirmed: &[bool], closures: &[Closure], nodes: &[Node]) -> Vec<Vec<usize>> {
         let mut parent: Vec<usize> = (0..self.members.len()).collect();
@@ -171,13 +199,7 @@ fn winners(
 ) -> Vec<usize> {
     let largest = (0..groups.len()).max_by_key(|i| (groups[*i].len(), std::cmp::Reverse(*i)));
     let Some(best) = largest else { return Vec::new() };
-    let closure = |i: usize| &closures[compared.members[i]];
-    let fits = |group: &Vec<usize>| {
-        let pairs = group.iter().flat_map(|i| groups[best].iter().map(move |k| (*i, *k)));
-        let ways = pairs.map(|(i, k)| (way_m(closure(i), closure(k), nodes), i, k));
-        let nearest = ways.min_by(|a, b| a.0.total_cmp(&b.0));
-        nearest.is_none_or(|(way_m, i, k)| are_related(closure(i), closure(k), nodes, way_m))
-    };
+    let fits = |group: &Vec<usize>| compared.relation(&groups[best], group, closures, nodes) != Some(false);
     let (fitting, contrary): (Vec<_>, Vec<_>) = groups.iter().partition(|group| fits(group));
     if contrary.iter().any(|group| 2 * group.len() > groups[best].len()) {
         return Vec::new();
@@ -190,11 +212,8 @@ fn way_m(a: &Closure, b: &Closure, nodes: &[Node]) -> f64 {
     between(a.edge.from, b.edge.from) + between(a.edge.to, b.edge.to)
 }
 
-/// Whether the cycle over two closures far apart closes as well as the way between them can be trusted.
+/// Whether the cycle over two closures closes as well as the way between them can be trusted.
 fn are_related(a: &Closure, b: &Closure, nodes: &[Node], way_m: f64) -> bool {
-    if way_m > RELATED_WITHIN_M {
-        return true;
-    }
     let chain = |i: usize, k: usize| nodes[i].chain.to(nodes[k].chain);
     let around = a.edge.motion.compose(chain(a.edge.to, b.edge.to));
     let along = chain(a.edge.from, b.edge.from).compose(b.edge.motion);

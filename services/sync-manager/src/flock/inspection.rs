@@ -2,10 +2,12 @@ use super::Atlas;
 use super::overlap::Fit;
 use super::rivals::Place;
 use crate::closure::Closure;
+use flockslam_registration::cloud::Placement;
 use std::collections::BTreeMap;
 
-/// Places of a group that are looked at.
+/// Places of a group that are looked at, so far apart along the second robot's way, metres.
 const PLACES: usize = 3;
+const APART_M: f64 = 20.0;
 /// Scans that must be compared at a place before anything is said.
 const SCANS_MIN: u32 = 16;
 /// Largest share of what both have seen that one of them denies: what is the same has up to 0.03 with people in it, rooms that
@@ -34,12 +36,12 @@ impl Atlas {
     pub(super) fn stands(&self, group: &[usize], inspected: &mut Inspected) -> bool {
         let mut closures: Vec<Closure> = group.iter().map(|i| self.closures[*i]).collect();
         closures.sort_by_key(|closure| (closure.edge.to, closure.edge.from));
-        let middle = |k: usize| (2 * k + 1) * closures.len() / (2 * PLACES);
-        let mut middles: Vec<usize> = (0..PLACES).map(middle).collect();
-        middles.dedup();
-        middles.iter().all(|k| {
-            let place = Place::new(self, &closures[*k], &closures);
-            let name = self.named(&place, &closures, *k);
+        // The first places, not the best spread ones: what was found out about them stays when the group grows.
+        let cell = |closure: &Closure| (self.nodes[closure.edge.to].travel_m / APART_M) as u64;
+        let places = closures.chunk_by(|a, b| cell(a) == cell(b)).map(|some| &some[0]);
+        places.take(PLACES).all(|middle| {
+            let place = Place::new(self, middle, &closures);
+            let name = self.named(&place, middle);
             if let Some(verdict) = inspected.verdicts.get(&name) {
                 return *verdict;
             }
@@ -54,15 +56,15 @@ impl Atlas {
     }
 
     /// All that the verdict on a place depends on.
-    fn named(&self, place: &Place, closures: &[Closure], middle: usize) -> Vec<u64> {
-        let mut name = vec![middle as u64];
+    fn named(&self, place: &Place, middle: &Closure) -> Vec<u64> {
+        let mut name = vec![self.nodes[middle.edge.to].sequence];
         for range in &place.nodes {
             name.extend([range.start, range.end - 1].map(|node| self.nodes[node].sequence));
         }
-        for closure in closures {
-            let motion = closure.edge.motion;
-            name.extend([closure.edge.from, closure.edge.to].map(|node| self.nodes[node].sequence));
-            name.extend([motion.x_m, motion.y_m, motion.heading_rad].map(f64::to_bits));
+        for (to, first_from_second) in &place.ties {
+            name.push(self.nodes[*to].sequence);
+            let Placement { x_m, y_m, heading_rad, .. } = *first_from_second;
+            name.extend([x_m, y_m, heading_rad].map(f64::to_bits));
         }
         name
     }

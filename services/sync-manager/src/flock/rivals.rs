@@ -8,14 +8,16 @@ use std::ops::Range;
 
 /// Of a group, those count as one place whose ends lie within this along both ways, metres.
 const PLACE_M: f64 = 15.0;
+/// Closures that a place is judged by.
+const TIES_MAX: usize = 8;
 /// What the second robot has seen so much before and after these is compared, metres of its way.
 const BESIDE_M: f64 = 3.0;
 /// What the first robot has seen so much before and after these is looked through for other explanations, metres of its way.
-const AROUND_M: f64 = 25.0;
+const AROUND_M: f64 = 20.0;
 /// A query is a node and so many before and after it.
 const QUERY_NODES: usize = 10;
 /// Points of a query.
-const POINTS: usize = 150;
+const POINTS: usize = 100;
 /// Where other explanations are looked for: as far away as robots see, at any heading.
 const WINDOW: Window = Window { reach_m: 14.0, turn_rad: PI };
 /// Where the explanation under test is looked for itself.
@@ -25,7 +27,7 @@ const APART: Window = Window { reach_m: 0.8, turn_rad: 0.25 };
 /// Least score of another explanation, as a share of that of the one under test.
 const SCORE_MIN: f64 = 0.75;
 /// Squares that a search looks at before it takes what it has found.
-const SUMS_MAX: u64 = 600_000;
+const SUMS_MAX: u64 = 120_000;
 
 /// A place where closures say that two robots have both been.
 pub(super) struct Place {
@@ -33,13 +35,13 @@ pub(super) struct Place {
     middle: Closure,
     /// Ends of the closures around it in the second robot's way, in order, each with what takes the frame of the second's chain to that of the
     /// first's.
-    ties: Vec<(usize, Placement)>,
+    pub ties: Vec<(usize, Placement)>,
     /// Nodes of both that it is judged by.
     pub nodes: [Range<usize>; 2],
 }
 
 impl Place {
-    /// The place around one closure of a group.
+    /// The place around one closure of a group, which is in the order of the second robot's way.
     pub fn new(atlas: &Atlas, middle: &Closure, group: &[Closure]) -> Self {
         let travel_m = |node: usize| atlas.nodes[node].doubt_m;
         let is_near = |closure: &&Closure| {
@@ -47,7 +49,8 @@ impl Place {
             apart_m(closure.edge.from, middle.edge.from) <= PLACE_M
                 && apart_m(closure.edge.to, middle.edge.to) <= PLACE_M
         };
-        let near: Vec<&Closure> = group.iter().filter(is_near).collect();
+        // The first in order, so that what is found later changes little.
+        let near: Vec<&Closure> = group.iter().filter(is_near).take(TIES_MAX).collect();
         let first_from_second = |closure: &&Closure| {
             let (from, to) = (&atlas.nodes[closure.edge.from], &atlas.nodes[closure.edge.to]);
             (closure.edge.to, from.chain.compose(closure.edge.motion).compose(to.chain.inverse()))

@@ -92,8 +92,16 @@ impl Search {
 
     /// Looks for a query where the solution puts it.
     fn near(&mut self, atlas: &mut Atlas, query: usize, settings: &Settings, solved: &Solved) {
+        let most = settings.closure.segments_per_query;
+        let name = |node: usize| atlas.nodes[node].sequence;
+        let is_tried =
+            |k: &usize| self.tried.contains(&(name(query), name(atlas.segments[*k].anchor), false));
+        // Distances along the graph take a while.
+        if nearby(atlas, solved, query, None, most).iter().all(is_tried) {
+            return;
+        }
         let distances_m = distances(atlas, solved, query);
-        let near = nearby(atlas, solved, query, &distances_m, settings.closure.segments_per_query);
+        let near = nearby(atlas, solved, query, Some(&distances_m), most);
         let candidates: Vec<(usize, Window)> = near
             .into_iter()
             .filter(|number| self.is_new(atlas, query, *number, false))
@@ -258,17 +266,26 @@ fn distances(atlas: &Atlas, solved: &Solved, query: usize) -> Vec<f64> {
     graph_distances(&atlas.nodes, &loops, query)
 }
 
-/// Segments of other robots that the query may see, nearest first.
-fn nearby(atlas: &Atlas, solved: &Solved, query: usize, distances_m: &[f64], most: usize) -> Vec<usize> {
+/// Segments of other robots that the query may see, nearest first; without distances along the graph, as if they were well known.
+fn nearby(
+    atlas: &Atlas,
+    solved: &Solved,
+    query: usize,
+    distances_m: Option<&[f64]>,
+    most: usize,
+) -> Vec<usize> {
     let world =
         World { nodes: &atlas.nodes, scans: &atlas.scans, segments: &atlas.segments, poses: &solved.poses };
+    let part = |node: usize| solved.strands.part(atlas.nodes[node].strand);
     let mut near = Vec::new();
     for (number, segment) in atlas.segments.iter().enumerate() {
-        if atlas.owner(segment.anchor) == atlas.owner(query) || distances_m[segment.anchor] >= BROKEN_M {
+        let distance_m = distances_m.map_or(0.0, |distances_m| distances_m[segment.anchor]);
+        let is_anothers = atlas.owner(segment.anchor) != atlas.owner(query);
+        if !is_anothers || part(segment.anchor) != part(query) || distance_m >= BROKEN_M {
             continue;
         }
         let apart_m = apart_m(&world, segment, query);
-        if apart_m <= window(distances_m[segment.anchor]).reach_m + SIGHT_M {
+        if apart_m <= window(distance_m).reach_m + SIGHT_M {
             near.push((apart_m, number));
         }
     }
