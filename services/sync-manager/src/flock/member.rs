@@ -115,7 +115,7 @@ impl Flock {
     /// # Errors
     /// As [`Self::say`].
     pub fn say_submap(&mut self, submap: &flockslam_evidence::Submap) -> Result<Arc<[u8]>, RecordError> {
-        self.say(&Content::Submap(SubmapRecord::of(submap)))
+        self.say(&Content::Submap(SubmapRecord::of(&submap.coarsened())))
     }
 
     /// Takes in a message of another robot and gives what to answer, with records for at most so many bytes.
