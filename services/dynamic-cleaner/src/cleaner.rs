@@ -140,10 +140,11 @@ impl DynamicCleaner {
         }
         let at = self.odom_from_laser;
         if self.settings.method == Method::Beams {
-            let toward = sector.directions(View::BESIDE_MAX_RAD);
+            let beside_rad = margins(&self.settings, pose).beside_max_rad(grid.cell_size_m());
+            let toward = sector.directions(beside_rad);
             self.sight.look_toward(scan, &Deskew::new(scan, pose.twist), toward);
         }
-        let view = view(&self.settings, &self.sight, pose, at, grid.cell_size_m());
+        let view = View::new(&self.sight, at, grid.cell_size_m(), margins(&self.settings, pose));
         let laser_from_odom = at.inverse();
         let judge = |center: Point| match self.settings.method {
             Method::Beams => view.judge(center),
@@ -157,10 +158,13 @@ impl DynamicCleaner {
         let reach =
             Reach { around: at.position(), radius_m: self.settings.radius_m, wedge: sector.wedge(at) };
         for_each_occupied(grid, reach, |cell, center, place| {
-            let finding = judge(center);
-            let is_through = finding == Finding::SeenThrough;
-            let is_open = matches!(finding, Finding::Open | Finding::Passed);
-            if is_open || (is_through && seen_through == SEEN_THROUGH_MAX) {
+            let is_through = match judge(center) {
+                Finding::SeenThrough => true,
+                Finding::Supported => false,
+                // What is seen of an edge may be what lies beside it.
+                Finding::Open | Finding::Passed | Finding::Touched => return,
+            };
+            if is_through && seen_through == SEEN_THROUGH_MAX {
                 return;
             }
             seen_through += usize::from(is_through);
@@ -258,23 +262,16 @@ impl DynamicCleaner {
     }
 }
 
-/// A view of the present scan, with margins for the errors of its pose.
-fn view<'a>(
-    settings: &Settings,
-    sight: &'a Sight,
-    pose: &PoseEstimate,
-    odom_from_laser: Pose,
-    cell_size_m: f64,
-) -> View<'a> {
+/// Margins for the errors of a pose.
+fn margins(settings: &Settings, pose: &PoseEstimate) -> Margins {
     let position_3_sigma_m = 3.0 * pose.covariance.xx.max(pose.covariance.yy).sqrt();
     let heading_3_sigma_rad = 3.0 * pose.covariance.tt.sqrt();
-    let margins = Margins {
+    Margins {
         behind_m: settings.margin_m + position_3_sigma_m,
         behind_share: settings.margin_share + heading_3_sigma_rad,
         beside_m: settings.lateral_margin_m,
         beside_rad: heading_3_sigma_rad,
-    };
-    View::new(sight, odom_from_laser, cell_size_m, margins)
+    }
 }
 
 /// Whether the robot knows where it is: lost, it takes walls for movers.

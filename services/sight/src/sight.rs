@@ -1,10 +1,12 @@
-use flockslam_messages::{Deskew, ScanSections, ScanView};
+use flockslam_messages::{Deskew, ScanView};
 use std::f64::consts::TAU;
 
 /// Sectors of the full circle, 0.35° each.
 const SECTORS: usize = 1024;
 /// A beam speaks for directions up to this far from it, radians, when its neighbours are farther away.
 const HALF_FOOTPRINT_MAX_RAD: f64 = 0.035;
+/// Beams are taken to be no farther apart, radians.
+pub(crate) const SPACING_MAX_RAD: f64 = 2.0 * HALF_FOOTPRINT_MAX_RAD;
 /// No beam in a sector.
 const NONE: f32 = f32::NAN;
 
@@ -74,10 +76,10 @@ impl Sight {
     pub fn look_toward(&mut self, scan: ScanView<'_>, deskew: &Deskew, toward: Directions) {
         self.range_m.fill(f32::INFINITY);
         self.beam_rad.fill(NONE);
-        let footprints = Footprints::new(scan);
         let mut sum_rad = 0.0;
         for beam in 0..scan.len() {
-            let (angle, half) = (scan.angle_rad(beam), footprints.half_rad(scan, beam));
+            let angle = scan.angle_rad(beam);
+            let half = half_footprint(scan, beam, angle);
             sum_rad += 2.0 * half;
             if toward.is_all() || toward.has(angle, half + deskew.shift_max_rad(scan, beam)) {
                 self.take(deskew.beam_at_stamp(scan, beam), half);
@@ -154,39 +156,19 @@ fn wrap(sector: i64) -> usize {
     (sector & (SECTORS as i64 - 1)) as usize
 }
 
-/// How wide a beam's footprint is.
-enum Footprints {
-    /// All are alike: half of each, radians.
-    Even(f64),
-    /// Each is as wide as its neighbours leave it.
-    Explicit,
-}
-
-impl Footprints {
-    fn new(scan: ScanView<'_>) -> Self {
-        if scan.header().sections & ScanSections::ANGLES != 0 || scan.len() < 2 {
-            return Self::Explicit;
-        }
-        Self::Even((0.5 * scan.header().angle_increment_rad.abs()).min(HALF_FOOTPRINT_MAX_RAD))
-    }
-
-    /// Half the angle to the nearer neighbour in the order of the beams.
-    fn half_rad(&self, scan: ScanView<'_>, beam: usize) -> f64 {
-        if let Self::Even(half_rad) = self {
-            return *half_rad;
-        }
-        let step = |other: usize| (scan.angle_rad(other) - scan.angle_rad(beam)).abs();
-        let before = beam.checked_sub(1).map_or(f64::INFINITY, step);
-        let after = if beam + 1 < scan.len() { step(beam + 1) } else { f64::INFINITY };
-        (0.5 * before.min(after)).min(HALF_FOOTPRINT_MAX_RAD)
-    }
+/// Half the angle to the nearer neighbour in the order of the beams.
+fn half_footprint(scan: ScanView<'_>, beam: usize, angle_rad: f64) -> f64 {
+    let step = |other: usize| (scan.angle_rad(other) - angle_rad).abs();
+    let before = beam.checked_sub(1).map_or(f64::INFINITY, step);
+    let after = if beam + 1 < scan.len() { step(beam + 1) } else { f64::INFINITY };
+    (0.5 * before.min(after)).min(HALF_FOOTPRINT_MAX_RAD)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use flockslam_geometry::Twist;
-    use flockslam_messages::ScanBuffer;
+    use flockslam_messages::{ScanBuffer, ScanSections};
     use proptest::prelude::*;
 
     fn look(sight: &mut Sight, scan: &ScanBuffer) {

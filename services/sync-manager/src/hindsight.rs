@@ -87,7 +87,7 @@ impl Hindsight {
                         self.through.push((key, place, true));
                     }
                     Finding::Passed => self.through.push((key, place, false)),
-                    Finding::Supported => {
+                    Finding::Supported | Finding::Touched => {
                         supported += 1;
                         (watched.views, watched.passes) = (0, 0);
                     }
