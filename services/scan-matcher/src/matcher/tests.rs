@@ -342,7 +342,9 @@ fn another_robot_that_stands_at_a_wall_is_set_aside_where_it_says_that_it_is() {
 #[test]
 fn movers_that_are_not_believed_take_nothing_from_the_robot_beside_them() {
     let mut front_end = FrontEnd::new(Settings::default());
-    (0..40).for_each(|i| drop(front_end.step(&look(i, truth(i), Some(truth(i))), true)));
+    for i in 0..40 {
+        front_end.step(&look(i, truth(i), Some(truth(i))), true);
+    }
     front_end.matcher.companions_are(&robot_at_the_pillar(0));
     front_end.step(&look(40, truth(40), Some(truth(40))), true);
     let [robot] = front_end.matcher.moving_beams()[..] else { panic!("one range") };
