@@ -9,7 +9,7 @@ use std::process::Command;
 use support::repository;
 
 /// Crates that others may import, lowest layer first; an import goes to a lower layer only.
-const LIBRARIES: [(&str, u32); 10] = [
+const LIBRARIES: [(&str, u32); 11] = [
     ("geometry", 0),
     ("evidence", 1),
     ("messages", 2),
@@ -18,6 +18,7 @@ const LIBRARIES: [(&str, u32); 10] = [
     ("journal", 3),
     ("telemetry", 3),
     ("registration", 4),
+    ("sight", 4),
     ("stage", 4),
     ("page", 5),
 ];

@@ -123,6 +123,7 @@ impl Configuration {
         }
         configuration.correlation_filter.mode = flockslam_correlation_filter::Mode::Off;
         configuration.sync_manager.enabled = false;
+        configuration.sync_manager.clear_at_end = false;
         configuration
     }
 

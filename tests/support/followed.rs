@@ -2,11 +2,13 @@
 
 use flockslam_dynamic_cleaner::DynamicCleaner;
 use flockslam_evidence::{Tile, TileGrid};
-use flockslam_geometry::{Covariance, Pose};
+use flockslam_geometry::{Covariance, Point, Pose, Twist};
+use flockslam_lidar_ingest::process::BagReader;
 use flockslam_lidar_ingest::simulation::{MoverTruth, Settings, Simulation, World};
 use flockslam_mapper::Mapper;
 use flockslam_messages::{PoseEstimate, PoseFlags, ScanBuffer, ScanView, Track};
 use std::collections::BTreeMap;
+use std::path::Path;
 
 /// A track belongs to somebody this near, metres.
 const NEAR_M: f64 = 0.5;
@@ -14,6 +16,11 @@ const NEAR_M: f64 = 0.5;
 const SETTLED_S: f64 = 1.0;
 /// Whoever is out of sight for so long, seconds, is hidden by something; after the longer time a new name is no mistake.
 const HIDDEN_S: (f64, f64) = (0.3, 1.0);
+
+/// Of a lidar that stands still every so many scans enter the map.
+const MAPPED_EVERY: u64 = 10;
+/// Sightings in a second of a bag.
+const SIGHTINGS_MIN: usize = 10;
 
 /// Mapper and cleaner with the true poses.
 struct Robot {
@@ -34,7 +41,7 @@ impl Robot {
         }
     }
 
-    fn step(&mut self, scan: ScanView<'_>, truth: Pose, twist: flockslam_geometry::Twist) -> Vec<Track> {
+    fn step(&mut self, scan: ScanView<'_>, truth: Pose, twist: Twist) -> Vec<Track> {
         let pose = PoseEstimate {
             id: scan.header().id,
             times: scan.header().times,
@@ -59,6 +66,45 @@ impl Robot {
         }
         tracks
     }
+}
+
+impl Robot {
+    /// Centres of the occupied cells of the grid.
+    fn standing(&self) -> Vec<Point> {
+        let cells = self.grid.tiles().flat_map(|(key, tile)| {
+            let occupied = tile.score.iter().enumerate().filter(|(_, score)| **score > u16::MAX / 2);
+            occupied.map(move |(offset, _)| key.cell(offset))
+        });
+        cells.map(|cell| self.grid.center(cell)).collect()
+    }
+}
+
+/// What a lidar that stands still sees: who walks, and what stands, metres from it.
+pub struct SeenFromAStand {
+    /// Where each one was at every sighting, by name; those who were followed for a second at least.
+    pub ways: BTreeMap<u64, Vec<Point>>,
+    pub standing: Vec<Point>,
+}
+
+/// Follows the people of a bag that was recorded from a stand.
+pub fn followed_from_a_stand(bag: &Path) -> SeenFromAStand {
+    let mut reader = BagReader::open(bag, flockslam_lidar_ingest::Settings::default()).unwrap();
+    let (mut robot, mut scan) = (Robot::new(), ScanBuffer::default());
+    let mut ways: BTreeMap<u64, Vec<Point>> = BTreeMap::new();
+    let mut number = 0;
+    while reader.next_scan(&mut scan).unwrap() {
+        scan.header.id.sequence = number;
+        if number % MAPPED_EVERY == 0 {
+            robot.inserted = None;
+        }
+        number += 1;
+        let tracks = robot.step(scan.view().unwrap(), Pose::IDENTITY, Twist::default());
+        for track in tracks.iter().filter(|track| track.unseen_s == 0.0) {
+            ways.entry(track.id).or_default().push(track.position);
+        }
+    }
+    ways.retain(|_, way| way.len() >= SIGHTINGS_MIN);
+    SeenFromAStand { ways, standing: robot.standing() }
 }
 
 /// What became of the tracks of a drive.

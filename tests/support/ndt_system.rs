@@ -1,6 +1,7 @@
 //! The profile `ndt` in one process.
 
 use super::experiments::Experiment;
+use super::{Outputs, run_well};
 use flockslam::configuration::{Configuration, Profile};
 use flockslam_dynamic_cleaner::DynamicCleaner;
 use flockslam_evidence::{Tile, TileGrid};
@@ -8,7 +9,21 @@ use flockslam_geometry::{Pose, wrap_angle};
 use flockslam_mapper::Mapper;
 use flockslam_messages::{Commit, ScanBuffer, Verdict};
 use flockslam_scan_matcher::ScanMatcher;
+use std::path::Path;
 use std::time::{Duration, Instant};
+
+/// Without the update of the map: what was seen once stays.
+pub const PLAIN: &str = "dynamic_cleaner.enabled=false";
+
+/// Runs the profile on the first `count` scans of an experiment, with more settings.
+pub fn run_ndt(experiment: &Experiment, count: usize, directory: &Path, more: &[&str]) -> Outputs {
+    let log = directory.join("experiment.clf");
+    experiment.write_log(count, &log);
+    let mut args =
+        vec!["map".to_owned(), log.display().to_string(), "--profile".to_owned(), "ndt".to_owned()];
+    args.extend(more.iter().flat_map(|set| ["--set".to_owned(), (*set).to_owned()]));
+    run_well("ndt", &directory.join("out"), &args)
+}
 
 /// The profile's logic, stage by stage in one process.
 pub struct NdtSystem {

@@ -119,6 +119,18 @@ impl FusedMap {
         }
     }
 
+    /// The cells of a submap at this pose whose evidence for "occupied" comes to lie in these cells of the map.
+    pub fn occupied_sources(
+        &self,
+        submap: &Submap,
+        map_from_submap: Pose,
+        cells: &[CellIndex],
+    ) -> Vec<CellIndex> {
+        let resampling = Resampling::new(submap, map_from_submap, self.cell_size_m);
+        let sources = cells.iter().filter_map(|cell| resampling.source_cell(*cell));
+        sources.filter(|source| submap.cell(*source).occupied > 0).collect()
+    }
+
     /// Evidence of a cell.
     pub fn cell(&self, index: CellIndex) -> Cell {
         self.tiles.get(index.tile()).map_or(Cell::UNKNOWN, |cells| cells[index.offset()])
@@ -221,6 +233,27 @@ mod tests {
             prop_assert_eq!(&ab, &only_b);
             ab.withdraw(&b, pose_b).unwrap();
             prop_assert!(ab.is_empty() && ab.bounds().is_none());
+        }
+
+        #[test]
+        fn masking_the_sources_of_cells_leaves_nothing_occupied_in_them(
+            mut a in submap(), pose in pose(), picked in prop::collection::vec(any::<prop::sample::Index>(), 1..20)
+        ) {
+            let mut map = FusedMap::new(0.05);
+            map.add(&a, pose).unwrap();
+            let all: Vec<CellIndex> =
+                map.tiles().flat_map(|(key, _)| (0..TILE_CELLS).map(move |offset| key.cell(offset))).collect();
+            prop_assume!(!all.is_empty());
+            let cells: Vec<CellIndex> = picked.iter().map(|index| *index.get(&all)).collect();
+            for source in map.occupied_sources(&a, pose, &cells) {
+                a.clear(source);
+            }
+            let mut masked = FusedMap::new(0.05);
+            masked.add(&a, pose).unwrap();
+            for cell in &cells {
+                prop_assert_eq!(masked.cell(*cell).occupied, 0);
+                prop_assert!(map.cell(*cell).occupied > 0 || masked.cell(*cell) == map.cell(*cell));
+            }
         }
 
         #[test]

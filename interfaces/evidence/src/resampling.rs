@@ -113,6 +113,13 @@ impl Resampling {
         blocks
     }
 
+    /// The cell of the submap's lattice whose evidence comes to lie in a target cell; `None` when that is absurdly far away.
+    pub fn source_cell(&self, target: CellIndex) -> Option<CellIndex> {
+        let (u, v) = self.source(i64::from(target.x), i64::from(target.y));
+        let index = |fixed: i64| i32::try_from(fixed >> FRACTION).ok();
+        Some(CellIndex::new(index(u)?, index(v)?))
+    }
+
     /// Fixed-point source coordinates of a target cell's centre.
     fn source(&self, x: i64, y: i64) -> (i64, i64) {
         let (dx, dy) = (x - i64::from(self.origin.x), y - i64::from(self.origin.y));

@@ -1,5 +1,6 @@
 use crate::{ScanHeader, ScanView};
 use flockslam_geometry::{Point, Pose, Twist};
+use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Takes the robot's own motion out of a scan: beams are given as if all had left at the scan's stamp.
 ///
@@ -56,12 +57,26 @@ impl Deskew {
             None => (angle_rad + self.twist.turn_rad_s * scan.time_s(beam), None),
         }
     }
+
+    /// No more than this, radians, lies between the direction in which a beam left and that which [`Self::beam_at_stamp`] gives.
+    pub fn shift_max_rad(&self, scan: ScanView<'_>, beam: usize) -> f64 {
+        if !self.moves {
+            return 0.0;
+        }
+        let seconds = scan.time_s(beam).abs();
+        let (turn_rad, mount_m) =
+            (self.twist.turn_rad_s.abs() * seconds, self.base_from_laser.position().norm_m());
+        let way_m = self.twist.x_m_s.hypot(self.twist.y_m_s) * seconds + turn_rad * mount_m;
+        // An arc sine is at most π / 2 times its sine.
+        turn_rad + scan.valid_range_m(beam).map_or(0.0, |range_m| (FRAC_PI_2 * way_m / range_m).min(PI))
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::ScanBuffer;
+    use flockslam_geometry::wrap_angle;
 
     #[test]
     fn a_wall_seen_while_turning_is_straight_again() {
@@ -82,6 +97,8 @@ mod tests {
             let range = view.valid_range_m(beam).unwrap();
             assert!((deskew.end_in_base(view, beam, range).x_m - 3.0).abs() < 1e-4);
             let (angle, range) = deskew.beam_at_stamp(view, beam);
+            let shift_rad = wrap_angle(angle - view.angle_rad(beam)).abs();
+            assert!(shift_rad <= deskew.shift_max_rad(view, beam) + 1e-12, "{beam}: {shift_rad}");
             let (sin, cos) = angle.sin_cos();
             let end = mount.apply(Point::new(range.unwrap() * cos, range.unwrap() * sin));
             assert!((end.x_m - 3.0).abs() < 1e-4);

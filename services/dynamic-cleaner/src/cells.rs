@@ -1,5 +1,7 @@
-use flockslam_evidence::{CellIndex, TILE_SIDE, Tile, TileGrid, TileKey};
+use crate::sector::Wedge;
+use flockslam_evidence::{CellIndex, TILE_CELLS, TILE_SIDE, Tile, TileGrid, TileKey};
 use flockslam_geometry::Point;
+use std::f64::consts::FRAC_1_SQRT_2;
 use std::ops::Deref;
 
 /// A cell is taken for occupied when its score is above the middle: with both read-outs of the mapper the evidence for
@@ -9,27 +11,42 @@ const OCCUPIED_SCORE: u16 = u16::MAX / 2;
 const BLOCK: usize = 4;
 const BLOCKS: usize = TILE_SIDE / BLOCK;
 
-/// Calls `visit` for each occupied cell with its centre within `radius_m` of a point, in a fixed order.
+/// Where to look for occupied cells.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Reach {
+    pub around: Point,
+    pub radius_m: f64,
+    pub wedge: Wedge,
+}
+
+/// Calls `visit` for each occupied cell with its centre within reach, in a fixed order: with the cell, its centre, and its place in
+/// that order among all cells that could be within the radius, whatever the wedge.
 pub(crate) fn for_each_occupied<H: Deref<Target = Tile>>(
     grid: &TileGrid<H>,
-    around: Point,
-    radius_m: f64,
-    mut visit: impl FnMut(CellIndex, Point),
+    reach: Reach,
+    mut visit: impl FnMut(CellIndex, Point, u32),
 ) {
+    let Reach { around, radius_m, wedge } = reach;
     let corner = |sign: f64| {
         grid.cell_at(Point::new(around.x_m + sign * radius_m, around.y_m + sign * radius_m)).tile()
     };
     let (first, last) = (corner(-1.0), corner(1.0));
+    let half_diagonal_m = FRAC_1_SQRT_2 * TILE_SIDE as f64 * grid.cell_size_m();
+    let mut before = 0_u32;
     for y in first.y..=last.y {
         for x in first.x..=last.x {
             let key = TileKey { x, y };
-            if let Some(tile) = grid.tile(key) {
-                visit_tile(grid, key, tile, |cell, center| {
-                    if center.distance_m(around) <= radius_m {
-                        visit(cell, center);
+            let middle = grid.center(key.cell(TILE_CELLS / 2 + TILE_SIDE / 2));
+            if let Some(tile) =
+                grid.tile(key).filter(|_| !wedge.misses(middle, half_diagonal_m + grid.cell_size_m()))
+            {
+                visit_tile(grid, key, tile, |cell, center, place| {
+                    if center.distance_m(around) <= radius_m && wedge.has(center) {
+                        visit(cell, center, before.saturating_add(place));
                     }
                 });
             }
+            before = before.saturating_add(TILE_CELLS as u32);
         }
     }
 }
@@ -38,16 +55,15 @@ fn visit_tile<H: Deref<Target = Tile>>(
     grid: &TileGrid<H>,
     key: TileKey,
     tile: &Tile,
-    mut visit: impl FnMut(CellIndex, Point),
+    mut visit: impl FnMut(CellIndex, Point, u32),
 ) {
     for (block, _) in tile.score_quarter.iter().enumerate().filter(|(_, score)| **score > OCCUPIED_SCORE) {
         let first = (block / BLOCKS) * BLOCK * TILE_SIDE + (block % BLOCKS) * BLOCK;
-        for row in 0..BLOCK {
-            for offset in first + row * TILE_SIDE..first + row * TILE_SIDE + BLOCK {
-                if tile.score[offset] > OCCUPIED_SCORE {
-                    let cell = key.cell(offset);
-                    visit(cell, grid.center(cell));
-                }
+        for (row, column) in (0..BLOCK).flat_map(|row| (0..BLOCK).map(move |column| (row, column))) {
+            let offset = first + row * TILE_SIDE + column;
+            if tile.score[offset] > OCCUPIED_SCORE {
+                let cell = key.cell(offset);
+                visit(cell, grid.center(cell), ((block * BLOCK + row) * BLOCK + column) as u32);
             }
         }
     }
@@ -80,6 +96,8 @@ pub(crate) fn occupied_around<H: Deref<Target = Tile>>(grid: &TileGrid<H>, cell:
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sector::Sector;
+    use flockslam_geometry::Pose;
     use proptest::prelude::*;
     use std::collections::{BTreeMap, BTreeSet};
 
@@ -87,7 +105,7 @@ mod tests {
         #[test]
         fn exactly_the_occupied_cells_in_reach_are_visited(
             places in prop::collection::btree_set((-150_i32..150, -150_i32..150), 0..60),
-            x in -3.0..3.0_f64, y in -3.0..3.0_f64, radius in 0.1..6.0_f64,
+            x in -3.0..3.0_f64, y in -3.0..3.0_f64, radius in 0.1..6.0_f64, turn in -3.0..3.0_f64,
         ) {
             let mut tiles: BTreeMap<TileKey, Box<Tile>> = BTreeMap::new();
             for (x, y) in &places {
@@ -99,8 +117,22 @@ mod tests {
                 grid.set(key, tile).unwrap();
             }
             let around = Point::new(x, y);
-            let mut found = BTreeSet::new();
-            for_each_occupied(&grid, around, radius, |cell, _| assert!(found.insert((cell.x, cell.y))));
+            let (mut found, mut at) = (BTreeSet::new(), BTreeMap::new());
+            let mut last = None;
+            let wedge = |sector: Sector| sector.wedge(Pose::new(x, y, turn));
+            let whole = Reach { around, radius_m: radius, wedge: wedge(Sector::WHOLE) };
+            for_each_occupied(&grid, whole, |cell, _, place| {
+                assert!(found.insert((cell.x, cell.y)) && last < Some(place));
+                at.insert(place, cell);
+                last = Some(place);
+            });
+            // In parts each is visited once, and has the same place.
+            let mut in_parts = BTreeMap::new();
+            for part in 0..3 {
+                let reach = Reach { wedge: wedge(Sector::new(part, 3)), ..whole };
+                for_each_occupied(&grid, reach, |cell, _, place| assert!(in_parts.insert(place, cell).is_none()));
+            }
+            prop_assert_eq!(at, in_parts);
             let near = |(x, y): &(i32, i32)| grid.center(CellIndex::new(*x, *y)).distance_m(around) <= radius;
             prop_assert_eq!(found, places.into_iter().filter(near).collect::<BTreeSet<_>>());
         }

@@ -1,10 +1,9 @@
 use crate::Settings;
-use crate::cells::for_each_occupied;
+use crate::cells::{Reach, for_each_occupied};
 use crate::moving::find_moving;
 use crate::sector::Sector;
 use crate::sector_scan::{Ray, SectorScan};
 use crate::settings::Method;
-use crate::sight::Sight;
 use crate::tracking::Tracker;
 use crate::votes::{Counts, Votes};
 use flockslam_evidence::{CellIndex, Tile, TileGrid};
@@ -12,11 +11,9 @@ use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{
     ClearedCell, Deskew, JudgedCell, MarksHeader, PoseEstimate, PoseFlags, Quality, ScanId, ScanView, Track,
 };
-use std::f64::consts::SQRT_2;
+use flockslam_sight::{Finding, Margins, Sight, View};
 use std::ops::Deref;
 
-/// Nearer cells are not judged, metres: they fill too much of the view, and the robot may see itself.
-const NEAR_M: f64 = 0.3;
 /// Cells that one scan may look through; more than these wait for the next scan.
 const SEEN_THROUGH_MAX: usize = 1 << 14;
 /// Of a robot that stands, scans so far apart vote, nanoseconds …
@@ -54,30 +51,6 @@ pub struct Marks<'a> {
     pub header: MarksHeader,
     /// Cells to clear, in a fixed order.
     pub cleared: &'a [ClearedCell],
-}
-
-/// What a scan says of an occupied cell.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Finding {
-    /// A beam through it and every beam near it end far behind it.
-    SeenThrough,
-    /// A beam ends at it.
-    Supported,
-    /// Hidden, out of view, or too close to call.
-    Open,
-}
-
-/// A scan at its place, ready to judge cells.
-struct View<'a> {
-    sight: &'a Sight,
-    odom_from_laser: Pose,
-    cell_size_m: f64,
-    /// What a beam must go beyond a cell: metres, and metres per metre of distance.
-    margin_m: f64,
-    margin_share: f64,
-    lateral_margin_m: f64,
-    /// Uncertainty of direction, radians.
-    heading_margin_rad: f64,
 }
 
 impl DynamicCleaner {
@@ -132,7 +105,7 @@ impl DynamicCleaner {
             let (deskew, radius_m) = (Deskew::new(scan, pose.twist), self.settings.radius_m);
             find_moving(scan, &deskew, self.odom_from_laser, grid, radius_m, &mut self.moving);
         }
-        self.look(pose, grid, Sector::WHOLE);
+        self.look(scan, pose, grid, Sector::WHOLE);
         self.conclude(pose)
     }
 
@@ -147,41 +120,51 @@ impl DynamicCleaner {
         self.found.clear();
         self.odom_from_laser = pose.odom_from_base * scan.header().base_from_laser;
         if self.judges(pose) {
-            let deskew = Deskew::new(scan, pose.twist);
-            match self.settings.method {
-                Method::Beams => self.sight.look(scan, &deskew),
-                Method::Sectors => self.sectors.look(scan, &deskew, self.settings.join_m),
+            if self.settings.method == Method::Sectors {
+                self.sectors.look(scan, &Deskew::new(scan, pose.twist), self.settings.join_m);
             }
             self.judged = Some((self.odom_from_laser, pose.times.sensor_ns));
         }
     }
 
-    /// Judges the occupied cells of `grid` in a sector.
-    pub fn look<H: Deref<Target = Tile>>(&mut self, pose: &PoseEstimate, grid: &TileGrid<H>, sector: Sector) {
+    /// Judges the occupied cells of `grid` in a sector by the scan that was begun with.
+    pub fn look<H: Deref<Target = Tile>>(
+        &mut self,
+        scan: ScanView<'_>,
+        pose: &PoseEstimate,
+        grid: &TileGrid<H>,
+        sector: Sector,
+    ) {
         if !self.judges(pose) {
             return;
         }
         let at = self.odom_from_laser;
-        let view = View::new(&self.settings, &self.sight, pose, at, grid.cell_size_m());
+        if self.settings.method == Method::Beams {
+            let beside_rad = margins(&self.settings, pose).beside_max_rad(grid.cell_size_m());
+            let toward = sector.directions(beside_rad);
+            self.sight.look_toward(scan, &Deskew::new(scan, pose.twist), toward);
+        }
+        let view = View::new(&self.sight, at, grid.cell_size_m(), margins(&self.settings, pose));
         let laser_from_odom = at.inverse();
         let judge = |center: Point| match self.settings.method {
-            Method::Beams => view.judge(center, sector),
-            Method::Sectors => {
-                let point = laser_from_odom.apply(center);
-                match self.sectors.ray_to(point) {
-                    _ if !sector.has(point.y_m.atan2(point.x_m)) => Finding::Open,
-                    Ray::Free => Finding::SeenThrough,
-                    Ray::Met => Finding::Supported,
-                    Ray::Shadowed | Ray::Unseen => Finding::Open,
-                }
-            }
+            Method::Beams => view.judge(center),
+            Method::Sectors => match self.sectors.ray_to(laser_from_odom.apply(center)) {
+                Ray::Free => Finding::SeenThrough,
+                Ray::Met => Finding::Supported,
+                Ray::Shadowed | Ray::Unseen => Finding::Open,
+            },
         };
-        let (mut place, mut seen_through) = (0, 0);
-        for_each_occupied(grid, at.position(), self.settings.radius_m, |cell, center| {
-            place += 1;
-            let finding = judge(center);
-            let is_through = finding == Finding::SeenThrough;
-            if finding == Finding::Open || (is_through && seen_through == SEEN_THROUGH_MAX) {
+        let mut seen_through = 0;
+        let reach =
+            Reach { around: at.position(), radius_m: self.settings.radius_m, wedge: sector.wedge(at) };
+        for_each_occupied(grid, reach, |cell, center, place| {
+            let is_through = match judge(center) {
+                Finding::SeenThrough => true,
+                Finding::Supported => false,
+                // What is seen of an edge may be what lies beside it.
+                Finding::Open | Finding::Passed | Finding::Touched => return,
+            };
+            if is_through && seen_through == SEEN_THROUGH_MAX {
                 return;
             }
             seen_through += usize::from(is_through);
@@ -233,7 +216,7 @@ impl DynamicCleaner {
         });
         if stands && self.judges(pose) {
             self.begin(scan, pose);
-            self.look(pose, grid, Sector::WHOLE);
+            self.look(scan, pose, grid, Sector::WHOLE);
             self.weigh(Counts::UpTo(self.settings.votes.saturating_sub(1)));
         }
     }
@@ -279,56 +262,15 @@ impl DynamicCleaner {
     }
 }
 
-impl<'a> View<'a> {
-    fn new(
-        settings: &Settings,
-        sight: &'a Sight,
-        pose: &PoseEstimate,
-        odom_from_laser: Pose,
-        cell_size_m: f64,
-    ) -> Self {
-        let position_3_sigma_m = 3.0 * pose.covariance.xx.max(pose.covariance.yy).sqrt();
-        let heading_3_sigma = 3.0 * pose.covariance.tt.sqrt();
-        Self {
-            sight,
-            odom_from_laser,
-            cell_size_m,
-            margin_m: settings.margin_m + position_3_sigma_m,
-            margin_share: settings.margin_share + heading_3_sigma,
-            lateral_margin_m: settings.lateral_margin_m,
-            heading_margin_rad: heading_3_sigma,
-        }
-    }
-
-    /// Whether the scan looks through the cell with its centre at `center`. Beside the beams through the cell itself
-    /// those next to it must pass too: at a grazing angle one of them ends on the wall to which the cell belongs.
-    fn judge(&self, center: Point, sector: Sector) -> Finding {
-        let (dx, dy) = (center.x_m - self.odom_from_laser.x_m, center.y_m - self.odom_from_laser.y_m);
-        let distance_m = (dx * dx + dy * dy).sqrt();
-        if distance_m < NEAR_M {
-            return Finding::Open;
-        }
-        let direction = dy.atan2(dx) - self.odom_from_laser.heading_rad;
-        if !sector.has(direction) {
-            return Finding::Open;
-        }
-        let half_width_rad = 0.5 * self.cell_size_m / distance_m;
-        let margin_m = self.margin_m + self.margin_share * distance_m;
-        if self.sight.range_m(direction) > distance_m + margin_m {
-            let beside_rad = SQRT_2 * half_width_rad
-                + self.lateral_margin_m / distance_m
-                + self.sight.spacing_rad()
-                + self.heading_margin_rad;
-            let all_pass = self.sight.beam_goes(direction, half_width_rad)
-                && self.sight.nearest_m(direction, beside_rad) > distance_m + margin_m;
-            return if all_pass { Finding::SeenThrough } else { Finding::Open };
-        }
-        let near_m = (2.0 * self.cell_size_m).min(margin_m);
-        let (from_m, to_m) = (distance_m - near_m, distance_m + near_m);
-        match self.sight.ends_between(direction, SQRT_2 * half_width_rad, from_m, to_m) {
-            true => Finding::Supported,
-            false => Finding::Open,
-        }
+/// Margins for the errors of a pose.
+fn margins(settings: &Settings, pose: &PoseEstimate) -> Margins {
+    let position_3_sigma_m = 3.0 * pose.covariance.xx.max(pose.covariance.yy).sqrt();
+    let heading_3_sigma_rad = 3.0 * pose.covariance.tt.sqrt();
+    Margins {
+        behind_m: settings.margin_m + position_3_sigma_m,
+        behind_share: settings.margin_share + heading_3_sigma_rad,
+        beside_m: settings.lateral_margin_m,
+        beside_rad: heading_3_sigma_rad,
     }
 }
 

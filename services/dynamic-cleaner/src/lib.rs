@@ -11,7 +11,6 @@ mod scenarios;
 mod sector;
 mod sector_scan;
 mod settings;
-mod sight;
 mod tracking;
 mod votes;
 

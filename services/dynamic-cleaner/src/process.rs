@@ -5,7 +5,7 @@
 mod sectors;
 
 use crate::{DynamicCleaner, Sector, Settings};
-use flockslam_bus::{BellRinger, SlicePublisher};
+use flockslam_bus::{BellRinger, ScanSample, SlicePublisher};
 use flockslam_messages::{DropReason, MarksHeader, PoseEstimate, PoseFlags, ScanView, Stage, TracksHeader};
 use flockslam_stage::{
     Acknowledger, Actor, GridReader, Mode, PendingScans, PoseQueue, StageContext, StageError, run,
@@ -115,6 +115,7 @@ struct Cleaner {
 /// A scan of which others judge their sectors.
 struct Waiting {
     pose: PoseEstimate,
+    sample: Option<ScanSample>,
     generation: u64,
     started_ns: u64,
 }
@@ -136,9 +137,9 @@ impl Cleaner {
                 self.watch(scan, pose)?;
                 let logic = &mut self.inputs.logic;
                 logic.begin(scan, pose);
-                logic.look(pose, self.inputs.grid.grid(), self.sectors.own());
+                logic.look(scan, pose, self.inputs.grid.grid(), self.sectors.own());
                 if self.sectors.parts() > 1 && logic.judges(pose) {
-                    self.waiting = Some(Waiting { pose: *pose, generation, started_ns });
+                    self.waiting = Some(Waiting { pose: *pose, sample, generation, started_ns });
                     return Ok(());
                 }
                 self.conclude(pose)?;
@@ -163,10 +164,12 @@ impl Cleaner {
         }
         let Some(waiting) = self.waiting.take() else { return Ok(true) };
         let pose = &waiting.pose;
-        for sector in missing {
+        let scan = waiting.sample.as_ref().and_then(|sample| sample.view().ok());
+        for (sector, scan) in missing.into_iter().zip(scan.into_iter().cycle()) {
             context.dropped(SECTOR_LATE);
-            self.inputs.logic.look(pose, self.inputs.grid.grid(), sector);
+            self.inputs.logic.look(scan, pose, self.inputs.grid.grid(), sector);
         }
+        drop(waiting.sample);
         self.sectors.forget();
         self.conclude(pose)?;
         self.end(pose, waiting.started_ns, context)?;

@@ -256,7 +256,7 @@ fn several_processes_come_to_the_same_marks_as_one() {
             for part in (0..parts).rev() {
                 let other = &mut others[part as usize];
                 other.begin(view, &pose);
-                other.look(&pose, &grid, Sector::new(part, parts));
+                other.look(view, &pose, &grid, Sector::new(part, parts));
                 first.take(other.found());
             }
             let (together, expected) = (first.conclude(&pose), alone.handle(view, &pose, &grid));

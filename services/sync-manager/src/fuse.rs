@@ -3,6 +3,7 @@
 use crate::fusion::{Fusion, Step};
 use crate::stale::stale_cells;
 use crate::{PlacedSubmap, Settings};
+use flockslam_evidence::{CellIndex, FusedMap};
 use flockslam_stage::results::{StoredMap, Summary};
 use flockslam_stage::{StageError, SubmapStore};
 
@@ -43,16 +44,47 @@ impl Fuser {
         self.fusion.area_m2()
     }
 
-    /// The fused map of the final layout: the sum over the stored submaps at their poses, on the rectangle that has evidence.
+    /// Brings the fused map to the final layout: it is the sum over the stored submaps at their poses then.
     ///
     /// # Errors
     /// When the store fails, or a submap lies absurdly far from the others.
-    pub fn finish(&mut self, layout: &[PlacedSubmap]) -> Result<StoredMap, StageError> {
+    pub fn finish(&mut self, layout: &[PlacedSubmap]) -> Result<(), StageError> {
         // The last scans may carry the number of a submap that nothing was inserted in.
         let closed = self.store.count();
         self.take_all(layout, closed)?;
-        self.empty_retired()?;
-        Ok(self.fusion.map().map_or_else(StoredMap::empty, StoredMap::of))
+        self.empty_retired()
+    }
+
+    /// The fused map as it is now; `None` when it never was one.
+    pub fn map(&self) -> Option<&FusedMap> {
+        self.fusion.map()
+    }
+
+    /// The fused map as it is now, on the rectangle that has evidence.
+    pub fn stored_map(&self) -> StoredMap {
+        self.map().map_or_else(StoredMap::empty, StoredMap::of)
+    }
+
+    /// Masks what says "occupied" of these cells of the map in all submaps of the final layout.
+    ///
+    /// # Errors
+    /// When the store fails.
+    pub fn clear(&mut self, cells: &[CellIndex], layout: &[PlacedSubmap]) -> Result<(), StageError> {
+        for step in self.fusion.present(layout) {
+            let (Some(map), Step::Place(placed)) = (self.fusion.map(), step) else { continue };
+            let mut submap = self.store.load(placed.number)?;
+            let map_from_submap = placed.map_from_odom * submap.odom_from_submap;
+            let sources = map.occupied_sources(&submap, map_from_submap, cells);
+            if sources.is_empty() {
+                continue;
+            }
+            for cell in sources {
+                submap.clear(cell);
+            }
+            self.store.save(&submap)?;
+            self.fusion.take(step, submap).map_err(|far| StageError::file("the fused map", far))?;
+        }
+        Ok(())
     }
 
     /// Number of submaps that have been in the map or are in it: those of the final layout that are stored (the last scans may

@@ -111,6 +111,14 @@ impl Fusion {
         self.wanted(layout, closed).rev().copied().map(Step::Place).collect()
     }
 
+    /// The submaps of a layout that are in the map, each as the step that leaves it where it is.
+    pub fn present(&self, layout: &[PlacedSubmap]) -> Vec<Step> {
+        let is_there = |placed: &&PlacedSubmap| {
+            self.fused.get(&placed.number).is_some_and(|fused| fused.map_from_odom == placed.map_from_odom)
+        };
+        layout.iter().filter(is_there).copied().map(Step::Place).collect()
+    }
+
     /// Does a step with its submap. Cells of it may have been cleared since it was last handed in.
     ///
     /// # Errors

@@ -18,6 +18,7 @@ pub mod flock;
 mod fuse;
 mod fusion;
 mod graph;
+mod hindsight;
 mod manager;
 mod ordering;
 mod place;

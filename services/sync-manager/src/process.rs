@@ -19,12 +19,14 @@ use flockslam_stage::{
     SubmapStore, Turn, run,
 };
 use flockslam_telemetry::monotonic_ns;
+use look_back::look_back;
 use metrics::LayoutMetrics;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 use trajectories::Trajectories;
 
 mod flock;
+mod look_back;
 mod metrics;
 mod trajectories;
 
@@ -379,7 +381,11 @@ impl SyncProcess {
         let solution = self.logic.finish();
         let directory = &context.result_dir.clone();
         let scans = self.trajectories.finish(&solution)?;
-        results::write_map(directory, &self.fuser.finish(&solution.submaps)?)?;
+        self.fuser.finish(&solution.submaps)?;
+        if self.settings.clear_at_end {
+            look_back(&mut self.fuser, &solution.submaps, &scans, self.summary.inserted, context)?;
+        }
+        results::write_map(directory, &self.fuser.stored_map())?;
         if self.refines {
             self.refine(directory, &solution)?;
         }

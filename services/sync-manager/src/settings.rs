@@ -33,6 +33,9 @@ pub struct Settings {
     pub final_nodes: usize,
     /// A submap retires from the fused map when so many newer ones know all that it knows (98 % of it); 0 = never.
     pub retire_covered_by: usize,
+    /// Whether cells that stand occupied in the finished map are cleared when at least three later scans, at their final poses, look
+    /// through them.
+    pub clear_at_end: bool,
     /// Whether all scans are matched once more at the end, to the map that they make together, and entered into submaps anew at the
     /// poses found: what `flockslam map --refine` does. Nothing is settled or retires in such a run.
     pub refine: bool,
@@ -58,6 +61,7 @@ impl Default for Settings {
             map_passes: 1,
             final_nodes: 3,
             retire_covered_by: 8,
+            clear_at_end: true,
             refine: false,
             flock: FlockSettings::default(),
             replicas: 1,

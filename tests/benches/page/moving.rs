@@ -193,7 +193,7 @@ fn cost(beams: u32, scans: usize) -> Cost {
         let mut judge = |sector: Sector| {
             let started = Instant::now();
             cleaner.begin(view, &pose);
-            cleaner.look(&pose, &grid, sector);
+            cleaner.look(view, &pose, &grid, sector);
             1e6 * started.elapsed().as_secs_f64()
         };
         let halves = [0, 1].map(|part| judge(Sector::new(part, 2)));

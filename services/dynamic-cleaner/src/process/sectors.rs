@@ -113,7 +113,7 @@ impl Helper {
         let Some(scan) = scan.filter(|_| fresh) else { return Ok(true) };
         let logic = &mut self.inputs.logic;
         logic.begin(scan, pose);
-        logic.look(pose, self.inputs.grid.grid(), sector);
+        logic.look(scan, pose, self.inputs.grid.grid(), sector);
         let found = logic.found();
         let header = SectorHeader { id: pose.id, generation, ..self.header };
         self.findings.send_with(&header, found.len(), |to| to.copy_from_slice(found))?;

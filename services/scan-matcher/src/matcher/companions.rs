@@ -38,7 +38,7 @@ impl ScanMatcher {
             return;
         }
         for i in (0..self.points.len()).filter(|i| self.set_aside[*i]) {
-            super::movers::add_beams(&mut self.moving, self.beams[i], stride);
+            super::movers::add_beams(&mut self.moving, 0, self.beams[i], stride);
         }
         self.leave_out_what_is_aside();
     }

@@ -72,7 +72,7 @@ impl ScanMatcher {
                 if body || ends_where_nothing_stood(grid, prediction.pose.apply(self.points[i])) {
                     self.aside += 1;
                     self.set_aside[i] = true;
-                    add_beams(&mut self.moving, self.beams[i], stride);
+                    add_beams(&mut self.moving, companions, self.beams[i], stride);
                 }
             }
             if self.points[first].distance_m(self.points[end - 1]) > WIDE_M {
@@ -105,8 +105,9 @@ impl ScanMatcher {
     }
 }
 
-pub(super) fn add_beams(ranges: &mut Vec<BeamRange>, first: u32, count: u32) {
-    match ranges.last_mut().filter(|range| range.end == first) {
+/// Adds beams to the ranges behind the first `apart`, which stay as they are: what was added can be taken back by cutting it off.
+pub(super) fn add_beams(ranges: &mut Vec<BeamRange>, apart: usize, first: u32, count: u32) {
+    match ranges[apart..].last_mut().filter(|range| range.end == first) {
         Some(range) => range.end += count,
         None => ranges.push(BeamRange { first, end: first + count }),
     }

@@ -306,11 +306,22 @@ fn without_a_grid_the_wheels_are_followed() {
     }
 }
 
+/// A robot of the flock that says it stands where the pillar is.
+fn robot_at_the_pillar(heard_ns: u64) -> FlockRobots {
+    let mut robots = FlockRobots { count: 1, ..FlockRobots::default() };
+    robots.robots[0] = FlockRobot {
+        map_from_base: Pose::new(2.7, 1.2, 0.0) * Pose::new(0.0, 0.0, 1.0),
+        heard_ns,
+        radius_m: 0.35,
+        name: *b"other\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0",
+    };
+    robots
+}
+
 #[test]
 fn another_robot_that_stands_at_a_wall_is_set_aside_where_it_says_that_it_is() {
     let mut front_end = FrontEnd::new(Settings::default());
     let heard_ns = 5_000_000_000;
-    let mut robots = FlockRobots { count: 1, ..FlockRobots::default() };
     let see = |front_end: &mut FrontEnd, i: u64, now_ns: u64| {
         let mut scan = look(i, truth(i), Some(truth(i)));
         scan.header.times.monotonic_ns = now_ns;
@@ -318,21 +329,29 @@ fn another_robot_that_stands_at_a_wall_is_set_aside_where_it_says_that_it_is() {
         front_end.matcher.moving_beams().to_vec()
     };
     (0..40).for_each(|i| assert_eq!(see(&mut front_end, i, heard_ns), []));
-    // It says that it stands where the pillar is.
     let there = truth(40);
-    robots.robots[0] = FlockRobot {
-        map_from_base: Pose::new(2.7, 1.2, 0.0) * Pose::new(0.0, 0.0, 1.0),
-        heard_ns,
-        radius_m: 0.35,
-        name: *b"other\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0",
-    };
-    front_end.matcher.companions_are(&robots);
+    front_end.matcher.companions_are(&robot_at_the_pillar(heard_ns));
     let [seen] = see(&mut front_end, 40, heard_ns + 100_000_000)[..] else { panic!("one range") };
     let bearing = (1.2 - there.y_m).atan2(2.7 - there.x_m) - there.heading_rad;
     let middle = ((bearing + 3.0) / 0.02).round() as u32;
     assert!(seen.first < middle && middle < seen.end && seen.end - seen.first < 30, "{seen:?} {middle}");
     // What it said is too old.
     assert_eq!(see(&mut front_end, 41, heard_ns + 3_000_000_000), []);
+}
+
+#[test]
+fn movers_that_are_not_believed_take_nothing_from_the_robot_beside_them() {
+    let mut front_end = FrontEnd::new(Settings::default());
+    for i in 0..40 {
+        front_end.step(&look(i, truth(i), Some(truth(i))), true);
+    }
+    front_end.matcher.companions_are(&robot_at_the_pillar(0));
+    front_end.step(&look(40, truth(40), Some(truth(40))), true);
+    let [robot] = front_end.matcher.moving_beams()[..] else { panic!("one range") };
+    // Something as wide as a wall, directly beside it.
+    let beside = robot.end as usize..robot.end as usize + 100;
+    front_end.step(&hidden(look(41, truth(40), Some(truth(40))), beside, 1.0), true);
+    assert_eq!(front_end.matcher.moving_beams(), [robot]);
 }
 
 /// The same scan with whatever is nearer in `directions`, beams.

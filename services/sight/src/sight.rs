@@ -2,9 +2,11 @@ use flockslam_messages::{Deskew, ScanView};
 use std::f64::consts::TAU;
 
 /// Sectors of the full circle, 0.35° each.
-pub(crate) const SECTORS: usize = 1024;
+const SECTORS: usize = 1024;
 /// A beam speaks for directions up to this far from it, radians, when its neighbours are farther away.
 const HALF_FOOTPRINT_MAX_RAD: f64 = 0.035;
+/// Beams are taken to be no farther apart, radians.
+pub(crate) const SPACING_MAX_RAD: f64 = 2.0 * HALF_FOOTPRINT_MAX_RAD;
 /// No beam in a sector.
 const NONE: f32 = f32::NAN;
 
@@ -13,12 +15,43 @@ const NONE: f32 = f32::NAN;
 /// Each beam covers the directions up to half way to its neighbours. Where beams overlap the nearest counts; a beam
 /// without return, and a direction without beam, sees nothing (range 0).
 #[derive(Clone, Debug)]
-pub(crate) struct Sight {
+pub struct Sight {
     range_m: Box<[f32; SECTORS]>,
     /// Direction of a beam in the sector, radians from the sector's lower edge; NaN when there is none.
     beam_rad: Box<[f32; SECTORS]>,
     /// Mean angle between neighbouring beams, radians.
     spacing_rad: f64,
+}
+
+impl Default for Sight {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Directions in the laser frame that are of interest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Directions {
+    /// The middle of them, radians.
+    pub middle_rad: f64,
+    /// They reach so far to both sides of it, radians.
+    pub half_rad: f64,
+}
+
+impl Directions {
+    /// The whole circle.
+    pub const ALL: Self = Self { middle_rad: 0.0, half_rad: f64::INFINITY };
+
+    fn is_all(self) -> bool {
+        self.half_rad >= 0.5 * TAU
+    }
+
+    /// Whether something `half_rad` wide to both sides of a direction touches a sector that one of these lies in.
+    fn has(self, angle_rad: f64, half_rad: f64) -> bool {
+        let away = angle_rad - self.middle_rad;
+        let away = (away - TAU * (away / TAU).round()).abs();
+        away <= self.half_rad + half_rad + 2.0 * TAU / SECTORS as f64
+    }
 }
 
 /// Directions from `low` to `high`, in sectors; they may go round the circle.
@@ -29,29 +62,40 @@ struct Span {
 }
 
 impl Sight {
+    /// Sees nothing.
     pub fn new() -> Self {
         Self { range_m: Box::new([0.0; SECTORS]), beam_rad: Box::new([NONE; SECTORS]), spacing_rad: 0.0 }
     }
 
     /// Takes in a scan; directions are angles in the laser frame at the scan's stamp.
     pub fn look(&mut self, scan: ScanView<'_>, deskew: &Deskew) {
+        self.look_toward(scan, deskew, Directions::ALL);
+    }
+
+    /// As [`Self::look`], but takes in only what can be seen in some directions: in others it may see nothing.
+    pub fn look_toward(&mut self, scan: ScanView<'_>, deskew: &Deskew, toward: Directions) {
         self.range_m.fill(f32::INFINITY);
         self.beam_rad.fill(NONE);
-        let (count, mut footprints) = (scan.len(), 0.0);
-        for beam in 0..count {
-            let half = half_footprint(scan, beam, scan.angle_rad(beam));
-            let (angle, range_m) = deskew.beam_at_stamp(scan, beam);
-            footprints += 2.0 * half;
-            let range_m = range_m.unwrap_or(0.0) as f32;
-            for sector in span(angle - half, angle + half).sectors() {
-                self.range_m[sector] = self.range_m[sector].min(range_m);
+        let mut sum_rad = 0.0;
+        for beam in 0..scan.len() {
+            let angle = scan.angle_rad(beam);
+            let half = half_footprint(scan, beam, angle);
+            sum_rad += 2.0 * half;
+            if toward.is_all() || toward.has(angle, half + deskew.shift_max_rad(scan, beam)) {
+                self.take(deskew.beam_at_stamp(scan, beam), half);
             }
-            let place = sectors_of(angle);
-            self.beam_rad[wrap(place.floor() as i64)] =
-                ((place - place.floor()) * TAU / SECTORS as f64) as f32;
         }
         self.range_m.iter_mut().filter(|range| range.is_infinite()).for_each(|range| *range = 0.0);
-        self.spacing_rad = footprints / count.max(1) as f64;
+        self.spacing_rad = sum_rad / scan.len().max(1) as f64;
+    }
+
+    fn take(&mut self, (angle, range_m): (f64, Option<f64>), half_rad: f64) {
+        let range_m = range_m.unwrap_or(0.0) as f32;
+        for sector in span(angle - half_rad, angle + half_rad).sectors() {
+            self.range_m[sector] = self.range_m[sector].min(range_m);
+        }
+        let place = sectors_of(angle);
+        self.beam_rad[wrap(place.floor() as i64)] = ((place - place.floor()) * TAU / SECTORS as f64) as f32;
     }
 
     /// Mean angle between neighbouring beams, radians.
@@ -123,6 +167,7 @@ fn half_footprint(scan: ScanView<'_>, beam: usize, angle_rad: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use flockslam_geometry::Twist;
     use flockslam_messages::{ScanBuffer, ScanSections};
     use proptest::prelude::*;
 
@@ -182,6 +227,25 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn in_the_directions_of_interest_the_same_is_seen(
+            ranges in prop::collection::vec(0.3..20.0_f32, 2..400), first in -4.0..4.0_f64, turn in -2.0..2.0_f64,
+            middle_rad in -9.0..9.0_f64, half_rad in 0.05..4.0_f64, within in -1.0..1.0_f64,
+        ) {
+            let mut scan = ScanBuffer::from_ranges(&ranges, first, TAU / ranges.len() as f64);
+            scan.header.time_increment_s = 0.1 / ranges.len() as f32;
+            (scan.header.base_from_laser.x_m, scan.header.base_from_laser.heading_rad) = (0.2, 0.4);
+            let view = scan.view().unwrap();
+            let deskew = Deskew::new(view, Twist { x_m_s: 0.8, turn_rad_s: turn, ..Twist::default() });
+            let (mut all, mut some) = (Sight::new(), Sight::new());
+            all.look(view, &deskew);
+            some.look_toward(view, &deskew, Directions { middle_rad, half_rad });
+            let direction = middle_rad + within * half_rad;
+            prop_assert_eq!(all.spacing_rad(), some.spacing_rad());
+            prop_assert_eq!(all.range_m(direction), some.range_m(direction));
+            prop_assert_eq!(all.beam_goes(direction, 0.0), some.beam_goes(direction, 0.0));
+        }
+
         #[test]
         fn any_scan_is_survived(ranges in prop::collection::vec(any::<f32>(), 0..40), first in -1e6..1e6_f64, step in -10.0..10.0_f64) {
             let sight = sight(&ranges, first, step);
