@@ -9,7 +9,9 @@ use flockslam_stage::FlockStatus;
 use rustix::process::Signal;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 use zenoh::Wait;
 
 /// How long robots that have ended wait for each other: shorter than what a test waits for.
@@ -308,11 +310,29 @@ fn certificates(directory: &Path) -> Certificates {
     }
 }
 
-/// Sends a robot whatever may hurt it – random bytes, giant claims, builds of the future, replays of its own messages bent a little, and
-/// all of it `flood` times over as fast as it goes; gives how many messages that were.
-pub fn hostile(robot: &FlockRobot, flood: usize) -> usize {
+/// Sends a robot so many messages a second that mean nothing, now under one name, now under ever new ones, until it is over; gives how many
+/// that were.
+pub fn flood(robot: &FlockRobot, per_s: u32, over: &AtomicBool) -> usize {
     let victim = robot.address();
     let flock = robot.flock().unwrap().flock;
+    let session = stranger(robot);
+    let rubbish: Vec<u8> = (0..400u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
+    let (started, mut sent) = (Instant::now(), 0usize);
+    while !over.load(Ordering::Relaxed) {
+        let due = (started.elapsed().as_secs_f64() * f64::from(per_s)) as usize;
+        for number in sent..due {
+            let sender = if number % 2 == 0 { "evil-0".to_owned() } else { format!("evil-{number}") };
+            let put = session.put(format!("flockslam/{flock}/to/{victim}/{sender}"), rubbish.clone());
+            put.congestion_control(zenoh::qos::CongestionControl::Block).wait().unwrap();
+        }
+        sent = sent.max(due);
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    sent
+}
+
+/// Somebody on the robot's network who is none of its flock.
+fn stranger(robot: &FlockRobot) -> zenoh::Session {
     let mut configuration = zenoh::Config::default();
     for (key, value) in [
         ("mode", "\"peer\"".to_owned()),
@@ -321,7 +341,15 @@ pub fn hostile(robot: &FlockRobot, flood: usize) -> usize {
     ] {
         configuration.insert_json5(key, &value).unwrap();
     }
-    let session = zenoh::open(configuration).wait().unwrap();
+    zenoh::open(configuration).wait().unwrap()
+}
+
+/// Sends a robot whatever may hurt it – random bytes, giant claims, builds of the future, replays of its own messages bent a little, and
+/// all of it `flood` times over as fast as it goes; gives how many messages that were.
+pub fn hostile(robot: &FlockRobot, flood: usize) -> usize {
+    let victim = robot.address();
+    let flock = robot.flock().unwrap().flock;
+    let session = stranger(robot);
     let prefix = format!("flockslam/{flock}");
     let heard: Arc<Mutex<Vec<Vec<u8>>>> = Arc::default();
     let keep = Arc::clone(&heard);

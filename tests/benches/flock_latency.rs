@@ -1,0 +1,93 @@
+//! `cargo bench -p flockslam --bench flock_latency`: what other robots cost this one's poses. Robots that drive alone, in company, and under a flood of
+//! hostile messages take turns; a number behind `--` sets how many of each (5). p99 of a single run says little: medians are compared.
+
+#[path = "../support/flocks.rs"]
+mod flocks;
+#[path = "../support/mod.rs"]
+#[allow(dead_code, reason = "what all tests share, one program does not need all of")]
+mod support;
+
+use flocks::{FlockRobot, flood};
+use serde_json::Value;
+use std::sync::atomic::{AtomicBool, Ordering};
+use support::Drive;
+
+const DRIVE: Drive = Drive { scan_rate_hz: 10.0, duration_s: 40.0, rate: 1.0 };
+/// Hostile messages a second.
+const FLOOD: u32 = 10_000;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Company {
+    Nobody,
+    AnotherRobot,
+    AFlood,
+}
+
+/// Microseconds from a scan's arrival to its pose, and memory of sync-manager.
+struct Run {
+    p50_us: f64,
+    p99_us: f64,
+    peak_mb: f64,
+    hostile: usize,
+}
+
+fn run(company: Company) -> Run {
+    let directory = tempfile::tempdir().expect("a directory");
+    let count = if company == Company::AnotherRobot { 2 } else { 1 };
+    let mut robots = FlockRobot::start_all("latency", directory.path(), DRIVE, count);
+    let (over, mut hostile) = (AtomicBool::new(false), 0);
+    if company == Company::AFlood {
+        robots[0].wait_for_flock("a record", |flock| flock.records.0 > 0);
+        hostile = std::thread::scope(|scope| {
+            let sender = scope.spawn(|| flood(&robots[0], FLOOD, &over));
+            std::thread::sleep(std::time::Duration::from_secs_f64(DRIVE.duration_s - 15.0));
+            over.store(true, Ordering::Relaxed);
+            sender.join().expect("the flood ends")
+        });
+    }
+    let own = directory.path().join("robot-0");
+    robots.into_iter().for_each(|robot| drop(robot.finish()));
+    let report: Value =
+        serde_json::from_slice(&std::fs::read(own.join("out/report.json")).expect("a report")).expect("JSON");
+    let number = |path: &str| report.pointer(path).and_then(Value::as_f64).expect("a figure of the report");
+    Run {
+        p50_us: number("/scan_to_pose_us/p50"),
+        p99_us: number("/scan_to_pose_us/p99"),
+        peak_mb: number("/stages/sync-manager/peak_rss_bytes") * 1e-6,
+        hostile,
+    }
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+fn main() {
+    let runs = std::env::args().filter_map(|argument| argument.parse().ok()).next().unwrap_or(5);
+    let kinds = [Company::Nobody, Company::AnotherRobot, Company::AFlood];
+    let mut all: [Vec<Run>; 3] = Default::default();
+    for _ in 0..runs {
+        for (kind, all) in kinds.iter().zip(&mut all) {
+            all.push(run(*kind));
+        }
+    }
+    println!(
+        "| company | runs | p50 µs | p99 µs, median of runs | least … most | sync-manager at most MB | hostile messages |"
+    );
+    println!("|---|---|---|---|---|---|---|");
+    for (kind, all) in kinds.iter().zip(&all) {
+        let of = |pick: fn(&Run) -> f64| all.iter().map(pick).collect::<Vec<_>>();
+        let p99 = of(|run| run.p99_us);
+        let (least, most) =
+            (p99.iter().copied().fold(f64::MAX, f64::min), p99.iter().copied().fold(0.0, f64::max));
+        println!(
+            "| {kind:?} | {} | {:.0} | {:.0} | {least:.0} … {most:.0} | {:.0} | {} |",
+            all.len(),
+            median(of(|run| run.p50_us)),
+            median(p99.clone()),
+            of(|run| run.peak_mb).into_iter().fold(0.0, f64::max),
+            all.iter().map(|run| run.hostile).max().unwrap_or(0)
+        );
+    }
+}
