@@ -1,5 +1,5 @@
-//! `cargo bench -p flockslam --bench flock_latency`: what other robots cost this one's poses. Robots that drive alone, in company, and under a flood of
-//! hostile messages take turns; a number behind `--` sets how many of each (5). p99 of a single run says little: medians are compared.
+//! `cargo bench -p flockslam --bench flock_latency`: what other robots cost this one's poses. A robot that drives alone, under a flood of
+//! hostile messages, beside a robot of another flock and with one of its own takes turns; a number behind `--` sets how many of each (5). p99 of a single run says little: medians are compared.
 
 #[path = "../support/flocks.rs"]
 mod flocks;
@@ -19,8 +19,12 @@ const FLOOD: u32 = 10_000;
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Company {
     Nobody,
-    AnotherRobot,
-    AFlood,
+    /// Hostile messages.
+    Flood,
+    /// A robot of another flock, which takes its share of the machine.
+    Stranger,
+    /// A robot of its own flock, on the same machine.
+    Companion,
 }
 
 /// Microseconds from a scan's arrival to its pose, and memory of sync-manager.
@@ -33,10 +37,13 @@ struct Run {
 
 fn run(company: Company) -> Run {
     let directory = tempfile::tempdir().expect("a directory");
-    let count = if company == Company::AnotherRobot { 2 } else { 1 };
+    let count = if company == Company::Companion { 2 } else { 1 };
     let mut robots = FlockRobot::start_all("latency", directory.path(), DRIVE, count);
+    if company == Company::Stranger {
+        robots.extend(FlockRobot::start_all("stranger", &directory.path().join("stranger"), DRIVE, 1));
+    }
     let (over, mut hostile) = (AtomicBool::new(false), 0);
-    if company == Company::AFlood {
+    if company == Company::Flood {
         robots[0].wait_for_flock("a record", |flock| flock.records.0 > 0);
         hostile = std::thread::scope(|scope| {
             let sender = scope.spawn(|| flood(&robots[0], FLOOD, &over));
@@ -65,8 +72,8 @@ fn median(mut values: Vec<f64>) -> f64 {
 
 fn main() {
     let runs = std::env::args().filter_map(|argument| argument.parse().ok()).next().unwrap_or(5);
-    let kinds = [Company::Nobody, Company::AnotherRobot, Company::AFlood];
-    let mut all: [Vec<Run>; 3] = Default::default();
+    let kinds = [Company::Nobody, Company::Flood, Company::Stranger, Company::Companion];
+    let mut all: [Vec<Run>; 4] = Default::default();
     for _ in 0..runs {
         for (kind, all) in kinds.iter().zip(&mut all) {
             all.push(run(*kind));

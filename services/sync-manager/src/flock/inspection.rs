@@ -17,15 +17,14 @@ const DENIED_MAX: f64 = 0.05;
 const RIVAL: (f64, f64) = (1.5, 0.02);
 /// … and it explains at least this share of what the claimed one does.
 const EXPLAINED: f64 = 0.4;
+/// Verdicts that are remembered.
+const REMEMBERED_MAX: usize = 4096;
 
 /// What was found out about groups of closures. It follows from the records alone: that it is remembered saves time and changes nothing.
 #[derive(Clone, Debug, Default)]
 pub struct Inspected {
     verdicts: BTreeMap<Vec<u64>, bool>,
 }
-
-/// Verdicts that are remembered.
-const REMEMBERED_MAX: usize = 4096;
 
 impl Atlas {
     /// Whether a group of closures between two robots, which agree with each other, may be believed: what both robots have seen there is the
@@ -55,11 +54,12 @@ impl Atlas {
         })
     }
 
-    /// All that the verdict on a place depends on.
+    /// All that the verdict on a place depends on, to the bit: who remembers it must conclude the same as who works it out.
     fn named(&self, place: &Place, middle: &Closure) -> Vec<u64> {
         let mut name = vec![self.nodes[middle.edge.to].sequence];
         for range in &place.nodes {
-            name.extend([range.start, range.end - 1].map(|node| self.nodes[node].sequence));
+            let (first, last) = (&self.nodes[range.start], &self.nodes[range.end - 1]);
+            name.extend([first.sequence, last.sequence, first.travel_m.to_bits(), first.doubt_m.to_bits()]);
         }
         for (to, first_from_second) in &place.ties {
             name.push(self.nodes[*to].sequence);
