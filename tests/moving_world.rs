@@ -34,14 +34,14 @@ fn somebody_who_follows_does_not_hold_the_robot_back() {
         let settings = Settings { seed, follower: true, ..Settings::default() };
         let run = MovingDrive { map: Some(map.clone()), settings }.run(&[]);
         println!("seed {seed}: ATE {:.4} m", run.error_m());
-        assert!(run.error_m() < 0.3);
+        assert!(run.error_m() < 0.1);
     }
 }
 
-/// How much farther off twenty people may lead the robot. 1.2 times is wanted, and not reached in every drive: a closure more or
-/// less makes a few centimetres.
+/// How much farther off twenty people may lead the robot. 1.2 times is wanted; of three drives the mean scatters by half, even when
+/// all beams on people are taken out by the truth: what they hide is hidden.
 fn astray_max_m(alone_m: f64) -> f64 {
-    1.2 * alone_m + 0.04
+    1.2 * alone_m + 0.015
 }
 
 #[test]

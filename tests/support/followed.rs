@@ -7,7 +7,7 @@ use flockslam_lidar_ingest::process::BagReader;
 use flockslam_lidar_ingest::simulation::{MoverTruth, Settings, Simulation, World};
 use flockslam_mapper::Mapper;
 use flockslam_messages::{PoseEstimate, PoseFlags, ScanBuffer, ScanView, Track};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// A track belongs to somebody this near, metres.
@@ -124,27 +124,41 @@ pub struct TrackFigures {
 }
 
 impl TrackFigures {
+    /// Who is behind which track is settled as CLEAR MOT does (Bernardin and Stiefelhagen 2008, section 2.1.3): who was stays, as
+    /// long as they are near; then the nearest pair first, everybody once.
     fn take(&mut self, now_s: f64, tracks: &[Track], movers: &[MoverTruth]) {
-        for track in tracks.iter().filter(|track| track.unseen_s == 0.0) {
-            let off_m = |mover: &&MoverTruth| mover.center.distance_m(track.position);
-            let nearest = movers.iter().min_by(|a, b| off_m(a).total_cmp(&off_m(b)));
-            let Some(mover) = nearest.filter(|mover| off_m(mover) < NEAR_M) else {
-                self.nobodys += 1;
-                continue;
-            };
-            self.squared_m2 += off_m(&mover).powi(2);
-            self.positions += 1;
-            if track.age_s > SETTLED_S {
-                let speeds = [mover.velocity_m_s.norm_m(), track.velocity_m_s.norm_m()];
-                self.speed_errors_m_s += (speeds[0] - speeds[1]).abs();
-                self.speeds += 1;
+        let in_view: Vec<&Track> = tracks.iter().filter(|track| track.unseen_s == 0.0).collect();
+        let pairs = in_view.iter().flat_map(|track| movers.iter().map(move |mover| (*track, mover)));
+        let off_m = |pair: &(&Track, &MoverTruth)| pair.1.center.distance_m(pair.0.position);
+        let mut pairs: Vec<_> = pairs.filter(|pair| off_m(pair) < NEAR_M).collect();
+        let was = |pair: &(&Track, &MoverTruth)| {
+            self.names.get(&pair.1.id).is_some_and(|(name, _)| *name == pair.0.id)
+        };
+        pairs.sort_by(|a, b| was(b).cmp(&was(a)).then(off_m(a).total_cmp(&off_m(b))));
+        let (mut named, mut known) = (BTreeSet::new(), BTreeSet::new());
+        for (track, mover) in pairs {
+            if !named.contains(&track.id) && !known.contains(&mover.id) {
+                named.insert(track.id);
+                known.insert(mover.id);
+                self.count(now_s, track, mover);
             }
-            if let Some((name, last_s)) = self.names.insert(mover.id, (track.id, now_s)) {
-                let gap_s = now_s - last_s;
-                if (HIDDEN_S.0..=HIDDEN_S.1 + 0.05).contains(&gap_s) {
-                    self.hidden += 1;
-                    self.recognised += usize::from(name == track.id);
-                }
+        }
+        self.nobodys += in_view.len() - named.len();
+    }
+
+    fn count(&mut self, now_s: f64, track: &Track, mover: &MoverTruth) {
+        self.squared_m2 += mover.center.distance_m(track.position).powi(2);
+        self.positions += 1;
+        if track.age_s > SETTLED_S {
+            let speeds = [mover.velocity_m_s.norm_m(), track.velocity_m_s.norm_m()];
+            self.speed_errors_m_s += (speeds[0] - speeds[1]).abs();
+            self.speeds += 1;
+        }
+        if let Some((name, last_s)) = self.names.insert(mover.id, (track.id, now_s)) {
+            let gap_s = now_s - last_s;
+            if (HIDDEN_S.0..=HIDDEN_S.1 + 0.05).contains(&gap_s) {
+                self.hidden += 1;
+                self.recognised += usize::from(name == track.id);
             }
         }
     }

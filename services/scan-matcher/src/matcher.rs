@@ -7,6 +7,7 @@ use flockslam_messages::{
     BeamRange, Commit, Deskew, FlockRobots, LayoutHeader, PoseEstimate, PoseFlags, Quality, ScanView, Verdict,
 };
 use flockslam_registration::{Correlative, CorrelativeSearch, Fit, GridField, Ndt};
+use std::iter::Peekable;
 use std::ops::Deref;
 
 /// Fewer points than this fix no pose.
@@ -22,6 +23,7 @@ const NEW_PLACE: f64 = 0.7;
 /// Wheels that miss a fit by more than this are slipping: metres and radians.
 const SLIPPED: (f64, f64) = (0.15, 0.08);
 
+mod bodies;
 mod companions;
 mod fitting;
 mod movers;
@@ -57,6 +59,8 @@ pub struct ScanMatcher {
     /// Beams of the scan at hand that lie on what moves, and how many points they would be.
     moving: Vec<BeamRange>,
     aside: usize,
+    /// Beams that are left out because they lie on something narrow.
+    bodies: Vec<BeamRange>,
     /// Where other robots say that they are.
     companions: FlockRobots,
     /// Which of the points they were.
@@ -103,6 +107,7 @@ impl ScanMatcher {
             beams: Vec::new(),
             moving: Vec::new(),
             aside: 0,
+            bodies: Vec::new(),
             companions: FlockRobots::default(),
             set_aside: Vec::new(),
             times_s: Vec::new(),
@@ -127,6 +132,7 @@ impl ScanMatcher {
             prediction.steady = None;
         }
         self.moving.clear();
+        self.bodies.clear();
         self.aside = 0;
         let withheld = scan.header().withheld == 1;
         let overridden = verdict.keep == 0 && !withheld && self.overrules(&prediction);
@@ -149,6 +155,7 @@ impl ScanMatcher {
             self.begins_elsewhere = false;
         } else {
             self.set_movers_aside(scan, &prediction, grid);
+            self.leave_out_bodies(scan);
             let field = GridField::new(grid, self.settings.unknown_score);
             let (prediction, fit) = self.settled(&field, prediction, scan);
             let found = self.match_scan(&field, &prediction, fit, scan);
@@ -229,11 +236,10 @@ impl ScanMatcher {
         self.points.clear();
         self.beams.clear();
         self.times_s.clear();
-        let mut moving = self.moving.iter().peekable();
+        let [mut moving, mut bodies] = [&self.moving, &self.bodies].map(|ranges| ranges.iter().peekable());
         for beam in (0..scan.len()).step_by(self.stride(scan)) {
             let number = beam as u32;
-            while moving.next_if(|range| range.end <= number).is_some() {}
-            if moving.peek().is_some_and(|range| range.first <= number) {
+            if holds(&mut moving, number) || holds(&mut bodies, number) {
                 continue;
             }
             let Some(range) = scan.valid_range_m(beam) else { continue };
@@ -373,6 +379,12 @@ impl ScanMatcher {
             estimate.flags |= PoseFlags::RESCUED;
         }
     }
+}
+
+/// Whether ranges in order, asked for numbers in order, hold this one.
+fn holds<'a>(ranges: &mut Peekable<impl Iterator<Item = &'a BeamRange>>, number: u32) -> bool {
+    while ranges.next_if(|range| range.end <= number).is_some() {}
+    ranges.peek().is_some_and(|range| range.first <= number)
 }
 
 #[cfg(test)]

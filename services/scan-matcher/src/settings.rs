@@ -37,6 +37,7 @@ pub struct Settings {
     pub skip_isolated: bool,
     /// Beams that end where the grid knows free space, with nothing near, lie on what moves: they are set aside before a scan is
     /// fitted, unless they are more than this share of it, many lie on what is too wide to move, or the robot is lost; 0 = none ever is.
+    /// What is as narrow as somebody and stands free is left out of the fit as well, as long as enough else is seen.
     pub moving_share_max: f64,
     /// Of scans with more beams than this only every n-th is matched.
     pub beams_max: usize,
@@ -128,7 +129,7 @@ impl Default for Settings {
             range_min_m: 0.4,
             range_max_m: 30.0,
             skip_isolated: true,
-            moving_share_max: 0.4,
+            moving_share_max: 0.6,
             beams_max: 1000,
             replicas: 1,
             unknown_score: 0.0,

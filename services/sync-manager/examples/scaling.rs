@@ -77,7 +77,7 @@ fn drive(number: usize) -> Drive {
     let origin = Pose::new(7.0 * number as f64, 3.0, 0.5 * number as f64);
     let flock = flocks::robot(&name, &Building::ring(), &way, 0..way.len(), origin);
     let contents: Vec<Content> =
-        flock.collection().records().map(|record: &Arc<Record>| own(&record.content)).flatten().collect();
+        flock.collection().records().filter_map(|record: &Arc<Record>| own(&record.content)).collect();
     let mut nodes = Vec::new();
     for content in &contents {
         if let Content::Stretch(stretch) = content {

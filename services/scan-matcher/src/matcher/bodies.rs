@@ -1,0 +1,135 @@
+//! What stands free before something else and is as narrow as somebody – people, posts, legs of furniture – is left out of a fit, as
+//! long as enough else is seen. Whoever walks ahead of the robot into a corridor that is new, or stands still and goes on, would
+//! hold it back: nothing else there says how far it went.
+
+use super::ScanMatcher;
+use super::movers::add_beams;
+use flockslam_geometry::Point;
+use flockslam_messages::ScanView;
+
+/// Points of neighbouring beams belong together when they are nearer to each other than this, metres, …
+const JOIN_M: f64 = 0.08;
+/// … and this share of their range. Somebody beside a wall is told from it.
+const JOIN_SHARE: f64 = 0.04;
+/// Somebody is narrower than this, metres, …
+const WIDTH_MAX_M: f64 = 0.6;
+/// … shows at least so many points, …
+const POINTS_MIN: usize = 3;
+/// … is told from the end of a wall within this range, metres, …
+const RANGE_MAX_M: f64 = 10.0;
+/// … and what is seen on both sides is farther away by this, metres.
+const BEFORE_M: f64 = 0.1;
+/// Bodies are looked for so many times: whoever is seen half behind somebody is found once that one is known.
+const PASSES: usize = 2;
+/// A scan with more than this share of its points on bodies is fitted as it is: there may be nothing but posts and trees.
+const SHARE_MAX: f64 = 0.5;
+
+impl ScanMatcher {
+    /// Leaves out the points on bodies. They are not said to move: the map shows them.
+    pub(super) fn leave_out_bodies(&mut self, scan: ScanView<'_>) {
+        if self.settings.moving_share_max == 0.0 || self.points.is_empty() {
+            return;
+        }
+        let stride = self.stride(scan) as u32;
+        self.set_aside.clear();
+        self.set_aside.resize(self.points.len(), false);
+        let mut left_out = 0;
+        for _ in 0..PASSES {
+            left_out += mark_bodies(&self.points, &mut self.set_aside);
+        }
+        if left_out as f64 > SHARE_MAX * self.points.len() as f64 {
+            return;
+        }
+        for i in (0..self.points.len()).filter(|i| self.set_aside[*i]) {
+            add_beams(&mut self.bodies, 0, self.beams[i], stride);
+        }
+        self.leave_out_what_is_aside();
+    }
+}
+
+/// Marks the points of bodies, of points in the order of their beams; gives how many were not marked yet.
+fn mark_bodies(points: &[Point], marked: &mut [bool]) -> usize {
+    assert_eq!(points.len(), marked.len(), "a mark for each point");
+    let (mut first, mut count) = (0, 0);
+    for end in 1..=points.len() {
+        if points.get(end).is_some_and(|next| belong_together(points[end - 1], *next)) {
+            continue;
+        }
+        if !marked[first] && is_body(points, marked, first, end) {
+            marked[first..end].fill(true);
+            count += end - first;
+        }
+        first = end;
+    }
+    count
+}
+
+fn belong_together(one: Point, next: Point) -> bool {
+    one.distance_m(next) < JOIN_M + JOIN_SHARE * one.norm_m().min(next.norm_m())
+}
+
+fn is_body(points: &[Point], marked: &[bool], first: usize, end: usize) -> bool {
+    let (right, left) = (points[first], points[end - 1]);
+    if end - first < POINTS_MIN || right.distance_m(left) > WIDTH_MAX_M || right.norm_m() > RANGE_MAX_M {
+        return false;
+    }
+    // Around the circle, past whoever is known already.
+    let count = points.len();
+    let before = (1..count).map(|step| (first + count - step) % count).find(|i| !marked[*i]);
+    let after = (0..count).map(|step| (end + step) % count).find(|i| !marked[*i]);
+    let is_behind = |other: Option<usize>, side: Point| {
+        other.is_some_and(|other| points[other].norm_m() > side.norm_m() + BEFORE_M)
+    };
+    is_behind(before, right) && is_behind(after, left)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Points a degree apart, where a wall is 4 m away and others are where `range_m` says.
+    fn points(range_m: impl Fn(usize) -> Option<f64>) -> Vec<Point> {
+        let end = |degree: usize| {
+            let (sin, cos) = (degree as f64).to_radians().sin_cos();
+            let range_m = range_m(degree).unwrap_or(4.0);
+            Point::new(range_m * cos, range_m * sin)
+        };
+        (0..360).map(end).collect()
+    }
+
+    fn marked(points: &[Point]) -> Vec<usize> {
+        let mut marked = vec![false; points.len()];
+        let counts: usize = (0..PASSES).map(|_| mark_bodies(points, &mut marked)).sum();
+        assert_eq!(counts, marked.iter().filter(|marked| **marked).count());
+        (0..points.len()).filter(|i| marked[*i]).collect()
+    }
+
+    #[test]
+    fn somebody_before_a_wall_is_a_body() {
+        let one = points(|degree| (100..110).contains(&degree).then_some(2.0));
+        assert_eq!(marked(&one), (100..110).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn somebody_half_behind_somebody_is_a_body() {
+        let two = points(|degree| match degree {
+            100..110 => Some(2.0),
+            110..114 => Some(3.0),
+            _ => None,
+        });
+        assert_eq!(marked(&two), (100..114).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn a_piece_of_wall_between_two_people_is_none() {
+        let between =
+            points(|degree| [95..100, 105..110].iter().any(|at| at.contains(&degree)).then_some(1.0));
+        assert_eq!(marked(&between), (95..100).chain(105..110).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn what_is_wide_or_a_step_in_a_wall_is_none() {
+        assert_eq!(marked(&points(|degree| (100..130).contains(&degree).then_some(2.0))), [0; 0]);
+        assert_eq!(marked(&points(|degree| (degree < 180).then_some(3.0))), [0; 0]);
+    }
+}
