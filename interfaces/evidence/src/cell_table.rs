@@ -12,6 +12,8 @@ const SETS: usize = 1 << 13;
 #[derive(Clone, Debug)]
 pub struct CellTable<T> {
     places: Vec<Place<T>>,
+    /// How many places of each set are taken: most cells that are asked for are not in the table, and this fits into the fastest memory.
+    taken: Vec<u8>,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -25,17 +27,19 @@ struct Place<T> {
 impl<T: Copy + Default> CellTable<T> {
     /// An empty table. All the memory that it will ever need is taken now.
     pub fn new() -> Self {
-        Self { places: vec![Place::default(); SETS * WAYS] }
+        Self { places: vec![Place::default(); SETS * WAYS], taken: vec![0; SETS] }
     }
 
     /// What is remembered of a cell – of one that is not in the table the default – and touches it at `now`, which must be
     /// positive and should never decrease.
     pub fn touch(&mut self, cell: CellIndex, now: u32) -> &mut T {
-        let set = self.set_of(cell);
+        let number = set_of(cell);
+        let set = &mut self.places[number * WAYS..(number + 1) * WAYS];
         let place = match set.iter().position(|place| place.is_of(cell)) {
             Some(index) => &mut set[index],
             None => {
                 let oldest = set.iter_mut().min_by_key(|place| place.touched).expect("a set has places");
+                self.taken[number] += u8::from(oldest.touched == 0);
                 *oldest = Place { cell, ..Place::default() };
                 oldest
             }
@@ -46,16 +50,21 @@ impl<T: Copy + Default> CellTable<T> {
 
     /// Forgets a cell.
     pub fn forget(&mut self, cell: CellIndex) {
-        if let Some(place) = self.set_of(cell).iter_mut().find(|place| place.is_of(cell)) {
+        let number = set_of(cell);
+        if self.taken[number] == 0 {
+            return;
+        }
+        let set = &mut self.places[number * WAYS..(number + 1) * WAYS];
+        if let Some(place) = set.iter_mut().find(|place| place.is_of(cell)) {
             *place = Place::default();
+            self.taken[number] -= 1;
         }
     }
+}
 
-    fn set_of(&mut self, cell: CellIndex) -> &mut [Place<T>] {
-        let mixed = (cell.x as u32).wrapping_mul(0x9e37_79b1) ^ (cell.y as u32).wrapping_mul(0x85eb_ca77);
-        let set = (mixed ^ (mixed >> 15)) as usize & (SETS - 1);
-        &mut self.places[set * WAYS..(set + 1) * WAYS]
-    }
+fn set_of(cell: CellIndex) -> usize {
+    let mixed = (cell.x as u32).wrapping_mul(0x9e37_79b1) ^ (cell.y as u32).wrapping_mul(0x85eb_ca77);
+    (mixed ^ (mixed >> 15)) as usize & (SETS - 1)
 }
 
 impl<T: Copy + Default> Default for CellTable<T> {
@@ -108,5 +117,8 @@ mod tests {
             *known = 1;
         }
         assert_eq!(table.places.len(), size);
+        let taken =
+            |set: usize| table.places[set * WAYS..(set + 1) * WAYS].iter().filter(|place| place.touched > 0);
+        assert!((0..SETS).all(|set| taken(set).count() == usize::from(table.taken[set])));
     }
 }

@@ -8,7 +8,13 @@ use std::f64::consts::{FRAC_PI_2, PI};
 #[derive(Clone, Copy, Debug)]
 pub struct Deskew {
     base_from_laser: Pose,
+    laser_from_base: Pose,
+    /// Sine and cosine of its heading.
+    laser_from_base_turn: (f64, f64),
     twist: Twist,
+    speed_m_s: f64,
+    /// How far the lidar is from the middle of the base, metres.
+    mount_m: f64,
     moves: bool,
 }
 
@@ -19,9 +25,14 @@ impl Deskew {
     }
 
     fn of_header(header: &ScanHeader, twist: Twist, takes_time: bool) -> Self {
+        let laser_from_base = header.base_from_laser.inverse();
         Self {
             base_from_laser: header.base_from_laser,
+            laser_from_base,
+            laser_from_base_turn: laser_from_base.heading_rad.sin_cos(),
             twist,
+            speed_m_s: twist.x_m_s.hypot(twist.y_m_s),
+            mount_m: header.base_from_laser.position().norm_m(),
             moves: takes_time && twist != Twist::default(),
         }
     }
@@ -42,6 +53,12 @@ impl Deskew {
         Point::new(laser.x_m + range_m * cos, laser.y_m + range_m * sin)
     }
 
+    /// A point in the base's frame as the lidar at the stamp has it.
+    fn in_laser(&self, point: Point) -> Point {
+        let (Pose { x_m, y_m, .. }, (sin, cos)) = (self.laser_from_base, self.laser_from_base_turn);
+        Point::new(cos * point.x_m - sin * point.y_m + x_m, sin * point.x_m + cos * point.y_m + y_m)
+    }
+
     /// Direction and range under which the lidar at the stamp would see the end of a beam; a beam without return keeps its
     /// direction in space.
     pub fn beam_at_stamp(&self, scan: ScanView<'_>, beam: usize) -> (f64, Option<f64>) {
@@ -51,7 +68,7 @@ impl Deskew {
         }
         match range_m {
             Some(range_m) => {
-                let end = self.base_from_laser.inverse().apply(self.end_in_base(scan, beam, range_m));
+                let end = self.in_laser(self.end_in_base(scan, beam, range_m));
                 (end.y_m.atan2(end.x_m), Some(end.norm_m()))
             }
             None => (angle_rad + self.twist.turn_rad_s * scan.time_s(beam), None),
@@ -64,9 +81,8 @@ impl Deskew {
             return 0.0;
         }
         let seconds = scan.time_s(beam).abs();
-        let (turn_rad, mount_m) =
-            (self.twist.turn_rad_s.abs() * seconds, self.base_from_laser.position().norm_m());
-        let way_m = self.twist.x_m_s.hypot(self.twist.y_m_s) * seconds + turn_rad * mount_m;
+        let turn_rad = self.twist.turn_rad_s.abs() * seconds;
+        let way_m = self.speed_m_s * seconds + turn_rad * self.mount_m;
         // An arc sine is at most π / 2 times its sine.
         turn_rad + scan.valid_range_m(beam).map_or(0.0, |range_m| (FRAC_PI_2 * way_m / range_m).min(PI))
     }

@@ -41,7 +41,8 @@ pub(crate) fn for_each_occupied<H: Deref<Target = Tile>>(
                 grid.tile(key).filter(|_| !wedge.misses(middle, half_diagonal_m + grid.cell_size_m()))
             {
                 visit_tile(grid, key, tile, |cell, center, place| {
-                    if center.distance_m(around) <= radius_m && wedge.has(center) {
+                    let (dx, dy) = (center.x_m - around.x_m, center.y_m - around.y_m);
+                    if dx * dx + dy * dy <= radius_m * radius_m && wedge.has(center) {
                         visit(cell, center, before.saturating_add(place));
                     }
                 });
