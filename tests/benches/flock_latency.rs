@@ -4,7 +4,6 @@
 #[path = "../support/flocks.rs"]
 mod flocks;
 #[path = "../support/mod.rs"]
-#[allow(dead_code, reason = "what all tests share, one program does not need all of")]
 mod support;
 
 use flocks::{FlockRobot, flood};
