@@ -12,6 +12,9 @@ use flockslam_records::RobotId;
 use flockslam_registration::cloud::{MomentGrid, Placement};
 use std::collections::{BTreeMap, BTreeSet};
 
+/// What closures between robots weigh while all is measured again: enough to hold robots together that saw little in common, too little to
+/// bend what is measured.
+const HELD: f64 = 0.1;
 /// How often closures are put on trial before robots are left apart.
 const TRIALS_MAX: usize = 8;
 
@@ -129,11 +132,12 @@ impl Atlas {
     /// Measures the solved layout again, all of it: what is near each other is matched, whoever saw it.
     fn measure_again(&self, settings: &Settings, solved: &mut Solved, grid: &mut MomentGrid) {
         let strands = &solved.strands;
+        let held = self.held_together(&solved.in_force);
         let pass = DensePass {
             nodes: &self.nodes,
             scans: &self.scans,
             segments: &self.segments,
-            chain: &self.edges,
+            chain: &held,
             strands,
         };
         for _ in 0..settings.dense_passes {
@@ -145,9 +149,18 @@ impl Atlas {
         for part in parts {
             let in_map: Vec<bool> = self.nodes.iter().map(|node| strands.part(node.strand) == part).collect();
             let refinement =
-                Refinement { nodes: &self.nodes, scans: &self.scans, chain: &self.edges, in_map: &in_map };
+                Refinement { nodes: &self.nodes, scans: &self.scans, chain: &held, in_map: &in_map };
             refinement.run(settings.map_passes, grid, &mut solved.poses);
         }
+    }
+
+    /// The chains, and the closures between robots that act. A chain is not enough: nothing else that is trusted connects robots, and where they
+    /// met once, what is measured again may be too little to do so.
+    fn held_together(&self, in_force: &[bool]) -> Vec<Edge> {
+        let across =
+            self.closures.iter().zip(in_force).filter(|(closure, acts)| **acts && self.is_across(closure));
+        let loosely = |edge: Edge| Edge { information: edge.information.map(|v| HELD * v), ..edge };
+        self.edges.iter().copied().chain(across.map(|(closure, _)| loosely(closure.edge))).collect()
     }
 
     /// Where everything lies. With `finely`, after all of it has been matched again: for the end, since it takes a multiple of the
