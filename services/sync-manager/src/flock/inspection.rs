@@ -10,8 +10,8 @@ const PLACES: usize = 3;
 const APART_M: f64 = 20.0;
 /// Scans that must be compared at a place before anything is said.
 const SCANS_MIN: u32 = 16;
-/// Largest share of what both have seen that one of them denies: what is the same has up to 0.03 with people in it, rooms that
-/// only look alike 0.06 and more.
+/// Largest share of what both have seen that one of them denies: what is the same has mostly up to 0.04 with people in it (0.06 has been
+/// met, and is turned down), rooms that only look alike mostly 0.06 and more.
 const DENIED_MAX: f64 = 0.05;
 /// Another explanation is as good when its share is no more than this multiple of the claimed one's and a little …
 const RIVAL: (f64, f64) = (1.5, 0.02);
