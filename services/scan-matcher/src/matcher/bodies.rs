@@ -25,9 +25,10 @@ const PASSES: usize = 2;
 const SHARE_MAX: f64 = 0.5;
 
 impl ScanMatcher {
-    /// Leaves out the points on bodies. They are not said to move: the map shows them.
+    /// Leaves out the points on bodies. They are not said to move: the map shows them. A robot that is lost needs all that it sees to
+    /// tell one place from another.
     pub(super) fn leave_out_bodies(&mut self, scan: ScanView<'_>) {
-        if self.settings.moving_share_max == 0.0 || self.points.is_empty() {
+        if self.settings.moving_share_max == 0.0 || self.lost > 0 || self.points.is_empty() {
             return;
         }
         let stride = self.stride(scan) as u32;
