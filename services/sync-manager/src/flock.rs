@@ -9,6 +9,7 @@ mod atlas;
 mod consistency;
 mod fused;
 mod inspection;
+mod joint;
 mod layout;
 mod meeting;
 mod member;

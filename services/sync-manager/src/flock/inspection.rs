@@ -10,9 +10,18 @@ const PLACES: usize = 3;
 const APART_M: f64 = 20.0;
 /// Scans that must be compared at a place before anything is said.
 const SCANS_MIN: u32 = 16;
-/// Largest share of what both have seen that one of them denies: what is the same has mostly up to 0.04 with people in it (0.06 has been
-/// met, and is turned down), rooms that only look alike mostly 0.06 and more.
+/// The same around a single closure.
+const SCANS_ALONE_MIN: u32 = 8;
+/// Tells the verdict on a closure alone from that on a place.
+const ALONE: u64 = u64::MAX;
+/// Largest share of what both have seen that one of them may deny: what is the same has mostly up to 0.04 with people in it and once 0.06,
+/// rooms that only look alike mostly 0.06 and more …
 const DENIED_MAX: f64 = 0.05;
+/// … and so much more for each match beyond so many, up to this: what only looks alike does so over few, unless it does so somewhere
+/// else as well.
+const DENIED_MORE: f64 = 0.001;
+const MATCHES: usize = 10;
+const DENIED_MAX_OF_MANY: f64 = 0.07;
 /// Another explanation is as good when its share is no more than this multiple of the claimed one's and a little …
 const RIVAL: (f64, f64) = (1.5, 0.02);
 /// … and it explains at least this share of what the claimed one does.
@@ -24,6 +33,21 @@ const REMEMBERED_MAX: usize = 4096;
 #[derive(Clone, Debug, Default)]
 pub struct Inspected {
     verdicts: BTreeMap<Vec<u64>, bool>,
+}
+
+impl Inspected {
+    /// The verdict of this name, worked out when it is new.
+    fn verdict(&mut self, name: Vec<u64>, work_out: impl FnOnce() -> bool) -> bool {
+        if let Some(verdict) = self.verdicts.get(&name) {
+            return *verdict;
+        }
+        let verdict = work_out();
+        if self.verdicts.len() >= REMEMBERED_MAX {
+            self.verdicts.clear();
+        }
+        self.verdicts.insert(name, verdict);
+        verdict
+    }
 }
 
 impl Atlas {
@@ -40,17 +64,25 @@ impl Atlas {
         let places = closures.chunk_by(|a, b| cell(a) == cell(b)).map(|some| &some[0]);
         places.take(PLACES).all(|middle| {
             let place = Place::new(self, middle, &closures);
-            let name = self.named(&place, middle);
-            if let Some(verdict) = inspected.verdicts.get(&name) {
-                return *verdict;
-            }
-            let (claimed, other) = place.fits(self);
-            let verdict = is_sure(&claimed, other.as_ref());
-            if inspected.verdicts.len() >= REMEMBERED_MAX {
-                inspected.verdicts.clear();
-            }
-            inspected.verdicts.insert(name, verdict);
-            verdict
+            let denied_max = denied_max(group.len());
+            let mut name = self.named(&place, middle);
+            name.push(denied_max.to_bits());
+            inspected.verdict(name, || {
+                let (claimed, other) = place.fits(self);
+                is_sure(&claimed, other.as_ref(), denied_max)
+            })
+        })
+    }
+
+    /// Whether what both robots have seen around a closure between them is the same. That it may be so elsewhere too does not matter where
+    /// other ties say that it should be here.
+    pub(super) fn is_the_same_there(&self, closure: &Closure, inspected: &mut Inspected) -> bool {
+        let place = Place::new(self, closure, std::slice::from_ref(closure));
+        let mut name = self.named(&place, closure);
+        name.push(ALONE);
+        inspected.verdict(name, || {
+            let claimed = place.fit(self);
+            claimed.scans >= SCANS_ALONE_MIN && claimed.denied_share() <= DENIED_MAX
         })
     }
 
@@ -70,13 +102,18 @@ impl Atlas {
     }
 }
 
+/// The largest share that may be denied where so many matches agree.
+fn denied_max(matches: usize) -> f64 {
+    (DENIED_MAX + DENIED_MORE * matches.saturating_sub(MATCHES) as f64).min(DENIED_MAX_OF_MANY)
+}
+
 /// Whether what both have seen is the same, and would not be somewhere else.
-fn is_sure(claimed: &Fit, other: Option<&Fit>) -> bool {
+fn is_sure(claimed: &Fit, other: Option<&Fit>, denied_max: f64) -> bool {
     let as_good = RIVAL.0 * claimed.denied_share() + RIVAL.1;
     let is_rival = |other: &Fit| {
         f64::from(other.seen) >= EXPLAINED * f64::from(claimed.seen) && other.denied_share() <= as_good
     };
-    claimed.scans >= SCANS_MIN && claimed.denied_share() <= DENIED_MAX && !other.is_some_and(is_rival)
+    claimed.scans >= SCANS_MIN && claimed.denied_share() <= denied_max && !other.is_some_and(is_rival)
 }
 
 #[cfg(test)]
@@ -84,14 +121,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_fits_once_and_nowhere_else_is_sure() {
+    fn what_fits_once_and_nowhere_else_sure() {
         let fit = |seen: u32, denied: u32| Fit { scans: 30, seen, denied };
+        let sure = |claimed: &Fit, other: Option<&Fit>| is_sure(claimed, other, denied_max(5));
         let claimed = fit(1750, 10);
-        assert!(is_sure(&fit(1750, 45), None) && !is_sure(&fit(1750, 200), None));
-        assert!(!is_sure(&Fit { scans: 5, ..claimed }, None) && !is_sure(&Fit::default(), None));
+        assert!(sure(&fit(1750, 45), None) && !sure(&fit(1750, 200), None));
+        assert!(!sure(&Fit { scans: 5, ..claimed }, None) && !sure(&Fit::default(), None));
         // A room farther on, with other furniture; with the same; and something small that fits anywhere.
-        assert!(is_sure(&claimed, Some(&fit(1700, 150))));
-        assert!(!is_sure(&claimed, Some(&fit(1600, 20))));
-        assert!(is_sure(&claimed, Some(&fit(300, 2))));
+        assert!(sure(&claimed, Some(&fit(1700, 150))));
+        assert!(!sure(&claimed, Some(&fit(1600, 20))));
+        assert!(sure(&claimed, Some(&fit(300, 2))));
+    }
+
+    #[test]
+    fn where_many_agree_more_may_have_changed() {
+        let changed = Fit { scans: 25, seen: 1211, denied: 75 };
+        assert!(!is_sure(&changed, None, denied_max(11)) && is_sure(&changed, None, denied_max(20)));
+        assert_eq!(denied_max(1000), DENIED_MAX_OF_MANY);
     }
 }

@@ -17,6 +17,8 @@ use std::collections::{BTreeMap, BTreeSet};
 const HELD: f64 = 0.1;
 /// How often closures are put on trial before robots are left apart.
 const TRIALS_MAX: usize = 8;
+/// How often what is expected is put on trial: what acts then leads one to expect more, more narrowly.
+const EXPECTED_ROUNDS: usize = 3;
 
 /// Poses of an atlas's nodes, and what holds them together.
 #[derive(Clone, Debug, PartialEq)]
@@ -90,20 +92,46 @@ impl FlockLayout {
 }
 
 impl Atlas {
-    /// Solves the graph from the chains, with all closures on trial that agree and that what both robots have seen confirms. What is
-    /// left between two robots after that must still agree.
+    /// Solves the graph from the chains: what ties robots together first, then with all that this leads one to expect.
     pub(super) fn solve(&self, settings: &Settings, inspected: &mut Inspected) -> Solved {
+        let (tied, on_trial) = self.tied(settings, inspected);
+        let mut solved = tied.clone();
+        let mut more = on_trial.clone();
+        for _ in 0..EXPECTED_ROUNDS {
+            let expected = self.expected(&solved, inspected);
+            let known = more.clone();
+            expected.into_iter().for_each(|i| more[i] = true);
+            if more == known {
+                break;
+            }
+            let next = self.solve_with(&more, settings);
+            // Nothing that ties robots together may give way to what does not.
+            let still_ties = (0..more.len())
+                .all(|i| !(tied.in_force[i] && self.is_across(&self.closures[i])) || next.in_force[i]);
+            if !still_ties {
+                break;
+            }
+            solved = next;
+        }
+        solved
+    }
+
+    /// The solution with all closures on trial that agree and that what both robots have seen confirms, and what was on trial.
+    /// What is left between two robots after that must still agree.
+    fn tied(&self, settings: &Settings, inspected: &mut Inspected) -> (Solved, Vec<bool>) {
         let mut denied = BTreeSet::new();
         for _ in 0..TRIALS_MAX {
-            let solved = self.solve_with(&self.eligible(&denied, inspected), settings);
+            let on_trial = self.eligible(&denied, inspected);
+            let solved = self.solve_with(&on_trial, settings);
             let doubtful = self.unconfirmed(&solved.in_force);
             if doubtful.is_empty() {
-                return solved;
+                return (solved, on_trial);
             }
             denied.extend(doubtful);
         }
         denied.extend((0..self.closures.len()).filter(|i| self.is_across(&self.closures[*i])));
-        self.solve_with(&self.eligible(&denied, inspected), settings)
+        let on_trial = self.eligible(&denied, inspected);
+        (self.solve_with(&on_trial, settings), on_trial)
     }
 
     fn solve_with(&self, on_trial: &[bool], settings: &Settings) -> Solved {

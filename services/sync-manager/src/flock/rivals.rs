@@ -75,11 +75,20 @@ impl Place {
 
     /// How well what both have seen here fits together as the closures say, and where it fits next best, if anywhere.
     pub fn fits(&self, atlas: &Atlas) -> (Fit, Option<Fit>) {
-        let first = self.nodes[0].clone().map(|node| (node, atlas.nodes[node].chain));
-        let second = self.nodes[1].clone().map(|node| (node, self.placed(atlas, node)));
-        let overlap = Overlap::new(atlas, first, second);
+        let overlap = self.overlap(atlas);
         let other = self.elsewhere(atlas).map(|moved| overlap.fit(&moved));
         (overlap.fit(&Placement::IDENTITY), other)
+    }
+
+    /// How well what both have seen here fits together as the closures say.
+    pub fn fit(&self, atlas: &Atlas) -> Fit {
+        self.overlap(atlas).fit(&Placement::IDENTITY)
+    }
+
+    fn overlap<'a>(&self, atlas: &'a Atlas) -> Overlap<'a> {
+        let first = self.nodes[0].clone().map(|node| (node, atlas.nodes[node].chain));
+        let second = self.nodes[1].clone().map(|node| (node, self.placed(atlas, node)));
+        Overlap::new(atlas, first, second)
     }
 
     /// A node of the second robot in the frame of the first's chain, by the nearest closure.

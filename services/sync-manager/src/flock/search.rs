@@ -3,9 +3,7 @@ use super::inspection::Inspected;
 use super::layout::Solved;
 use super::resemblance::Resemblance;
 use crate::chain::{BROKEN_M, Node};
-use crate::closure::{
-    ANYWHERE, Closure, ClosureFinder, QUERY_NODES, SIGHT_M, World, apart_m, graph_distances, window,
-};
+use crate::closure::{ANYWHERE, Closure, ClosureFinder, QUERY_NODES, SIGHT_M, World, apart_m, window};
 use crate::settings::Settings;
 use crate::strands::Strands;
 use flockslam_records::{Constraint, RobotId};
@@ -100,7 +98,7 @@ impl Search {
         if nearby(atlas, solved, query, None, most).iter().all(is_tried) {
             return;
         }
-        let distances_m = distances(atlas, solved, query);
+        let distances_m = atlas.distances_m(solved, query);
         let near = nearby(atlas, solved, query, Some(&distances_m), most);
         let candidates: Vec<(usize, Window)> = near
             .into_iter()
@@ -258,12 +256,6 @@ fn queries(atlas: &Atlas, own: &RobotId, every_m: f64) -> Vec<usize> {
         }
     }
     queries
-}
-
-fn distances(atlas: &Atlas, solved: &Solved, query: usize) -> Vec<f64> {
-    let acting = atlas.closures.iter().zip(&solved.in_force).filter(|(_, acts)| **acts);
-    let loops: Vec<_> = acting.map(|(c, _)| (c.edge.from, c.edge.to)).collect();
-    graph_distances(&atlas.nodes, &loops, query)
 }
 
 /// Segments of other robots that the query may see, nearest first; without distances along the graph, as if they were well known.
