@@ -9,8 +9,8 @@ use std::collections::BTreeMap;
 /// Matches that have to agree before two robots are tied together, the one that is asked about among them.
 const GROUP_MIN: usize = 3;
 /// Travel over which those that agree must extend, on both sides together and on either, metres: what looks alike over a few metres differs
-/// over more.
-const EXTENT_M: (f64, f64) = (8.0, 2.0);
+/// over more. On one side little is enough: a robot that stands in a room sees all of it.
+const EXTENT_M: (f64, f64) = (6.5, 0.5);
 /// Groups of each pair of strands that are inspected, the largest first: the work is bounded whatever somebody claims.
 const GROUPS_MAX: usize = 12;
 /// Each closure is compared with so many on either side of it along the way: the work is bounded whatever somebody claims.

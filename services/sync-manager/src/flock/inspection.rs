@@ -14,14 +14,9 @@ const SCANS_MIN: u32 = 16;
 const SCANS_ALONE_MIN: u32 = 8;
 /// Tells the verdict on a closure alone from that on a place.
 const ALONE: u64 = u64::MAX;
-/// Largest share of what both have seen that one of them may deny: what is the same has mostly up to 0.04 with people in it and once 0.06,
-/// rooms that only look alike mostly 0.06 and more …
+/// Largest share of what both have seen that one of them may deny: what is the same has up to 0.045 with people in it, rooms that only look
+/// alike mostly 0.06 and more.
 const DENIED_MAX: f64 = 0.05;
-/// … and so much more for each match beyond so many, up to this: what only looks alike does so over few, unless it does so somewhere
-/// else as well.
-const DENIED_MORE: f64 = 0.001;
-const MATCHES: usize = 10;
-const DENIED_MAX_OF_MANY: f64 = 0.07;
 /// Another explanation is as good when its share is no more than this multiple of the claimed one's and a little …
 const RIVAL: (f64, f64) = (1.5, 0.02);
 /// … and it explains at least this share of what the claimed one does.
@@ -64,12 +59,9 @@ impl Atlas {
         let places = closures.chunk_by(|a, b| cell(a) == cell(b)).map(|some| &some[0]);
         places.take(PLACES).all(|middle| {
             let place = Place::new(self, middle, &closures);
-            let denied_max = denied_max(group.len());
-            let mut name = self.named(&place, middle);
-            name.push(denied_max.to_bits());
-            inspected.verdict(name, || {
+            inspected.verdict(self.named(&place, middle), || {
                 let (claimed, other) = place.fits(self);
-                is_sure(&claimed, other.as_ref(), denied_max)
+                is_sure(&claimed, other.as_ref())
             })
         })
     }
@@ -102,18 +94,13 @@ impl Atlas {
     }
 }
 
-/// The largest share that may be denied where so many matches agree.
-fn denied_max(matches: usize) -> f64 {
-    (DENIED_MAX + DENIED_MORE * matches.saturating_sub(MATCHES) as f64).min(DENIED_MAX_OF_MANY)
-}
-
 /// Whether what both have seen is the same, and would not be somewhere else.
-fn is_sure(claimed: &Fit, other: Option<&Fit>, denied_max: f64) -> bool {
+fn is_sure(claimed: &Fit, other: Option<&Fit>) -> bool {
     let as_good = RIVAL.0 * claimed.denied_share() + RIVAL.1;
     let is_rival = |other: &Fit| {
         f64::from(other.seen) >= EXPLAINED * f64::from(claimed.seen) && other.denied_share() <= as_good
     };
-    claimed.scans >= SCANS_MIN && claimed.denied_share() <= denied_max && !other.is_some_and(is_rival)
+    claimed.scans >= SCANS_MIN && claimed.denied_share() <= DENIED_MAX && !other.is_some_and(is_rival)
 }
 
 #[cfg(test)]
@@ -121,22 +108,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_fits_once_and_nowhere_else_sure() {
+    fn what_fits_once_and_nowhere_else_is_sure() {
         let fit = |seen: u32, denied: u32| Fit { scans: 30, seen, denied };
-        let sure = |claimed: &Fit, other: Option<&Fit>| is_sure(claimed, other, denied_max(5));
         let claimed = fit(1750, 10);
-        assert!(sure(&fit(1750, 45), None) && !sure(&fit(1750, 200), None));
-        assert!(!sure(&Fit { scans: 5, ..claimed }, None) && !sure(&Fit::default(), None));
+        assert!(is_sure(&fit(1750, 45), None) && !is_sure(&fit(1750, 200), None));
+        assert!(!is_sure(&Fit { scans: 5, ..claimed }, None) && !is_sure(&Fit::default(), None));
         // A room farther on, with other furniture; with the same; and something small that fits anywhere.
-        assert!(sure(&claimed, Some(&fit(1700, 150))));
-        assert!(!sure(&claimed, Some(&fit(1600, 20))));
-        assert!(sure(&claimed, Some(&fit(300, 2))));
-    }
-
-    #[test]
-    fn where_many_agree_more_may_have_changed() {
-        let changed = Fit { scans: 25, seen: 1211, denied: 75 };
-        assert!(!is_sure(&changed, None, denied_max(11)) && is_sure(&changed, None, denied_max(20)));
-        assert_eq!(denied_max(1000), DENIED_MAX_OF_MANY);
+        assert!(is_sure(&claimed, Some(&fit(1700, 150))));
+        assert!(!is_sure(&claimed, Some(&fit(1600, 20))));
+        assert!(is_sure(&claimed, Some(&fit(300, 2))));
     }
 }

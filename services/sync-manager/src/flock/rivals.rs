@@ -9,7 +9,7 @@ use std::ops::Range;
 /// Of a group, those count as one place whose ends lie within this along both ways, metres.
 const PLACE_M: f64 = 15.0;
 /// Closures that a place is judged by.
-const TIES_MAX: usize = 8;
+const TIES_MAX: usize = 64;
 /// What the second robot has seen so much before and after these is compared, metres of its way.
 const BESIDE_M: f64 = 3.0;
 /// What the first robot has seen so much before and after these is looked through for other explanations, metres of its way.
