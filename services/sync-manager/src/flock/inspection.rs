@@ -1,6 +1,6 @@
 use super::Atlas;
 use super::overlap::Fit;
-use super::rivals::Place;
+use super::rivals::{Place, Tie};
 use crate::closure::Closure;
 use flockslam_registration::cloud::Placement;
 use std::collections::BTreeMap;
@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 /// Places of a group that are looked at, so far apart along the second robot's way, metres.
 const PLACES: usize = 3;
 const APART_M: f64 = 20.0;
-/// Scans that must be compared at a place before anything is said.
-const SCANS_MIN: u32 = 16;
+/// Scans that must be compared at a place, around both robots' ways together, before anything is said.
+const SCANS_MIN: u32 = 30;
 /// The same around a single closure.
 const SCANS_ALONE_MIN: u32 = 8;
 /// Tells the verdict on a closure alone from that on a place.
@@ -52,25 +52,26 @@ impl Atlas {
     /// Buildings are full of things that look alike: a few matches that agree can always be found. Where robots are tied together
     /// rightly, neither has seen free space where the other saw a wall.
     pub(super) fn stands(&self, group: &[usize], inspected: &mut Inspected) -> bool {
-        let mut closures: Vec<Closure> = group.iter().map(|i| self.closures[*i]).collect();
-        closures.sort_by_key(|closure| (closure.edge.to, closure.edge.from));
+        let mut ties: Vec<Tie> = group.iter().map(|i| Tie::of(&self.closures[*i])).collect();
+        ties.sort_by_key(|tie| (tie.to, tie.from));
+        let turned: Vec<Tie> = ties.iter().map(Tie::turned).collect();
         // The first places, not the best spread ones: what was found out about them stays when the group grows.
-        let cell = |closure: &Closure| (self.nodes[closure.edge.to].travel_m / APART_M) as u64;
-        let places = closures.chunk_by(|a, b| cell(a) == cell(b)).map(|some| &some[0]);
+        let cell = |tie: &Tie| (self.nodes[tie.to].travel_m / APART_M) as u64;
+        let places = ties.chunk_by(|a, b| cell(a) == cell(b)).map(|some| &some[0]);
         places.take(PLACES).all(|middle| {
-            let place = Place::new(self, middle, &closures);
-            inspected.verdict(self.named(&place, middle), || {
-                let (claimed, other) = place.fits(self);
-                is_sure(&claimed, other.as_ref())
-            })
+            let there = Place::new(self, middle, &ties);
+            let back = Place::new(self, &middle.turned(), &turned);
+            let name = [self.named(&there, middle), self.named(&back, &middle.turned())].concat();
+            inspected.verdict(name, || is_sure(&[there.fits(self), back.fits(self)]))
         })
     }
 
     /// Whether what both robots have seen around a closure between them is the same. That it may be so elsewhere too does not matter where
     /// other ties say that it should be here.
     pub(super) fn is_the_same_there(&self, closure: &Closure, inspected: &mut Inspected) -> bool {
-        let place = Place::new(self, closure, std::slice::from_ref(closure));
-        let mut name = self.named(&place, closure);
+        let tie = Tie::of(closure);
+        let place = Place::new(self, &tie, &[tie]);
+        let mut name = self.named(&place, &tie);
         name.push(ALONE);
         inspected.verdict(name, || {
             let claimed = place.fit(self);
@@ -79,8 +80,8 @@ impl Atlas {
     }
 
     /// All that the verdict on a place depends on, to the bit: who remembers it must conclude the same as who works it out.
-    fn named(&self, place: &Place, middle: &Closure) -> Vec<u64> {
-        let mut name = vec![self.nodes[middle.edge.to].sequence];
+    fn named(&self, place: &Place, middle: &Tie) -> Vec<u64> {
+        let mut name = vec![self.nodes[middle.to].sequence];
         for range in &place.nodes {
             let (first, last) = (&self.nodes[range.start], &self.nodes[range.end - 1]);
             name.extend([first.sequence, last.sequence, first.travel_m.to_bits(), first.doubt_m.to_bits()]);
@@ -94,13 +95,17 @@ impl Atlas {
     }
 }
 
-/// Whether what both have seen is the same, and would not be somewhere else.
-fn is_sure(claimed: &Fit, other: Option<&Fit>) -> bool {
-    let as_good = RIVAL.0 * claimed.denied_share() + RIVAL.1;
-    let is_rival = |other: &Fit| {
-        f64::from(other.seen) >= EXPLAINED * f64::from(claimed.seen) && other.denied_share() <= as_good
+/// Whether what both have seen is the same, and would not be somewhere else: fits as claimed and as they would be otherwise, around what
+/// the second robot has seen and around what the first has. One of them may have seen only a part of a place that the other knows well.
+fn is_sure(fits: &[(Fit, Option<Fit>); 2]) -> bool {
+    let is_rivalled = |(claimed, other): &(Fit, Option<Fit>)| {
+        let as_good = RIVAL.0 * claimed.denied_share() + RIVAL.1;
+        let explained = EXPLAINED * f64::from(claimed.seen);
+        other.is_some_and(|other| f64::from(other.seen) >= explained && other.denied_share() <= as_good)
     };
-    claimed.scans >= SCANS_MIN && claimed.denied_share() <= DENIED_MAX && !other.is_some_and(is_rival)
+    let [(there, _), (back, _)] = fits;
+    let both = there.and(back);
+    both.scans >= SCANS_MIN && both.denied_share() <= DENIED_MAX && !fits.iter().any(is_rivalled)
 }
 
 #[cfg(test)]
@@ -111,11 +116,26 @@ mod tests {
     fn what_fits_once_and_nowhere_else_is_sure() {
         let fit = |seen: u32, denied: u32| Fit { scans: 30, seen, denied };
         let claimed = fit(1750, 10);
-        assert!(is_sure(&fit(1750, 45), None) && !is_sure(&fit(1750, 200), None));
-        assert!(!is_sure(&Fit { scans: 5, ..claimed }, None) && !is_sure(&Fit::default(), None));
+        let around = |claimed: Fit, other: Option<Fit>| [(claimed, other), (fit(1800, 12), None)];
+        assert!(is_sure(&around(fit(1750, 45), None)) && !is_sure(&around(fit(1750, 400), None)));
+        assert!(
+            !is_sure(&[(Fit { scans: 5, ..claimed }, None); 2]) && !is_sure(&[(Fit::default(), None); 2])
+        );
         // A room farther on, with other furniture; with the same; and something small that fits anywhere.
-        assert!(is_sure(&claimed, Some(&fit(1700, 150))));
-        assert!(!is_sure(&claimed, Some(&fit(1600, 20))));
-        assert!(is_sure(&claimed, Some(&fit(300, 2))));
+        assert!(is_sure(&around(claimed, Some(fit(1700, 150)))));
+        assert!(!is_sure(&around(claimed, Some(fit(1600, 20)))));
+        assert!(is_sure(&around(claimed, Some(fit(300, 2)))));
+    }
+
+    #[test]
+    fn a_hall_of_which_one_has_seen_only_a_part_fits_both_ways_round_in_what_the_other_has_seen() {
+        let there = (Fit { scans: 22, seen: 1166, denied: 41 }, None);
+        let claimed = Fit { scans: 22, seen: 1148, denied: 35 };
+        let turned_round = Fit { scans: 16, seen: 616, denied: 14 };
+        assert!(is_sure(&[there, (claimed, None)]));
+        assert!(
+            !is_sure(&[there, (claimed, Some(turned_round))])
+                && !is_sure(&[(claimed, Some(turned_round)), there])
+        );
     }
 }

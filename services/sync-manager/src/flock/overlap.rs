@@ -24,6 +24,15 @@ pub(super) struct Fit {
 }
 
 impl Fit {
+    /// Both together.
+    pub fn and(&self, other: &Self) -> Self {
+        Self {
+            scans: self.scans + other.scans,
+            seen: self.seen + other.seen,
+            denied: self.denied + other.denied,
+        }
+    }
+
     /// Share of the points denied, of those that are seen or denied; 1 when there are none.
     pub fn denied_share(&self) -> f64 {
         let judged = self.seen + self.denied;

@@ -1,6 +1,7 @@
 use super::Atlas;
 use super::overlap::{Fit, Overlap};
 use crate::closure::Closure;
+use crate::edge::Edge;
 use crate::segment::{cell_means, cloud, picked};
 use flockslam_registration::cloud::{Placement, PooledField, Searcher, Window};
 use std::f64::consts::PI;
@@ -8,7 +9,7 @@ use std::ops::Range;
 
 /// Of a group, those count as one place whose ends lie within this along both ways, metres.
 const PLACE_M: f64 = 15.0;
-/// Closures that a place is judged by.
+/// Ties that a place is judged by.
 const TIES_MAX: usize = 64;
 /// What the second robot has seen so much before and after these is compared, metres of its way.
 const BESIDE_M: f64 = 3.0;
@@ -29,10 +30,34 @@ const SCORE_MIN: f64 = 0.75;
 /// Squares that a search looks at before it takes what it has found.
 const SUMS_MAX: u64 = 120_000;
 
+/// Where a closure says that a node of one robot lies to one of another.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Tie {
+    /// The first robot's node.
+    pub from: usize,
+    /// The second robot's node.
+    pub to: usize,
+    /// Pose of `to` seen from `from`.
+    pub motion: Placement,
+}
+
+impl Tie {
+    /// What a closure says.
+    pub fn of(closure: &Closure) -> Self {
+        let Edge { from, to, motion, .. } = closure.edge;
+        Self { from, to, motion }
+    }
+
+    /// The same with the other robot as the first.
+    pub fn turned(&self) -> Self {
+        Self { from: self.to, to: self.from, motion: self.motion.inverse() }
+    }
+}
+
 /// A place where closures say that two robots have both been.
 pub(super) struct Place {
-    /// The closure in its middle.
-    middle: Closure,
+    /// The tie in its middle.
+    middle: Tie,
     /// Ends of the closures around it in the second robot's way, in order, each with what takes the frame of the second's chain to that of the
     /// first's.
     pub ties: Vec<(usize, Placement)>,
@@ -41,26 +66,25 @@ pub(super) struct Place {
 }
 
 impl Place {
-    /// The place around one closure of a group, which is in the order of the second robot's way.
-    pub fn new(atlas: &Atlas, middle: &Closure, group: &[Closure]) -> Self {
+    /// The place around one tie of a group.
+    pub fn new(atlas: &Atlas, middle: &Tie, group: &[Tie]) -> Self {
         let travel_m = |node: usize| atlas.nodes[node].doubt_m;
-        let is_near = |closure: &&Closure| {
+        let is_near = |tie: &&Tie| {
             let apart_m = |a: usize, b: usize| (travel_m(a) - travel_m(b)).abs();
-            apart_m(closure.edge.from, middle.edge.from) <= PLACE_M
-                && apart_m(closure.edge.to, middle.edge.to) <= PLACE_M
+            apart_m(tie.from, middle.from) <= PLACE_M && apart_m(tie.to, middle.to) <= PLACE_M
         };
         // The first in order, so that what is found later changes little.
-        let near: Vec<&Closure> = group.iter().filter(is_near).take(TIES_MAX).collect();
-        let first_from_second = |closure: &&Closure| {
-            let (from, to) = (&atlas.nodes[closure.edge.from], &atlas.nodes[closure.edge.to]);
-            (closure.edge.to, from.chain.compose(closure.edge.motion).compose(to.chain.inverse()))
+        let near: Vec<&Tie> = group.iter().filter(is_near).take(TIES_MAX).collect();
+        let first_from_second = |tie: &&Tie| {
+            let (from, to) = (&atlas.nodes[tie.from], &atlas.nodes[tie.to]);
+            (tie.to, from.chain.compose(tie.motion).compose(to.chain.inverse()))
         };
         let mut ties: Vec<(usize, Placement)> = near.iter().map(first_from_second).collect();
         ties.sort_by_key(|(to, _)| *to);
-        let stretch = |end: fn(&Closure) -> usize, beside_m: f64| {
+        let stretch = |end: fn(&Tie) -> usize, beside_m: f64| {
             let (low, high) = near
                 .iter()
-                .map(|closure| end(closure))
+                .map(|tie| end(tie))
                 .fold((usize::MAX, 0), |(low, high), node| (low.min(node), high.max(node)));
             let (low_m, high_m) = (travel_m(low) - beside_m, travel_m(high) + beside_m);
             // Doubt jumps where a strand or a log ends: none is left.
@@ -68,8 +92,7 @@ impl Place {
             let end = high + atlas.nodes[high..].partition_point(|node| node.doubt_m <= high_m);
             start..end
         };
-        let nodes =
-            [stretch(|closure| closure.edge.from, AROUND_M), stretch(|closure| closure.edge.to, BESIDE_M)];
+        let nodes = [stretch(|tie| tie.from, AROUND_M), stretch(|tie| tie.to, BESIDE_M)];
         Self { middle: *middle, ties, nodes }
     }
 
@@ -100,7 +123,7 @@ impl Place {
 
     /// How what lies around the middle would have to be moved to lie where else it fits best to what the first robot has seen.
     fn elsewhere(&self, atlas: &Atlas) -> Option<Placement> {
-        let query = self.middle.edge.to;
+        let query = self.middle.to;
         let at = self.placed(atlas, query);
         let mut points = Vec::new();
         for node in &atlas.nodes[self.nodes[0].clone()] {
