@@ -112,3 +112,59 @@ fn lies_about_how_robots_lie_to_each_other_do_not_act() {
     let worst = worst_m(&layout, &ways);
     assert!(worst < 0.06, "{worst}, {:?} of {found} true ones", layout.across);
 }
+
+#[test]
+fn where_robots_are_tied_single_matches_act_that_are_expected_there() {
+    let (building, way) = (Building::ring(), laps(2));
+    let half = way.len() / 2;
+    let (of_a, of_b) = (&way[..half], &way[half..]);
+    let layout = |told: &[(usize, usize, Pose)]| {
+        let mut flocks = vec![
+            robot("a", &building, &way, 0..half, Pose::IDENTITY),
+            robot("b", &building, &way, half..way.len(), Pose::new(9.0, 9.0, 2.0)),
+        ];
+        meet(&mut flocks);
+        for (at_a, at_b, moved) in told {
+            let constraint = flockslam_records::Constraint {
+                from: node_near(&flocks[1], "a", of_a, of_a[*at_a]).0,
+                to: node_near(&flocks[1], "b", of_b, of_b[*at_b]).0,
+                motion: Pose::IDENTITY,
+                information: [600.0, 0.0, 0.0, 600.0, 0.0, 1e4],
+                reach_m: 0.5,
+                shift_m: 0.0,
+            };
+            let (from, to) = (constraint.from.sequence as usize, constraint.to.sequence as usize);
+            let motion = of_a[from].inverse() * of_b[to] * *moved;
+            flocks[1]
+                .say(&Content::Constraints(vec![flockslam_records::Constraint { motion, ..constraint }]))
+                .unwrap();
+        }
+        meet(&mut flocks);
+        flocks[0].layout(false)
+    };
+    let right = Pose::IDENTITY;
+    let group: Vec<_> = (0..6).map(|k| (40 + 12 * k, 40 + 12 * k, right)).collect();
+    let apart = (180, 180);
+    assert_eq!(layout(&group).across, (6, 0));
+    let with = |more: (usize, usize, Pose)| layout(&[group.clone(), vec![more]].concat());
+    assert_eq!(with((apart.0, apart.1, right)).across, (7, 0), "too far from the others to agree with them");
+    assert_eq!(
+        with((apart.0, apart.1, Pose::new(0.6, -0.5, 0.2))).across,
+        (6, 1),
+        "what does not fit does not act"
+    );
+    let alone = layout(&[(apart.0, apart.1, right)]);
+    assert_eq!((alone.across, alone.members().len()), ((0, 1), 1), "one match ties nobody");
+}
+
+/// The node of a robot that was nearest to a pose, and where it was.
+fn node_near(flock: &Flock, name: &str, way: &[Pose], pose: Pose) -> (NodeName, Pose) {
+    let layout = flock.layout(false);
+    let ((robot, epoch), nodes) = layout.nodes.iter().find(|((robot, _), _)| robot.name() == name).unwrap();
+    let at = |sequence: u64| way[sequence as usize];
+    let nearest = nodes
+        .iter()
+        .min_by(|a, b| at(a.sequence).distance_m(pose).total_cmp(&at(b.sequence).distance_m(pose)));
+    let sequence = nearest.unwrap().sequence;
+    (NodeName { robot: robot.clone(), epoch: *epoch, sequence }, at(sequence))
+}
