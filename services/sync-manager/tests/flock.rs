@@ -114,7 +114,7 @@ fn lies_about_how_robots_lie_to_each_other_do_not_act() {
 }
 
 #[test]
-fn where_robots_are_tied_single_matches_act_that_are_expected_there() {
+fn where_robots_are_tied_few_matches_act_that_are_expected_there() {
     let (building, way) = (Building::ring(), laps(2));
     let half = way.len() / 2;
     let (of_a, of_b) = (&way[..half], &way[half..]);
@@ -142,19 +142,14 @@ fn where_robots_are_tied_single_matches_act_that_are_expected_there() {
         meet(&mut flocks);
         flocks[0].layout(false)
     };
-    let right = Pose::IDENTITY;
-    let group: Vec<_> = (0..6).map(|k| (40 + 12 * k, 40 + 12 * k, right)).collect();
-    let apart = (180, 180);
-    assert_eq!(layout(&group).across, (6, 0));
-    let with = |more: (usize, usize, Pose)| layout(&[group.clone(), vec![more]].concat());
-    assert_eq!(with((apart.0, apart.1, right)).across, (7, 0), "too far from the others to agree with them");
-    assert_eq!(
-        with((apart.0, apart.1, Pose::new(0.6, -0.5, 0.2))).across,
-        (6, 1),
-        "what does not fit does not act"
-    );
-    let alone = layout(&[(apart.0, apart.1, right)]);
-    assert_eq!((alone.across, alone.members().len()), ((0, 1), 1), "one match ties nobody");
+    let group: Vec<_> = (0..6).map(|k| (40 + 25 * k, 40 + 25 * k, Pose::IDENTITY)).collect();
+    let few = |moved: Pose| [300, 306, 312].map(|at| (at, at, moved));
+    let with = |more: &[(usize, usize, Pose)]| layout(&[&group, more].concat()).across;
+    assert_eq!(with(&[]), (6, 0));
+    assert_eq!(with(&few(Pose::IDENTITY)), (9, 0), "over a metre, far from the others");
+    assert_eq!(with(&few(Pose::new(0.6, -0.5, 0.2))), (6, 3), "what does not fit does not act");
+    let alone = layout(&few(Pose::IDENTITY));
+    assert_eq!((alone.across, alone.members().len()), ((0, 3), 1), "so few tie nobody");
 }
 
 /// The node of a robot that was nearest to a pose, and where it was.
