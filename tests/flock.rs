@@ -124,28 +124,40 @@ fn saved_maps_are_merged() {
 /// What a late joiner has to hear goes through a slow radio link: 10 Mbit/s. How long that takes is printed.
 #[test]
 fn a_late_joiner_hears_all_over_a_slow_link() {
+    join_late("office", 400.0, |late| drop(wait_until_merged(late, 2)));
+}
+
+/// The same of a map of more than 1000 m²: the demo that drives so long there maps 1281.
+#[test]
+fn a_late_joiner_hears_of_a_large_building_over_a_slow_link() {
+    join_late("warehouse", 500.0, |_| ());
+}
+
+/// A robot drives; another, which begins when that one is through, hears all that it has recorded over a slow link.
+fn join_late(world: &str, duration_s: f64, then: impl FnOnce(&mut FlockRobot)) {
     let directory = tempfile::tempdir().unwrap();
     let [first, second] = [(); 2].map(|()| format!("tcp/127.0.0.1:{}", free_port()));
     // The first one stays when its drive has ended.
-    let stays = "companions = 1\nfarewell_s = 80.0";
-    let long = Drive { duration_s: 400.0, rate: 10.0, ..MEETING };
+    let stays = (world, "companions = 1\nfarewell_s = 80.0");
+    let drive = Drive { duration_s, rate: 10.0, ..MEETING };
+    let test = format!("late-{}", &world[..4]);
     let mut early =
-        FlockRobot::start_one("late", directory.path(), long, std::slice::from_ref(&first), 0, stays);
+        FlockRobot::start_one(&test, directory.path(), drive, std::slice::from_ref(&first), 0, stays);
     let all = early.wait_for_flock("the end of the first drive", |flock| flock.has_ended && flock.settled);
     let link = SlowLink::to(&first, 10e6 / 8.0);
     let endpoints = [link.endpoint.clone(), second];
-    let mut late = FlockRobot::start_one("late", directory.path(), LONG, &endpoints, 1, "");
+    let mut late = FlockRobot::start_one(&test, directory.path(), LONG, &endpoints, 1, (world, ""));
     late.wait_for_flock("a peer", |flock| !flock.peers.is_empty());
     let (met, carried) = (Instant::now(), link.carried());
     late.wait_for_flock("all records", |flock| flock.records.0 >= all.records.0);
     println!(
-        "{} records, {} bytes, in {:.2} s over 10 Mbit/s, {} bytes on the link",
+        "{world}: {} records, {} bytes, in {:.2} s over 10 Mbit/s, {} bytes on the link",
         all.records.0,
         all.records.1,
         met.elapsed().as_secs_f64(),
         link.carried() - carried
     );
-    wait_until_merged(&mut late, 2);
+    then(&mut late);
 }
 
 #[test]

@@ -16,6 +16,8 @@ use zenoh::Wait;
 
 /// How long robots that have ended wait for each other: shorter than what a test waits for.
 const FAREWELL_S: u32 = 60;
+/// Where robots drive if nothing is said.
+const WORLD: &str = "office";
 
 /// A robot of a flock: a process set of its own.
 pub struct FlockRobot {
@@ -35,7 +37,7 @@ impl FlockRobot {
     pub fn start_with(test: &str, directory: &Path, drive: Drive, count: usize, more: &str) -> Vec<Self> {
         let endpoints: Vec<String> = (0..count).map(|_| format!("tcp/127.0.0.1:{}", free_port())).collect();
         let start = |number: usize| {
-            Self::start(test, directory, &endpoints, number, more, |set, description, more| {
+            Self::start(test, directory, &endpoints, number, (WORLD, more), |set, description, more| {
                 LiveSet::start(set, description, drive, more)
             })
         };
@@ -46,7 +48,7 @@ impl FlockRobot {
     pub fn start_scraped(test: &str, directory: &Path, drive: Drive, ports: &[u16]) -> Vec<Self> {
         let endpoints: Vec<String> = ports.iter().map(|_| format!("tcp/127.0.0.1:{}", free_port())).collect();
         let start = |(number, port): (usize, &u16)| {
-            Self::start(test, directory, &endpoints, number, "", |set, description, more| {
+            Self::start(test, directory, &endpoints, number, (WORLD, ""), |set, description, more| {
                 LiveSet::start(set, description, drive, &format!("{more}\nmetrics_port = {port}"))
             })
         };
@@ -57,7 +59,7 @@ impl FlockRobot {
     pub fn start_with_page(test: &str, directory: &Path, drive: Drive, count: usize, port: u16) -> Vec<Self> {
         let endpoints: Vec<String> = (0..count).map(|_| format!("tcp/127.0.0.1:{}", free_port())).collect();
         let start = |number: usize| {
-            Self::start(test, directory, &endpoints, number, "", |set, description, more| {
+            Self::start(test, directory, &endpoints, number, (WORLD, ""), |set, description, more| {
                 let page = ["page.enabled=true".to_owned(), format!("page.listen=127.0.0.1:{port}")];
                 let arguments: Vec<String> =
                     page.into_iter().flat_map(|setting| ["--set".to_owned(), setting]).collect();
@@ -79,7 +81,7 @@ impl FlockRobot {
             certificates.iter().map(|_| format!("tls/127.0.0.1:{}", free_port())).collect();
         let start = |(number, Certificates { ca, certificate, key }): (usize, &&Certificates)| {
             let more = format!("tls_ca = {ca:?}\ntls_certificate = {certificate:?}\ntls_key = {key:?}");
-            Self::start(test, directory, &endpoints, number, &more, |set, description, more| {
+            Self::start(test, directory, &endpoints, number, (WORLD, &more), |set, description, more| {
                 LiveSet::start(set, description, drive, more)
             })
         };
@@ -93,9 +95,9 @@ impl FlockRobot {
         drive: Drive,
         endpoints: &[String],
         number: usize,
-        more: &str,
+        (world, more): (&str, &str),
     ) -> Self {
-        Self::start(test, directory, endpoints, number, more, |set, description, more| {
+        Self::start(test, directory, endpoints, number, (world, more), |set, description, more| {
             LiveSet::start(set, description, drive, more)
         })
     }
@@ -106,7 +108,7 @@ impl FlockRobot {
             namespaces.iter().map(|space| format!("tcp/{}:7447", space.address)).collect();
         let more = format!("companions = 1\nfarewell_s = {FAREWELL_S}.0");
         let start = |(number, space): (usize, &Namespace)| {
-            Self::start(test, directory, &endpoints, number, &more, |set, description, more| {
+            Self::start(test, directory, &endpoints, number, (WORLD, &more), |set, description, more| {
                 let mut command = Command::new("ip");
                 command.args(["netns", "exec", &space.name]).arg(flockslam().get_program());
                 LiveSet::start_by(command, set, description, drive, more)
@@ -120,7 +122,7 @@ impl FlockRobot {
         directory: &Path,
         endpoints: &[String],
         number: usize,
-        more: &str,
+        (world, more): (&str, &str),
         launch: impl FnOnce(&str, &Path, &str) -> LiveSet,
     ) -> Self {
         let name = format!("robot-{number}");
@@ -129,7 +131,7 @@ impl FlockRobot {
         let others: Vec<&String> = endpoints.iter().filter(|other| **other != endpoints[number]).collect();
         let flock = format!("{test}-{}", std::process::id());
         let configuration = format!(
-            "[simulation]\nseed = {}\nlead_s = {}.0\n[sync_manager.flock]\nname = \"{name}\"\nenabled = true\n\
+            "[simulation]\nworld = \"{world}\"\nseed = {}\nlead_s = {}.0\n[sync_manager.flock]\nname = \"{name}\"\nenabled = true\n\
              flock = \"{flock}\"\nlisten = [{:?}]\nconnect = {others:?}\nkey_file = {:?}\n{more}\n",
             number + 1,
             40 * number,
