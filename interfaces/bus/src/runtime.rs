@@ -22,6 +22,10 @@ const KEPT_MARK: &str = "kept";
 /// Of the status of a dead set only this is of use to the next: how far the source had come.
 const CURSOR_ENDING: &str = ".cursor";
 
+/// The name of a set is part of the addresses at which its processes wake each other, and those may be 107 bytes long at most: of names of 23
+/// letters iceoryx2 opens no port.
+const NAME_MAX: usize = 22;
+
 /// Why a set's runtime directory cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum RuntimeError {
@@ -29,7 +33,7 @@ pub enum RuntimeError {
     #[error("a process set named {0} is already running on this machine")]
     Running(String),
     /// The name cannot be part of a file name.
-    #[error("'{0}' cannot name a process set: use letters, digits and '-', at most 40")]
+    #[error("'{0}' cannot name a process set: use letters, digits and '-', at most {NAME_MAX}")]
     BadName(String),
     /// The folder on disk for what is large and rarely read cannot be used.
     #[error("set.spill_dir: {path}: {source}")]
@@ -372,7 +376,7 @@ impl Drop for RuntimeDir {
 
 fn is_good_name(name: &str) -> bool {
     let good = |c: char| c.is_ascii_alphanumeric() || c == '-';
-    !name.is_empty() && name.len() <= 40 && name.chars().all(good)
+    !name.is_empty() && name.len() <= NAME_MAX && name.chars().all(good)
 }
 
 /// Removes what sets left whose supervisor was killed: nobody holds their lock. What is kept for the next of its name stays.

@@ -95,3 +95,9 @@ fn a_folder_that_cannot_be_made_is_named() {
     let error = RuntimeDir::create_spilling(&name("bad"), Some(&file)).err().unwrap().to_string();
     assert!(error.starts_with("set.spill_dir: ") && error.contains("file"), "{error}");
 }
+
+#[test]
+fn names_are_refused_that_are_too_long_to_open_ports_with() {
+    assert!(is_good_name(&"n".repeat(NAME_MAX)) && is_good_name("robot-7"));
+    assert!(!is_good_name(&"n".repeat(NAME_MAX + 1)) && !is_good_name("") && !is_good_name("a/b"));
+}
