@@ -1,5 +1,6 @@
 //! `cargo bench -p flockslam --bench flock_latency`: what other robots cost this one's poses. A robot that drives alone, under a flood of
-//! hostile messages, beside a robot of another flock and with one of its own takes turns; a number behind `--` sets how many of each (5). p99 of a single run says little: medians are compared.
+//! hostile messages, beside a robot of another flock, with one of its own and with one of its own that drives no more takes turns; a number
+//! behind `--` sets how many of each (5), names which of them. p99 of a single run says little: medians are compared.
 
 #[path = "../support/flocks.rs"]
 mod flocks;
@@ -8,8 +9,9 @@ mod support;
 
 use flocks::{FlockRobot, flood};
 use serde_json::Value;
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-use support::Drive;
+use support::{Drive, free_port};
 
 const DRIVE: Drive = Drive { scan_rate_hz: 10.0, duration_s: 40.0, rate: 1.0 };
 /// Hostile messages a second.
@@ -24,7 +26,12 @@ enum Company {
     Stranger,
     /// A robot of its own flock, on the same machine.
     Companion,
+    /// A robot of its own flock that has driven before, knows all of the building and only talks: what synchronising alone costs.
+    Settled,
 }
+
+const ALL: [Company; 5] =
+    [Company::Nobody, Company::Flood, Company::Stranger, Company::Companion, Company::Settled];
 
 /// Microseconds from a scan's arrival to its pose, and memory of sync-manager.
 struct Run {
@@ -36,8 +43,11 @@ struct Run {
 
 fn run(company: Company) -> Run {
     let directory = tempfile::tempdir().expect("a directory");
-    let count = if company == Company::Companion { 2 } else { 1 };
-    let mut robots = FlockRobot::start_all("latency", directory.path(), DRIVE, count);
+    let mut robots = match company {
+        Company::Settled => beside_a_settled_one(directory.path()),
+        Company::Companion => FlockRobot::start_all("latency", directory.path(), DRIVE, 2),
+        _ => FlockRobot::start_all("latency", directory.path(), DRIVE, 1),
+    };
     if company == Company::Stranger {
         robots.extend(FlockRobot::start_all("stranger", &directory.path().join("stranger"), DRIVE, 1));
     }
@@ -64,6 +74,16 @@ fn run(company: Company) -> Run {
     }
 }
 
+/// The robot that is measured, and one that has driven before.
+fn beside_a_settled_one(directory: &Path) -> Vec<FlockRobot> {
+    let endpoints = [(); 2].map(|()| format!("tcp/127.0.0.1:{}", free_port()));
+    let stays = ("office", "companions = 1\nfarewell_s = 90.0");
+    let before = Drive { duration_s: 200.0, rate: 20.0, ..DRIVE };
+    let mut settled = FlockRobot::start_one("latency", directory, before, &endpoints, 1, stays);
+    settled.wait_for_flock("the end of its drive", |flock| flock.has_ended && flock.settled);
+    vec![FlockRobot::start_one("latency", directory, DRIVE, &endpoints, 0, ("office", "")), settled]
+}
+
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values[values.len() / 2]
@@ -71,8 +91,11 @@ fn median(mut values: Vec<f64>) -> f64 {
 
 fn main() {
     let runs = std::env::args().filter_map(|argument| argument.parse().ok()).next().unwrap_or(5);
-    let kinds = [Company::Nobody, Company::Flood, Company::Stranger, Company::Companion];
-    let mut all: [Vec<Run>; 4] = Default::default();
+    let named =
+        |kind: &Company| std::env::args().any(|argument| argument == format!("{kind:?}").to_lowercase());
+    let some = ALL.iter().any(named);
+    let kinds: Vec<Company> = ALL.into_iter().filter(|kind| !some || named(kind)).collect();
+    let mut all: Vec<Vec<Run>> = kinds.iter().map(|_| Vec::new()).collect();
     for _ in 0..runs {
         for (kind, all) in kinds.iter().zip(&mut all) {
             all.push(run(*kind));
