@@ -22,8 +22,8 @@ const KEPT_MARK: &str = "kept";
 /// Of the status of a dead set only this is of use to the next: how far the source had come.
 const CURSOR_ENDING: &str = ".cursor";
 
-/// The name of a set is part of the addresses at which its processes wake each other, and those may be 107 bytes long at most: of names of 23
-/// letters iceoryx2 opens no port.
+/// The name of a set is part of that of everything that iceoryx2 opens: with 22 letters all stages start, with 23 none does (tried with
+/// iceoryx2 0.10).
 const NAME_MAX: usize = 22;
 
 /// Why a set's runtime directory cannot be used.
@@ -32,7 +32,7 @@ pub enum RuntimeError {
     /// Another set of this name runs.
     #[error("a process set named {0} is already running on this machine")]
     Running(String),
-    /// The name cannot be part of a file name.
+    /// The name cannot be part of a file name, or is too long.
     #[error("'{0}' cannot name a process set: use letters, digits and '-', at most {NAME_MAX}")]
     BadName(String),
     /// The folder on disk for what is large and rarely read cannot be used.

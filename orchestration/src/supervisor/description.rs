@@ -14,7 +14,7 @@ const REPLICAS_MAX: usize = 8;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SetDescription {
-    /// Name of the set on this machine.
+    /// Name of the set on this machine: letters, digits and `-`, at most 22.
     pub robot: String,
     /// Where the map is kept on disk: continued from there, and saved there.
     pub map: Option<PathBuf>,

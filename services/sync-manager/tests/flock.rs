@@ -2,7 +2,7 @@
 
 use flocks::{hear, meet, robot, worst_m};
 use flockslam_geometry::Pose;
-use flockslam_records::{Content, Limits, NodeName, RobotKey};
+use flockslam_records::{Constraint, Content, Limits, NodeName, RobotKey};
 use flockslam_sync_manager::Settings;
 use flockslam_sync_manager::flock::{Flock, FlockLayout};
 use support::{Building, Noise, laps, path};
@@ -93,7 +93,7 @@ fn lies_about_how_robots_lie_to_each_other_do_not_act() {
         let pick = |nodes: &[NodeName], share: f64| {
             nodes[(0.5 * (share + 1.0) * (nodes.len() - 1) as f64) as usize].clone()
         };
-        let lie = flockslam_records::Constraint {
+        let lie = Constraint {
             from: pick(&of_a, noise.next()),
             to: pick(&of_b, noise.next()),
             motion: Pose::new(8.0 * noise.next(), 8.0 * noise.next(), 3.0 * noise.next()),
@@ -125,19 +125,12 @@ fn where_robots_are_tied_few_matches_act_that_are_expected_there() {
         ];
         meet(&mut flocks);
         for (at_a, at_b, moved) in told {
-            let constraint = flockslam_records::Constraint {
-                from: node_near(&flocks[1], "a", of_a, of_a[*at_a]).0,
-                to: node_near(&flocks[1], "b", of_b, of_b[*at_b]).0,
-                motion: Pose::IDENTITY,
-                information: [600.0, 0.0, 0.0, 600.0, 0.0, 1e4],
-                reach_m: 0.5,
-                shift_m: 0.0,
-            };
-            let (from, to) = (constraint.from.sequence as usize, constraint.to.sequence as usize);
-            let motion = of_a[from].inverse() * of_b[to] * *moved;
-            flocks[1]
-                .say(&Content::Constraints(vec![flockslam_records::Constraint { motion, ..constraint }]))
-                .unwrap();
+            let from = node_near(&flocks[1], "a", of_a, of_a[*at_a]);
+            let to = node_near(&flocks[1], "b", of_b, of_b[*at_b]);
+            let motion = of_a[from.sequence as usize].inverse() * of_b[to.sequence as usize] * *moved;
+            let information = [600.0, 0.0, 0.0, 600.0, 0.0, 1e4];
+            let constraint = Constraint { from, to, motion, information, reach_m: 0.5, shift_m: 0.0 };
+            flocks[1].say(&Content::Constraints(vec![constraint])).unwrap();
         }
         meet(&mut flocks);
         flocks[0].layout(false)
@@ -152,8 +145,8 @@ fn where_robots_are_tied_few_matches_act_that_are_expected_there() {
     assert_eq!((alone.across, alone.members().len()), ((0, 3), 1), "so few tie nobody");
 }
 
-/// The node of a robot that was nearest to a pose, and where it was.
-fn node_near(flock: &Flock, name: &str, way: &[Pose], pose: Pose) -> (NodeName, Pose) {
+/// The node of a robot that was nearest to a pose.
+fn node_near(flock: &Flock, name: &str, way: &[Pose], pose: Pose) -> NodeName {
     let layout = flock.layout(false);
     let ((robot, epoch), nodes) = layout.nodes.iter().find(|((robot, _), _)| robot.name() == name).unwrap();
     let at = |sequence: u64| way[sequence as usize];
@@ -161,5 +154,5 @@ fn node_near(flock: &Flock, name: &str, way: &[Pose], pose: Pose) -> (NodeName, 
         .iter()
         .min_by(|a, b| at(a.sequence).distance_m(pose).total_cmp(&at(b.sequence).distance_m(pose)));
     let sequence = nearest.unwrap().sequence;
-    (NodeName { robot: robot.clone(), epoch: *epoch, sequence }, at(sequence))
+    NodeName { robot: robot.clone(), epoch: *epoch, sequence }
 }

@@ -14,7 +14,7 @@ const SCANS_MIN: u32 = 30;
 const SCANS_ALONE_MIN: u32 = 8;
 /// Tells the verdict on a closure alone from that on a place.
 const ALONE: u64 = u64::MAX;
-/// Largest share of what both have seen that one of them may deny: what is the same has up to 0.045 with people in it, rooms that only look
+/// Largest share of what both have seen that one of them may deny: what is the same has up to 0.047 with people in it, rooms that only look
 /// alike mostly 0.06 and more.
 const DENIED_MAX: f64 = 0.05;
 /// Another explanation is as good when its share is no more than this multiple of the claimed one's and a little …

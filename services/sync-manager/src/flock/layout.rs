@@ -94,9 +94,8 @@ impl FlockLayout {
 impl Atlas {
     /// Solves the graph from the chains: what ties robots together first, then with all that this leads one to expect.
     pub(super) fn solve(&self, settings: &Settings, inspected: &mut Inspected) -> Solved {
-        let (tied, on_trial) = self.tied(settings, inspected);
+        let (tied, mut more) = self.tied(settings, inspected);
         let mut solved = tied.clone();
-        let mut more = on_trial.clone();
         for _ in 0..EXPECTED_ROUNDS {
             let expected = self.expected(&solved, inspected);
             let known = more.clone();
