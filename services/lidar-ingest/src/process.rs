@@ -19,7 +19,7 @@ use flockslam_bus::{BellRinger, Publisher, ScanPublisher, Subscriber};
 use flockslam_messages::{
     Control, ControlKind, DropReason, LARGE_SCAN_BEAMS, Progress, ScanBuffer, ScanId, Stage,
 };
-use flockslam_stage::{Actor, Mode, Pause, StageContext, StageError, StreamEnd, Turn, run};
+use flockslam_stage::{Actor, Mode, Pause, StageContext, StageError, StreamEnd, Turn, run, step_aside};
 use flockslam_telemetry::{is_sabotaged, monotonic_ns, utc_ns};
 use pacer::Pacer;
 use std::path::PathBuf;
@@ -227,7 +227,7 @@ impl Ingest {
         }
         if context.mode == Mode::Live {
             // Whoever was woken may wait for this very processor: reading the next scan has time.
-            std::thread::yield_now();
+            step_aside();
         }
         if self.announced {
             self.ring_first();

@@ -11,7 +11,7 @@ use flockslam_messages::{
 };
 use flockslam_stage::{
     Acknowledger, Actor, GridReader, JournalReader, JournalWriter, Mode, PendingScans, StageContext,
-    StageError, StreamEnd, Turn, run,
+    StageError, StreamEnd, Turn, run, step_aside,
 };
 use flockslam_telemetry::{is_sabotaged, monotonic_ns};
 use metrics::PoseMetrics;
@@ -365,7 +365,7 @@ impl Actor for Matcher {
         }
         if expects_verdict {
             // The filter may wait for this very processor.
-            std::thread::yield_now();
+            step_aside();
         }
         Ok(any || expects_verdict)
     }

@@ -19,7 +19,7 @@ mod scan_journal;
 mod submap_store;
 mod turn;
 
-pub use actor::{Actor, run};
+pub use actor::{Actor, run, step_aside};
 pub use context::{Mode, StageContext, StageOptions, StopFlag, heartbeat_file, metrics_socket};
 pub use error::StageError;
 pub use flock_status::FlockStatus;
