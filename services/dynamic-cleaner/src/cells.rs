@@ -27,10 +27,7 @@ pub(crate) fn for_each_occupied<H: Deref<Target = Tile>>(
     mut visit: impl FnMut(CellIndex, Point, u32),
 ) {
     let Reach { around, radius_m, wedge } = reach;
-    let corner = |sign: f64| {
-        grid.cell_at(Point::new(around.x_m + sign * radius_m, around.y_m + sign * radius_m)).tile()
-    };
-    let (first, last) = (corner(-1.0), corner(1.0));
+    let (first, last) = corners(grid, around, radius_m);
     let half_diagonal_m = FRAC_1_SQRT_2 * TILE_SIDE as f64 * grid.cell_size_m();
     let mut before = 0_u32;
     for y in first.y..=last.y {
@@ -50,6 +47,41 @@ pub(crate) fn for_each_occupied<H: Deref<Target = Tile>>(
             before = before.saturating_add(TILE_CELLS as u32);
         }
     }
+}
+
+/// Calls `visit` with the middle of each block of cells, of which one is occupied and within `radius_m` of a point, and with how far its
+/// corners are from there.
+pub(crate) fn for_each_occupied_block<H: Deref<Target = Tile>>(
+    grid: &TileGrid<H>,
+    around: Point,
+    radius_m: f64,
+    mut visit: impl FnMut(Point, f64),
+) {
+    let (first, last) = corners(grid, around, radius_m);
+    let block_m = BLOCK as f64 * grid.cell_size_m();
+    let half_diagonal_m = FRAC_1_SQRT_2 * block_m;
+    for key in (first.y..=last.y).flat_map(|y| (first.x..=last.x).map(move |x| TileKey { x, y })) {
+        let Some(tile) = grid.tile(key) else { continue };
+        let corner = grid.center(key.cell(0));
+        for (block, _) in tile.score_quarter.iter().enumerate().filter(|(_, score)| **score > OCCUPIED_SCORE)
+        {
+            // Half a cell and half a block from the middle of the first cell.
+            let along = |blocks: usize| (blocks as f64 + 0.5) * block_m - 0.5 * grid.cell_size_m();
+            let middle = Point::new(corner.x_m + along(block % BLOCKS), corner.y_m + along(block / BLOCKS));
+            let (dx, dy) = (middle.x_m - around.x_m, middle.y_m - around.y_m);
+            if dx * dx + dy * dy <= (radius_m + half_diagonal_m).powi(2) {
+                visit(middle, half_diagonal_m);
+            }
+        }
+    }
+}
+
+/// The tiles around everything within `radius_m` of a point.
+fn corners<H: Deref<Target = Tile>>(grid: &TileGrid<H>, around: Point, radius_m: f64) -> (TileKey, TileKey) {
+    let corner = |sign: f64| {
+        grid.cell_at(Point::new(around.x_m + sign * radius_m, around.y_m + sign * radius_m)).tile()
+    };
+    (corner(-1.0), corner(1.0))
 }
 
 fn visit_tile<H: Deref<Target = Tile>>(

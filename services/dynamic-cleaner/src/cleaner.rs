@@ -1,5 +1,6 @@
 use crate::Settings;
 use crate::cells::{Reach, for_each_occupied};
+use crate::fairness::Share;
 use crate::moving::find_moving;
 use crate::sector::Sector;
 use crate::sector_scan::{Ray, SectorScan};
@@ -127,7 +128,8 @@ impl DynamicCleaner {
         }
     }
 
-    /// Judges the occupied cells of `grid` in a sector by the scan that was begun with.
+    /// Judges the occupied cells of `grid` in a sector by the scan that was begun with. The sectors of a circle begin where they share
+    /// these cells best: sectors of one circle are to be looked at in equal grids.
     pub fn look<H: Deref<Target = Tile>>(
         &mut self,
         scan: ScanView<'_>,
@@ -139,8 +141,11 @@ impl DynamicCleaner {
             return;
         }
         let at = self.odom_from_laser;
+        let share = Share::new(grid, at, self.settings.radius_m, sector.parts());
+        let sector = sector.turned(share.turned);
         if self.settings.method == Method::Beams {
-            let beside_rad = margins(&self.settings, pose).beside_max_rad(grid.cell_size_m());
+            let beside_rad =
+                margins(&self.settings, pose).beside_max_rad(grid.cell_size_m(), share.nearest_m);
             let toward = sector.directions(beside_rad);
             self.sight.look_toward(scan, &Deskew::new(scan, pose.twist), toward);
         }

@@ -4,6 +4,7 @@
 
 mod cells;
 mod cleaner;
+mod fairness;
 mod moving;
 pub mod process;
 #[cfg(test)]

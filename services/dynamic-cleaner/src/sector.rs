@@ -7,7 +7,12 @@ use std::f64::consts::TAU;
 pub struct Sector {
     part: u32,
     parts: u32,
+    /// The circle begins so many [`TURNS`]-ths of a sector away from the lidar's x-axis.
+    turned: u32,
 }
+
+/// Places that the borders of sectors can have.
+pub(crate) const TURNS: u32 = 8;
 
 /// A sector at its place.
 #[derive(Clone, Copy, Debug)]
@@ -20,27 +25,40 @@ pub(crate) struct Wedge {
 
 impl Sector {
     /// The whole circle.
-    pub const WHOLE: Self = Self { part: 0, parts: 1 };
+    pub const WHOLE: Self = Self { part: 0, parts: 1, turned: 0 };
 
     /// Number `part` (from 0) of `parts` sectors; the first begins at the lidar's x-axis.
     pub fn new(part: u32, parts: u32) -> Self {
         assert!(part < parts, "a sector is one of its circle");
-        Self { part, parts }
+        Self { part, parts, turned: 0 }
+    }
+
+    /// How many there are.
+    pub(crate) fn parts(self) -> u32 {
+        self.parts
+    }
+
+    /// The same of a circle that begins so many [`TURNS`]-ths of a sector further.
+    pub(crate) fn turned(self, turned: u32) -> Self {
+        Self { turned, ..self }
+    }
+
+    /// Where sector `number` begins, as a share of the circle from the lidar's x-axis on.
+    fn beginning(self, number: u32) -> f64 {
+        (f64::from(number) + f64::from(self.turned) / f64::from(TURNS)) / f64::from(self.parts)
     }
 
     /// Directions in the laser frame that lie in it or up to `beside_rad` beside it.
     pub(crate) fn directions(self, beside_rad: f64) -> Directions {
-        let part_rad = TAU / f64::from(self.parts);
-        let middle_rad = (f64::from(self.part) + 0.5) * part_rad;
-        Directions { middle_rad, half_rad: 0.5 * part_rad + beside_rad }
+        let half_rad = 0.5 * TAU / f64::from(self.parts);
+        Directions { middle_rad: TAU * self.beginning(self.part) + half_rad, half_rad: half_rad + beside_rad }
     }
 
     /// The sector of a lidar at this pose.
     pub(crate) fn wedge(self, laser: Pose) -> Wedge {
         // Neighbours work out the border that they share in the same way.
         let border = |number: u32| {
-            let share = f64::from(number % self.parts) / f64::from(self.parts);
-            let (sin, cos) = (laser.heading_rad + TAU * share).sin_cos();
+            let (sin, cos) = (laser.heading_rad + TAU * self.beginning(number % self.parts)).sin_cos();
             Point::new(cos, sin)
         };
         // Two halves have one line between them, whose ends may not agree to the last digit.
@@ -83,10 +101,10 @@ mod tests {
     proptest! {
         #[test]
         fn every_point_is_of_one_sector(
-            x in -20.0..20.0_f64, y in -20.0..20.0_f64, heading in -4.0..4.0_f64, parts in 1_u32..9,
+            x in -20.0..20.0_f64, y in -20.0..20.0_f64, heading in -4.0..4.0_f64, parts in 1_u32..9, turned in 0..TURNS,
         ) {
             let laser = Pose::new(1.0, -3.0, heading);
-            let sectors = (0..parts).map(|part| Sector::new(part, parts).wedge(laser));
+            let sectors = (0..parts).map(|part| Sector::new(part, parts).turned(turned).wedge(laser));
             prop_assert_eq!(sectors.filter(|wedge| wedge.has(Point::new(x, y))).count(), 1);
         }
 

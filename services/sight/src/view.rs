@@ -1,5 +1,4 @@
 use crate::Sight;
-use crate::sight::SPACING_MAX_RAD;
 use flockslam_geometry::{Point, Pose};
 use std::f64::consts::SQRT_2;
 
@@ -39,9 +38,11 @@ pub struct Margins {
 }
 
 impl Margins {
-    /// No beam farther beside a cell of this size than so much is looked at, radians, wherever the cell lies.
-    pub fn beside_max_rad(&self, cell_size_m: f64) -> f64 {
-        (SQRT_2 * 0.5 * cell_size_m + self.beside_m) / NEAR_M + SPACING_MAX_RAD + self.beside_rad
+    /// Of a cell of this size no beam is looked at that goes farther beside it than so much and the angle between two beams, radians, if
+    /// the cell is no nearer than `nearest_m`.
+    pub fn beside_max_rad(&self, cell_size_m: f64, nearest_m: f64) -> f64 {
+        let beside_m = (SQRT_2 * 0.5 * cell_size_m + self.beside_m).max(PASSED_CELLS * cell_size_m);
+        beside_m / nearest_m.max(NEAR_M) + self.beside_rad
     }
 }
 
