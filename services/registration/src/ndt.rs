@@ -72,6 +72,8 @@ const STEP_MAX: f64 = 0.3;
 const HALVINGS_MAX: u32 = 6;
 /// A shorter way has no direction, metres.
 const TRAVEL_MIN_M: f64 = 0.05;
+/// A point so many standard deviations away, squared, says nothing: less than 1e-9.
+const FAR: f64 = 41.4;
 /// Below this step, metres, the search has converged.
 const STEP_MIN: f64 = 1e-4;
 
@@ -96,6 +98,12 @@ impl Expected {
     pub fn at(pose: Pose) -> Self {
         Self { pose, from: None }
     }
+}
+
+/// The distributions of the four cells that a block is part of.
+struct Cells {
+    block: CellIndex,
+    normals: [Option<Normal>; 4],
 }
 
 /// Cost of a pose with gradient and Hessian, divided by the number of points and grids.
@@ -250,24 +258,27 @@ impl Ndt {
         let blurs = settings.bearing_sigma_rad > 0.0;
         let (mut cost, mut hits) = (0.0, 0);
         let (mut gradient, mut hessian) = (Vector3::zeros(), Matrix3::zeros());
+        // Neighbouring points mostly lie in the same cells.
+        let mut cells = Cells { block: CellIndex::new(i32::MIN, i32::MIN), normals: [None; 4] };
         for point in points {
             let turned = Vector2::new(cos * point.x_m - sin * point.y_m, sin * point.x_m + cos * point.y_m);
             let end = turned + Vector2::new(pose.x_m, pose.y_m);
             let blur = Vector2::new(-turned.y, turned.x) * settings.bearing_sigma_rad;
             let block = sides.block_of(Point::new(end.x, end.y));
-            for (x, y) in [(-1, -1), (0, -1), (-1, 0), (0, 0)] {
-                let corner = CellIndex::new(block.x.wrapping_add(x), block.y.wrapping_add(y));
-                let Some(normal) = self.cell(settings, field, sides, corner) else { continue };
+            if block != cells.block {
+                cells = self.cells_at(settings, field, sides, block);
+            }
+            for normal in cells.normals.iter().flatten() {
                 hits += 1;
                 let q = end - normal.mean;
-                let inverse = if blurs { normal.inverse_with(blur) } else { normal.inverse };
-                let weighted = inverse * q;
-                let likelihood = (-0.5 * q.dot(&weighted)).exp();
-                if likelihood < 1e-9 {
+                let away = normal.away(q, blur);
+                if away.squared > FAR {
                     continue;
                 }
+                let likelihood = (-0.5 * away.squared).exp();
                 cost -= likelihood;
-                add_derivatives(&mut gradient, &mut hessian, turned, weighted, &inverse, likelihood);
+                let inverse = if blurs { normal.inverse_with(blur) } else { normal.inverse };
+                add_derivatives(&mut gradient, &mut hessian, turned, away.weighted, &inverse, likelihood);
             }
         }
         let share = 1.0 / (4 * points.len().max(1)) as f64;
@@ -275,6 +286,21 @@ impl Ndt {
             Terms { cost: cost * share, gradient: gradient * share, hessian: hessian * share, hits };
         terms.pull(settings, expected, pose);
         terms
+    }
+
+    /// The cells that a block is part of.
+    fn cells_at<F: ScoreField>(
+        &mut self,
+        settings: &NdtSettings,
+        field: &F,
+        sides: Sides,
+        block: CellIndex,
+    ) -> Cells {
+        let normals = [(-1, -1), (0, -1), (-1, 0), (0, 0)].map(|(x, y)| {
+            let corner = CellIndex::new(block.x.wrapping_add(x), block.y.wrapping_add(y));
+            self.cell(settings, field, sides, corner)
+        });
+        Cells { block, normals }
     }
 
     /// The distribution of the 2 × 2 blocks whose lower left one is `corner`.
@@ -346,6 +372,7 @@ fn place(at: CellIndex) -> usize {
 }
 
 /// Adds what one point and one cell contribute: `turned` is the point turned into the field's axes, `weighted` is S⁻¹q.
+#[inline]
 fn add_derivatives(
     gradient: &mut Vector3<f64>,
     hessian: &mut Matrix3<f64>,

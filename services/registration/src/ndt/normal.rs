@@ -82,8 +82,27 @@ pub(super) struct Normal {
     pub(super) inverse: Matrix2<f64>,
 }
 
+/// How far a point is from the mean, by the covariance of both.
+pub(super) struct Away {
+    /// Inverse covariance times the way.
+    pub(super) weighted: Vector2<f64>,
+    /// Standard deviations, squared.
+    pub(super) squared: f64,
+}
+
 impl Normal {
+    /// How far a point is that is `q` from the mean and blurred along `blur`, metres (one standard deviation).
+    #[inline]
+    pub(super) fn away(&self, q: Vector2<f64>, blur: Vector2<f64>) -> Away {
+        // As in `inverse_with`, without the matrix: most points are far from most means.
+        let (across, straight) = (self.inverse * blur, self.inverse * q);
+        let share = blur.dot(&straight) / (1.0 + blur.dot(&across));
+        let weighted = straight - across * share;
+        Away { weighted, squared: q.dot(&weighted) }
+    }
+
     /// Inverse covariance of the distance from the mean to a point that is blurred along `blur`, metres (one standard deviation).
+    #[inline]
     pub(super) fn inverse_with(&self, blur: Vector2<f64>) -> Matrix2<f64> {
         // Sherman and Morrison 1950.
         let weighted = self.inverse * blur;
