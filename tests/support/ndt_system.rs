@@ -85,19 +85,41 @@ pub fn ndt_cost_ms(experiment: &Experiment) -> [f64; 3] {
     times.map(|seconds| 1e3 * seconds / f64::from(rounds) / experiment.scans.len() as f64)
 }
 
-/// Each of the moves between scans as the profile finds it, against the true one: metres and degrees.
-pub fn ndt_errors(experiment: &Experiment) -> Vec<(f64, f64)> {
+/// How far off a move between two scans is.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct MoveError {
+    /// Its length, metres, and its turn, degrees: what the published table gives of a move.
+    pub way_m: f64,
+    pub turn_deg: f64,
+    /// Its end as the pose before sees it, metres: an error of that one's heading counts with the length of the move.
+    pub end_m: f64,
+}
+
+impl MoveError {
+    /// The worst of both, figure by figure.
+    pub fn max(self, other: Self) -> Self {
+        Self {
+            way_m: self.way_m.max(other.way_m),
+            turn_deg: self.turn_deg.max(other.turn_deg),
+            end_m: self.end_m.max(other.end_m),
+        }
+    }
+}
+
+/// Each of the moves between scans as the profile finds it, against the true one.
+pub fn ndt_errors(experiment: &Experiment) -> Vec<MoveError> {
     let mut system = NdtSystem::new(&Configuration::of_profile(Profile::Ndt));
     let poses: Vec<Pose> = experiment.scans.iter().map(|scan| system.step(scan)).collect();
     errors(&poses, &experiment.truth)
 }
 
-/// Each of the moves as it was found, against the true one: metres and degrees.
-pub fn errors(poses: &[Pose], truth: &[Pose]) -> Vec<(f64, f64)> {
+/// Each of the moves as it was found, against the true one.
+pub fn errors(poses: &[Pose], truth: &[Pose]) -> Vec<MoveError> {
     let moves = |poses: &[Pose]| poses.windows(2).map(|pair| pair[0].to(pair[1])).collect::<Vec<_>>();
-    let off = |(found, wanted): (Pose, Pose)| {
-        let turn_rad = wrap_angle(found.heading_rad - wanted.heading_rad).abs();
-        (found.distance_m(wanted), turn_rad.to_degrees())
+    let off = |(found, wanted): (Pose, Pose)| MoveError {
+        way_m: (found.position().norm_m() - wanted.position().norm_m()).abs(),
+        turn_deg: wrap_angle(found.heading_rad - wanted.heading_rad).abs().to_degrees(),
+        end_m: found.distance_m(wanted),
     };
     moves(poses).into_iter().zip(moves(truth)).map(off).collect()
 }

@@ -95,14 +95,15 @@ impl Deskew {
 /// The angle of (x, y), radians; quick where it is small, as it is for beams that end far away compared with the way of the lidar.
 #[inline]
 fn small_atan2(y: f64, x: f64) -> f64 {
-    if !(y.abs() < SMALL_SLOPE * x) {
-        return y.atan2(x);
+    if y.abs() < SMALL_SLOPE * x {
+        // The series; what it lacks is below what numbers hold.
+        let slope = y / x;
+        let s = slope * slope;
+        let tail = s * (1.0 / 9.0 - s * (1.0 / 11.0 - s * (1.0 / 13.0)));
+        slope * (1.0 - s * (1.0 / 3.0 - s * (1.0 / 5.0 - s * (1.0 / 7.0 - tail))))
+    } else {
+        y.atan2(x)
     }
-    // The series; what it lacks is below what numbers hold.
-    let slope = y / x;
-    let s = slope * slope;
-    let tail = s * (1.0 / 9.0 - s * (1.0 / 11.0 - s * (1.0 / 13.0)));
-    slope * (1.0 - s * (1.0 / 3.0 - s * (1.0 / 5.0 - s * (1.0 / 7.0 - tail))))
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! Which cells of the finished map stand occupied although scans have looked through them since: what is known at the end, when
 //! all scans have their final poses, and was not when they were taken.
 
+use crate::ends::Ends;
 use flockslam_evidence::{CellIndex, FusedMap, TILE_SIDE, TileKey, floor};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{Deskew, ScanView};
@@ -11,12 +12,16 @@ use std::collections::BTreeMap;
 const REACH_M: f64 = 12.0;
 /// What stands this near to a cell that beams pass may be what was seen in it, cells.
 const NEAR_CELLS: i32 = 2;
+/// A beam passes a cell if it ends so far behind it, metres.
+const PASSED_BEHIND_M: f64 = 0.3;
 /// So many views through a cell, since it was last seen to stand, say that it is free …
-const VIEWS: u8 = 3;
+pub(crate) const VIEWS: u8 = 3;
 /// … or so many beams that pass it, when something else stands near: then no wall gets a hole …
 const PASSES: u8 = 2;
+/// … or so many beams from different places, whatever stands near …
+const PLACES: u8 = 3;
 /// … each at least so long after the one before, nanoseconds.
-const APART_NS: u64 = 300_000_000;
+pub(crate) const APART_NS: u64 = 300_000_000;
 /// Scans that look through more than this share of what they judge lie in the wrong place.
 const CONTRADICTED_MAX: f64 = 0.2;
 /// Final poses of scans are known this well among each other.
@@ -30,6 +35,8 @@ pub struct Hindsight {
     cell_size_m: f64,
     tiles: BTreeMap<TileKey, Vec<Watched>>,
     sight: Sight,
+    /// Where beams of the present scan end.
+    ends: Ends,
     /// Cells that a beam of the present scan passes, and whether all beams near do.
     through: Vec<(TileKey, usize, bool)>,
 }
@@ -42,6 +49,8 @@ struct Watched {
     views: u8,
     /// By any scans.
     passes: u8,
+    /// By scans from different places.
+    places: u8,
     last_ns: i64,
 }
 
@@ -50,8 +59,13 @@ impl Hindsight {
     pub fn new(map: &FusedMap) -> Self {
         let occupied = |key: TileKey, cells: &[flockslam_evidence::Cell]| {
             let occupied = cells.iter().enumerate().filter(|(_, cell)| cell.occupied > cell.free);
-            let watch =
-                |(offset, _)| Watched { cell: key.cell(offset), views: 0, passes: 0, last_ns: i64::MIN };
+            let watch = |(offset, _)| Watched {
+                cell: key.cell(offset),
+                views: 0,
+                passes: 0,
+                places: 0,
+                last_ns: i64::MIN,
+            };
             occupied.map(watch).collect::<Vec<_>>()
         };
         let tiles = map.tiles().map(|(key, cells)| (key, occupied(key, cells)));
@@ -59,14 +73,16 @@ impl Hindsight {
             cell_size_m: map.cell_size_m(),
             tiles: tiles.filter(|(_, watched)| !watched.is_empty()).collect(),
             sight: Sight::new(),
+            ends: Ends::new(map.cell_size_m(), NEAR_CELLS),
             through: Vec::new(),
         }
     }
 
-    /// Takes in a scan at its final pose; in the order in which they were taken.
-    pub fn look(&mut self, scan: ScanView<'_>, deskew: &Deskew, map_from_base: Pose) {
+    /// Takes in a scan at its final pose, which counts as so many views; in the order in which they were taken.
+    pub fn look(&mut self, scan: ScanView<'_>, deskew: &Deskew, map_from_base: Pose, views: u8) {
         let map_from_laser = map_from_base * scan.header().base_from_laser;
         self.sight.look(scan, deskew);
+        self.ends.look(scan, deskew, map_from_base, map_from_laser.position());
         let view = View::new(&self.sight, map_from_laser, self.cell_size_m, MARGINS);
         let (at, size_m) = (map_from_laser.position(), self.cell_size_m);
         let tile = |metres: f64| floor(metres / (size_m * TILE_SIDE as f64));
@@ -81,32 +97,40 @@ impl Hindsight {
                 if center.distance_m(at) > REACH_M {
                     continue;
                 }
+                let is_end_near = self.ends.is_near(watched.cell);
+                if is_end_near {
+                    (watched.passes, watched.places) = (0, 0);
+                }
                 match view.judge(center) {
                     Finding::SeenThrough => {
                         seen_through += 1;
                         self.through.push((key, place, true));
+                        continue;
                     }
-                    Finding::Passed => self.through.push((key, place, false)),
                     Finding::Supported | Finding::Touched => {
                         supported += 1;
-                        (watched.views, watched.passes) = (0, 0);
+                        watched.views = 0;
                     }
-                    Finding::Open => (),
+                    Finding::Passed | Finding::Open => (),
+                }
+                if !is_end_near && view.is_passed(center, PASSED_BEHIND_M) {
+                    self.through.push((key, place, false));
                 }
             }
         }
         let judged = f64::from(seen_through + supported);
         if f64::from(seen_through) <= CONTRADICTED_MAX * judged {
-            self.count(scan.header().times.sensor_ns);
+            self.count(scan.header().times.sensor_ns, views);
         }
     }
 
-    fn count(&mut self, now_ns: i64) {
+    fn count(&mut self, now_ns: i64, views: u8) {
         for (key, place, is_clear) in &self.through {
             let watched = self.tiles.get_mut(key).map(|tile| &mut tile[*place]);
             if let Some(watched) = watched.filter(|watched| now_ns.abs_diff(watched.last_ns) >= APART_NS) {
-                watched.views = watched.views.saturating_add(u8::from(*is_clear));
-                watched.passes = watched.passes.saturating_add(1);
+                watched.views = watched.views.saturating_add(views * u8::from(*is_clear));
+                watched.passes = watched.passes.saturating_add(views);
+                watched.places = watched.places.saturating_add(1);
                 watched.last_ns = now_ns;
             }
         }
@@ -116,7 +140,9 @@ impl Hindsight {
     /// if something else stands near, so that no wall gets a hole.
     pub fn free(&self) -> Vec<CellIndex> {
         let is_free = |watched: &&Watched| {
-            watched.views >= VIEWS || (watched.passes >= PASSES && self.something_stands_near(watched.cell))
+            watched.views >= VIEWS
+                || watched.places >= PLACES
+                || (watched.passes >= PASSES && self.something_stands_near(watched.cell))
         };
         self.tiles.values().flatten().filter(is_free).map(|watched| watched.cell).collect()
     }
@@ -218,7 +244,7 @@ mod tests {
     fn look(hindsight: &mut Hindsight, number: i64, column: bool, displaced: Pose) {
         let scan = scan(number, pose(number), column);
         let view = scan.view().unwrap();
-        hindsight.look(view, &Deskew::new(view, Twist::default()), displaced * pose(number));
+        hindsight.look(view, &Deskew::new(view, Twist::default()), displaced * pose(number), 1);
     }
 
     #[test]

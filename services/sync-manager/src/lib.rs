@@ -13,6 +13,7 @@ mod closure;
 mod coverage;
 mod dense;
 mod edge;
+mod ends;
 mod fields;
 pub mod flock;
 mod fuse;

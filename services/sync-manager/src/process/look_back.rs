@@ -2,10 +2,10 @@
 
 use crate::PlacedSubmap;
 use crate::fuse::Fuser;
-use crate::hindsight::Hindsight;
+use crate::hindsight::{APART_NS, Hindsight, VIEWS};
 use flockslam_messages::Deskew;
 use flockslam_stage::flock_files::NamedPose;
-use flockslam_stage::{JournalReader, StageContext, StageError};
+use flockslam_stage::{JournalReader, Journaled, StageContext, StageError};
 
 /// Of more accepted scans than this only some are looked at, evenly spread: the work is bounded.
 const SCANS_MAX: u64 = 20_000;
@@ -26,21 +26,45 @@ pub(super) fn look_back(
     let every = accepted.div_ceil(SCANS_MAX).max(1);
     let mut journal = JournalReader::open(&context.journal_dir)?;
     let (mut number, mut next) = (0, 0);
+    // The scan that was read last, with its place: how long it stood for what was seen is known when the next one is read.
+    let mut held: Option<(Journaled, usize)> = None;
+    let mut look = |record: &Journaled, rows: &[NamedPose]| {
+        if let Some(scan) = record.scan.as_ref().and_then(|scan| scan.view().ok()) {
+            hindsight.look(scan, &Deskew::new(scan, record.pose.twist), rows[0].pose, views(rows));
+        }
+    };
     while let Some(record) = journal.read_next()? {
         context.alive();
-        let (Some(scan), sequence) = (&record.scan, record.pose.id.sequence) else { continue };
+        let sequence = record.pose.id.sequence;
+        if record.scan.is_none() {
+            continue;
+        }
         number += 1;
         let in_map = layout.binary_search_by_key(&record.pose.submap, |placed| placed.number).is_ok();
         if number % every != 0 || !in_map || sequence < next {
             continue;
         }
         next = sequence + 1;
-        let place = scans.binary_search_by_key(&sequence, |row| row.sequence);
-        if let (Ok(place), Ok(scan)) = (place, scan.view()) {
-            hindsight.look(scan, &Deskew::new(scan, record.pose.twist), scans[place].pose);
+        let Ok(place) = scans.binary_search_by_key(&sequence, |row| row.sequence) else { continue };
+        if let Some((before, at)) = held.replace((record, place)) {
+            look(&before, &scans[at..place]);
         }
+    }
+    if let Some((last, at)) = held {
+        look(&last, &scans[at..]);
     }
     let free = hindsight.free();
     tracing::debug!(cells = free.len(), scans = number, "looked back");
     fuser.clear(&free, layout)
+}
+
+/// As how many views a scan counts that stands for all of these: scans that showed about the same are not in the journal.
+fn views(scans: &[NamedPose]) -> u8 {
+    let mut last_ns = scans[0].stamp_ns;
+    let mut is_apart = |scan: &&NamedPose| {
+        let is_apart = scan.stamp_ns.saturating_sub(last_ns) >= APART_NS as i64;
+        last_ns = if is_apart { scan.stamp_ns } else { last_ns };
+        is_apart
+    };
+    1 + scans.iter().filter(|scan| is_apart(scan)).take(usize::from(VIEWS) - 1).count() as u8
 }
