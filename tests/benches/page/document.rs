@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 
 /// The sections of the page in their order: the name by which `--only` knows them, and the heading.
-pub const SECTIONS: [(&str, &str); 12] = [
+pub const SECTIONS: [(&str, &str); 13] = [
     ("machine", "Machine"),
     ("accuracy", "Accuracy"),
     ("strategies", "Strategies"),
@@ -13,6 +13,7 @@ pub const SECTIONS: [(&str, &str); 12] = [
     ("small-computer", "Estimate for a Raspberry Pi 3B+"),
     ("worlds", "Simulated worlds"),
     ("moving", "Moving world"),
+    ("movers", "Ghosts, tracks and the published experiment"),
     ("long-run", "Long run"),
 ];
 

@@ -83,7 +83,8 @@ pub fn generate<E>(plan: &Plan, page: &mut Page, keep: impl Fn(&Page) -> Result<
             "separation" => separation::section(&mut bench),
             "small-computer" => small_computer::section(&mut bench),
             "worlds" => worlds::section(&mut bench),
-            "moving" => moving::section(&mut bench),
+            "moving" => moving::worlds(&mut bench),
+            "movers" => moving::movers(&mut bench),
             "long-run" => long_run::section(),
             other => unreachable!("{other} is not a section"),
         };

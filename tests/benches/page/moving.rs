@@ -25,15 +25,16 @@ const WALKERS: [u32; 2] = [2, 20];
 const LOGS: [(&str, &str); 2] = [("fhw-corrected", "people/fhw-corrected.log"), ("ACES", "aces/aces.clf")];
 const PROFILES: [&str; 2] = ["default", "vinyslam"];
 
-/// What moves: maps without its traces, its tracks, the published experiment, and what it costs.
-pub fn section(bench: &mut Bench) -> String {
-    let seeds = if bench.plan.patient { SEEDS } else { 1 };
+/// What moves: ghosts on real logs, its tracks, the published experiment, and what it costs.
+pub fn movers(bench: &mut Bench) -> String {
     let data = bench.plan.data.clone();
     let logs = data.map_or_else(String::new, |data| real_logs(&data));
-    [worlds(seeds), logs, tracks(DRIVES), experiment(), cleaning()].join("\n")
+    [logs, tracks(DRIVES), experiment(), cleaning()].join("\n")
 }
 
-fn worlds(seeds: u64) -> String {
+/// Maps of moving worlds without the traces of what moves.
+pub fn worlds(bench: &mut Bench) -> String {
+    let seeds = if bench.plan.patient { SEEDS } else { 1 };
     let mut table = Table::new([
         "building",
         "walkers",
