@@ -95,17 +95,6 @@ impl<'a> View<'a> {
         Finding::Open
     }
 
-    /// Whether a beam goes through the cell with its centre at `center`, or along its edge, and ends so far behind it, whatever others
-    /// do.
-    pub fn is_passed(&self, center: Point, behind_m: f64) -> bool {
-        let (dx, dy) = (center.x_m - self.from_laser.x_m, center.y_m - self.from_laser.y_m);
-        let distance_m = (dx * dx + dy * dy).sqrt();
-        let direction_rad = dy.atan2(dx) - self.from_laser.heading_rad;
-        distance_m >= NEAR_M
-            && self.sight.range_m(direction_rad) > distance_m + behind_m
-            && self.sight.beam_goes(direction_rad, SQRT_2 * 0.5 * self.cell_size_m / distance_m)
-    }
-
     /// Whether a beam goes through a cell, and it and all beside it end beyond.
     fn all_pass(&self, direction_rad: f64, distance_m: f64, beyond_m: f64) -> bool {
         let half_width_rad = 0.5 * self.cell_size_m / distance_m;

@@ -1,7 +1,7 @@
 //! Which cells of the finished map stand occupied although scans have looked through them since: what is known at the end, when
 //! all scans have their final poses, and was not when they were taken.
 
-use crate::ends::Ends;
+use crate::rays::Rays;
 use flockslam_evidence::{CellIndex, FusedMap, TILE_SIDE, TileKey, floor};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{Deskew, ScanView};
@@ -16,10 +16,10 @@ const NEAR_CELLS: i32 = 2;
 const PASSED_BEHIND_M: f64 = 0.3;
 /// So many views through a cell, since it was last seen to stand, say that it is free …
 pub(crate) const VIEWS: u8 = 3;
-/// … or so many beams that pass it, when something else stands near: then no wall gets a hole …
+/// … or as many of beams through it alone, while none ends near, from so many places …
+const PLACES: u8 = 2;
+/// … or so many of them from anywhere, when something else stands near: then no wall gets a hole …
 const PASSES: u8 = 2;
-/// … or so many beams from different places, whatever stands near …
-const PLACES: u8 = 3;
 /// … each at least so long after the one before, nanoseconds.
 pub(crate) const APART_NS: u64 = 300_000_000;
 /// Scans that look through more than this share of what they judge lie in the wrong place.
@@ -35,8 +35,8 @@ pub struct Hindsight {
     cell_size_m: f64,
     tiles: BTreeMap<TileKey, Vec<Watched>>,
     sight: Sight,
-    /// Where beams of the present scan end.
-    ends: Ends,
+    /// Beams of the present scan.
+    rays: Rays,
     /// Cells that a beam of the present scan passes, and whether all beams near do.
     through: Vec<(TileKey, usize, bool)>,
 }
@@ -73,7 +73,7 @@ impl Hindsight {
             cell_size_m: map.cell_size_m(),
             tiles: tiles.filter(|(_, watched)| !watched.is_empty()).collect(),
             sight: Sight::new(),
-            ends: Ends::new(map.cell_size_m(), NEAR_CELLS),
+            rays: Rays::new(map.cell_size_m(), REACH_M, PASSED_BEHIND_M, NEAR_CELLS),
             through: Vec::new(),
         }
     }
@@ -82,7 +82,7 @@ impl Hindsight {
     pub fn look(&mut self, scan: ScanView<'_>, deskew: &Deskew, map_from_base: Pose, views: u8) {
         let map_from_laser = map_from_base * scan.header().base_from_laser;
         self.sight.look(scan, deskew);
-        self.ends.look(scan, deskew, map_from_base, map_from_laser.position());
+        self.rays.look(scan, deskew, map_from_base, map_from_laser.position());
         let view = View::new(&self.sight, map_from_laser, self.cell_size_m, MARGINS);
         let (at, size_m) = (map_from_laser.position(), self.cell_size_m);
         let tile = |metres: f64| floor(metres / (size_m * TILE_SIDE as f64));
@@ -97,7 +97,7 @@ impl Hindsight {
                 if center.distance_m(at) > REACH_M {
                     continue;
                 }
-                let is_end_near = self.ends.is_near(watched.cell);
+                let is_end_near = self.rays.is_end_near(watched.cell);
                 if is_end_near {
                     (watched.passes, watched.places) = (0, 0);
                 }
@@ -113,7 +113,7 @@ impl Hindsight {
                     }
                     Finding::Passed | Finding::Open => (),
                 }
-                if !is_end_near && view.is_passed(center, PASSED_BEHIND_M) {
+                if !is_end_near && self.rays.is_crossed(watched.cell) {
                     self.through.push((key, place, false));
                 }
             }
@@ -141,7 +141,7 @@ impl Hindsight {
     pub fn free(&self) -> Vec<CellIndex> {
         let is_free = |watched: &&Watched| {
             watched.views >= VIEWS
-                || watched.places >= PLACES
+                || (watched.passes >= VIEWS && watched.places >= PLACES)
                 || (watched.passes >= PASSES && self.something_stands_near(watched.cell))
         };
         self.tiles.values().flatten().filter(is_free).map(|watched| watched.cell).collect()
