@@ -1,11 +1,13 @@
 mod normal;
+mod terms;
 
 use crate::field::{ScoreField, ScoreRead};
 use flockslam_evidence::{CellIndex, Level, floor};
-use flockslam_geometry::{Point, Pose, wrap_angle};
-use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use flockslam_geometry::{Point, Pose};
+use nalgebra::{Matrix3, Vector2, Vector3};
 use normal::{Moments, Normal};
 use serde::{Deserialize, Serialize};
+use terms::{Terms, add_derivatives, newton_step};
 
 /// Settings of [`Ndt`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -64,14 +66,8 @@ pub struct Ndt {
 
 /// Side of the tables that blocks and cells are kept in; a place that is taken is made anew, so any size is right.
 const TABLE_SIDE: i32 = 128;
-/// Smallest eigenvalue of the Hessian, share of the largest, below which it is lifted.
-const EIGENVALUE_MIN: f64 = 1e-3;
-/// Longest step, metres and (scaled) radians.
-const STEP_MAX: f64 = 0.3;
 /// Halvings of a step that does not lower the cost.
 const HALVINGS_MAX: u32 = 6;
-/// A shorter way has no direction, metres.
-const TRAVEL_MIN_M: f64 = 0.05;
 /// A point so many standard deviations away, squared, says nothing: less than 1e-9.
 const FAR: f64 = 41.4;
 /// Below this step, metres, the search has converged.
@@ -104,42 +100,6 @@ impl Expected {
 struct Cells {
     block: CellIndex,
     normals: [Option<Normal>; 4],
-}
-
-/// Cost of a pose with gradient and Hessian, divided by the number of points and grids.
-struct Terms {
-    cost: f64,
-    gradient: Vector3<f64>,
-    hessian: Matrix3<f64>,
-    hits: usize,
-}
-
-impl Terms {
-    /// Adds what a pose costs that is not as expected.
-    fn pull(&mut self, settings: &NdtSettings, expected: Expected, pose: Pose) {
-        let Expected { pose: prediction, from } = expected;
-        let missed = Vector3::new(
-            pose.x_m - prediction.x_m,
-            pose.y_m - prediction.y_m,
-            wrap_angle(pose.heading_rad - prediction.heading_rad),
-        );
-        let prior = Vector3::new(settings.prior_xy, settings.prior_xy, settings.prior_heading);
-        let pulled = prior.component_mul(&missed);
-        self.cost += 0.5 * pulled.dot(&missed);
-        self.gradient += pulled;
-        self.hessian += Matrix3::from_diagonal(&prior);
-        let Some(from) = from else { return };
-        let (travelled, expected_m) =
-            (pose.position().distance_m(from), prediction.position().distance_m(from));
-        if travelled < TRAVEL_MIN_M || expected_m < TRAVEL_MIN_M {
-            return;
-        }
-        let along = Vector3::new(pose.x_m - from.x_m, pose.y_m - from.y_m, 0.0) / travelled;
-        let (too_far, weight) = (travelled - expected_m, settings.prior_travel);
-        self.cost += 0.5 * weight * too_far * too_far;
-        self.gradient += along * (weight * too_far);
-        self.hessian += along * along.transpose() * weight;
-    }
 }
 
 /// Sides of a block and of a grid cell.
@@ -371,56 +331,12 @@ fn place(at: CellIndex) -> usize {
     ((at.y & (TABLE_SIDE - 1)) * TABLE_SIDE + (at.x & (TABLE_SIDE - 1))) as usize
 }
 
-/// Adds what one point and one cell contribute: `turned` is the point turned into the field's axes, `weighted` is S⁻¹q.
-#[inline]
-fn add_derivatives(
-    gradient: &mut Vector3<f64>,
-    hessian: &mut Matrix3<f64>,
-    turned: Vector2<f64>,
-    weighted: Vector2<f64>,
-    inverse: &Matrix2<f64>,
-    likelihood: f64,
-) {
-    let turning = Vector2::new(-turned.y, turned.x);
-    let slopes = Vector3::new(weighted.x, weighted.y, weighted.dot(&turning));
-    let across = inverse * turning;
-    let mut curvature = Matrix3::new(
-        inverse[(0, 0)],
-        inverse[(0, 1)],
-        across.x,
-        inverse[(1, 0)],
-        inverse[(1, 1)],
-        across.y,
-        across.x,
-        across.y,
-        // d²q/dφ² is the turned point, reversed.
-        turning.dot(&across) - weighted.dot(&turned),
-    );
-    curvature -= slopes * slopes.transpose();
-    *gradient += slopes * likelihood;
-    *hessian += curvature * likelihood;
-}
-
-/// Newton's step with the Hessian lifted until it is safely positive, bounded in length.
-fn newton_step(terms: &Terms, scale: Vector3<f64>) -> Option<Vector3<f64>> {
-    let scaling = Matrix3::from_diagonal(&scale);
-    let mut hessian = scaling * terms.hessian * scaling;
-    let eigenvalues = hessian.symmetric_eigenvalues();
-    let (least, most) = (eigenvalues.min(), eigenvalues.abs().max());
-    if least < EIGENVALUE_MIN * most {
-        hessian += Matrix3::identity() * (EIGENVALUE_MIN * most - least);
-    }
-    let step = -hessian.cholesky()?.solve(&scale.component_mul(&terms.gradient));
-    let length = step.norm();
-    let bounded = if length > STEP_MAX { step * (STEP_MAX / length) } else { step };
-    Some(scale.component_mul(&bounded))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::consistency::{self, Noise, World};
     use crate::room;
+    use nalgebra::Matrix2;
 
     #[test]
     fn finds_the_pose_from_a_prediction_that_is_off() {
