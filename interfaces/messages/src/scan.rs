@@ -118,7 +118,6 @@ impl<'a> ScanView<'a> {
     }
 
     /// Number of beams.
-    #[inline]
     pub fn len(&self) -> usize {
         self.header.beam_count as usize
     }
@@ -139,7 +138,6 @@ impl<'a> ScanView<'a> {
     }
 
     /// Direction of beam `i` in the laser frame, radians.
-    #[inline]
     pub fn angle_rad(&self, i: usize) -> f64 {
         match self.section(ScanSections::ANGLES) {
             Some(angles) => f64::from(angles[i]),
@@ -147,34 +145,12 @@ impl<'a> ScanView<'a> {
         }
     }
 
-    /// Whether neighbouring beams are everywhere equally far apart.
-    #[inline]
-    pub fn has_even_angles(&self) -> bool {
-        self.header.sections & ScanSections::ANGLES == 0
-    }
-
     /// Seconds from the stamp to beam `i`.
-    #[inline]
     pub fn time_s(&self, i: usize) -> f64 {
         match self.section(ScanSections::TIMES) {
             Some(times) => f64::from(times[i]),
             None => i as f64 * f64::from(self.header.time_increment_s),
         }
-    }
-
-    /// The longest time between the stamp and a beam, seconds.
-    pub fn longest_time_s(&self) -> f64 {
-        match self.section(ScanSections::TIMES) {
-            Some(times) => f64::from(times.iter().fold(0.0, |longest: f32, time| longest.max(time.abs()))),
-            None => self.len().checked_sub(1).map_or(0.0, |last| self.time_s(last).abs()),
-        }
-    }
-
-    /// The shortest range of all real returns, metres.
-    pub fn shortest_range_m(&self) -> Option<f64> {
-        let limits = self.header.range_min_m..=self.header.range_max_m;
-        let valid = self.ranges().iter().copied().filter(|range| limits.contains(range));
-        valid.reduce(f32::min).map(f64::from)
     }
 
     /// Whether the beams left one after the other, and not all at once.
@@ -183,7 +159,6 @@ impl<'a> ScanView<'a> {
     }
 
     /// The range of beam `i` when it is a real return: finite and within the sensor's limits.
-    #[inline]
     pub fn valid_range_m(&self, i: usize) -> Option<f64> {
         let range = self.numbers[i];
         // Written this way round, so that NaN fails.
@@ -212,7 +187,6 @@ impl<'a> ScanView<'a> {
         (self.header.has_odometry == 1).then_some(self.header.odometry)
     }
 
-    #[inline]
     fn section(&self, bit: u32) -> Option<&'a [f32]> {
         if self.header.sections & bit == 0 {
             return None;

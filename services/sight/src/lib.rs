@@ -1,9 +1,7 @@
 //! What a scan says of the cells of a map: which of them it looks through, and which it finds standing, each in constant time.
 
-mod directions;
 mod sight;
 mod view;
 
-pub use directions::Directions;
-pub use sight::Sight;
+pub use sight::{Directions, Sight};
 pub use view::{Finding, Margins, View};

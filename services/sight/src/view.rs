@@ -1,4 +1,5 @@
 use crate::Sight;
+use crate::sight::SPACING_MAX_RAD;
 use flockslam_geometry::{Point, Pose};
 use std::f64::consts::SQRT_2;
 
@@ -38,11 +39,11 @@ pub struct Margins {
 }
 
 impl Margins {
-    /// Of a cell of this size no beam is looked at that goes farther beside it than so much and the angle between two beams, radians, if
-    /// the cell is no nearer than `nearest_m`.
+    /// Of a cell of this size no beam is looked at that goes farther beside it than so much, radians, if the cell is no nearer than
+    /// `nearest_m`.
     pub fn beside_max_rad(&self, cell_size_m: f64, nearest_m: f64) -> f64 {
         let beside_m = (SQRT_2 * 0.5 * cell_size_m + self.beside_m).max(PASSED_CELLS * cell_size_m);
-        beside_m / nearest_m.max(NEAR_M) + self.beside_rad
+        beside_m / nearest_m.max(NEAR_M) + SPACING_MAX_RAD + self.beside_rad
     }
 }
 

@@ -116,7 +116,8 @@ mod tests {
         };
         let at = Pose::new(0.01, 0.01, 0.0);
         let (none, crossed, near) = ((false, false), (true, false), (false, true));
-        assert_eq!(look(2.07, at), [crossed, crossed, none, near, near, none]);
+        // The cell in which the way through ends is not crossed.
+        assert_eq!(look(2.07, at), [crossed, none, none, near, near, none]);
         assert_eq!(look(4.0, at), [crossed; 6], "ends of the scan before are forgotten");
         assert_eq!(look(1000.0, at), [crossed; 6]);
         assert_eq!(look(1002.06, Pose::new(-1000.0, 0.01, 0.0)), [none; 6], "too far from the lidar");
