@@ -16,8 +16,8 @@ const NEAR_CELLS: i32 = 2;
 const PASSED_BEHIND_M: f64 = 0.3;
 /// So many views through a cell, since it was last seen to stand, say that it is free …
 pub(crate) const VIEWS: u8 = 3;
-/// … or as many of beams through it alone, while none ends near, from so many places …
-const PLACES: u8 = 2;
+/// … or as many of beams through it alone, while none ends near, in so many scans that entered the map …
+const SCANS: u8 = 2;
 /// … or so many of them from anywhere, when something else stands near: then no wall gets a hole …
 const PASSES: u8 = 2;
 /// … each at least so long after the one before, nanoseconds.
@@ -49,8 +49,8 @@ struct Watched {
     views: u8,
     /// By any scans.
     passes: u8,
-    /// By scans from different places.
-    places: u8,
+    /// By so many scans, however many views each of them counts as.
+    scans: u8,
     last_ns: i64,
 }
 
@@ -63,7 +63,7 @@ impl Hindsight {
                 cell: key.cell(offset),
                 views: 0,
                 passes: 0,
-                places: 0,
+                scans: 0,
                 last_ns: i64::MIN,
             };
             occupied.map(watch).collect::<Vec<_>>()
@@ -99,7 +99,7 @@ impl Hindsight {
                 }
                 let is_end_near = self.rays.is_end_near(watched.cell);
                 if is_end_near {
-                    (watched.passes, watched.places) = (0, 0);
+                    (watched.passes, watched.scans) = (0, 0);
                 }
                 match view.judge(center) {
                     Finding::SeenThrough => {
@@ -130,7 +130,7 @@ impl Hindsight {
             if let Some(watched) = watched.filter(|watched| now_ns.abs_diff(watched.last_ns) >= APART_NS) {
                 watched.views = watched.views.saturating_add(views * u8::from(*is_clear));
                 watched.passes = watched.passes.saturating_add(views);
-                watched.places = watched.places.saturating_add(1);
+                watched.scans = watched.scans.saturating_add(1);
                 watched.last_ns = now_ns;
             }
         }
@@ -141,7 +141,7 @@ impl Hindsight {
     pub fn free(&self) -> Vec<CellIndex> {
         let is_free = |watched: &&Watched| {
             watched.views >= VIEWS
-                || (watched.passes >= VIEWS && watched.places >= PLACES)
+                || (watched.passes >= VIEWS && watched.scans >= SCANS)
                 || (watched.passes >= PASSES && self.something_stands_near(watched.cell))
         };
         self.tiles.values().flatten().filter(is_free).map(|watched| watched.cell).collect()
