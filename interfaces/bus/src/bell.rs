@@ -1,8 +1,9 @@
+//! Bells: what a stage sleeps on until one of its inputs has something for it.
+
 use crate::BusError;
 use crate::shared::Service;
-use crossbeam::channel;
-use iceoryx2::port::listener::ListenerWaitError;
-use iceoryx2::port::notifier::NotifierNotifyError;
+use iceoryx2::port::listener::{self, ListenerWaitError};
+use iceoryx2::port::notifier::{self, NotifierNotifyError};
 use iceoryx2::prelude::{EventId, FileDescriptorBased};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
@@ -23,37 +24,48 @@ pub enum Wake {
 /// Event of a bell that rings for what will come; the default event is for what is there.
 const ANNOUNCEMENT: usize = 1;
 
-/// A stage's own bell: everything it could wait for rings it. Rings coalesce, so a woken stage drains all its inputs.
-pub struct Listener(pub(crate) ListenerKind);
-
-pub(crate) enum ListenerKind {
-    Shared(Box<iceoryx2::port::listener::Listener<Service>>),
-    Memory(channel::Receiver<()>),
+/// Waits for a bell, whatever carries it.
+pub(crate) trait Hear {
+    fn wait(&self, limit: Duration) -> Result<Wake, BusError>;
 }
 
+/// Rings a bell, whatever carries it.
+pub(crate) trait Ring {
+    fn ring(&self);
+    fn announce(&self);
+}
+
+/// A stage's own bell: everything it could wait for rings it. Rings coalesce, so a woken stage drains all its inputs.
+pub struct Listener(Box<dyn Hear>);
+
 impl Listener {
+    pub(crate) fn new(port: Box<dyn Hear>) -> Self {
+        Self(port)
+    }
+
     /// Waits until somebody rings or `limit` has passed.
     ///
     /// # Errors
     /// When the bell itself is broken.
     pub fn wait(&self, limit: Duration) -> Result<Wake, BusError> {
-        match &self.0 {
-            ListenerKind::Shared(listener) => {
-                sleep(listener.as_ref(), limit).map_err(|error| BusError::transfer("bell", error))?;
-                let mut wake = Wake::TimedOut;
-                let heard = listener.try_wait(|event| {
-                    let announced = event.id.as_value() == ANNOUNCEMENT && wake != Wake::Rung;
-                    wake = if announced { Wake::Announced } else { Wake::Rung };
-                });
-                match heard {
-                    Ok(_) => Ok(wake),
-                    Err(ListenerWaitError::InterruptSignal) => Ok(Wake::TimedOut),
-                    Err(error) => Err(BusError::transfer("bell", error)),
-                }
-            }
-            ListenerKind::Memory(receiver) => {
-                Ok(if receiver.recv_timeout(limit).is_ok() { Wake::Rung } else { Wake::TimedOut })
-            }
+        self.0.wait(limit)
+    }
+}
+
+pub(crate) struct SharedListener(pub(crate) listener::Listener<Service>);
+
+impl Hear for SharedListener {
+    fn wait(&self, limit: Duration) -> Result<Wake, BusError> {
+        sleep(&self.0, limit).map_err(|error| BusError::transfer("bell", error))?;
+        let mut wake = Wake::TimedOut;
+        let heard = self.0.try_wait(|event| {
+            let announced = event.id.as_value() == ANNOUNCEMENT && wake != Wake::Rung;
+            wake = if announced { Wake::Announced } else { Wake::Rung };
+        });
+        match heard {
+            Ok(_) => Ok(wake),
+            Err(ListenerWaitError::InterruptSignal) => Ok(Wake::TimedOut),
+            Err(error) => Err(BusError::transfer("bell", error)),
         }
     }
 }
@@ -71,30 +83,33 @@ fn sleep(listener: &impl FileDescriptorBased, limit: Duration) -> Result<(), Err
 }
 
 /// Rings the bell of one stage (all of its replicas).
-pub struct BellRinger(pub(crate) RingerKind);
-
-pub(crate) enum RingerKind {
-    Shared(Box<iceoryx2::port::notifier::Notifier<Service>>),
-    Memory(crate::memory::MemoryBell),
-}
+pub struct BellRinger(Box<dyn Ring>);
 
 impl BellRinger {
+    pub(crate) fn new(port: Box<dyn Ring>) -> Self {
+        Self(port)
+    }
+
     /// Rings. A listener that is gone, or whose bell is still ringing, is no error.
     pub fn ring(&self) {
-        match &self.0 {
-            RingerKind::Shared(notifier) => log_undelivered(notifier.notify()),
-            RingerKind::Memory(bell) => bell.ring(),
-        }
+        self.0.ring();
     }
 
     /// Rings for what will be there in a moment: who sleeps needs longer to wake up than to look.
     pub fn announce(&self) {
-        match &self.0 {
-            RingerKind::Shared(notifier) => {
-                log_undelivered(notifier.notify_with_custom_event_id(EventId::new(ANNOUNCEMENT)));
-            }
-            RingerKind::Memory(bell) => bell.ring(),
-        }
+        self.0.announce();
+    }
+}
+
+pub(crate) struct SharedRinger(pub(crate) notifier::Notifier<Service>);
+
+impl Ring for SharedRinger {
+    fn ring(&self) {
+        log_undelivered(self.0.notify());
+    }
+
+    fn announce(&self) {
+        log_undelivered(self.0.notify_with_custom_event_id(EventId::new(ANNOUNCEMENT)));
     }
 }
 

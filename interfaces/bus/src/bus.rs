@@ -1,28 +1,24 @@
-use crate::bell::{BellRinger, Listener, ListenerKind, RingerKind};
+//! The way to all topics and bells of a set: what is opened through it is typed, what carries it is not.
+
+use crate::bell::{BellRinger, Listener};
 use crate::memory::MemoryBus;
-use crate::port::{PublisherKind, SlicePublisherKind, SliceSubscriberKind, SubscriberKind};
-use crate::shared::{SharedBus, assert_limits};
+use crate::shared::SharedBus;
+use crate::transport::{TopicSpec, Transport};
+use crate::words::{words_of, words_of_slice};
 use crate::{
     BusError, Capacity, LargeScanHeader, Publisher, RuntimeDir, ScanPublisher, ScanSubscriber,
     SlicePublisher, SliceSubscriber, SliceTopic, Subscriber, Topic,
 };
 use flockslam_messages::{
-    Commit, Control, FlockFrame, FlockRobots, LayoutHeader, MarksHeader, MovingBeamsHeader, PartInserted,
-    PoseEstimate, Progress, ScanHeader, ScanTally, SectorHeader, Stage, SubmapClosed, TileMessage,
-    TracksHeader, Verdict,
+    Commit, Control, FlockFrame, FlockRobots, Layout, LayoutHeader, MarksHeader, MovingBeamsHeader,
+    PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally, SectorHeader, Stage, SubmapClosed,
+    TileMessage, TracksHeader, Verdict,
 };
-use std::any::Any;
 
 /// A process' (or thread's) way to all topics and bells of its set.
-pub struct Bus(Kind);
-
-enum Kind {
-    Shared {
-        // Services are declared before the bus that holds their node, so that they are dropped first.
-        _services: Vec<Box<dyn Any>>,
-        bus: SharedBus,
-    },
-    Memory(MemoryBus),
+pub struct Bus {
+    transport: Box<dyn Transport>,
+    capacity: Capacity,
 }
 
 /// The bell of the supervisor, beside those of the stages.
@@ -36,32 +32,34 @@ impl Bus {
     pub fn host(runtime: &RuntimeDir, capacity: Capacity) -> Result<Self, BusError> {
         assert!(capacity.window > 0 && capacity.replicas > 0 && capacity.live_tiles > 0);
         runtime.configure_shared_memory()?;
-        let bus = SharedBus::new("supervisor", capacity)?;
-        let mut services = vec![
-            create::<Verdict>(&bus)?,
-            create::<ScanTally>(&bus)?,
-            create::<PoseEstimate>(&bus)?,
-            create::<Commit>(&bus)?,
-            create::<PartInserted>(&bus)?,
-            create::<SubmapClosed>(&bus)?,
-            create::<LayoutHeader>(&bus)?,
-            create::<FlockFrame>(&bus)?,
-            create::<FlockRobots>(&bus)?,
-            create::<Control>(&bus)?,
-            create::<Progress>(&bus)?,
-            create::<TileMessage>(&bus)?,
-            bus.create_slice::<ScanHeader>()?,
-            bus.create_slice::<LargeScanHeader>()?,
-            bus.create_slice::<MarksHeader>()?,
-            bus.create_slice::<SectorHeader>()?,
-            bus.create_slice::<TracksHeader>()?,
-            bus.create_slice::<MovingBeamsHeader>()?,
-            bus.create_bell(SUPERVISOR_BELL)?,
-        ];
-        for stage in Stage::ALL {
-            services.push(bus.create_bell(stage.name())?);
+        let mut bus = SharedBus::new("supervisor", capacity)?;
+        for topic in [
+            plain::<Verdict>(&capacity),
+            plain::<ScanTally>(&capacity),
+            plain::<PoseEstimate>(&capacity),
+            plain::<Commit>(&capacity),
+            plain::<PartInserted>(&capacity),
+            plain::<SubmapClosed>(&capacity),
+            plain::<LayoutHeader>(&capacity),
+            plain::<FlockFrame>(&capacity),
+            plain::<FlockRobots>(&capacity),
+            plain::<Control>(&capacity),
+            plain::<Progress>(&capacity),
+            plain::<TileMessage>(&capacity),
+            slice::<ScanHeader>(&capacity),
+            slice::<LargeScanHeader>(&capacity),
+            slice::<MarksHeader>(&capacity),
+            slice::<SectorHeader>(&capacity),
+            slice::<TracksHeader>(&capacity),
+            slice::<MovingBeamsHeader>(&capacity),
+        ] {
+            bus.create(&topic)?;
         }
-        Ok(Self(Kind::Shared { _services: services, bus }))
+        bus.create_bell(SUPERVISOR_BELL)?;
+        for stage in Stage::ALL {
+            bus.create_bell(stage.name())?;
+        }
+        Ok(Self { transport: Box::new(bus), capacity })
     }
 
     /// Joins a running set.
@@ -70,32 +68,28 @@ impl Bus {
     /// When the set does not exist.
     pub fn join(runtime: &RuntimeDir, name: &str, capacity: Capacity) -> Result<Self, BusError> {
         runtime.configure_shared_memory()?;
-        Ok(Self(Kind::Shared { _services: Vec::new(), bus: SharedBus::new(name, capacity)? }))
+        Ok(Self { transport: Box::new(SharedBus::new(name, capacity)?), capacity })
     }
 
     /// The in-memory twin: it carries messages between threads of this process, see [`Bus::memory_joiner`].
     pub fn in_memory() -> Self {
-        Self(Kind::Memory(MemoryBus::default()))
+        Self::carried_by(MemoryBus::default())
+    }
+
+    fn carried_by(bus: MemoryBus) -> Self {
+        Self { transport: Box::new(bus), capacity: Capacity::default() }
     }
 
     /// What another thread needs to join the same in-memory set; `None` for shared memory, where each process joins by
     /// itself and ports stay within their thread.
     pub fn memory_joiner(&self) -> Option<impl FnOnce() -> Self + Send + 'static> {
-        match &self.0 {
-            Kind::Memory(bus) => {
-                let bus = bus.clone();
-                Some(move || Self(Kind::Memory(bus)))
-            }
-            Kind::Shared { .. } => None,
-        }
+        let bus = self.transport.memory()?.clone();
+        Some(move || Self::carried_by(bus))
     }
 
     /// Frees what dead processes of the set hold: (cleaned, failed).
     pub fn clean_dead_nodes(&self) -> (u64, u64) {
-        match &self.0 {
-            Kind::Shared { bus, .. } => bus.clean_dead_nodes(),
-            Kind::Memory(_) => (0, 0),
-        }
+        self.transport.clean_dead_nodes()
     }
 
     /// Opens a topic for sending.
@@ -103,10 +97,7 @@ impl Bus {
     /// # Errors
     /// When the topic does not exist, has too many publishers, or was made by another build.
     pub fn publisher<T: Topic>(&self) -> Result<Publisher<T>, BusError> {
-        match &self.0 {
-            Kind::Shared { bus, .. } => bus.publisher(),
-            Kind::Memory(bus) => Ok(Publisher(PublisherKind::Memory(bus.topic(T::NAME)))),
-        }
+        Ok(Publisher::new(self.transport.lender(&plain::<T>(&self.capacity))?))
     }
 
     /// Opens a topic for receiving.
@@ -114,10 +105,7 @@ impl Bus {
     /// # Errors
     /// As [`Bus::publisher`].
     pub fn subscriber<T: Topic>(&self) -> Result<Subscriber<T>, BusError> {
-        match &self.0 {
-            Kind::Shared { bus, .. } => bus.subscriber(),
-            Kind::Memory(bus) => Ok(Subscriber(SubscriberKind::Memory(bus.topic(T::NAME).subscribe()))),
-        }
+        Ok(Subscriber::new(self.transport.source(&plain::<T>(&self.capacity))?))
     }
 
     /// Opens a topic of headers with slices for sending.
@@ -125,10 +113,7 @@ impl Bus {
     /// # Errors
     /// As [`Bus::publisher`].
     pub fn slice_publisher<H: SliceTopic>(&self) -> Result<SlicePublisher<H>, BusError> {
-        match &self.0 {
-            Kind::Shared { bus, .. } => bus.slice_publisher(),
-            Kind::Memory(bus) => Ok(SlicePublisher(SlicePublisherKind::Memory(bus.topic(H::NAME)))),
-        }
+        Ok(SlicePublisher::new(self.transport.lender(&slice::<H>(&self.capacity))?))
     }
 
     /// Opens a topic of headers with slices for receiving.
@@ -136,12 +121,7 @@ impl Bus {
     /// # Errors
     /// As [`Bus::publisher`].
     pub fn slice_subscriber<H: SliceTopic>(&self) -> Result<SliceSubscriber<H>, BusError> {
-        match &self.0 {
-            Kind::Shared { bus, .. } => bus.slice_subscriber(),
-            Kind::Memory(bus) => {
-                Ok(SliceSubscriber(SliceSubscriberKind::Memory(bus.topic(H::NAME).subscribe())))
-            }
-        }
+        Ok(SliceSubscriber::new(self.transport.source(&slice::<H>(&self.capacity))?))
     }
 
     /// Opens the topics of scans for sending.
@@ -165,10 +145,7 @@ impl Bus {
     /// # Errors
     /// When it does not exist or has too many listeners.
     pub fn listener(&self, name: &str) -> Result<Listener, BusError> {
-        match &self.0 {
-            Kind::Shared { bus, .. } => bus.listener(name),
-            Kind::Memory(bus) => Ok(Listener(ListenerKind::Memory(bus.bell(name).listen()))),
-        }
+        self.transport.listener(name)
     }
 
     /// The bell of a stage or of the supervisor, to ring.
@@ -176,14 +153,29 @@ impl Bus {
     /// # Errors
     /// When it does not exist or has too many ringers.
     pub fn ringer(&self, name: &str) -> Result<BellRinger, BusError> {
-        match &self.0 {
-            Kind::Shared { bus, .. } => bus.ringer(name),
-            Kind::Memory(bus) => Ok(BellRinger(RingerKind::Memory(bus.bell(name)))),
-        }
+        self.transport.ringer(name)
     }
 }
 
-fn create<T: Topic>(bus: &SharedBus) -> Result<Box<dyn Any>, BusError> {
-    assert_limits(&T::limits(bus.capacity()));
-    bus.create::<T>()
+fn plain<T: Topic>(capacity: &Capacity) -> TopicSpec {
+    TopicSpec {
+        name: T::NAME,
+        message: T::TYPE_NAME,
+        layout: T::HASH,
+        words: words_of::<T>(),
+        grows: false,
+        limits: T::limits(capacity),
+    }
+}
+
+fn slice<H: SliceTopic>(capacity: &Capacity) -> TopicSpec {
+    TopicSpec {
+        name: H::NAME,
+        message: H::TYPE_NAME,
+        // Either may change alone.
+        layout: H::HASH ^ H::Element::HASH.rotate_left(1),
+        words: words_of_slice::<H, H::Element>(H::FIRST_LENGTH),
+        grows: true,
+        limits: H::limits(capacity),
+    }
 }

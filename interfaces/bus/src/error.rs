@@ -1,3 +1,5 @@
+//! The errors of the bus.
+
 /// What can go wrong on the bus. Every variant names the topic or place and the reason.
 #[derive(Debug, thiserror::Error)]
 pub enum BusError {

@@ -16,7 +16,8 @@ mod scan_port;
 mod shared;
 mod tile_port;
 mod topic;
-mod wire;
+mod transport;
+mod words;
 
 pub use bell::{BellRinger, Listener, Wake};
 pub use bus::{Bus, SUPERVISOR_BELL};

@@ -1,79 +1,120 @@
 //! The in-memory twin: topics between threads of one process, over crossbeam channels.
 
+use crate::BusError;
+use crate::bell::{BellRinger, Hear, Listener, Ring, Wake};
+use crate::transport::{Held, Lender, Source, TopicSpec, Transport};
+use crate::words::Words;
 use crossbeam::channel::{self, Receiver, Sender};
-use std::any::Any;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
-/// All topics and bells of one in-memory set.
+/// A message that all subscribers share.
+type Message = Arc<Box<Words>>;
+
+/// All topics and bells of one in-memory set, each created at first use.
 #[derive(Clone, Default)]
 pub struct MemoryBus {
-    topics: Arc<Mutex<BTreeMap<String, Box<dyn Any + Send>>>>,
+    topics: Arc<Mutex<BTreeMap<String, MemoryTopic>>>,
+    bells: Arc<Mutex<BTreeMap<String, MemoryBell>>>,
+}
+
+impl MemoryBus {
+    fn topic(&self, name: &str) -> MemoryTopic {
+        let mut topics = self.topics.lock().expect("no thread panics while it holds the topics");
+        topics.entry(name.to_owned()).or_default().clone()
+    }
+
+    fn bell(&self, name: &str) -> MemoryBell {
+        let mut bells = self.bells.lock().expect("no thread panics while it holds the bells");
+        bells.entry(name.to_owned()).or_default().clone()
+    }
+}
+
+impl Transport for MemoryBus {
+    fn lender(&self, topic: &TopicSpec) -> Result<Box<dyn Lender>, BusError> {
+        Ok(Box::new(self.topic(topic.name)))
+    }
+
+    fn source(&self, topic: &TopicSpec) -> Result<Box<dyn Source>, BusError> {
+        Ok(Box::new(self.topic(topic.name).subscribe()))
+    }
+
+    fn listener(&self, name: &str) -> Result<Listener, BusError> {
+        Ok(Listener::new(Box::new(self.bell(name).listen())))
+    }
+
+    fn ringer(&self, name: &str) -> Result<BellRinger, BusError> {
+        Ok(BellRinger::new(Box::new(self.bell(name))))
+    }
+
+    fn memory(&self) -> Option<&MemoryBus> {
+        Some(self)
+    }
 }
 
 /// One topic: every subscriber has a channel of its own.
-pub struct MemoryTopic<P> {
-    subscribers: Arc<Mutex<Vec<Sender<Arc<P>>>>>,
+#[derive(Clone, Default)]
+struct MemoryTopic {
+    subscribers: Arc<Mutex<Vec<Sender<Message>>>>,
 }
 
-impl<P> Clone for MemoryTopic<P> {
-    fn clone(&self) -> Self {
-        Self { subscribers: Arc::clone(&self.subscribers) }
-    }
-}
-
-impl<P: Send + Sync + 'static> MemoryTopic<P> {
-    /// Hands `payload` to every subscriber.
-    pub fn send(&self, payload: P) {
-        let payload = Arc::new(payload);
-        let mut subscribers = self.subscribers.lock().expect("no thread panics while it holds a topic");
-        subscribers.retain(|subscriber| subscriber.send(Arc::clone(&payload)).is_ok());
-    }
-
+impl MemoryTopic {
     /// A new subscriber: it sees what is sent from now on.
-    pub fn subscribe(&self) -> Receiver<Arc<P>> {
+    fn subscribe(&self) -> Receiver<Message> {
         let (sender, receiver) = channel::unbounded();
         self.subscribers.lock().expect("no thread panics while it holds a topic").push(sender);
         receiver
     }
 }
 
+impl Lender for MemoryTopic {
+    fn send(&self, words: usize, fill: &mut dyn FnMut(&mut Words)) -> Result<(), BusError> {
+        let mut message = vec![0; words].into_boxed_slice();
+        fill(&mut message);
+        let message = Arc::new(message);
+        let mut subscribers = self.subscribers.lock().expect("no thread panics while it holds a topic");
+        subscribers.retain(|subscriber| subscriber.send(Arc::clone(&message)).is_ok());
+        Ok(())
+    }
+}
+
+impl Source for Receiver<Message> {
+    fn receive(&self) -> Result<Option<Held>, BusError> {
+        Ok(self.try_recv().ok().map(Held::Memory))
+    }
+}
+
 /// A bell between threads.
 #[derive(Clone, Default)]
-pub struct MemoryBell {
+struct MemoryBell {
     listeners: Arc<Mutex<Vec<Sender<()>>>>,
 }
 
 impl MemoryBell {
-    /// Wakes every listener; rings coalesce.
-    pub fn ring(&self) {
-        for listener in self.listeners.lock().expect("no thread panics while it holds a bell").iter() {
-            let _ = listener.try_send(());
-        }
-    }
-
     /// A new listener.
-    pub fn listen(&self) -> Receiver<()> {
+    fn listen(&self) -> Receiver<()> {
         let (sender, receiver) = channel::bounded(1);
         self.listeners.lock().expect("no thread panics while it holds a bell").push(sender);
         receiver
     }
 }
 
-impl MemoryBus {
-    /// The topic of this name, created at first use.
-    pub fn topic<P: Send + Sync + 'static>(&self, name: &str) -> MemoryTopic<P> {
-        self.entry(name, || MemoryTopic { subscribers: Arc::default() })
+impl Hear for Receiver<()> {
+    fn wait(&self, limit: Duration) -> Result<Wake, BusError> {
+        Ok(if self.recv_timeout(limit).is_ok() { Wake::Rung } else { Wake::TimedOut })
+    }
+}
+
+impl Ring for MemoryBell {
+    /// Wakes every listener; rings coalesce.
+    fn ring(&self) {
+        for listener in self.listeners.lock().expect("no thread panics while it holds a bell").iter() {
+            let _ = listener.try_send(());
+        }
     }
 
-    /// The bell of this name, created at first use.
-    pub fn bell(&self, name: &str) -> MemoryBell {
-        self.entry(&format!("bell/{name}"), MemoryBell::default)
-    }
-
-    fn entry<E: Clone + Send + 'static>(&self, name: &str, create: impl FnOnce() -> E) -> E {
-        let mut topics = self.topics.lock().expect("no thread panics while it holds the directory");
-        let entry = topics.entry(name.to_owned()).or_insert_with(|| Box::new(create()));
-        entry.downcast_ref::<E>().expect("a name stands for one type").clone()
+    fn announce(&self) {
+        self.ring();
     }
 }

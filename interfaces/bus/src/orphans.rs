@@ -1,3 +1,5 @@
+//! Removal of what killed processes left of their iceoryx2 nodes.
+
 use crate::RuntimeDir;
 use std::collections::BTreeMap;
 use std::fs;

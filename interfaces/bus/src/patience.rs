@@ -1,3 +1,6 @@
+//! Receiving beside publishers whose process was killed while it made them: for a limited time there is just nothing to
+//! receive.
+
 use crate::BusError;
 use iceoryx2::port::ReceiveError;
 use std::cell::Cell;

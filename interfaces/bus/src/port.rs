@@ -1,25 +1,19 @@
-use crate::memory::MemoryTopic;
-use crate::patience::Patience;
-use crate::shared::Service;
-use crate::wire::{Wire, unwrap_slice, unwrap_slice_mut};
-use crate::{BusError, SliceTopic, Topic};
-use crossbeam::channel::Receiver;
-use iceoryx2::port::{publisher, subscriber, update_connections::UpdateConnections};
-use std::ops::Deref;
-use std::sync::Arc;
+//! Typed ports: publishers and subscribers of a topic, and the messages that they read in place.
 
-type SharedSlicePublisher<H> = publisher::Publisher<Service, [Wire<<H as SliceTopic>::Element>], Wire<H>>;
-type SharedSliceSubscriber<H> = subscriber::Subscriber<Service, [Wire<<H as SliceTopic>::Element>], Wire<H>>;
+use crate::transport::{Held, Lender, Source};
+use crate::words::{plain, plain_mut, slice, slice_mut, words_of, words_of_slice};
+use crate::{BusError, SliceTopic, Topic};
+use std::marker::PhantomData;
+use std::ops::Deref;
 
 /// Sends messages of one topic.
-pub struct Publisher<T: Topic>(pub(crate) PublisherKind<T>);
-
-pub(crate) enum PublisherKind<T: Topic> {
-    Shared(Box<publisher::Publisher<Service, Wire<T>, ()>>),
-    Memory(MemoryTopic<T>),
-}
+pub struct Publisher<T: Topic>(Box<dyn Lender>, PhantomData<T>);
 
 impl<T: Topic> Publisher<T> {
+    pub(crate) fn new(lender: Box<dyn Lender>) -> Self {
+        Self(lender, PhantomData)
+    }
+
     /// Sends a copy of a small message.
     ///
     /// # Errors
@@ -33,91 +27,63 @@ impl<T: Topic> Publisher<T> {
     /// # Errors
     /// As [`Publisher::send`].
     pub fn send_with(&self, fill: impl FnOnce(&mut T)) -> Result<(), BusError> {
-        match &self.0 {
-            PublisherKind::Shared(publisher) => {
-                let mut slot = publisher.loan_uninit().map_err(|e| BusError::transfer(T::NAME, e))?;
-                let place = slot.payload_mut();
-                // SAFETY: the loan is exclusive and as large as T; `Message` types are valid for all-zero bytes.
-                let message = unsafe {
-                    place.as_mut_ptr().write_bytes(0, 1);
-                    &mut (*place.as_mut_ptr()).0
-                };
-                fill(message);
-                // SAFETY: all bytes were written above.
-                let slot = unsafe { slot.assume_init() };
-                slot.send().map_err(|e| BusError::transfer(T::NAME, e))?;
-            }
-            PublisherKind::Memory(topic) => {
-                let mut message = T::new_zeroed();
-                fill(&mut message);
-                topic.send(message);
-            }
-        }
-        Ok(())
+        let mut fill = Some(fill);
+        self.0.send(words_of::<T>(), &mut |words| {
+            let fill = fill.take().expect("a lender fills once");
+            fill(plain_mut(words).expect("as many words as asked for"));
+        })
     }
 
     /// Connects to readers that came since the last message.
     pub fn refresh(&self) {
-        if let PublisherKind::Shared(publisher) = &self.0 {
-            let _ = publisher.update_connections();
-        }
+        self.0.refresh();
     }
 }
 
 /// Receives messages of one topic, oldest first.
-pub struct Subscriber<T: Topic>(pub(crate) SubscriberKind<T>);
-
-pub(crate) enum SubscriberKind<T: Topic> {
-    Shared(Box<subscriber::Subscriber<Service, Wire<T>, ()>>, Patience),
-    Memory(Receiver<Arc<T>>),
-}
+pub struct Subscriber<T: Topic>(Box<dyn Source>, PhantomData<T>);
 
 impl<T: Topic> Subscriber<T> {
+    pub(crate) fn new(source: Box<dyn Source>) -> Self {
+        Self(source, PhantomData)
+    }
+
     /// The next message, if one waits. It stays readable in the publisher's memory until the sample is dropped.
     ///
     /// # Errors
     /// When more samples are held than the topic allows, or a publisher that was killed while it was made is not cleaned up.
     pub fn receive(&self) -> Result<Option<Sample<T>>, BusError> {
-        match &self.0 {
-            SubscriberKind::Shared(subscriber, patience) => {
-                let sample = patience.bear(T::NAME, subscriber.receive())?;
-                Ok(sample.map(|sample| Sample(SampleKind::Shared(sample))))
-            }
-            SubscriberKind::Memory(receiver) => {
-                Ok(receiver.try_recv().ok().map(|m| Sample(SampleKind::Memory(m))))
-            }
+        let Some(held) = self.0.receive()? else { return Ok(None) };
+        match plain::<T>(held.words()) {
+            Some(_) => Ok(Some(Sample(held, PhantomData))),
+            None => Err(too_short(T::NAME)),
         }
     }
 }
 
-/// A received message, read in place.
-pub struct Sample<T: Topic>(SampleKind<T>);
-
-enum SampleKind<T: Topic> {
-    Shared(iceoryx2::sample::Sample<Service, Wire<T>, ()>),
-    Memory(Arc<T>),
+fn too_short(topic: &'static str) -> BusError {
+    BusError::transfer(topic, "a message is shorter than it says")
 }
+
+/// A received message, read in place.
+pub struct Sample<T: Topic>(Held, PhantomData<T>);
 
 impl<T: Topic> Deref for Sample<T> {
     type Target = T;
 
     fn deref(&self) -> &T {
-        match &self.0 {
-            SampleKind::Shared(sample) => &sample.payload().0,
-            SampleKind::Memory(message) => message,
-        }
+        plain(self.0.words()).expect("looked at when it was received")
     }
 }
 
 /// Sends headers with slices.
-pub struct SlicePublisher<H: SliceTopic>(pub(crate) SlicePublisherKind<H>);
-
-pub(crate) enum SlicePublisherKind<H: SliceTopic> {
-    Shared(Box<SharedSlicePublisher<H>>),
-    Memory(MemoryTopic<(H, Vec<H::Element>)>),
-}
+pub struct SlicePublisher<H: SliceTopic>(Box<dyn Lender>, PhantomData<H>);
 
 impl<H: SliceTopic> SlicePublisher<H> {
+    pub(crate) fn new(lender: Box<dyn Lender>) -> Self {
+        Self(lender, PhantomData)
+    }
+
     /// Lends zeroed memory for `length` elements, lets `fill` write them there, and sends them behind `header`.
     ///
     /// # Errors
@@ -128,90 +94,55 @@ impl<H: SliceTopic> SlicePublisher<H> {
         length: usize,
         fill: impl FnOnce(&mut [H::Element]),
     ) -> Result<(), BusError> {
-        match &self.0 {
-            SlicePublisherKind::Shared(publisher) => {
-                let mut slot =
-                    publisher.loan_slice_uninit(length).map_err(|e| BusError::transfer(H::NAME, e))?;
-                *slot.user_header_mut() = Wire(*header);
-                let place = slot.payload_mut();
-                // SAFETY: the loan is exclusive; elements are valid for all-zero bytes and every byte is written here.
-                let elements = unsafe {
-                    place.as_mut_ptr().write_bytes(0, place.len());
-                    core::slice::from_raw_parts_mut(
-                        place.as_mut_ptr().cast::<Wire<H::Element>>(),
-                        place.len(),
-                    )
-                };
-                fill(unwrap_slice_mut(elements));
-                // SAFETY: all bytes were written above.
-                let slot = unsafe { slot.assume_init() };
-                slot.send().map_err(|e| BusError::transfer(H::NAME, e))?;
-            }
-            SlicePublisherKind::Memory(topic) => {
-                let mut elements = vec![zerocopy::FromZeros::new_zeroed(); length];
-                fill(&mut elements);
-                topic.send((*header, elements));
-            }
-        }
-        Ok(())
+        let mut fill = Some(fill);
+        self.0.send(words_of_slice::<H, H::Element>(length), &mut |words| {
+            let fill = fill.take().expect("a lender fills once");
+            fill(slice_mut(words, header, length).expect("as many words as asked for"));
+        })
     }
 
     /// Connects to readers that came since the last message.
     pub fn refresh(&self) {
-        if let SlicePublisherKind::Shared(publisher) = &self.0 {
-            let _ = publisher.update_connections();
-        }
+        self.0.refresh();
     }
 }
 
 /// Receives headers with slices, oldest first.
-pub struct SliceSubscriber<H: SliceTopic>(pub(crate) SliceSubscriberKind<H>);
-
-pub(crate) enum SliceSubscriberKind<H: SliceTopic> {
-    Shared(Box<SharedSliceSubscriber<H>>, Patience),
-    Memory(Receiver<Arc<(H, Vec<H::Element>)>>),
-}
+pub struct SliceSubscriber<H: SliceTopic>(Box<dyn Source>, PhantomData<H>);
 
 impl<H: SliceTopic> SliceSubscriber<H> {
+    pub(crate) fn new(source: Box<dyn Source>) -> Self {
+        Self(source, PhantomData)
+    }
+
     /// As [`Subscriber::receive`].
     ///
     /// # Errors
     /// As [`Subscriber::receive`].
     pub fn receive(&self) -> Result<Option<SliceSample<H>>, BusError> {
-        match &self.0 {
-            SliceSubscriberKind::Shared(subscriber, patience) => {
-                let sample = patience.bear(H::NAME, subscriber.receive())?;
-                Ok(sample.map(|sample| SliceSample(SliceSampleKind::Shared(sample))))
-            }
-            SliceSubscriberKind::Memory(receiver) => {
-                Ok(receiver.try_recv().ok().map(|m| SliceSample(SliceSampleKind::Memory(m))))
-            }
+        let Some(held) = self.0.receive()? else { return Ok(None) };
+        match slice::<H, H::Element>(held.words()) {
+            Some(_) => Ok(Some(SliceSample(held, PhantomData))),
+            None => Err(too_short(H::NAME)),
         }
     }
 }
 
 /// A received header with its slice, read in place.
-pub struct SliceSample<H: SliceTopic>(SliceSampleKind<H>);
-
-enum SliceSampleKind<H: SliceTopic> {
-    Shared(iceoryx2::sample::Sample<Service, [Wire<H::Element>], Wire<H>>),
-    Memory(Arc<(H, Vec<H::Element>)>),
-}
+pub struct SliceSample<H: SliceTopic>(Held, PhantomData<H>);
 
 impl<H: SliceTopic> SliceSample<H> {
+    fn parts(&self) -> (&H, &[H::Element]) {
+        slice(self.0.words()).expect("looked at when it was received")
+    }
+
     /// The header.
     pub fn header(&self) -> &H {
-        match &self.0 {
-            SliceSampleKind::Shared(sample) => &sample.user_header().0,
-            SliceSampleKind::Memory(message) => &message.0,
-        }
+        self.parts().0
     }
 
     /// The elements.
     pub fn elements(&self) -> &[H::Element] {
-        match &self.0 {
-            SliceSampleKind::Shared(sample) => unwrap_slice(sample.payload()),
-            SliceSampleKind::Memory(message) => &message.1,
-        }
+        self.parts().1
     }
 }

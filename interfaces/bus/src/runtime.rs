@@ -1,3 +1,6 @@
+//! The runtime directory of a set: it is created under a lock, joined by the stages, taken over after a kill, and removed at
+//! the end together with the shared-memory objects of the set.
+
 use crate::BusError;
 use iceoryx2::config::Config;
 use iceoryx2::prelude::{FilePath, SemanticString};

@@ -1,3 +1,5 @@
+//! Ports for scans: ordinary and large ones travel on topics of their own, and readers see them as one stream.
+
 use crate::{BusError, LargeScanHeader, SlicePublisher, SliceSample, SliceSubscriber};
 use flockslam_messages::{LARGE_SCAN_BEAMS, ScanHeader, ScanProblem, ScanView};
 

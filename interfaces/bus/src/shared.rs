@@ -1,28 +1,31 @@
 //! iceoryx2 behind the ports: services with explicit limits, created by the host and opened by everybody else.
 
-use crate::bell::{BellRinger, Listener, ListenerKind, RingerKind};
+use crate::bell::{BellRinger, Listener, SharedListener, SharedRinger};
 use crate::patience::Patience;
-use crate::port::{PublisherKind, SlicePublisherKind, SliceSubscriberKind, SubscriberKind};
-use crate::wire::Wire;
-use crate::{
-    BusError, Capacity, Limits, Publisher, SlicePublisher, SliceSubscriber, SliceTopic, Subscriber, Topic,
-};
-use flockslam_messages::Message;
+use crate::transport::{Held, Lender, Source, TopicSpec, Transport};
+use crate::words::Words;
+use crate::{BusError, Capacity, Limits};
+use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::port::{publisher, subscriber};
 use iceoryx2::prelude::*;
+use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 use std::any::Any;
+use std::mem::ManuallyDrop;
 
 /// The iceoryx2 service type of the whole product: shared memory between processes, single-threaded ports.
 pub type Service = ipc::Service;
 
-type PlainFactory<T> = publish_subscribe::PortFactory<Service, Wire<T>, ()>;
-type SliceFactory<H> = publish_subscribe::PortFactory<Service, [Wire<<H as SliceTopic>::Element>], Wire<H>>;
+type Factory = publish_subscribe::PortFactory<Service, Words, ()>;
 
 const LAYOUT_KEY: &str = "flockslam-layout";
+const MESSAGE_KEY: &str = "flockslam-message";
 
 /// A process' access to the shared memory of its set.
 pub struct SharedBus {
+    // Services are declared before their node, so that they are dropped first.
+    services: Vec<Box<dyn Any>>,
     node: Node<Service>,
     capacity: Capacity,
 }
@@ -38,19 +41,14 @@ impl SharedBus {
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<Service>()
             .map_err(|e| setup(format!("{e:?}")))?;
-        Ok(Self { node, capacity })
+        Ok(Self { services: Vec::new(), node, capacity })
     }
 
-    /// Frees what dead processes of the set hold; returns how many were cleaned and how many could not be.
-    pub fn clean_dead_nodes(&self) -> (u64, u64) {
-        let state = self.node.try_cleanup_dead_nodes();
-        (state.cleanups, state.failed_cleanups)
-    }
-
-    /// Creates the service of a topic; it lives as long as what is returned.
-    pub fn create<T: Topic>(&self) -> Result<Box<dyn Any>, BusError> {
-        let limits = T::limits(&self.capacity);
-        let builder = self.node.service_builder(&service_name(T::NAME)?).publish_subscribe::<Wire<T>>();
+    /// Creates the service of a topic, which lives as long as this.
+    pub fn create(&mut self, topic: &TopicSpec) -> Result<(), BusError> {
+        let limits = &topic.limits;
+        assert_limits(limits);
+        let builder = self.node.service_builder(&service_name(topic.name)?).publish_subscribe::<Words>();
         let created = builder
             .enable_safe_overflow(true)
             .history_size(0)
@@ -59,30 +57,13 @@ impl SharedBus {
             .max_nodes(limits.publishers + limits.subscribers)
             .subscriber_max_buffer_size(limits.buffer)
             .subscriber_max_borrowed_samples(limits.borrowed)
-            .create_with_attributes(&layout_attribute::<T>()?);
-        Ok(Box::new(created.map_err(|e| BusError::open(T::NAME, e))?))
-    }
-
-    /// As [`SharedBus::create`], for headers with slices.
-    pub fn create_slice<H: SliceTopic>(&self) -> Result<Box<dyn Any>, BusError> {
-        let limits = H::limits(&self.capacity);
-        let builder =
-            self.node.service_builder(&service_name(H::NAME)?).publish_subscribe::<[Wire<H::Element>]>();
-        let created = builder
-            .user_header::<Wire<H>>()
-            .enable_safe_overflow(true)
-            .history_size(0)
-            .max_publishers(limits.publishers)
-            .max_subscribers(limits.subscribers)
-            .max_nodes(limits.publishers + limits.subscribers)
-            .subscriber_max_buffer_size(limits.buffer)
-            .subscriber_max_borrowed_samples(limits.borrowed)
-            .create_with_attributes(&layout_attribute::<H>()?);
-        Ok(Box::new(created.map_err(|e| BusError::open(H::NAME, e))?))
+            .create_with_attributes(&layout_attributes(topic)?);
+        self.services.push(Box::new(created.map_err(|e| BusError::open(topic.name, e))?));
+        Ok(())
     }
 
     /// Creates the bell of this name.
-    pub fn create_bell(&self, name: &str) -> Result<Box<dyn Any>, BusError> {
+    pub fn create_bell(&mut self, name: &str) -> Result<(), BusError> {
         let replicas = self.capacity.replicas + 1;
         let created = self
             .node
@@ -94,87 +75,120 @@ impl SharedBus {
             .max_nodes(7 * replicas + 4)
             .event_id_max_value(1)
             .create();
-        Ok(Box::new(created.map_err(|e| BusError::open(name, e))?))
+        self.services.push(Box::new(created.map_err(|e| BusError::open(name, e))?));
+        Ok(())
     }
 
-    fn open<T: Topic>(&self) -> Result<PlainFactory<T>, BusError> {
+    fn open(&self, topic: &TopicSpec) -> Result<Factory, BusError> {
         self.node
-            .service_builder(&service_name(T::NAME)?)
-            .publish_subscribe::<Wire<T>>()
-            .open_with_attributes(&layout_requirement::<T>()?)
-            .map_err(|e| open_error::<T>(T::NAME, e))
-    }
-
-    fn open_slice<H: SliceTopic>(&self) -> Result<SliceFactory<H>, BusError> {
-        self.node
-            .service_builder(&service_name(H::NAME)?)
-            .publish_subscribe::<[Wire<H::Element>]>()
-            .user_header::<Wire<H>>()
-            .open_with_attributes(&layout_requirement::<H>()?)
-            .map_err(|e| open_error::<H>(H::NAME, e))
+            .service_builder(&service_name(topic.name)?)
+            .publish_subscribe::<Words>()
+            .open_with_attributes(&layout_requirement(topic)?)
+            .map_err(|e| open_error(topic, e))
     }
 
     fn open_bell(&self, name: &str) -> Result<event::PortFactory<Service>, BusError> {
         let service = service_name(&format!("bell/{name}"))?;
         self.node.service_builder(&service).event().open().map_err(|e| BusError::open(name, e))
     }
+}
 
-    pub fn publisher<T: Topic>(&self) -> Result<Publisher<T>, BusError> {
-        let limit = T::limits(&self.capacity).preallocated.unwrap_or(usize::MAX);
-        let factory = self.open::<T>()?;
+impl Transport for SharedBus {
+    fn lender(&self, topic: &TopicSpec) -> Result<Box<dyn Lender>, BusError> {
+        let limit = topic.limits.preallocated.unwrap_or(usize::MAX);
+        let growth = if topic.grows { AllocationStrategy::PowerOfTwo } else { AllocationStrategy::Static };
+        let factory = self.open(topic)?;
         let port = factory
             .publisher_builder()
             .max_loaned_samples(2)
+            .initial_max_slice_len(topic.words)
+            .allocation_strategy(growth)
             .override_sample_preallocation(move |worst| worst.min(limit))
             .create()
-            .map_err(|e| BusError::open(T::NAME, e))?;
-        Ok(Publisher(PublisherKind::Shared(Box::new(port))))
+            .map_err(|e| BusError::open(topic.name, e))?;
+        Ok(Box::new(SharedLender { topic: topic.name, port }))
     }
 
-    pub fn subscriber<T: Topic>(&self) -> Result<Subscriber<T>, BusError> {
-        let factory = self.open::<T>()?;
-        let port = factory.subscriber_builder().create().map_err(|e| BusError::open(T::NAME, e))?;
-        Ok(Subscriber(SubscriberKind::Shared(Box::new(port), Patience::default())))
+    fn source(&self, topic: &TopicSpec) -> Result<Box<dyn Source>, BusError> {
+        let factory = self.open(topic)?;
+        let port = factory.subscriber_builder().create().map_err(|e| BusError::open(topic.name, e))?;
+        Ok(Box::new(SharedSource { topic: topic.name, port, patience: Patience::default() }))
     }
 
-    pub fn slice_publisher<H: SliceTopic>(&self) -> Result<SlicePublisher<H>, BusError> {
-        let limit = H::limits(&self.capacity).preallocated.unwrap_or(usize::MAX);
-        let factory = self.open_slice::<H>()?;
-        let port = factory
-            .publisher_builder()
-            .max_loaned_samples(2)
-            .initial_max_slice_len(H::FIRST_LENGTH)
-            .allocation_strategy(AllocationStrategy::PowerOfTwo)
-            .override_sample_preallocation(move |worst| worst.min(limit))
-            .create()
-            .map_err(|e| BusError::open(H::NAME, e))?;
-        Ok(SlicePublisher(SlicePublisherKind::Shared(Box::new(port))))
-    }
-
-    pub fn slice_subscriber<H: SliceTopic>(&self) -> Result<SliceSubscriber<H>, BusError> {
-        let factory = self.open_slice::<H>()?;
-        let port = factory.subscriber_builder().create().map_err(|e| BusError::open(H::NAME, e))?;
-        Ok(SliceSubscriber(SliceSubscriberKind::Shared(Box::new(port), Patience::default())))
-    }
-
-    pub fn listener(&self, name: &str) -> Result<Listener, BusError> {
+    fn listener(&self, name: &str) -> Result<Listener, BusError> {
         let port = self.open_bell(name)?.listener_builder().create().map_err(|e| BusError::open(name, e))?;
-        Ok(Listener(ListenerKind::Shared(Box::new(port))))
+        Ok(Listener::new(Box::new(SharedListener(port))))
     }
 
-    pub fn ringer(&self, name: &str) -> Result<BellRinger, BusError> {
+    fn ringer(&self, name: &str) -> Result<BellRinger, BusError> {
         let port = self.open_bell(name)?.notifier_builder().create().map_err(|e| BusError::open(name, e))?;
-        Ok(BellRinger(RingerKind::Shared(Box::new(port))))
+        Ok(BellRinger::new(Box::new(SharedRinger(port))))
     }
 
-    /// The limits of a topic in this set.
-    pub fn capacity(&self) -> &Capacity {
-        &self.capacity
+    fn clean_dead_nodes(&self) -> (u64, u64) {
+        let state = self.node.try_cleanup_dead_nodes();
+        (state.cleanups, state.failed_cleanups)
+    }
+}
+
+struct SharedLender {
+    topic: &'static str,
+    port: publisher::Publisher<Service, Words, ()>,
+}
+
+impl Lender for SharedLender {
+    fn send(&self, words: usize, fill: &mut dyn FnMut(&mut Words)) -> Result<(), BusError> {
+        let wrong = |error: &dyn std::fmt::Debug| BusError::transfer(self.topic, error);
+        let mut slot = self.port.loan_slice_uninit(words).map_err(|e| wrong(&e))?;
+        slot.payload_mut().iter_mut().for_each(|word| {
+            word.write(0);
+        });
+        // SAFETY: every word was written above.
+        let mut slot = unsafe { slot.assume_init() };
+        fill(slot.payload_mut());
+        slot.send().map_err(|e| wrong(&e))?;
+        Ok(())
+    }
+
+    fn refresh(&self) {
+        let _ = self.port.update_connections();
+    }
+}
+
+struct SharedSource {
+    topic: &'static str,
+    port: subscriber::Subscriber<Service, Words, ()>,
+    patience: Patience,
+}
+
+impl Source for SharedSource {
+    fn receive(&self) -> Result<Option<Held>, BusError> {
+        let sample = self.patience.bear(self.topic, self.port.receive())?;
+        Ok(sample.map(|sample| Held::Shared(SharedSample(ManuallyDrop::new(sample)))))
+    }
+}
+
+/// A message in the publisher's memory. It is dropped by hand, so that iceoryx2's part of that is compiled here and not in each
+/// crate that holds messages.
+pub struct SharedSample(ManuallyDrop<iceoryx2::sample::Sample<Service, Words, ()>>);
+
+impl SharedSample {
+    /// What was sent.
+    pub fn words(&self) -> &Words {
+        self.0.payload()
+    }
+}
+
+impl Drop for SharedSample {
+    #[inline(never)]
+    fn drop(&mut self) {
+        // SAFETY: this is the only place that drops it, and nothing can use it afterwards.
+        unsafe { ManuallyDrop::drop(&mut self.0) }
     }
 }
 
 /// Asserts at start-up that no limit is nonsense.
-pub fn assert_limits(limits: &Limits) {
+fn assert_limits(limits: &Limits) {
     assert!(limits.publishers > 0 && limits.subscribers > 0 && limits.buffer > 0 && limits.borrowed > 0);
 }
 
@@ -182,31 +196,34 @@ fn service_name(name: &str) -> Result<ServiceName, BusError> {
     ServiceName::new(&format!("flockslam/{name}")).map_err(|e| BusError::open(name, e))
 }
 
-fn layout_pair<T: Message>() -> Result<
-    (iceoryx2::service::attribute::AttributeKey, iceoryx2::service::attribute::AttributeValue),
-    BusError,
-> {
-    let text = format!("{:016x}", T::HASH);
-    let key = LAYOUT_KEY.try_into().map_err(|e| BusError::open(T::TYPE_NAME, e))?;
-    let value = text.as_str().try_into().map_err(|e| BusError::open(T::TYPE_NAME, e))?;
-    Ok((key, value))
+/// What a process has to agree on with who created a topic: name, version and layout of its message.
+fn layout_pairs(topic: &TopicSpec) -> Result<[(AttributeKey, AttributeValue); 2], BusError> {
+    let pair = |key: &str, value: &str| -> Result<(AttributeKey, AttributeValue), BusError> {
+        let key = key.try_into().map_err(|e| BusError::open(topic.message, e))?;
+        Ok((key, value.try_into().map_err(|e| BusError::open(topic.message, e))?))
+    };
+    Ok([pair(LAYOUT_KEY, &format!("{:016x}", topic.layout))?, pair(MESSAGE_KEY, topic.message)?])
 }
 
-fn layout_attribute<T: Message>() -> Result<AttributeSpecifier, BusError> {
-    let (key, value) = layout_pair::<T>()?;
-    AttributeSpecifier::new().define(&key, &value).map_err(|e| BusError::open(T::TYPE_NAME, e))
+fn layout_attributes(topic: &TopicSpec) -> Result<AttributeSpecifier, BusError> {
+    let defined = layout_pairs(topic)?
+        .iter()
+        .try_fold(AttributeSpecifier::new(), |all, (key, value)| all.define(key, value));
+    defined.map_err(|e| BusError::open(topic.message, e))
 }
 
-fn layout_requirement<T: Message>() -> Result<AttributeVerifier, BusError> {
-    let (key, value) = layout_pair::<T>()?;
-    AttributeVerifier::new().require(&key, &value).map_err(|e| BusError::open(T::TYPE_NAME, e))
+fn layout_requirement(topic: &TopicSpec) -> Result<AttributeVerifier, BusError> {
+    let required = layout_pairs(topic)?
+        .iter()
+        .try_fold(AttributeVerifier::new(), |all, (key, value)| all.require(key, value));
+    required.map_err(|e| BusError::open(topic.message, e))
 }
 
-fn open_error<T: Message>(topic: &str, error: PublishSubscribeOpenError) -> BusError {
+fn open_error(topic: &TopicSpec, error: PublishSubscribeOpenError) -> BusError {
     match error {
         PublishSubscribeOpenError::IncompatibleAttributes | PublishSubscribeOpenError::IncompatibleTypes => {
-            BusError::Disagree { topic: topic.to_owned(), message: T::TYPE_NAME, layout: T::HASH }
+            BusError::Disagree { topic: topic.name.to_owned(), message: topic.message, layout: topic.layout }
         }
-        other => BusError::open(topic, other),
+        other => BusError::open(topic.name, other),
     }
 }

@@ -1,3 +1,5 @@
+//! Ports for tiles: one sender uses several publishers, so that readers can hold a sample of each live tile.
+
 use crate::{Bus, BusError, Publisher, Sample};
 use flockslam_evidence::{Tile, TileKey};
 use flockslam_messages::TileMessage;

@@ -1,3 +1,5 @@
+//! The topics: name, element and limits of each, as functions of the capacity of a set.
+
 use crate::tile_port::LANES;
 use flockslam_messages::{
     BeamRange, ClearedCell, Commit, Control, FlockFrame, FlockRobots, JudgedCell, Layout, LayoutHeader,

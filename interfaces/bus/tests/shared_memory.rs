@@ -1,18 +1,40 @@
-//! The bus over real shared memory. One test function: a process belongs to one set only.
+//! The bus over real shared memory. One test function: a process belongs to one set only, so all parts use the same set, one
+//! after the other.
 
-use flockslam_bus::{Bus, BusError, Capacity, RuntimeDir, RuntimeError, Wake};
-use flockslam_messages::{PoseEstimate, ScanBuffer, TileMessage};
+use flockslam_bus::{Bus, BusError, Capacity, RuntimeDir, RuntimeError, Topic, Wake};
+use flockslam_messages::{Layout, Message, PoseEstimate, Progress, ScanBuffer, TileMessage};
 use std::time::Duration;
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
+
+const CAPACITY: Capacity = Capacity { window: 8, replicas: 1, live_tiles: 64 };
 
 #[test]
-fn a_set_carries_scans_tiles_and_rings_and_leaves_nothing() {
+fn a_set_carries_scans_tiles_and_rings_refuses_other_builds_and_leaves_nothing() {
     let name = format!("bus-test-{}", std::process::id());
     let runtime = RuntimeDir::create(&name).unwrap();
     assert!(matches!(RuntimeDir::create(&name), Err(RuntimeError::Running(_))));
-    let capacity = Capacity { window: 8, replicas: 1, live_tiles: 64 };
-    let host = Bus::host(&runtime, capacity).unwrap();
-    let member = Bus::join(&RuntimeDir::open(runtime.path()).unwrap(), "member", capacity).unwrap();
+    let host = Bus::host(&runtime, CAPACITY).unwrap();
+    let member = join(&runtime, "member");
 
+    scans_of_any_number_of_beams_arrive_whole(&runtime, &host, &member);
+    a_held_tile_outlives_its_publisher(&host, &member);
+    a_bell_tells_what_has_rung(&host, &member);
+    a_full_queue_keeps_the_newest(&host, &member);
+    builds_that_disagree_refuse_each_other(&host, &join(&runtime, "other-build"));
+
+    drop((member, host));
+    let path = runtime.path().to_owned();
+    drop(runtime);
+    assert!(!path.exists());
+    let left = std::fs::read_dir("/dev/shm").unwrap().filter_map(|e| e.ok()).map(|e| e.file_name());
+    assert_eq!(left.filter(|n| n.to_string_lossy().contains(&name)).count(), 0);
+}
+
+fn join(runtime: &RuntimeDir, name: &str) -> Bus {
+    Bus::join(&RuntimeDir::open(runtime.path()).unwrap(), name, CAPACITY).unwrap()
+}
+
+fn scans_of_any_number_of_beams_arrive_whole(runtime: &RuntimeDir, host: &Bus, member: &Bus) {
     let (scans, reader) = (member.scan_publisher().unwrap(), host.scan_subscriber().unwrap());
     for beams in [0, 1, 180, 5000, 70_000, 10_000_000] {
         let scan = ScanBuffer::from_ranges(&vec![2.5; beams], 0.0, 0.01);
@@ -22,14 +44,19 @@ fn a_set_carries_scans_tiles_and_rings_and_leaves_nothing() {
         assert!(sample.view().unwrap().ranges().iter().all(|r| *r == 2.5));
     }
     assert!(reader.receive().unwrap().is_none());
+    assert!(runtime.occupied_bytes() > 40_000_000, "ten million beams lie in shared memory");
+}
 
-    let (tiles, tile_reader) =
+fn a_held_tile_outlives_its_publisher(host: &Bus, member: &Bus) {
+    let (tiles, reader) =
         (member.publisher::<TileMessage>().unwrap(), host.subscriber::<TileMessage>().unwrap());
     tiles.send_with(|tile| tile.tile.score[17] = 9).unwrap();
-    let held = tile_reader.receive().unwrap().unwrap();
+    let held = reader.receive().unwrap().unwrap();
     drop(tiles);
-    assert_eq!(held.tile.score[17], 9, "a held tile outlives its publisher");
+    assert_eq!(held.tile.score[17], 9);
+}
 
+fn a_bell_tells_what_has_rung(host: &Bus, member: &Bus) {
     let (listener, ringer) = (host.listener("mapper").unwrap(), member.ringer("mapper").unwrap());
     assert_eq!(listener.wait(Duration::from_millis(1)).unwrap(), Wake::TimedOut);
     ringer.announce();
@@ -38,24 +65,81 @@ fn a_set_carries_scans_tiles_and_rings_and_leaves_nothing() {
     ringer.announce();
     ringer.ring();
     assert_eq!(listener.wait(Duration::from_secs(5)).unwrap(), Wake::Rung);
+    assert!(matches!(host.listener("nobody"), Err(BusError::Open { .. })));
+}
 
-    // Overflow: the newest data wins and nobody blocks.
-    let (poses, pose_reader) = (member.publisher().unwrap(), host.subscriber::<PoseEstimate>().unwrap());
+/// The newest data wins and nobody blocks.
+fn a_full_queue_keeps_the_newest(host: &Bus, member: &Bus) {
+    let (poses, reader) = (member.publisher().unwrap(), host.subscriber::<PoseEstimate>().unwrap());
     for submap in 0..100 {
         poses.send(&PoseEstimate { submap, ..PoseEstimate::default() }).unwrap();
     }
     let mut received = Vec::new();
-    while let Some(pose) = pose_reader.receive().unwrap() {
+    while let Some(pose) = reader.receive().unwrap() {
         received.push(pose.submap);
     }
     assert_eq!(received, (84..100).collect::<Vec<_>>());
+}
 
-    assert!(runtime.occupied_bytes() > 40_000_000, "ten million beams lie in shared memory");
-    assert!(matches!(host.listener("nobody"), Err(BusError::Open { .. })));
-    drop((scans, reader, held, tile_reader, listener, ringer, poses, pose_reader, member, host));
-    let path = runtime.path().to_owned();
-    drop(runtime);
-    assert!(!path.exists());
-    let left = std::fs::read_dir("/dev/shm").unwrap().filter_map(|e| e.ok()).map(|e| e.file_name());
-    assert_eq!(left.filter(|n| n.to_string_lossy().contains(&name)).count(), 0);
+/// Another layout or version is refused with a message that says what to do.
+fn builds_that_disagree_refuse_each_other(host: &Bus, member: &Bus) {
+    let told = refusal::<OtherProgress>(member);
+    assert!(told.starts_with("topic progress was created by another build of flockslam"), "{told}");
+    assert!(
+        told.contains(&format!("{:016x}", OtherProgress::HASH)) && told.contains("flockslam/progress/v1"),
+        "{told}"
+    );
+    assert!(told.contains("start all of its processes from one executable"), "{told}");
+    let told = refusal::<LaterProgress>(member);
+    assert!(told.contains("flockslam/progress/v2"), "{told}");
+    // Who has the same layout is not disturbed by that.
+    let (publisher, subscriber) = (member.publisher().unwrap(), host.subscriber::<Progress>().unwrap());
+    publisher.send(&Progress { stage: 1, replica: 0, done: 7 }).unwrap();
+    assert_eq!(subscriber.receive().unwrap().unwrap().done, 7);
+}
+
+fn refusal<T: Topic>(bus: &Bus) -> String {
+    let refused =
+        [bus.subscriber::<T>().err(), bus.publisher::<T>().err()].map(|error| error.expect("it is refused"));
+    assert!(refused.iter().all(|error| matches!(error, BusError::Disagree { .. })), "{refused:?}");
+    refused[0].to_string()
+}
+
+/// [`Progress`] as another build has it: two fields have changed places, which neither size nor version tells.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, FromBytes, IntoBytes, Immutable, KnownLayout)]
+struct OtherProgress {
+    replica: u32,
+    stage: u32,
+    done: u64,
+}
+
+impl Layout for OtherProgress {
+    const HASH: u64 = !Progress::HASH;
+}
+impl Message for OtherProgress {
+    const TYPE_NAME: &'static str = Progress::TYPE_NAME;
+}
+impl Topic for OtherProgress {
+    const NAME: &'static str = Progress::NAME;
+}
+
+/// A later version of [`Progress`], with a field more.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, FromBytes, IntoBytes, Immutable, KnownLayout)]
+struct LaterProgress {
+    stage: u32,
+    replica: u32,
+    done: u64,
+    ahead: u64,
+}
+
+impl Layout for LaterProgress {
+    const HASH: u64 = Progress::HASH ^ 1;
+}
+impl Message for LaterProgress {
+    const TYPE_NAME: &'static str = "flockslam/progress/v2";
+}
+impl Topic for LaterProgress {
+    const NAME: &'static str = Progress::NAME;
 }

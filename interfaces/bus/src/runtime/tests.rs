@@ -1,3 +1,5 @@
+//! Tests of the runtime directory: creation, take-over and removal, with and without a folder on disk.
+
 use super::*;
 
 fn name(test: &str) -> String {
@@ -8,7 +10,9 @@ fn name(test: &str) -> String {
 fn without_a_folder_on_disk_everything_lies_in_the_directory() {
     let runtime = RuntimeDir::create(&name("nospill")).unwrap();
     assert_eq!(runtime.spill(), runtime.path());
-    assert!(runtime.submaps().starts_with(runtime.path()) && runtime.submaps().is_dir());
+    for directory in [runtime.journal(), runtime.submaps(), runtime.status(), runtime.results()] {
+        assert!(directory.starts_with(runtime.path()) && directory.is_dir(), "{}", directory.display());
+    }
 }
 
 #[test]
@@ -75,13 +79,14 @@ fn state_that_is_kept_outlives_its_supervisor_and_its_processes_remains_do_not()
     drop(RuntimeDir::create(&format!("{name}-other")).unwrap());
     let (next, taken_over) = RuntimeDir::create_or_take_over(&name, None).unwrap();
     assert!(taken_over && next.journal().join("scans.journal").exists());
-    assert!(next.status().join("lidar-ingest.cursor").exists());
+    assert!(next.status().join("lidar-ingest.cursor").exists() && next.configuration().exists());
     assert!(!next.status().join("mapper-0.heartbeat").exists() && !next.bus().join("node").exists());
     assert!(matches!(RuntimeDir::create_or_take_over(&name, None), Err(RuntimeError::Running(_))));
     drop(next);
     // A supervisor that failed for another reason leaves it all in place, too.
     let (mut next, taken_over) = RuntimeDir::create_or_take_over(&name, None).unwrap();
-    assert!(taken_over);
+    assert!(taken_over && next.journal().join("scans.journal").exists());
+    assert!(next.status().join("lidar-ingest.cursor").exists());
     next.wipe_at_end(true);
     drop(next);
     assert!(!RuntimeDir::path_of(&name).exists(), "an orderly end leaves nothing");

@@ -1,0 +1,80 @@
+//! What carries messages: shared memory between processes, or its twin in memory between threads.
+//!
+//! Both carry rows of words, whatever the topic. iceoryx2 is generic over its payload and costs the compiler seconds for each
+//! type, so there is one type for all topics, and what is compiled for it stays in this crate, behind these traits.
+
+use crate::bell::{BellRinger, Listener};
+use crate::memory::MemoryBus;
+use crate::shared::SharedSample;
+use crate::words::Words;
+use crate::{BusError, Limits};
+use std::sync::Arc;
+
+/// A topic as a transport sees it.
+#[derive(Clone, Copy, Debug)]
+pub struct TopicSpec {
+    /// Name on the bus.
+    pub name: &'static str,
+    /// Name and version of its message.
+    pub message: &'static str,
+    /// Fingerprint of the message's layout.
+    pub layout: u64,
+    /// Words of a message; of the first ones where they may grow.
+    pub words: usize,
+    /// Whether messages have different lengths.
+    pub grows: bool,
+    /// Limits in this set.
+    pub limits: Limits,
+}
+
+/// A way to all topics and bells of a set.
+pub trait Transport {
+    /// Opens a topic for sending.
+    fn lender(&self, topic: &TopicSpec) -> Result<Box<dyn Lender>, BusError>;
+    /// Opens a topic for receiving.
+    fn source(&self, topic: &TopicSpec) -> Result<Box<dyn Source>, BusError>;
+    /// A bell to wait on.
+    fn listener(&self, name: &str) -> Result<Listener, BusError>;
+    /// A bell to ring.
+    fn ringer(&self, name: &str) -> Result<BellRinger, BusError>;
+    /// Frees what dead processes of the set hold: (cleaned, failed).
+    fn clean_dead_nodes(&self) -> (u64, u64) {
+        (0, 0)
+    }
+    /// The twin in memory, where this is it.
+    fn memory(&self) -> Option<&MemoryBus> {
+        None
+    }
+}
+
+/// Sends messages of one topic.
+pub trait Lender {
+    /// Lends zeroed memory for so many words, lets `fill` write there, and sends it.
+    fn send(&self, words: usize, fill: &mut dyn FnMut(&mut Words)) -> Result<(), BusError>;
+    /// Connects to readers that came since the last message.
+    fn refresh(&self) {}
+}
+
+/// Receives messages of one topic, oldest first.
+pub trait Source {
+    /// The next message, if one waits.
+    fn receive(&self) -> Result<Option<Held>, BusError>;
+}
+
+/// A received message, read in place as long as this lives.
+pub enum Held {
+    /// In the publisher's memory.
+    Shared(SharedSample),
+    /// Shared between threads.
+    Memory(Arc<Box<Words>>),
+}
+
+impl Held {
+    /// What was sent.
+    pub fn words(&self) -> &Words {
+        match self {
+            Self::Shared(sample) => sample.words(),
+            Self::Memory(message) => message,
+        }
+    }
+}
