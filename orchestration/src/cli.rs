@@ -418,8 +418,19 @@ fn name_and_filter(text: &str) -> Result<(String, String), String> {
     Ok((name.to_owned(), filter.to_owned()))
 }
 
+/// A broken assumption in any thread kills the process at once. The release profile aborts by itself; a build for tests
+/// unwinds, since cargo would compile everything twice otherwise.
+pub fn abort_on_panic() {
+    let report = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        report(panic);
+        std::process::abort();
+    }));
+}
+
 /// Parses the command line and runs it. What a user did wrong ends with exit code 2, what went wrong here with 1.
 pub fn main() -> ExitCode {
+    abort_on_panic();
     let cli = Cli::parse();
     let outcome = match cli.command {
         Command::Stage(args) => return commands::stage::run(&args),
