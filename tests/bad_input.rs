@@ -1,14 +1,13 @@
 //! Input that is not usable: one clear line with place and reason, exit code 2, nothing written. Single bad lines are
 //! counted and skipped. A run that is interrupted ends with what it has.
 
-mod support;
-
+use crate::support;
+use crate::support::{Outputs, RunningSet, building, live_building, run, run_well, simulated_log, stderr};
 use flockslam_messages::Stage;
 use rustix::process::{Pid, Signal, kill_process_group};
 use std::io::Write;
 use std::os::unix::process::CommandExt;
 use std::path::Path;
-use support::{Outputs, RunningSet, building, live_building, run, run_well, simulated_log, stderr};
 
 /// What an earlier run left.
 const EARLIER: &[u8] = b"from an earlier run";

@@ -1,12 +1,6 @@
 //! The benchmark page: its generator works, and the page that is kept has every section.
 
-// What the benchmark alone uses.
-#[allow(dead_code, unused_imports)]
-#[path = "benches/page/mod.rs"]
-mod page;
-mod support;
-
-use page::{Page, Plan, SECTIONS, generate};
+use crate::benchmark::{Page, Plan, SECTIONS, generate};
 use std::path::Path;
 
 #[test]

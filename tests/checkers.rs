@@ -1,10 +1,8 @@
 //! Each check of the fault suite fails when the protection that it looks after is taken away, or what it reads is damaged.
 
-mod support;
-
+use crate::support::faults::{Trial, descriptors, left_behind, sabotaged, too_much_is_left};
+use crate::support::{Drive, LiveSet};
 use flockslam_messages::Stage;
-use support::faults::{Trial, descriptors, left_behind, sabotaged, too_much_is_left};
-use support::{Drive, LiveSet};
 
 fn complains(trial: &Trial, of: &str) {
     let complaints = trial.complaints();

@@ -1,11 +1,11 @@
 //! Boards, rules and the Prometheus configuration: they name metrics that exist, their own tools accept them, and in a real run
 //! that a real Prometheus scrapes, each panel and each recorded rule has something to show.
 
-#[path = "support/flocks.rs"]
-mod flocks;
-mod support;
-
-use flocks::FlockRobot;
+use crate::support;
+use crate::support::flocks::FlockRobot;
+use crate::support::{
+    Browser, Drive, RunningSet, free_port, http_get, keep_picture, live_building, not_tested, wait_for,
+};
 use flockslam_messages::Stage;
 use flockslam_telemetry::names;
 use rustix::process::Signal;
@@ -16,7 +16,6 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{SystemTime, UNIX_EPOCH};
-use support::{Browser, Drive, RunningSet, free_port, http_get, keep_picture, live_building, wait_for};
 
 const RULES: [&str; 2] = ["recording.yml", "alerts.yml"];
 /// The board that shows something only where there are several robots.
@@ -127,7 +126,7 @@ fn tool(name: &str, arguments: &[&str], input: &str) -> Option<()> {
         .stderr(Stdio::piped())
         .spawn();
     let Ok(mut child) = spawned else {
-        println!("NOT TESTED: {name} {}: it is not installed (Debian: prometheus)", arguments.join(" "));
+        not_tested(&format!("{name} {}", arguments.join(" ")), "it is not installed (Debian: prometheus)");
         return None;
     };
     child.stdin.take().unwrap().write_all(input.as_bytes()).unwrap();
@@ -186,7 +185,7 @@ impl Prometheus {
         match spawned {
             Ok(child) => Some(Self { child, port }),
             Err(_) => {
-                println!("NOT TESTED: a scrape of a real run: prometheus is not installed");
+                not_tested("a scrape of a real run", "prometheus is not installed");
                 None
             }
         }

@@ -1,14 +1,12 @@
 //! Faults, in short: each kind a few times, seeded, against real processes. `cargo bench -p flockslam --bench faults` is the long
 //! form, which prints a table. How long a set takes to recover is printed here and not judged.
 
-mod support;
-
-use flockslam_geometry::Pose;
-use flockslam_messages::{PoseEstimate, PoseFlags, Stage};
-use support::faults::{
+use crate::support::faults::{
     Evidence, Trial, corrupt_scans, crashing_starts, endless_loop, everything_at_once, jumping_clock,
     kills_of_each_stage, kills_while_saving, stops_of_each_stage, storm, terminations, torn_files,
 };
+use flockslam_geometry::Pose;
+use flockslam_messages::{PoseEstimate, PoseFlags, Stage};
 
 fn judge(trial: &Trial) {
     println!("{}\n{}", Trial::HEAD, trial.line());

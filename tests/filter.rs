@@ -1,14 +1,13 @@
 //! The filter as a stage of a set: replicas that share large scans, rest, and load that is shed.
 
-mod support;
-
+use crate::support;
+use crate::support::{Outputs, RunningSet, building, live_building, run_well, wait_for};
 use flockslam_messages::Stage;
 use flockslam_stage::metrics_socket;
 use flockslam_telemetry::scrape;
 use rustix::process::Signal;
 use std::fmt::Write;
 use std::time::Duration;
-use support::{Outputs, RunningSet, building, live_building, run_well, wait_for};
 
 fn set(key_and_value: &str) -> [String; 2] {
     ["--set".to_owned(), key_and_value.to_owned()]

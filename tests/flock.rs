@@ -1,20 +1,14 @@
 //! Robots that meet: real process sets, each with its own root and names, over the real network on this machine.
 
-#[path = "support/flocks.rs"]
-mod flocks;
-#[path = "support/slow_link.rs"]
-mod slow_link;
-mod support;
-
-use flocks::{FlockRobot, Namespace, hostile, own_certificates};
+use crate::support::flocks::{FlockRobot, Namespace, hostile, own_certificates};
+use crate::support::slow_link::SlowLink;
+use crate::support::{Drive, LiveSet, flockslam, free_port, of, send, stderr, wait_for};
 use flockslam_messages::Stage;
 use flockslam_stage::FlockStatus;
 use rustix::process::Signal;
 use serde_json::Value;
-use slow_link::SlowLink;
 use std::process::Command;
 use std::time::Instant;
-use support::{Drive, LiveSet, flockslam, free_port, of, send, stderr, wait_for};
 
 /// A drive long enough for robots to come through the same places.
 const MEETING: Drive = Drive { scan_rate_hz: 5.0, duration_s: 100.0, rate: 5.0 };

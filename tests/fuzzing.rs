@@ -1,15 +1,11 @@
 //! A bounded, seeded run of all fuzz entries, for any toolchain: the seeds of `tests/fuzz/corpus`, changed at random. More with
 //! `FLOCKSLAM_FUZZ_RUNS=10000000`, of one entry alone with `FLOCKSLAM_FUZZ_ENTRY=carmen`; a crash names the run that it came from.
 
-mod support;
-
-#[path = "fuzz/entries.rs"]
-mod entries;
-
+use crate::fuzz_entries;
+use crate::support::faults::Seeded;
+use crate::support::repository;
 use std::fs;
 use std::time::Instant;
-use support::faults::Seeded;
-use support::repository;
 
 const RUNS: u64 = 20_000;
 /// Numbers that lengths and counts are tried with.
@@ -56,7 +52,8 @@ fn mutate(bytes: &mut Vec<u8>, other: &[u8], random: &mut Seeded) {
 fn no_reader_of_foreign_bytes_panics() {
     let runs = std::env::var("FLOCKSLAM_FUZZ_RUNS").ok().and_then(|runs| runs.parse().ok()).unwrap_or(RUNS);
     let only = std::env::var("FLOCKSLAM_FUZZ_ENTRY").ok();
-    for (name, entry) in entries::ENTRIES.into_iter().filter(|(n, _)| only.as_deref().is_none_or(|o| o == *n))
+    for (name, entry) in
+        fuzz_entries::ENTRIES.into_iter().filter(|(n, _)| only.as_deref().is_none_or(|o| o == *n))
     {
         let (seeds, since) = (corpus(name), Instant::now());
         seeds.iter().for_each(|seed| entry(seed));
@@ -71,5 +68,5 @@ fn no_reader_of_foreign_bytes_panics() {
         }
         println!("{name}: {runs} executions in {:.1} s", since.elapsed().as_secs_f64());
     }
-    entries::clean_up();
+    fuzz_entries::clean_up();
 }

@@ -1,12 +1,12 @@
 //! The house's own rules: who may import whom, what logic may touch, and how long a file may be.
 
-mod support;
-
-use std::collections::BTreeMap;
+use crate::support;
+use crate::support::repository;
+use crate::support::source::{files_of_target, product_identifiers, rust_files};
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use support::repository;
 
 /// Crates that others may import, lowest layer first; an import goes to a lower layer only.
 const LIBRARIES: [(&str, u32); 11] = [
@@ -25,18 +25,42 @@ const LIBRARIES: [(&str, u32); 11] = [
 const SERVICE_LAYER: u32 = 5;
 const ORCHESTRATION_LAYER: u32 = 6;
 const LINES_MAX: usize = 500;
-/// What logic, which is a function of its inputs, must not reach for.
-const OUTSIDE_WORLD: [&str; 7] =
-    ["std::fs", "std::thread", "std::time::Instant", "SystemTime", "std::net", "iceoryx2", "zenoh::"];
+/// Names of what logic, which is a function of its inputs, must not reach for.
+const OUTSIDE_WORLD: [&str; 19] = [
+    "Instant",
+    "SystemTime",
+    "UNIX_EPOCH",
+    "fs",
+    "File",
+    "OpenOptions",
+    "thread",
+    "net",
+    "TcpStream",
+    "TcpListener",
+    "UdpSocket",
+    "stdin",
+    "stdout",
+    "stderr",
+    "env",
+    "rustix",
+    "tokio",
+    "iceoryx2",
+    "zenoh",
+];
 
-/// Normal dependencies of every member of the workspace.
-fn imports() -> BTreeMap<String, Vec<String>> {
+/// The packages of the workspace, as cargo describes them.
+fn metadata() -> Vec<serde_json::Value> {
     let mut command = Command::new(env!("CARGO"));
     command.args(["metadata", "--no-deps", "--offline", "--format-version", "1"]).current_dir(repository());
     let output = command.output().unwrap();
     assert!(output.status.success(), "{}", support::stderr(&output));
     let metadata: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-    let packages = metadata["packages"].as_array().unwrap();
+    metadata["packages"].as_array().unwrap().clone()
+}
+
+/// Normal dependencies of every member of the workspace.
+fn imports() -> BTreeMap<String, Vec<String>> {
+    let packages = metadata();
     let name = |value: &serde_json::Value| value["name"].as_str().unwrap().to_owned();
     let normal = |package: &serde_json::Value| {
         let dependencies = package["dependencies"].as_array().unwrap().clone();
@@ -76,54 +100,65 @@ fn one_crate_each_opens_the_two_networks() {
     assert_eq!(importers("zenoh"), ["flockslam-sync-manager"]);
 }
 
-fn rust_files(below: &Path) -> Vec<PathBuf> {
-    let mut files = Vec::new();
-    for entry in fs::read_dir(below).into_iter().flatten() {
-        let path = entry.unwrap().path();
-        if path.is_dir() {
-            files.extend(rust_files(&path));
-        } else if path.extension().is_some_and(|extension| extension == "rs") {
-            files.push(path);
-        }
-    }
-    files
-}
-
-/// The part of a file that is compiled into the product.
-fn product_part(file: &Path) -> String {
-    let text = fs::read_to_string(file).unwrap();
-    let module = file.file_stem().unwrap().to_string_lossy().into_owned();
-    let parents = ["lib.rs", "mod.rs"].map(|name| file.parent().unwrap().join(name));
-    let of_tests = format!("#[cfg(test)]\nmod {module};");
-    if parents.iter().any(|parent| fs::read_to_string(parent).is_ok_and(|text| text.contains(&of_tests))) {
-        return String::new();
-    }
-    text.split("#[cfg(test)]\nmod tests {").next().unwrap().to_owned()
-}
-
 fn is_shell(file: &Path) -> bool {
-    let mut parts = file.components().map(|part| part.as_os_str().to_string_lossy().into_owned());
-    parts.any(|part| part == "process" || part == "process.rs")
+    file.components().any(|part| part.as_os_str() == "process" || part.as_os_str() == "process.rs")
+}
+
+/// Files of logic: those of the services that are no shells.
+fn logic() -> Vec<PathBuf> {
+    let services = fs::read_dir(repository().join("services")).unwrap().map(|entry| entry.unwrap().path());
+    let files = services.filter(|service| !service.ends_with("stage"));
+    files.flat_map(|service| rust_files(&service.join("src"))).filter(|file| !is_shell(file)).collect()
+}
+
+/// Each file and the first of these names that its product part uses, in whatever form it was imported.
+fn users<'n>(files: &[PathBuf], names: &[&'n str]) -> Vec<(PathBuf, &'n str)> {
+    let first = |file: &PathBuf| {
+        let used = product_identifiers(file);
+        let name = names.iter().find(|name| used.iter().any(|used| used == *name))?;
+        Some((file.strip_prefix(repository()).unwrap().to_owned(), *name))
+    };
+    files.iter().filter_map(first).collect()
 }
 
 #[test]
-fn logic_reaches_for_nothing_outside_of_its_inputs() {
-    let mut looked_at = 0;
-    for service in fs::read_dir(repository().join("services")).unwrap() {
-        let service = service.unwrap().path();
-        if service.ends_with("stage") {
-            continue;
-        }
-        for file in rust_files(&service.join("src")).iter().filter(|file| !is_shell(file)) {
-            let text = product_part(file);
-            for (index, line) in text.lines().enumerate() {
-                let reached = OUTSIDE_WORLD.iter().find(|name| line.contains(**name));
-                assert!(reached.is_none(), "{}:{}: {}", file.display(), index + 1, line.trim());
-            }
-            looked_at += 1;
-        }
+fn logic_reaches_for_no_clock_file_thread_or_network() {
+    let files = logic();
+    assert!(files.len() > 100, "only {} files were found", files.len());
+    assert_eq!(users(&files, &OUTSIDE_WORLD), []);
+}
+
+#[test]
+fn only_shells_import_bus_and_stage() {
+    let found = users(&logic(), &["flockslam_bus", "flockslam_stage", "flockslam_telemetry"]);
+    // It reads the store of submaps, and nothing else.
+    assert_eq!(found, [(PathBuf::from("services/sync-manager/src/fuse.rs"), "flockslam_stage")]);
+}
+
+#[test]
+fn a_clock_is_found_in_any_form_of_import() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("logic.rs");
+    let uses_clock = |text: &str| {
+        fs::write(&file, text).unwrap();
+        product_identifiers(&file).iter().any(|name| OUTSIDE_WORLD.contains(&name.as_str()))
+    };
+    for text in [
+        "use std::time::{Duration, Instant};",
+        "use std::{fmt, time::Instant as Clock};",
+        "use std::time::*; fn now() -> Instant { Instant::now() }",
+        "fn now() { let now = std::time::SystemTime::now(); }",
+        "fn after() {}\n#[cfg(test)]\nmod tests { fn one() {} }\nfn later() { std::thread::yield_now() }",
+    ] {
+        assert!(uses_clock(text), "{text}");
     }
-    assert!(looked_at > 40, "only {looked_at} files were found");
+    for text in [
+        "/// An Instant is not used here.\nfn f() { let text = \"std::fs\"; }",
+        "#[cfg(test)]\nmod tests { use std::time::Instant; }",
+        "use std::time::Duration;",
+    ] {
+        assert!(!uses_clock(text), "{text}");
+    }
 }
 
 /// What reads the wall clock, and the one place that puts it into a message, for exports.
@@ -131,27 +166,95 @@ const WALL_CLOCK: [&str; 2] = ["telemetry/src/clock.rs", "lidar-ingest/src/proce
 
 #[test]
 fn nothing_but_exports_knows_the_wall_clock() {
-    for top in ["interfaces", "services", "orchestration/src"] {
-        for file in rust_files(&repository().join(top)) {
-            let text = product_part(&file);
-            let reads = ["SystemTime", "Realtime", "utc_ns()"].iter().any(|name| text.contains(name));
-            let may = WALL_CLOCK.iter().any(|known| file.ends_with(known));
-            assert!(!reads || may, "{} reads the wall clock", file.display());
-        }
-    }
+    let tops = ["interfaces", "services", "orchestration/src"].map(|top| rust_files(&repository().join(top)));
+    let files =
+        tops.concat().into_iter().filter(|file| file.components().any(|part| part.as_os_str() == "src"));
+    let files: Vec<_> = files.filter(|file| !WALL_CLOCK.iter().any(|known| file.ends_with(known))).collect();
+    assert_eq!(users(&files, &["SystemTime", "Realtime", "utc_ns"]), []);
+}
+
+/// All Rust files of the project.
+fn all_files() -> Vec<PathBuf> {
+    ["interfaces", "services", "orchestration", "tests"]
+        .map(|top| rust_files(&repository().join(top)))
+        .concat()
 }
 
 #[test]
 fn files_are_short() {
-    let mut longest = (0, PathBuf::new());
-    for directory in ["interfaces", "services", "orchestration", "tests"] {
-        for file in rust_files(&repository().join(directory)) {
-            let lines = fs::read_to_string(&file).unwrap().lines().count();
-            assert!(lines <= LINES_MAX, "{} has {lines} lines", file.display());
-            longest = longest.max((lines, file));
+    let lines = |file: &PathBuf| fs::read_to_string(file).unwrap().lines().count();
+    let long: Vec<_> = all_files().into_iter().filter(|file| lines(file) > LINES_MAX).collect();
+    assert!(long.is_empty(), "more than {LINES_MAX} lines: {long:?}");
+}
+
+#[test]
+fn every_file_says_first_what_it_holds() {
+    let says = |file: &PathBuf| fs::read_to_string(file).unwrap().starts_with("//!");
+    let silent: Vec<_> = all_files().into_iter().filter(|file| !says(file)).collect();
+    assert!(silent.is_empty(), "without //! in the first line: {silent:#?}");
+}
+
+/// Files of all targets of the workspace, or of the fuzz targets, which are a workspace of their own.
+fn roots_of_targets() -> Vec<PathBuf> {
+    let packages = metadata();
+    let targets = packages.iter().flat_map(|package| package["targets"].as_array().unwrap().clone());
+    let mut roots: Vec<_> =
+        targets.map(|target| PathBuf::from(target["src_path"].as_str().unwrap())).collect();
+    roots.extend(rust_files(&repository().join("tests/fuzz/fuzz_targets")));
+    roots
+}
+
+#[test]
+fn every_file_of_the_project_belongs_to_a_target() {
+    let compiled: BTreeSet<_> = roots_of_targets().iter().flat_map(|root| files_of_target(root)).collect();
+    let forgotten: Vec<_> = all_files()
+        .into_iter()
+        .filter(|file| !compiled.contains(&file.canonicalize().unwrap()))
+        .filter(|file| !file.ends_with("build.rs"))
+        .collect();
+    assert!(forgotten.is_empty(), "no target compiles {forgotten:#?}");
+}
+
+#[test]
+fn system_tests_are_one_executable() {
+    let tests = |package: &serde_json::Value| {
+        let targets = package["targets"].as_array().unwrap().clone();
+        targets.into_iter().filter(|target| target["kind"][0] == "test").count()
+    };
+    let packages = metadata();
+    let package = packages.iter().find(|package| package["name"] == "flockslam").unwrap();
+    assert_eq!(tests(package), 1);
+    assert!(packages.iter().all(|package| tests(package) <= 1), "a library has at most one");
+}
+
+/// Each bullet of the section on invariants ends in `FILE.rs::NAME`: a function that asserts it, in the product or in a test.
+#[test]
+fn each_invariant_names_what_asserts_it() {
+    let text = fs::read_to_string(repository().join("ARCHITECTURE.md")).unwrap();
+    let section = text.split("\n## Invariants").nth(1).expect("there is a section on invariants");
+    let section = section.split("\n## ").next().unwrap();
+    let bullets: Vec<_> = section.split("\n- ").skip(1).collect();
+    assert!(bullets.len() >= 12, "{} invariants", bullets.len());
+    let files = all_files();
+    for bullet in bullets {
+        let keepers: Vec<_> = bullet.split('`').filter_map(|word| word.split_once(".rs::")).collect();
+        assert!(!keepers.is_empty(), "nothing is named that keeps: {bullet}");
+        for (path, name) in keepers {
+            let file = files.iter().find(|file| file.ends_with(format!("{path}.rs")));
+            let file = file.unwrap_or_else(|| panic!("{path}.rs does not exist: {bullet}"));
+            assert!(asserts(&fs::read_to_string(file).unwrap(), name), "{path}.rs::{name} asserts nothing");
         }
     }
-    println!("the longest file: {} ({} lines)", longest.1.display(), longest.0);
+}
+
+/// Whether a file has a function of this name in which something is asserted or refused.
+fn asserts(text: &str, name: &str) -> bool {
+    let Some(at) = text.find(&format!("fn {name}(")) else { return false };
+    // A function ends with a brace as far to the left as its first line.
+    let first = &text[..at].rsplit('\n').next().unwrap();
+    let end = format!("\n{}}}", " ".repeat(first.len() - first.trim_start().len()));
+    let body = text[at..].split(&end).next().unwrap();
+    ["assert", "panic!", "expect(", "Err("].iter().any(|word| body.contains(word))
 }
 
 #[test]
@@ -165,10 +268,7 @@ fn the_architecture_is_described_briefly_and_names_files_that_exist() {
         .split('`')
         .filter(|word| word.ends_with(".rs") && word.contains('/') && !word.contains(['*', '<', ' ', '{']));
     // Where the directory is clear from the text only the end of a path is given.
-    let files: Vec<_> = ["interfaces", "services", "orchestration", "tests"]
-        .iter()
-        .flat_map(|top| rust_files(&repository().join(top)))
-        .collect();
+    let files = all_files();
     for path in named {
         assert!(
             files.iter().any(|file| file.ends_with(path)),

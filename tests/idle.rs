@@ -1,11 +1,10 @@
 //! A set that has nothing to do costs next to nothing.
 
-mod support;
-
+use crate::support;
+use crate::support::RunningSet;
 use flockslam_messages::Stage;
 use rustix::process::Signal;
 use std::time::{Duration, Instant};
-use support::RunningSet;
 
 /// How long is looked at the processor time.
 const SPAN: Duration = Duration::from_secs(5);

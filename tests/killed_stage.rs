@@ -1,13 +1,12 @@
 //! `kill -9` of any process: a live run restarts the stage and ends with a usable map, an exact replay says what died,
 //! and a killed supervisor leaves no stage behind.
 
-mod support;
-
+use crate::support;
+use crate::support::{RunningSet, building, live_building, processes_of, run_well, truth_error_m, wait_for};
 use flockslam_messages::Stage;
 use rustix::process::Signal;
 use std::process::Stdio;
 use std::sync::OnceLock;
-use support::{RunningSet, building, live_building, processes_of, run_well, truth_error_m, wait_for};
 
 const DURATION_S: u32 = 60;
 const RATE: u32 = 8;

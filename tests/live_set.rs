@@ -1,12 +1,11 @@
 //! A live set: it takes orders, replaces what hangs, goes on without what does not get up, and outlives its supervisor.
 
-mod support;
-
+use crate::support;
+use crate::support::{Drive, LiveSet, PoseWatch, of, send, truth_error_m, wait_for};
 use flockslam::supervisor::{SetState, StageState};
 use flockslam_messages::Stage;
 use rustix::process::Signal;
 use std::time::{Duration, Instant};
-use support::{Drive, LiveSet, PoseWatch, of, send, truth_error_m, wait_for};
 
 /// A drive that no test sees the end of.
 const LONG: Drive = Drive { scan_rate_hz: 20.0, duration_s: 600.0, rate: 1.0 };

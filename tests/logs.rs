@@ -1,68 +1,49 @@
 //! The three benchmark logs with one configuration: accuracy against their relations, every scan present, the same
 //! bytes again, and the published program reproduced by its profile.
 
-mod support;
-
-use std::path::Path;
+use crate::support::logs::{ACES, FR079, INTEL, LOGS, Log};
+use crate::support::{Outputs, data_dir, evaluate_relations, not_tested};
 use std::process::Command;
-use support::{Outputs, benchmark_file, data_dir, evaluate_relations, run_well};
 
-struct Log {
-    name: &'static str,
-    /// Greatest mean translational error over all relations, metres.
-    limit_m: f64,
-    /// What the published program reaches over short relations, metres.
-    published_m: f64,
-}
+/// What default settings reach at start heading 0: mean errors over all relations, metres and degrees, and over loops, metres.
+const REACHED: [(Log, f64, f64, f64); 3] =
+    [(INTEL, 0.0, 0.0, 0.0), (FR079, 0.0, 0.0, 0.0), (ACES, 0.0, 0.0, 0.0)];
+/// A tenth more is a regression.
+const TOLERANCE: f64 = 1.1;
 
-const LOGS: [Log; 3] = [
-    Log { name: "intel", limit_m: 0.025, published_m: 0.031 },
-    Log { name: "fr079", limit_m: 0.045, published_m: 0.035 },
-    Log { name: "aces", limit_m: 0.08, published_m: 0.061 },
-];
-
-impl Log {
-    fn file(&self, data: &Path, extension: &str) -> std::path::PathBuf {
-        benchmark_file(data, self.name, extension)
-    }
-
-    fn map(&self, data: &Path, out: &Path, more: &[&str]) -> Outputs {
-        let mut args = vec!["map".to_owned(), self.file(data, "clf").display().to_string()];
-        args.extend(more.iter().map(|arg| (*arg).to_owned()));
-        run_well(self.name, out, &args)
-    }
-
-    /// Stamps of the log's scans as they stand in the file, in its order: the third field from the end.
-    fn stamps(&self, data: &Path) -> Vec<String> {
-        let text = std::fs::read(self.file(data, "clf")).unwrap();
-        let text = String::from_utf8_lossy(&text);
-        let scans =
-            text.lines().filter(|line| line.starts_with("FLASER ") || line.starts_with("ROBOTLASER1 "));
-        scans.map(|line| line.split_ascii_whitespace().rev().nth(2).unwrap().to_owned()).collect()
-    }
-}
-
-fn mean_m(group: &serde_json::Value) -> f64 {
-    group["translation_m"]["mean"].as_f64().unwrap()
+/// Stamps of the log's scans as they stand in the file, in its order: the third field from the end.
+fn stamps(log: &Log) -> Vec<String> {
+    let text = std::fs::read(log.file("clf").unwrap()).unwrap();
+    let text = String::from_utf8_lossy(&text);
+    let scans = text.lines().filter(|line| line.starts_with("FLASER ") || line.starts_with("ROBOTLASER1 "));
+    scans.map(|line| line.split_ascii_whitespace().rev().nth(2).unwrap().to_owned()).collect()
 }
 
 #[test]
-fn one_configuration_maps_all_logs_accurately() {
-    let Some(data) = data_dir() else { return };
-    for log in &LOGS {
-        let directory = tempfile::tempdir().unwrap();
-        let outputs = log.map(&data, directory.path(), &[]);
-        let figures = evaluate_relations(&data, log.name, &outputs);
-        let (mean, short, loops) =
-            (mean_m(&figures["all"]), mean_m(&figures["short"]), mean_m(&figures["loop"]));
-        println!(
-            "{}: all {mean:.4} m (at most {} m), short {short:.4} m, loops {loops:.4} m; {:.0} scans/s",
-            log.name, log.limit_m, outputs.report.scans_per_s
+fn default_settings_map_each_log_as_accurately_as_before() {
+    for (log, reached_m, reached_deg, reached_loop_m) in REACHED {
+        let Some(run) = log.shared_run(&[]) else { return };
+        let errors = log.errors(run.wait());
+        println!("{}: {errors:?}", log.name);
+        assert!(errors.mean_m <= TOLERANCE * reached_m, "{}: {errors:?}, {reached_m} m before", log.name);
+        assert!(
+            errors.mean_deg <= TOLERANCE * reached_deg,
+            "{}: {errors:?}, {reached_deg}° before",
+            log.name
         );
-        assert!(mean <= log.limit_m, "{}: {mean} m", log.name);
-        assert_eq!(figures["all"]["missing"], 0);
-        agrees_with_the_reference_evaluator(log, &data, &outputs, &figures);
-        let stamps = log.stamps(&data);
+        assert!(
+            errors.loop_m <= TOLERANCE * reached_loop_m,
+            "{}: {errors:?}, loops {reached_loop_m} m before",
+            log.name
+        );
+    }
+}
+
+#[test]
+fn each_scan_of_a_log_has_a_line_with_its_stamp_in_both_trajectories() {
+    for log in LOGS {
+        let Some(run) = log.shared_run(&[]) else { return };
+        let (outputs, stamps) = (run.wait(), stamps(&log));
         for name in ["trajectory.tum", "trajectory_online.tum"] {
             assert!(outputs.stamps(name) == stamps, "{}: {name} has other stamps than the log", log.name);
         }
@@ -70,18 +51,26 @@ fn one_configuration_maps_all_logs_accurately() {
     }
 }
 
-fn agrees_with_the_reference_evaluator(
-    log: &Log,
-    data: &Path,
-    outputs: &Outputs,
-    figures: &serde_json::Value,
-) {
+#[test]
+fn figures_agree_with_those_of_an_independent_evaluator() {
+    for log in LOGS {
+        let Some(run) = log.shared_run(&[]) else { return };
+        agrees_with_the_reference_evaluator(&log, run.wait());
+    }
+}
+
+fn agrees_with_the_reference_evaluator(log: &Log, outputs: &Outputs) {
+    let data = data_dir().unwrap();
+    let figures = evaluate_relations(&data, log.name, outputs);
     let script = data.join("../tools/relations.py");
     let mut command = Command::new("python3");
-    command.arg(&script).arg(outputs.directory.join("trajectory.tum")).arg(log.file(data, "relations"));
+    command.arg(&script).arg(outputs.directory.join("trajectory.tum")).arg(log.file("relations").unwrap());
     let output = match command.output() {
         Ok(output) if output.status.success() => output,
-        _ => return println!("NOT TESTED: no python3 or no {}", script.display()),
+        _ => {
+            let reason = format!("there is no python3 or no {}", script.display());
+            return not_tested("the independent evaluator", &reason);
+        }
     };
     let reference: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     for group in ["all", "short", "loop"] {
@@ -99,11 +88,11 @@ fn agrees_with_the_reference_evaluator(
 
 #[test]
 fn a_log_gives_the_same_bytes_again() {
-    let Some(data) = data_dir() else { return };
-    let log = &LOGS[1];
-    let directories = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
-    let [first, second] = directories.each_ref().map(|directory| log.map(&data, directory.path(), &[]));
-    for name in ["trajectory.tum", "trajectory_online.tum", "map.pgm", "map.yaml"] {
+    // The largest map of the three.
+    let Some(first) = ACES.shared_run(&[]) else { return };
+    let (first, directory) = (first.wait(), tempfile::tempdir().unwrap());
+    let second = Log::map(&ACES.file("clf").unwrap(), directory.path(), &[]);
+    for name in ["trajectory.tum", "trajectory_online.tum", "map.pgm", "map.yaml", "map.png"] {
         assert!(first.bytes(name) == second.bytes(name), "{name} differs");
     }
     assert_eq!(first.report.map_hash, second.report.map_hash);
@@ -111,11 +100,9 @@ fn a_log_gives_the_same_bytes_again() {
 
 #[test]
 fn the_profile_of_the_published_program_reproduces_its_error() {
-    let Some(data) = data_dir() else { return };
-    for log in &LOGS {
-        let directory = tempfile::tempdir().unwrap();
-        let outputs = log.map(&data, directory.path(), &["--profile", "vinyslam"]);
-        let short_m = mean_m(&evaluate_relations(&data, log.name, &outputs)["short"]);
+    for log in LOGS {
+        let Some(run) = log.shared_run(&["--profile", "vinyslam"]) else { return };
+        let short_m = log.errors(run.wait()).short_m;
         let ratio = short_m / log.published_m;
         println!(
             "{} as vinySLAM: short {short_m:.4} m, published {} m ({ratio:.2})",

@@ -1,12 +1,11 @@
 //! Every stage answers with its metrics, and the supervisor merges them into one page.
 
-mod support;
-
+use crate::support;
+use crate::support::{Drive, LiveSet, RunningSet, free_port, http_get, live_building, wait_for};
 use flockslam_messages::Stage;
 use flockslam_telemetry::names;
 use rustix::process::Signal;
 use std::collections::BTreeSet;
-use support::{Drive, LiveSet, RunningSet, free_port, http_get, live_building, wait_for};
 
 fn page_at(port: u16) -> Option<String> {
     let (head, body) = http_get(port, "/metrics")?;

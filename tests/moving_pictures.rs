@@ -1,11 +1,10 @@
 //! Pictures of worlds that move, for docs/moving-world.md.
 
-mod support;
-
+use crate::support;
+use crate::support::experiments::{BEARING_SIGMA_RAD, flat, one_mover};
+use crate::support::ndt_system::{PLAIN, run_ndt};
+use crate::support::{UNCLEANED, followed_from_a_stand, montage, panel, picture_of_ways, store_picture};
 use std::path::Path;
-use support::experiments::{BEARING_SIGMA_RAD, flat, one_mover};
-use support::ndt_system::{PLAIN, run_ndt};
-use support::{UNCLEANED, followed_from_a_stand, montage, panel, picture_of_ways, store_picture};
 
 /// Where the pictures go.
 const PICTURES: &str = "FLOCKSLAM_PICTURES";

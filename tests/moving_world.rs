@@ -1,10 +1,9 @@
 //! Worlds that move: people, doors and pallets leave neither ghosts nor holes in the map that navigation reads, and do not
 //! lead the robot astray.
 
-mod support;
-
+use crate::support;
+use crate::support::{BUILDINGS, MapFigures, MovingDrive, later_free, lively, moving_building};
 use flockslam_lidar_ingest::simulation::Settings;
-use support::{BUILDINGS, MapFigures, MovingDrive, later_free, lively, moving_building};
 
 /// What is asked: cells kept, cells removed, and their harmonic mean, percent.
 const ASKED: (f64, f64, f64) = (99.5, 95.0, 97.0);

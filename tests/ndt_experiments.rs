@@ -1,10 +1,9 @@
 //! The two experiments of the published NDT system (Trubin et al. 2020), with `--profile ndt`.
 
-mod support;
-
+use crate::support;
+use crate::support::experiments::{BEARING_SIGMA_RAD, Experiment, flat, one_mover};
+use crate::support::ndt_system::{MoveError, PLAIN, errors, run_ndt};
 use flockslam_geometry::{Point, Pose};
-use support::experiments::{BEARING_SIGMA_RAD, Experiment, flat, one_mover};
-use support::ndt_system::{MoveError, PLAIN, errors, run_ndt};
 
 /// The largest errors of the twelve moves.
 fn worst(flat: &Experiment) -> MoveError {

@@ -1,10 +1,8 @@
 //! Overload: a stage ten or a hundred times slower than it should be, and somebody else's work on all processors. The newest scans get their
 //! poses, what is left out is counted, memory stays what was laid out, and nothing that was accepted is lost.
 
-mod support;
-
+use crate::support::faults::{Overload, overload};
 use flockslam_messages::Stage;
-use support::faults::{Overload, overload};
 
 fn judge(kind: Overload) {
     let complaints = overload(kind).complaints();

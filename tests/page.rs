@@ -1,11 +1,11 @@
 //! The live page, in a real Chromium where there is one: it shows what the set does, marks what happens to its stages, takes orders,
 //! and comes back after everything behind it has died.
 
-#[path = "support/flocks.rs"]
-mod flocks;
-mod support;
-
-use flocks::FlockRobot;
+use crate::support;
+use crate::support::flocks::FlockRobot;
+use crate::support::{
+    Browser, Drive, LiveSet, RunningSet, free_port, http_get, keep_picture, of, processes_of, send, wait_for,
+};
 use flockslam_bus::RuntimeDir;
 use flockslam_messages::Stage;
 use rustix::process::Signal;
@@ -13,9 +13,6 @@ use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
 use std::time::Instant;
-use support::{
-    Browser, Drive, LiveSet, RunningSet, free_port, http_get, keep_picture, of, processes_of, send, wait_for,
-};
 
 /// Round the built-in office and back to where it began, with loops to close.
 const DRIVE: Drive = Drive { scan_rate_hz: 10.0, duration_s: 3000.0, rate: 6.0 };

@@ -1,8 +1,8 @@
 //! `flockslam record`: the file is whole and opens with the public tools, a websocket serves the public client, and nobody is held
 //! up by a recorder, however it ends.
 
-mod support;
-
+use crate::support;
+use crate::support::{Drive, LiveSet, flockslam, not_tested, send, stderr, stdout, wait_for};
 use flockslam::recording::RecordTopic;
 use flockslam::supervisor::Request;
 use flockslam_messages::Stage;
@@ -13,7 +13,6 @@ use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use support::{Drive, LiveSet, flockslam, send, stderr, stdout, wait_for};
 
 const DRIVE: Drive = Drive { scan_rate_hz: 10.0, duration_s: 2000.0, rate: 5.0 };
 
@@ -121,11 +120,11 @@ fn tool(directory: &Path, program: &Path, args: &[&str]) -> Option<String> {
     match output {
         Ok(output) if output.status.success() => Some(stdout(&output)),
         Ok(output) => {
-            println!("NOT TESTED: {} {}: {}", program.display(), args.join(" "), stderr(&output));
+            not_tested(&format!("{} {}", program.display(), args.join(" ")), stderr(&output).trim());
             None
         }
         Err(error) => {
-            println!("NOT TESTED: {} is not there: {error}", program.display());
+            not_tested(&program.display().to_string(), &error.to_string());
             None
         }
     }

@@ -1,14 +1,12 @@
 //! `flockslam map --refine`: the run itself stays what it is; beside it come a refined trajectory and a second epoch of submaps.
 
-mod support;
-
+use crate::support::{Outputs, run_well, simulated_log, truth_error_m};
 use flockslam::epoch::{ORIGINALS, REFINED};
 use flockslam::outputs::map_hash;
 use flockslam_evidence::FusedMap;
 use flockslam_geometry::Pose;
 use flockslam_stage::SubmapStore;
 use flockslam_stage::results::{StoredMap, read_layout};
-use support::{Outputs, run_well, simulated_log, truth_error_m};
 
 /// The submaps of an epoch at the places that `place` gives them, by number; a submap without one is left out.
 fn sum_of(outputs: &Outputs, epoch: &str, place: impl Fn(u32) -> Option<Pose>) -> (u32, StoredMap) {

@@ -1,9 +1,8 @@
 //! Exact replay of the simulated building: the same bytes every time, nothing lost, nothing left behind, and outputs
 //! that other programs can read.
 
-mod support;
-
-use support::{Outputs, building, run_well, truth_error_m};
+use crate::support;
+use crate::support::{Outputs, building, run_well, truth_error_m};
 
 const DURATION_S: u32 = 40;
 const SCANS: usize = 400;

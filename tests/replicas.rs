@@ -1,7 +1,7 @@
 //! Several processes of a stage: the same bytes in exact replay, and none is missed when they come, go or die in a live set.
 
-mod support;
-
+use crate::support::faults::Evidence;
+use crate::support::{Drive, LiveSet, Outputs, PoseWatch, building, run_well, send, wait_for};
 use flockslam::store::SavedMap;
 use flockslam::supervisor::{SetStatus, StageState};
 use flockslam_messages::Stage;
@@ -9,8 +9,6 @@ use flockslam_stage::whose_turn;
 use rustix::process::Signal;
 use std::path::Path;
 use std::time::Instant;
-use support::faults::Evidence;
-use support::{Drive, LiveSet, Outputs, PoseWatch, building, run_well, send, wait_for};
 
 const REPEATED: [&str; 4] = ["trajectory.tum", "trajectory_online.tum", "map.pgm", "map.yaml"];
 

@@ -1,7 +1,7 @@
 //! A map outlives its set: it is saved while the set runs, continued by the next one, checked, loaded and exported.
 
-mod support;
-
+use crate::support;
+use crate::support::{Drive, LiveSet, Outputs, flockslam, not_tested, of, send, stderr, wait_for};
 use flockslam::store::SavedMap;
 use flockslam::supervisor::SetStatus;
 use flockslam_messages::Stage;
@@ -9,7 +9,6 @@ use rustix::process::Signal;
 use std::fs;
 use std::path::Path;
 use std::process::Command;
-use support::{Drive, LiveSet, Outputs, flockslam, of, send, stderr, wait_for};
 
 const DRIVE: Drive = Drive { scan_rate_hz: 10.0, duration_s: 60.0, rate: 6.0 };
 /// A drive that no test sees the end of.
@@ -127,7 +126,7 @@ fn a_full_disk_leaves_the_poses_alone_until_there_is_room_again() {
     fs::create_dir(&disk).unwrap();
     let may_mount = in_a_namespace().args(["mount", "-t", "tmpfs", "none"]).arg(&disk).status();
     if !may_mount.is_ok_and(|status| status.success()) {
-        println!("NOT TESTED: no filesystem may be mounted here");
+        not_tested("a full disk", "no filesystem may be mounted");
         return;
     }
     let mut command = in_a_namespace();

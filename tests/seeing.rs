@@ -1,7 +1,7 @@
 //! What operators see of a running set: its log lines, whose levels change while it runs, and `flockslam top`.
 
-mod support;
-
+use crate::support;
+use crate::support::{Drive, LiveSet, send, stderr, stdout, wait_for};
 use flockslam::supervisor::set_metrics_socket;
 use flockslam::top::TopState;
 use flockslam_messages::Stage;
@@ -9,7 +9,6 @@ use flockslam_telemetry::scrape;
 use rustix::process::Signal;
 use serde_json::Value;
 use std::time::{Duration, Instant};
-use support::{Drive, LiveSet, send, stderr, stdout, wait_for};
 
 const DRIVE: Drive = Drive { scan_rate_hz: 10.0, duration_s: 2000.0, rate: 5.0 };
 

@@ -1,10 +1,9 @@
 //! Scans and tiles are read in place: their addresses in the readers lie in the very memory of their publisher.
 
-mod support;
-
+use crate::support;
+use crate::support::{RunningSet, live_building};
 use flockslam_messages::Stage;
 use std::path::PathBuf;
-use support::{RunningSet, live_building};
 
 /// A file in a process' memory.
 #[derive(Debug)]

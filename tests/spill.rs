@@ -1,9 +1,7 @@
 //! `set.spill_dir`: closed submaps lie on disk as long as a set runs, and the result is the same.
 
-mod support;
-
+use crate::support::{RunningSet, building, live_building, run, run_well, stderr, wait_for};
 use std::path::Path;
-use support::{RunningSet, building, live_building, run, run_well, stderr, wait_for};
 
 fn with_spill(mut args: Vec<String>, spill_dir: &Path) -> Vec<String> {
     args.extend(["--set".to_owned(), format!("set.spill_dir={}", spill_dir.display())]);

@@ -1,13 +1,12 @@
 //! Back-pressure of exact replay: with any stage stopped the source comes to rest within its credit window, and the
 //! run goes on to the same result when the stage goes on.
 
-mod support;
-
+use crate::support;
+use crate::support::{RunningSet, building, run_well, wait_for};
 use flockslam_messages::Stage;
 use rustix::process::Signal;
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
-use support::{RunningSet, building, run_well, wait_for};
 
 const DURATION_S: u32 = 400;
 const SCANS: u64 = 4000;

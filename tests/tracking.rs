@@ -1,8 +1,6 @@
 //! People who walk around the robot are followed: against the exact truth of simulated drives.
 
-mod support;
-
-use support::TrackFigures;
+use crate::support::TrackFigures;
 
 #[test]
 fn people_are_followed() {

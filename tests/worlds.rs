@@ -1,15 +1,14 @@
 //! Worlds in which many a system fails, simulated with their exact truth: buildings whose corridors all look alike, a
 //! kilometre driven in each, and a way outdoors on which most beams return nothing.
 
-mod support;
-
+use crate::support;
+use crate::support::{Outputs, RunningSet, building};
 use flockslam::evaluation::{Spread, evaluate_truth};
 use flockslam_geometry::Pose;
 use flockslam_messages::{PoseEstimate, PoseFlags, Quality};
 use flockslam_stage::JournalReader;
 use std::path::Path;
 use std::time::Duration;
-use support::{Outputs, RunningSet, building};
 
 /// Mean error of the final trajectory in a building, metres.
 const MEAN_ERROR_M: f64 = 0.05;

@@ -2,15 +2,14 @@
 //! hostile messages, beside a robot of another flock, with one of its own and with one of its own that drives no more takes turns; a number
 //! behind `--` sets how many of each (5), names which of them. p99 of a single run says little: medians are compared.
 
-#[path = "../support/flocks.rs"]
-mod flocks;
+#[allow(dead_code, unused_imports, reason = "a benchmark needs a part of what tests share")]
 #[path = "../support/mod.rs"]
 mod support;
 
-use flocks::{FlockRobot, flood};
 use serde_json::Value;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
+use support::flocks::{FlockRobot, flood};
 use support::{Drive, free_port};
 
 const DRIVE: Drive = Drive { scan_rate_hz: 10.0, duration_s: 40.0, rate: 1.0 };

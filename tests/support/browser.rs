@@ -1,6 +1,6 @@
 //! Chromium, driven over the WebDriver protocol.
 
-use super::{free_port, wait_for};
+use super::{free_port, not_tested, wait_for};
 use serde_json::{Value, json};
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -30,7 +30,7 @@ impl Browser {
     pub fn start(left_out: &str) -> Option<Self> {
         let chromium = CHROMIUM.into_iter().find_map(path_of);
         let (Some(chromium), Some(driver)) = (chromium, path_of(DRIVER)) else {
-            println!("NOT TESTED: {left_out}: there is no Chromium with {DRIVER} here");
+            not_tested(left_out, &format!("there is no Chromium with {DRIVER}"));
             return None;
         };
         let (port, profile) = (free_port(), tempfile::tempdir().unwrap());

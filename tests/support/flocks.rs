@@ -1,9 +1,6 @@
 //! Robots of a flock, the network between them, and who means them harm.
 
-// Every test executable uses its own part of this.
-#![allow(dead_code)]
-
-use crate::support::{Drive, LiveSet, flockslam, free_port, send, wait_for};
+use crate::support::{Drive, LiveSet, flockslam, free_port, not_tested, send, wait_for};
 use flockslam_records::{Content, MESSAGE_BYTES_MAX, Message, Record, RobotKey, Vector, Withdrawal};
 use flockslam_stage::FlockStatus;
 use rustix::process::Signal;
@@ -227,7 +224,7 @@ impl Namespace {
         if made {
             return Some(spaces);
         }
-        println!("NOT TESTED: no network namespaces can be made here (root and iproute2 are needed)");
+        not_tested("links that are cut", "no network namespace can be made (root and iproute2 are needed)");
         None
     }
 
@@ -267,7 +264,7 @@ pub struct Certificates {
 /// Certificates of two authorities that know nothing of each other; `None`, said clearly, where there is no openssl.
 pub fn own_certificates(directory: &Path) -> Option<[Certificates; 2]> {
     if Command::new("openssl").arg("version").output().is_err() {
-        println!("NOT TESTED: openssl is not installed");
+        not_tested("mutual TLS", "openssl is not installed");
         return None;
     }
     Some(["one", "two"].map(|authority| certificates(&directory.join(authority))))

@@ -1,26 +1,29 @@
 //! What the tests of the whole system share: they run the real executable, each under a robot name of its own, and
 //! wait for conditions with generous limits.
 
-// Every test executable uses its own part of this.
-#![allow(dead_code, unused_imports)]
-
 mod benchmark;
 mod browser;
 pub mod experiments;
 pub mod faults;
+pub mod flocks;
 mod followed;
 mod http;
 mod later_free;
 mod live;
 mod log;
+pub mod logs;
 mod montage;
 mod moved_map;
 mod moving_drive;
 pub mod ndt_system;
+pub mod nees;
+mod not_tested;
 mod outputs;
 mod pictures;
 mod poses;
 mod running;
+pub mod slow_link;
+pub mod source;
 
 pub use benchmark::{benchmark_file, evaluate_relations};
 pub use browser::Browser;
@@ -32,6 +35,7 @@ pub use log::simulated_log;
 pub use montage::{montage, panel, picture_of_ways, store_picture};
 pub use moved_map::{MapFigures, occupied_cells};
 pub use moving_drive::{BUILDINGS, MovingDrive, MovingRun, UNCLEANED, lively, moving_building};
+pub use not_tested::not_tested;
 pub use outputs::{Outputs, known_truth_error_m, truth_error_m};
 pub use pictures::keep_picture;
 pub use poses::{PoseWatch, SeenPose};
@@ -136,7 +140,7 @@ pub fn data_dir() -> Option<PathBuf> {
     if directory.join("intel/intel.clf").is_file() {
         return Some(directory);
     }
-    println!("NOT TESTED: no logs in {} (set FLOCKSLAM_DATA)", directory.display());
+    not_tested("real logs", &format!("there are none in {} (set FLOCKSLAM_DATA)", directory.display()));
     None
 }
 

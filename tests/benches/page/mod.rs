@@ -9,8 +9,6 @@ mod hop;
 mod long_run;
 mod machine;
 mod moving;
-#[path = "../../support/nees.rs"]
-mod nees;
 mod robustness;
 mod runs;
 mod separation;

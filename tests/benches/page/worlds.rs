@@ -1,5 +1,6 @@
 use super::runs::{Errors, Outcome};
-use super::{Bench, Subject, Table, figure, greatest, mean, nees, simulated};
+use super::{Bench, Subject, Table, figure, greatest, mean, simulated};
+use crate::support::nees::nees_of_run;
 
 /// A world to drive through several times with different noise.
 struct Drive {
@@ -64,7 +65,7 @@ pub fn section(bench: &mut Bench) -> String {
 
 /// How far poses are off against what their covariance says.
 fn consistency() -> String {
-    let mut all: Vec<f64> = (0..NEES_DRIVES).map(nees::nees_of_run).collect();
+    let mut all: Vec<f64> = (0..NEES_DRIVES).map(nees_of_run).collect();
     all.sort_by(f64::total_cmp);
     let mut table = Table::new(["NEES", "mean", "median", "greatest"]);
     table.row([

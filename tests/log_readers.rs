@@ -1,22 +1,16 @@
-//! The reader on real logs, found by `FLOCKSLAM_DATA` or in `../shared/data`.
+//! The readers on real logs and maps.
 
+use crate::support::data_dir;
 use flockslam_geometry::Pose;
 use flockslam_lidar_ingest::Settings;
 use flockslam_lidar_ingest::carmen::{CarmenReader, Tally};
 use flockslam_lidar_ingest::simulation::{ImageWorld, Settings as SimulationSettings, Simulation, World};
 use flockslam_lidar_ingest::stamp::StampText;
 use flockslam_messages::ScanBuffer;
-use std::path::PathBuf;
 use std::time::Instant;
 
 fn data(name: &str) -> Option<Vec<u8>> {
-    let default = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let path = std::env::var_os("FLOCKSLAM_DATA").map_or(default, PathBuf::from).join(name);
-    let bytes = std::fs::read(&path).ok();
-    if bytes.is_none() {
-        eprintln!("NOT TESTED: {} is absent; set FLOCKSLAM_DATA", path.display());
-    }
-    bytes
+    Some(std::fs::read(data_dir()?.join(name)).unwrap())
 }
 
 fn read(name: &str, mut each: impl FnMut(&ScanBuffer)) -> Option<Tally> {

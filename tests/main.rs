@@ -1,0 +1,47 @@
+//! Whole-system tests: they start the real executable, each with a root and a name of its own, and look at it from outside.
+//!
+//! All of them are one executable, since linking takes longer than most of the tests. `house.rs` keeps this list complete.
+
+mod bad_input;
+mod benchmarks;
+mod checkers;
+mod consistency;
+mod dashboards;
+mod deployment;
+mod faults;
+mod filter;
+mod flock;
+mod fuzzing;
+mod house;
+mod idle;
+mod killed_stage;
+mod live_set;
+mod log_readers;
+mod logs;
+mod metrics;
+mod moving_pictures;
+mod moving_world;
+mod ndt_experiments;
+mod overload;
+mod page;
+mod panics;
+mod recording;
+mod refine;
+mod replay;
+mod replicas;
+mod saved_map;
+mod seeing;
+mod shared_memory;
+mod spill;
+mod stopped_stage;
+#[allow(dead_code, unused_imports, reason = "benchmarks use the rest of it")]
+mod support;
+mod torn_logs;
+mod tracking;
+mod worlds;
+
+#[allow(dead_code, unused_imports, reason = "the test runs a part of the benchmark's sections")]
+#[path = "benches/page/mod.rs"]
+mod benchmark;
+#[path = "fuzz/entries.rs"]
+mod fuzz_entries;
