@@ -1,3 +1,6 @@
+//! A cell: two integer weights of evidence (Shafer 1976). Dempster's rule is their sum, so combining is exact in any order
+//! and can be undone.
+
 use crate::Masses;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
@@ -12,6 +15,17 @@ pub const PACKED_WEIGHT_MAX_NAT: f64 = u16::MAX as f64 / WEIGHT_SCALE;
 /// With masses p (occupied), q (free), u (unknown) the weights are `A = ln((p+u)/u)` and `B = ln((q+u)/u)`
 /// (Shafer 1976, weights of evidence). Dempster's rule is then their sum, so combining is exactly commutative and
 /// associative, and evidence can be withdrawn again.
+///
+/// ```
+/// use flockslam_evidence::{Cell, Masses};
+///
+/// let hit = Cell::from_masses(Masses::observation(0.9, 0.5));
+/// let miss = Cell::from_masses(Masses::observation(0.1, 0.2));
+/// let both = hit.combine(miss);
+/// assert_eq!(both, miss.combine(hit));
+/// assert_eq!(both.withdraw(miss), Some(hit));
+/// assert!(both.masses().pignistic() > 0.5 && both.conflict() > 0.0);
+/// ```
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, FromBytes, IntoBytes, Immutable, KnownLayout)]
 pub struct Cell {
@@ -172,6 +186,7 @@ mod tests {
     #[test]
     fn foreign_evidence_cannot_be_withdrawn() {
         assert_eq!(Cell { occupied: 3, free: 9 }.withdraw(Cell { occupied: 4, free: 0 }), None);
+        assert_eq!(Cell { occupied: 3, free: 9 }.withdraw(Cell { occupied: 0, free: 10 }), None);
         assert_eq!(Cell::from_weights(f64::NAN, -1.0), Cell::UNKNOWN);
     }
 }

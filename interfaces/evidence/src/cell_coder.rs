@@ -1,3 +1,6 @@
+//! The model by which the cells of a submap are range coded: each cell is predicted from its neighbours to the left and
+//! below. The same code writes and reads.
+
 use crate::levels::CellLevels;
 use crate::range_coder::{BinaryCoder, Likelihood};
 use crate::{TILE_CELLS, TILE_SIDE};

@@ -1,3 +1,5 @@
+//! A table of fixed size with a value for each of the cells that were touched last.
+
 use crate::CellIndex;
 
 /// Places in a set of the table.
@@ -83,7 +85,7 @@ impl<T> Place<T> {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use std::collections::BTreeMap;
+    use std::collections::{BTreeMap, BTreeSet};
 
     proptest! {
         #[test]
@@ -108,11 +110,12 @@ mod tests {
     }
 
     #[test]
-    fn a_full_table_forgets_but_does_not_grow() {
+    fn a_full_table_forgets_what_was_touched_longest_ago_and_does_not_grow() {
         let mut table = CellTable::<u8>::new();
         let size = table.places.len();
+        let cell = |i: i32| CellIndex::new(i, i / 7);
         for i in 0..200_000 {
-            let known = table.touch(CellIndex::new(i, i / 7), 1 + i as u32);
+            let known = table.touch(cell(i), 1 + i as u32);
             assert_eq!(*known, 0);
             *known = 1;
         }
@@ -120,5 +123,15 @@ mod tests {
         let taken =
             |set: usize| table.places[set * WAYS..(set + 1) * WAYS].iter().filter(|place| place.touched > 0);
         assert!((0..SETS).all(|set| taken(set).count() == usize::from(table.taken[set])));
+        let mut newest: BTreeMap<usize, BTreeSet<CellIndex>> = BTreeMap::new();
+        for cell in (0..200_000).rev().map(cell) {
+            let of_set = newest.entry(set_of(cell)).or_default();
+            if of_set.len() < WAYS {
+                of_set.insert(cell);
+            }
+        }
+        for (set, newest) in newest {
+            assert_eq!(taken(set).map(|place| place.cell).collect::<BTreeSet<_>>(), newest);
+        }
     }
 }

@@ -1,3 +1,5 @@
+//! An index from tile keys to content, dense over the bounds of the keys, with a limit on its size.
+
 use crate::TileKey;
 
 /// Entries that a directory may span: 2048 × 2048 tiles, 6 × 6 km with cells of 5 cm.

@@ -1,3 +1,5 @@
+//! The area that a submap covers in the fused map.
+
 use crate::TileKey;
 
 /// Where a submap knows something, in blocks of 8 × 8 cells of the fused map.

@@ -1,3 +1,6 @@
+//! The fused map: submaps and their poses go in, the sum of their evidence in one lattice comes out. A submap can be taken
+//! out again.
+
 use crate::resampling::Resampling;
 use crate::{Cell, CellIndex, Footprint, PackedCell, Submap, TILE_CELLS, TileDirectory, TileKey, TooFar};
 use flockslam_geometry::Pose;
@@ -6,6 +9,25 @@ use flockslam_geometry::Pose;
 ///
 /// Each submap is resampled to the nearest cell and added as integers: the order does not matter, and a submap can be
 /// taken out again exactly. Fusing the same submap twice counts its evidence twice: keys are the caller's duty.
+///
+/// ```
+/// # use flockslam_evidence::{CellIndex, FusedMap, PackedCell, Submap, SubmapTile, TILE_CELLS};
+/// # use flockslam_geometry::Pose;
+/// let wall = CellIndex::new(3, 5);
+/// let mut cells = Box::new([PackedCell::UNKNOWN; TILE_CELLS]);
+/// cells[wall.offset()] = PackedCell { occupied: 900, free: 20 };
+/// # let (tiles, odom_from_submap) = (vec![SubmapTile::new(wall.tile(), cells)], Pose::IDENTITY);
+/// # let (number, chain, insertions, first, last, cell_size_m) = (0, 0, 1, 0, 0, 0.05);
+/// let submap = Submap { number, chain, insertions, first, last, odom_from_submap, cell_size_m, tiles };
+/// let map_from_submap = Pose::new(1.0, 0.0, 0.0);
+/// let mut map = FusedMap::new(0.05);
+/// map.add(&submap, map_from_submap)?;
+/// // One metre is twenty cells.
+/// assert_eq!(map.cell(CellIndex::new(23, 5)).occupied, 900);
+/// map.withdraw(&submap, map_from_submap)?;
+/// assert!(map.is_empty());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct FusedMap {
     cell_size_m: f64,

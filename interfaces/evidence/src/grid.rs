@@ -1,3 +1,5 @@
+//! The grid that scans are matched to: tiles by key, and fast reads of matching scores at three resolutions.
+
 use crate::{CellIndex, PackedCell, Tile, TileDirectory, TileKey, TooFar};
 use flockslam_geometry::Point;
 use std::ops::Deref;
@@ -16,6 +18,23 @@ pub enum Level {
 /// A grid of evidence as its readers hold it: the newest version of each tile, wherever it lies.
 ///
 /// `H` gives access to a tile in place: a shared-memory sample between processes, `Box` or `Arc` in one process.
+///
+/// ```
+/// use flockslam_evidence::{CellIndex, Level, PackedCell, Tile, TileGrid};
+/// use flockslam_geometry::Point;
+///
+/// let mut grid: TileGrid<Box<Tile>> = TileGrid::new(0.05);
+/// let wall = grid.cell_at(Point::new(1.02, 0.01));
+/// assert_eq!(wall, CellIndex::new(20, 0));
+/// let mut tile = Tile::unknown(0);
+/// tile.cells[wall.offset()] = PackedCell { occupied: 900, free: 20 };
+/// tile.set_score(wall.offset(), 60_000);
+/// grid.set(wall.tile(), tile)?;
+/// assert_eq!(grid.cell(wall).occupied, 900);
+/// // A cell of the coarsest level has the greatest score of 4 × 4 cells.
+/// assert_eq!(grid.score(Level::Quarter, CellIndex::new(5, 0)), 60_000);
+/// # Ok::<(), flockslam_evidence::TooFar>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct TileGrid<H> {
     cell_size_m: f64,

@@ -1,3 +1,6 @@
+//! Quantisation of the weights of a submap: at most 27 levels for each of the two weights, each the mean of what it
+//! stands for.
+
 use crate::{PackedCell, Submap, SubmapTile};
 
 /// Kinds of weights, each half again as great as the one before: all of `1 … 65535`.

@@ -1,6 +1,17 @@
 //! Masses of belief about a cell and the two rules that combine them.
 
 /// Normalised Dempster–Shafer masses of a cell; they sum to one.
+///
+/// ```
+/// use flockslam_evidence::Masses;
+///
+/// let (wall, maybe) = (Masses::observation(0.9, 0.5), Masses::observation(0.6, 0.2));
+/// let mut total_conflicts = 0;
+/// let joint = wall.combine(maybe, &mut total_conflicts);
+/// assert!(joint.unknown < wall.unknown && total_conflicts == 0);
+/// assert_eq!(Masses::UNKNOWN.pignistic(), 0.5);
+/// assert!(Masses::new(0.6, 0.6, 0.1).is_err());
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Masses {
     /// Mass on {occupied}.
@@ -202,6 +213,7 @@ mod tests {
             let right = a.combine(b.combine(c, &mut conflicts), &mut conflicts);
             prop_assert!(close(left, right, 1e-9) && conflicts == 0);
             prop_assert!(close(a.combine(b, &mut conflicts), dempster(a, b), 1e-12));
+            prop_assert!(close(a.combine(b, &mut conflicts), b.combine(a, &mut conflicts), 1e-12));
             prop_assert!(close(a.combine(Masses::UNKNOWN, &mut conflicts), a, 1e-12));
             prop_assert!((left.occupied + left.free + left.unknown - 1.0).abs() < 1e-12);
         }
@@ -215,6 +227,14 @@ mod tests {
                     prop_assert!(p < 0.0 || q < 0.0 || u < 0.0 || !sums_to_one);
                 }
             }
+            // Shares of one, rounded by somebody else: a little is put right, more is an error.
+            let sum = q.abs() + u.abs() + 1.0;
+            let (q, u, rest) = (q.abs() / sum, u.abs() / sum, 1.0 / sum);
+            let m = Masses::new(q, u, rest + 5e-7).unwrap();
+            prop_assert!((m.occupied + m.free + m.unknown - 1.0).abs() < 1e-12);
+            let valid = Masses { occupied: q, free: u, unknown: rest };
+            prop_assert!(close(m, valid, 1e-6), "{m:?} is not {valid:?}");
+            prop_assert!(Masses::new(q, u, rest + 3e-6).is_err());
         }
     }
 
@@ -235,6 +255,8 @@ mod tests {
         let (occupied, free) = (Masses::from_weights(700.0, 0.0), Masses::from_weights(0.0, 700.0));
         assert!((occupied.vinyslam_score() - 1.0).abs() < 1e-9 && free.vinyslam_score().abs() < 1e-9);
         assert_eq!(Masses::UNKNOWN.vinyslam_score(), 0.5);
+        assert_eq!((occupied.occupancy(), occupied.pignistic()), (Some(1.0), 1.0));
+        assert!(free.occupancy() == Some(0.0) && free.pignistic() < 1e-9);
         assert_eq!((Masses::UNKNOWN.occupancy(), Masses::UNKNOWN.pignistic()), (None, 0.5));
     }
 }

@@ -183,9 +183,15 @@ mod tests {
         }
 
         #[test]
-        fn any_bytes_are_some_bits(bytes in proptest::collection::vec(any::<u8>(), 0..40)) {
-            let (mut decoder, mut likelihood) = (RangeDecoder::new(&bytes), Likelihood::default());
-            (0..1000).for_each(|_| { decoder.get(&mut likelihood); });
+        fn any_bytes_are_some_bits_and_these_come_back(bytes in proptest::collection::vec(any::<u8>(), 0..40)) {
+            let read = |bytes: &[u8]| -> Vec<bool> {
+                let (mut decoder, mut likelihood) = (RangeDecoder::new(bytes), Likelihood::default());
+                (0..1000).map(|_| decoder.get(&mut likelihood)).collect()
+            };
+            let bits = read(&bytes);
+            let (mut encoder, mut likelihood) = (RangeEncoder::new(Vec::new()), Likelihood::default());
+            bits.iter().for_each(|bit| encoder.put(&mut likelihood, *bit));
+            prop_assert_eq!(read(&encoder.finish()), bits);
         }
     }
 

@@ -1,3 +1,6 @@
+//! Rays through the lattice: origin and end in, the cells between them out, in fixed-point arithmetic with one cell for
+//! each step along the longer axis.
+
 use crate::{CellIndex, CrossedCells, TILE_SIDE, TileKey, floor};
 use flockslam_geometry::Point;
 
@@ -125,6 +128,10 @@ mod tests {
             let (origin, end) = (Point::new(ox, oy), Point::new(ox + dx, oy + dy));
             let last = CellIndex::new(floor(end.x_m), floor(end.y_m));
             let length = dx.hypot(dy);
+            // One cell for each column, or row when the ray is steep, without that of the end.
+            let steep = (end.y_m - origin.y_m).abs() > (end.x_m - origin.x_m).abs();
+            let columns = if steep { last.y.abs_diff(floor(oy)) } else { last.x.abs_diff(floor(ox)) };
+            prop_assert_eq!(Ray::new(origin, end).count(), columns as usize);
             let mut before: Option<CellIndex> = None;
             for cell in Ray::new(origin, end) {
                 let (cx, cy) = (f64::from(cell.x) + 0.5 - ox, f64::from(cell.y) + 0.5 - oy);
@@ -171,10 +178,12 @@ mod tests {
     #[test]
     fn absurd_ends_take_bounded_work() {
         let origin = Point::new(0.0, 0.0);
-        for end in
-            [Point::new(1e300, 3.0), Point::new(f64::NAN, f64::NAN), Point::new(f64::NEG_INFINITY, 0.0)]
-        {
-            assert!(Ray::new(origin, end).count() <= STEPS_MAX as usize);
+        for (end, cells) in [
+            (Point::new(1e300, 3.0), STEPS_MAX),
+            (Point::new(f64::NAN, f64::NAN), 0),
+            (Point::new(f64::NEG_INFINITY, 0.0), STEPS_MAX),
+        ] {
+            assert_eq!(Ray::new(origin, end).count(), cells as usize, "{end:?}");
         }
     }
 }

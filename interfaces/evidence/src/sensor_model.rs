@@ -1,3 +1,6 @@
+//! The inverse sensor model: origin and end points of a scan in, evidence for the cells along the beams out. One variant is
+//! that of vinySLAM.
+
 use crate::{Cell, CellIndex, Masses, Ray, floor};
 use flockslam_geometry::Point;
 
@@ -21,6 +24,28 @@ pub trait ObservedCells {
 }
 
 /// Inverse sensor model: which evidence a beam leaves along its way.
+///
+/// ```
+/// use flockslam_evidence::{Cell, CellIndex, ObservedCells, SensorModel};
+/// use flockslam_geometry::Point;
+/// use std::collections::BTreeMap;
+///
+/// #[derive(Default)]
+/// struct Scan(BTreeMap<CellIndex, Cell>);
+///
+/// impl ObservedCells for Scan {
+///     fn observe(&mut self, cell: CellIndex, evidence: Cell) {
+///         self.0.entry(cell).or_insert(evidence);
+///     }
+/// }
+///
+/// let (hit, miss) = (Cell { occupied: 9000, free: 0 }, Cell { occupied: 0, free: 800 });
+/// let mut scan = Scan::default();
+/// SensorModel::new(hit, miss).insert(0.05, Point::new(0.01, 0.01), &[Point::new(1.01, 0.01)], &mut scan);
+/// assert_eq!(scan.0[&CellIndex::new(20, 0)], hit);
+/// assert_eq!(scan.0[&CellIndex::new(19, 0)], miss);
+/// assert_eq!(scan.0.len(), 21);
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorModel {
     hit: Cell,

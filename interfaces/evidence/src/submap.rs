@@ -1,3 +1,5 @@
+//! Submaps: immutable evidence by tiles, a reference pose, and a mask of cells that were found stale afterwards.
+
 use crate::{CellIndex, PackedCell, TILE_CELLS, TILE_SIDE, TileKey};
 use flockslam_geometry::Pose;
 
@@ -5,6 +7,30 @@ use flockslam_geometry::Pose;
 ///
 /// Its cells lie in the lattice of the robot's odom frame (no rotation); `odom_from_submap` is the pose of the robot
 /// at its first scan, and moving that reference pose moves the whole submap.
+///
+/// ```
+/// use flockslam_evidence::{CellIndex, PackedCell, Submap, SubmapTile, TILE_CELLS};
+/// use flockslam_geometry::Pose;
+///
+/// let wall = CellIndex::new(3, 5);
+/// let mut cells = Box::new([PackedCell::UNKNOWN; TILE_CELLS]);
+/// cells[wall.offset()] = PackedCell { occupied: 900, free: 20 };
+/// let mut submap = Submap {
+///     number: 0,
+///     chain: 0,
+///     insertions: 1,
+///     first: 0,
+///     last: 0,
+///     odom_from_submap: Pose::IDENTITY,
+///     cell_size_m: 0.05,
+///     tiles: vec![SubmapTile::new(wall.tile(), cells)],
+/// };
+/// assert_eq!(Submap::decode(&submap.encode())?, submap.quantised());
+/// // A cell that is found stale is masked; the evidence itself stays.
+/// assert_eq!(submap.clear(wall).occupied, 900);
+/// assert!(submap.cell(wall).is_unknown() && submap.has_cleared());
+/// # Ok::<(), flockslam_evidence::SubmapBytesError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Submap {
     /// Its number within the epoch, from 0.

@@ -1,7 +1,7 @@
 //! The stored and transmitted form of a submap: compact, and read with suspicion.
 //!
-//! Little-endian: `FLSM`, version, checksum (CRC-32 of all that follows), number, insertions, first, last, reference pose, cell
-//! size; the levels of both weights (count, then each weight); the number of tiles and their keys, each as the
+//! Little-endian: `FLSM`, version, checksum (CRC-32 of all that follows), number, chain, insertions, first, last, reference pose,
+//! cell size; the levels of both weights (count, then each weight); the number of tiles and their keys, each as the
 //! difference to the one before; the tiles with cleared cells, as place, rows (64 bits) and a mask for each row; then to the end
 //! the cells, as places among the levels, range coded by [`CellModel`].
 

@@ -1,3 +1,5 @@
+//! Angles: the one function that brings a heading into its range.
+
 use std::f64::consts::{PI, TAU};
 
 /// Brings an angle in radians into `[-π, π)`. A NaN or infinite angle stays NaN.

@@ -1,3 +1,5 @@
+//! Points in the plane and distances between them.
+
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 /// A point in the plane, metres.

@@ -1,7 +1,22 @@
+//! Poses: the group SE(2). They are composed, inverted, compared, interpolated, and applied to points.
+
 use crate::{Point, wrap_angle};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 /// A rigid motion of the plane, SE(2): `a_from_b` maps a point p of frame b to `R(heading)·p + (x, y)` in frame a.
+///
+/// ```
+/// use flockslam_geometry::{Point, Pose};
+/// use std::f64::consts::FRAC_PI_2;
+///
+/// let odom_from_base = Pose::new(2.0, 1.0, FRAC_PI_2);
+/// let base_from_laser = Pose::new(0.5, 0.0, 0.0);
+/// let odom_from_laser = odom_from_base * base_from_laser;
+/// // The robot looks along y: what lies in front of it has a greater y in odom.
+/// assert!(odom_from_laser.position().distance_m(Point::new(2.0, 1.5)) < 1e-12);
+/// assert!(odom_from_laser.apply(Point::new(1.0, 0.0)).distance_m(Point::new(2.0, 2.5)) < 1e-12);
+/// assert!(odom_from_base.to(odom_from_laser).distance_m(base_from_laser) < 1e-12);
+/// ```
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
 pub struct Pose {
@@ -102,9 +117,13 @@ mod tests {
     fn group_laws_hold() {
         for a in samples() {
             assert!(close(a * a.inverse(), Pose::IDENTITY) && close(a.inverse() * a, Pose::IDENTITY));
+            assert!(close(a * Pose::IDENTITY, a) && close(Pose::IDENTITY * a, a));
             for b in samples() {
                 assert!(close(a.to(b), a.inverse() * b));
                 assert!(close(a * a.to(b), b));
+                for c in samples().into_iter().step_by(7) {
+                    assert!(close((a * b) * c, a * (b * c)));
+                }
                 let p = Point::new(0.3, -2.0);
                 assert!((a * b).apply(p).distance_m(a.apply(b.apply(p))) < 1e-9);
             }

@@ -1,7 +1,22 @@
+//! Velocities in the body frame. The exponential map of SE(2) makes a motion of a velocity and a duration, and its
+//! inverse makes a velocity of a motion.
+
 use crate::Pose;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 /// Velocity in the body frame.
+///
+/// ```
+/// use flockslam_geometry::{Pose, Twist};
+/// use std::f64::consts::FRAC_PI_2;
+///
+/// // A quarter of a circle with a radius of 1 m, in one second.
+/// let twist = Twist { x_m_s: FRAC_PI_2, turn_rad_s: FRAC_PI_2, ..Twist::default() };
+/// let motion = twist.motion_after(1.0);
+/// assert!(motion.distance_m(Pose::new(1.0, 1.0, 0.0)) < 1e-12);
+/// assert!((motion.heading_rad - FRAC_PI_2).abs() < 1e-12);
+/// assert!((Twist::from_motion(motion, 1.0).x_m_s - FRAC_PI_2).abs() < 1e-12);
+/// ```
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
 pub struct Twist {
@@ -51,8 +66,12 @@ mod tests {
     fn motion_and_velocity_are_inverse() {
         for (x, y, turn) in [(0.3, -0.1, 0.7), (1.0, 0.0, 0.0), (0.0, 0.0, -2.0), (0.2, 0.3, 1e-9)] {
             let motion = Pose::new(x, y, turn);
-            let back = Twist::from_motion(motion, 0.25).motion_after(0.25);
+            let twist = Twist::from_motion(motion, 0.25);
+            let back = twist.motion_after(0.25);
             assert!(motion.distance_m(back) < 1e-9 && (back.heading_rad - turn).abs() < 1e-12);
+            let again = Twist::from_motion(back, 0.25);
+            assert!((again.x_m_s - twist.x_m_s).hypot(again.y_m_s - twist.y_m_s) < 1e-7);
+            assert!((again.turn_rad_s - twist.turn_rad_s).abs() < 1e-10);
         }
         assert_eq!(Twist::from_motion(Pose::new(1.0, 0.0, 0.0), 0.0), Twist::default());
     }

@@ -1,3 +1,5 @@
+//! The reasons for which durable state cannot be written or read.
+
 use std::io;
 use std::path::{Path, PathBuf};
 

@@ -1,3 +1,5 @@
+//! Reading of journals: a file goes in, its good records come out, up to the first one that is torn.
+
 use crate::JournalError;
 use crate::format::{
     HEAD_BYTES, Head, RECORD_BYTES_MAX, RECORD_HEAD_BYTES, RecordHead, VERSION, head, read_head,
@@ -34,6 +36,22 @@ pub enum Ending {
 ///
 /// It may follow a journal that is being written: after the end has been reported, [`Self::next_record`] may be asked
 /// again.
+///
+/// ```
+/// use flockslam_journal::{Ending, RecordReader, RecordWriter};
+///
+/// # let directory = tempfile::tempdir()?;
+/// # let path = directory.path().join("scans.journal");
+/// RecordWriter::create(&path)?.append(7, &[b"a scan"])?;
+/// // The last byte is lost.
+/// let bytes = std::fs::read(&path)?;
+/// std::fs::write(&path, &bytes[..bytes.len() - 1])?;
+///
+/// let mut reader = RecordReader::open(&path)?;
+/// assert!(reader.next_record()?.is_none());
+/// assert!(matches!(reader.ending(), Ending::Torn { .. }));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct RecordReader {
     file: File,
@@ -203,13 +221,18 @@ mod tests {
         for length in 0..bytes.len() {
             fs::write(&path, &bytes[..length]).unwrap();
             let (found, ending) = read_all(&path).unwrap();
-            assert_eq!(found, records[..found.len()], "cut at {length}");
-            let whole: usize = found.iter().map(|(_, payload)| RECORD_HEAD_BYTES + payload.len()).sum();
-            assert_eq!(ending == Ending::Clean, length == HEAD_BYTES + whole, "cut at {length}");
+            let ends: Vec<usize> = (0..=records.len())
+                .map(|count| records[..count].iter().map(|(_, payload)| RECORD_HEAD_BYTES + payload.len()))
+                .map(|lengths| HEAD_BYTES + lengths.sum::<usize>())
+                .collect();
+            let whole = ends[1..].iter().filter(|end| **end <= length).count();
+            assert_eq!(found, records[..whole], "cut at {length}");
+            assert_eq!(ending == Ending::Clean, ends.contains(&length), "cut at {length}");
             RecordWriter::open(&path).unwrap().append(99, &[b"more"]).unwrap();
             let (continued, ending) = read_all(&path).unwrap();
-            assert_eq!(continued.len(), found.len() + 1);
-            assert_eq!((continued.last().unwrap(), ending), (&(99, b"more".to_vec()), Ending::Clean));
+            assert_eq!((continued.len(), ending), (found.len() + 1, Ending::Clean));
+            assert_eq!(continued[..whole], found);
+            assert_eq!(continued[whole], (99, b"more".to_vec()));
         }
     }
 
@@ -238,10 +261,15 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("j");
         let (records, bytes) = journal(&path);
-        let mut giant = head().to_vec();
-        giant.extend([0xff; 64]);
-        fs::write(&path, giant).unwrap();
-        assert_eq!(read_all(&path).unwrap(), (Vec::new(), Ending::Torn { offset: 16, bytes: 64 }));
+        // More than a record may have, and as much as it may have, in a file that is shorter.
+        for length in [u32::MAX, RECORD_BYTES_MAX as u32] {
+            let giant = [&head()[..], &length.to_le_bytes(), &[0xff; 60]].concat();
+            fs::write(&path, giant).unwrap();
+            let mut reader = RecordReader::open(&path).unwrap();
+            assert_eq!(reader.next_record().unwrap(), None);
+            assert_eq!(reader.ending(), Ending::Torn { offset: 16, bytes: 64 });
+            assert_eq!(reader.buffer.capacity(), 0);
+        }
         let first = RECORD_HEAD_BYTES + records[0].1.len();
         let repeated = [&bytes[..HEAD_BYTES + first], &bytes[HEAD_BYTES..HEAD_BYTES + first]].concat();
         fs::write(&path, repeated).unwrap();
@@ -271,6 +299,21 @@ mod tests {
         fs::write(&path, b"P5 some picture that is long enough").unwrap();
         assert!(matches!(RecordReader::open(&path), Err(JournalError::NotAJournal { .. })));
         assert!(matches!(RecordWriter::open(&path), Err(JournalError::NotAJournal { .. })));
-        assert!(matches!(RecordReader::open(&dir.path().join("none")), Err(JournalError::Io { .. })));
+        let none = dir.path().join("none");
+        assert!(matches!(RecordReader::open(&none), Err(JournalError::Io { .. })));
+        let mut later = head();
+        later[8..12].copy_from_slice(&(VERSION + 1).to_le_bytes());
+        let checksum = crc32fast::hash(&later[..12]);
+        later[12..].copy_from_slice(&checksum.to_le_bytes());
+        let other = dir.path().join("later");
+        fs::write(&other, later).unwrap();
+        for refused in [RecordReader::open(&other).err(), RecordWriter::open(&other).err()] {
+            let refused = refused.expect("another version is refused");
+            assert!(matches!(refused, JournalError::UnknownVersion { found, .. } if found == VERSION + 1));
+        }
+        for path in [path, none, other] {
+            let error = RecordReader::open(&path).expect_err("it is refused").to_string();
+            assert!(error.contains(path.to_str().unwrap()), "{error}");
+        }
     }
 }

@@ -1,3 +1,5 @@
+//! Atomic replacement of whole files: the bytes go into a file beside the old one, which is then renamed.
+
 use crate::JournalError;
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File, OpenOptions};
@@ -128,6 +130,8 @@ mod tests {
         assert_eq!(names(dir.path()), ["taken"]);
         assert!(replace_file(&dir.path().join("none/x"), b"x", Durability::Process).is_err());
         assert!(replace_file(Path::new("/"), b"x", Durability::Process).is_err());
+        assert_eq!(names(dir.path()), ["taken"]);
+        assert!(taken.is_dir());
     }
 
     #[test]

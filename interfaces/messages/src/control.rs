@@ -1,3 +1,5 @@
+//! Messages about the stream of scans as a whole: its end, and what is asked of a stage.
+
 use crate::message::message;
 
 message! {

@@ -1,3 +1,5 @@
+//! Motion correction: from a scan, the lidar's mounting and the robot's velocity to beams as if all had left at the stamp.
+
 use crate::{ScanHeader, ScanView};
 use flockslam_geometry::{Point, Pose, Twist};
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -126,6 +128,8 @@ mod tests {
         let scan = ScanBuffer::from_ranges(&[1.0, 2.0], 0.5, 0.1);
         let view = scan.view().unwrap();
         let deskew = Deskew::new(view, Twist { turn_rad_s: 3.0, ..Twist::default() });
+        assert_eq!(deskew.beam_at_stamp(view, 0), (0.5, Some(1.0)));
         assert_eq!(deskew.beam_at_stamp(view, 1), (0.6, Some(2.0)));
+        assert!((0..2).all(|beam| deskew.shift_max_rad(view, beam) == 0.0));
     }
 }

@@ -1,3 +1,5 @@
+//! Messages about the flock: where the common map lies, and where the other robots are.
+
 use crate::message::message;
 use flockslam_geometry::Pose;
 

@@ -1,3 +1,5 @@
+//! Messages of the mapper: changed tiles, the commit that makes them valid, a closed submap.
+
 use crate::message::message;
 use crate::{ScanId, Times};
 use flockslam_evidence::{Tile, TileKey};

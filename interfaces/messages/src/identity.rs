@@ -1,3 +1,5 @@
+//! What every message carries: the name of its scan and the times of its scan.
+
 use crate::message::message;
 
 message! {

@@ -1,3 +1,5 @@
+//! The message of a new layout: the correction of the front end after a closed submap.
+
 use crate::message::message;
 use flockslam_geometry::Pose;
 

@@ -1,3 +1,5 @@
+//! Messages of the dynamic cleaner: cleared cells of the map, and the findings of a replica in its sector.
+
 use crate::message::message;
 use crate::{ScanId, Times};
 

@@ -1,3 +1,6 @@
+//! What makes a type a message: plain data with a versioned name and a hash of its layout (FNV-1a). The macro `message!`
+//! declares the types of all other modules.
+
 use flockslam_evidence::{PackedCell, Tile, TileKey};
 use flockslam_geometry::{Covariance, Point, Pose, Twist};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};

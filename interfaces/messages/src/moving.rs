@@ -1,3 +1,5 @@
+//! The message of the matcher about beams that end on moving objects.
+
 use crate::message::message;
 use crate::{ScanId, Times};
 

@@ -1,3 +1,5 @@
+//! The message of the matcher about the pose of a scan: pose, covariance, velocity, quality and flags.
+
 use crate::message::message;
 use crate::{ScanId, Times};
 use flockslam_geometry::{Covariance, Pose, Twist};

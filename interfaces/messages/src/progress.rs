@@ -1,3 +1,5 @@
+//! The message by which a stage says how far it has come, and the list of all stages.
+
 use crate::message::message;
 
 message! {

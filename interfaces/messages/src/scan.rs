@@ -1,3 +1,6 @@
+//! Scans: a header and a slice of numbers. `ScanView` checks that both fit together and reads them in place;
+//! `ScanBuffer` owns its numbers.
+
 use crate::message::message;
 use crate::{ScanId, Times};
 use flockslam_geometry::Pose;
@@ -80,6 +83,19 @@ const ISOLATED_SLOPE: f64 = 5.7;
 const ISOLATED_FROM_M: f32 = 2.0;
 
 /// A scan read in place: the header and its numbers, wherever they lie.
+///
+/// ```
+/// use flockslam_messages::{ScanHeader, ScanSections, ScanView};
+///
+/// let sections = ScanSections::INTENSITIES;
+/// let header = ScanHeader { beam_count: 2, range_max_m: 30.0, sections, ..ScanHeader::default() };
+/// let numbers = [1.5, 2.5, 80.0, 90.0];
+/// let scan = ScanView::new(&header, &numbers)?;
+/// assert_eq!(scan.ranges(), &[1.5, 2.5]);
+/// assert_eq!(scan.intensities(), Some(&[80.0, 90.0][..]));
+/// assert!(ScanView::new(&header, &numbers[..3]).is_err());
+/// # Ok::<(), flockslam_messages::ScanProblem>(())
+/// ```
 #[derive(Clone, Copy, Debug)]
 pub struct ScanView<'a> {
     header: &'a ScanHeader,
@@ -197,6 +213,19 @@ impl<'a> ScanView<'a> {
 }
 
 /// A scan that owns its numbers: what sources produce and tests hold.
+///
+/// ```
+/// use flockslam_messages::ScanBuffer;
+///
+/// let mut scan = ScanBuffer::from_ranges(&[1.0, f32::INFINITY, 2.0], -0.5, 0.5);
+/// scan.header.range_max_m = 30.0;
+/// let view = scan.view()?;
+/// assert_eq!((view.len(), view.angle_rad(2)), (3, 0.5));
+/// // The second beam has no return.
+/// assert_eq!(view.valid_range_m(1), None);
+/// assert_eq!(view.valid_range_m(2), Some(2.0));
+/// # Ok::<(), flockslam_messages::ScanProblem>(())
+/// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ScanBuffer {
     /// The header.
@@ -242,6 +271,11 @@ mod tests {
         assert_eq!((view.angle_rad(1), view.time_s(1), view.intensities()), (0.75, 0.125, None));
         scan.header.sections = ScanSections::ANGLES | ScanSections::INTENSITIES;
         assert_eq!(scan.view().unwrap().intensities(), Some(&[0.0, 0.125][..]));
+        scan.header.sections = ScanSections::ALL;
+        scan.numbers.extend([0.5, 0.625]);
+        let view = scan.view().unwrap();
+        assert_eq!((view.angle_rad(0), view.time_s(0), view.time_s(1)), (0.25, 0.5, 0.625));
+        assert_eq!((view.ranges(), view.intensities()), (&[1.0, 2.0][..], Some(&[0.0, 0.125][..])));
         scan.header.sections = 8;
         assert_eq!(scan.view().unwrap_err(), ScanProblem::UnknownSections(8));
     }

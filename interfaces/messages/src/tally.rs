@@ -1,3 +1,5 @@
+//! The message of the sums over the beams of a scan: parts of a large scan add up to the whole exactly.
+
 use crate::ScanId;
 use crate::message::message;
 

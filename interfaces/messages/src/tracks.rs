@@ -1,3 +1,5 @@
+//! The message about who moves around the robot: position, velocity and prediction of each track.
+
 use crate::message::message;
 use crate::{ScanId, Times};
 use flockslam_geometry::Point;

@@ -1,3 +1,5 @@
+//! The message of the correlation filter: keep or drop a scan, with the reason.
+
 use crate::message::message;
 use crate::{ScanId, Times};
 

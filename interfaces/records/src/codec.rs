@@ -1,3 +1,6 @@
+//! Reading and writing of values, little-endian. A number has exactly one form, and no length is believed before it was
+//! compared with its limit and with the bytes that are there.
+
 use crate::{RecordError, RobotId};
 use flockslam_geometry::{Pose, wrap_angle};
 

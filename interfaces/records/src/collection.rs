@@ -1,3 +1,6 @@
+//! What a robot knows of all logs: records go in from anybody, in any order; the records that hold, a version vector and
+//! answers to other robots come out.
+
 use crate::content::{Content, Kind};
 use crate::message::{MESSAGE_BYTES_MAX, Message};
 use crate::{LogState, Numbers, Record, RecordError, RecordName, RobotId, Vector};
@@ -104,6 +107,24 @@ pub struct Tally {
 ///
 /// It only grows, and what it holds depends on the set of records alone, not on the order in which they came (as long as no limit is
 /// met): a state-based replicated set (Shapiro et al. 2011).
+///
+/// ```
+/// use flockslam_records::{Collection, Content, Message, Record, RobotKey, Withdrawal};
+///
+/// let key = RobotKey::of_replay("robot-1")?;
+/// let (mut ours, mut theirs) = (Collection::default(), Collection::default());
+/// for number in 0..3 {
+///     let content = Content::Withdrawal(Withdrawal { epoch: 0, number });
+///     ours.insert(Record::new(&key, 1, number, &content)?);
+/// }
+/// // They say what they have, and take in what we answer.
+/// for answer in ours.answer(&Message::Have(theirs.vector()), 1 << 20) {
+///     theirs.answer(&answer, 1 << 20);
+/// }
+/// assert_eq!(theirs.records().count(), 3);
+/// assert_eq!(theirs.hash(), ours.hash());
+/// # Ok::<(), flockslam_records::RecordError>(())
+/// ```
 #[derive(Clone, Debug, Default)]
 pub struct Collection {
     limits: Limits,

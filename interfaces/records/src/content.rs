@@ -1,3 +1,5 @@
+//! What a record can say, by kind, and how it becomes a payload.
+
 use crate::codec::{Reader, Writer};
 use crate::{RecordError, RobotId};
 

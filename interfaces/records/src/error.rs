@@ -1,3 +1,5 @@
+//! The reasons for which bytes are refused.
+
 /// Why bytes are not a record or a message.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RecordError {

@@ -1,3 +1,5 @@
+//! What robots send each other: vectors, records, hashes of disputed logs, and where a robot is.
+
 use crate::codec::{Reader, Writer};
 use crate::sealed::RECORD_BYTES_MAX;
 use crate::{Presence, RecordError, RobotId, SCHEMA_VERSION, Vector};

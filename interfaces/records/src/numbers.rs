@@ -1,3 +1,5 @@
+//! Sets of record numbers, kept and sent as ranges.
+
 use crate::RecordError;
 use crate::codec::{Reader, Writer};
 

@@ -1,3 +1,5 @@
+//! Where a robot is just now: a signed message that nobody keeps.
+
 use crate::codec::{Reader, Writer};
 use crate::{RecordError, RobotId, RobotKey};
 use flockslam_geometry::Pose;
@@ -92,6 +94,10 @@ mod tests {
             bent[place] ^= 1;
             assert!(Message::decode(&bent).is_err(), "byte {place} was changed");
         }
+        let mut forged = said.clone();
+        forged.signature = RobotKey::of_replay("b").unwrap().sign(&digest(&forged.body()));
+        let refused = Message::decode(&Message::Here(forged).encode());
+        assert_eq!(refused, Err(RecordError::Signature(key.id().to_string())));
         let later = Presence::sign(&key, 2, 71, 3, Pose::IDENTITY);
         assert!(later.is_newer_than(&said) && !said.is_newer_than(&later) && !said.is_newer_than(&said));
     }

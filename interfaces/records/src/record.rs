@@ -1,3 +1,5 @@
+//! Records: content and a key go in, signed and named bytes come out, and back.
+
 use crate::content::{Content, Kind};
 use crate::sealed::{Envelope, PAYLOAD_BYTES_MAX, seal};
 use crate::{RecordError, RobotId, RobotKey};
@@ -17,6 +19,21 @@ pub struct RecordName {
 }
 
 /// A record that is whole: its signature holds and its content is well formed.
+///
+/// ```
+/// use flockslam_records::{Content, Record, RobotKey, Withdrawal};
+///
+/// let key = RobotKey::of_replay("robot-1")?;
+/// let content = Content::Withdrawal(Withdrawal { epoch: 1, number: 0 });
+/// let record = Record::new(&key, 1, 7, &content)?;
+/// let read = Record::read(record.bytes())?;
+/// assert_eq!((read.name.number, &read.content), (7, &content));
+/// // Nobody else can change what a robot has said.
+/// let mut forged = record.bytes().to_vec();
+/// forged[60] ^= 1;
+/// assert!(Record::read(&forged).is_err());
+/// # Ok::<(), flockslam_records::RecordError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Record {
     /// Its name.

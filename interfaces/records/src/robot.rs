@@ -1,3 +1,5 @@
+//! Who a robot is, and the Ed25519 key (RFC 8032) that it signs with.
+
 use crate::RecordError;
 use ed25519_dalek::{Signature, Signer, SigningKey, VerifyingKey};
 use std::fmt;

@@ -1,3 +1,5 @@
+//! The envelope of a record: name, payload and signature as bytes. The payload is not looked at here.
+
 use crate::codec::{Reader, Writer};
 use crate::content::Kind;
 use crate::{RecordError, RecordName, RobotId, RobotKey};

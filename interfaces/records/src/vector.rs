@@ -1,3 +1,5 @@
+//! Version vectors: what a collection has of each log.
+
 use crate::codec::{Reader, Writer};
 use crate::{Numbers, RecordError, RobotId};
 

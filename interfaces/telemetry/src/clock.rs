@@ -1,3 +1,5 @@
+//! The clocks of a process: monotonic time for latency and deadlines, wall time for export.
+
 use crate::is_sabotaged;
 use rustix::time::{ClockId, Timespec, clock_gettime};
 

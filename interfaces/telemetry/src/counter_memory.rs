@@ -1,3 +1,5 @@
+//! Counters across restarts: pages of metrics go in, the same pages with the counts of earlier processes come out.
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 

@@ -1,3 +1,5 @@
+//! The metrics endpoint: one thread that serves a page on a unix socket or on the loopback address.
+
 use crate::http::{Bounded, TimedStream, read_request, write_answer};
 use rustix::net::{Shutdown, shutdown};
 use std::fs;
@@ -176,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn silent_trickling_and_rude_clients_do_not_keep_others_away() {
+    fn clients_that_say_nothing_or_nonsense_or_do_not_read_do_not_keep_others_away() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("s.sock");
         let _endpoint = MetricsEndpoint::on_unix_socket(&path, || "a 1\n".repeat(100_000)).unwrap();

@@ -1,3 +1,5 @@
+//! Merging of several pages in the Prometheus text format into one valid page.
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 

@@ -1,3 +1,5 @@
+//! Heartbeats: a small file that a stage writes and the supervisor reads, with a check word against torn writes.
+
 use std::fs::{File, OpenOptions};
 use std::io;
 use std::os::unix::fs::FileExt;

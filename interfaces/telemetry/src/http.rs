@@ -138,6 +138,21 @@ mod tests {
         assert_eq!(split_answer("no http"), None);
     }
 
+    #[test]
+    fn a_client_that_trickles_its_bytes_is_dropped_at_the_deadline() {
+        let (server, mut client) = UnixStream::pair().unwrap();
+        // It goes on until nobody listens any more; the longest request would take it most of a minute.
+        let trickling = std::thread::spawn(move || {
+            while client.write_all(b"x").is_ok() {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+        });
+        let mut bounded = Bounded::new(server, Duration::from_millis(50));
+        assert!(read_request(&mut bounded).is_err());
+        drop(bounded);
+        trickling.join().unwrap();
+    }
+
     proptest! {
         #[test]
         fn any_bytes_are_survived(bytes in prop::collection::vec(any::<u8>(), 0..2000)) {

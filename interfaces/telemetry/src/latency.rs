@@ -1,3 +1,5 @@
+//! A histogram of durations with a bounded relative error, of fixed size, that can be merged and sent.
+
 use zerocopy::{FromBytes, FromZeros, Immutable, IntoBytes, KnownLayout};
 
 /// Buckets per octave: a bucket is at most 1/32 of its value wide, its middle at most 1/64 off.
@@ -11,6 +13,20 @@ const LIMIT_NS: u64 = LINEAR_NS << OCTAVES;
 
 /// Counts durations in log-linear buckets (1 ns … 137 s, read-outs within 1.6 %): a fixed array of plain data that is
 /// recorded without allocation, merged by adding and encoded as its bytes.
+///
+/// ```
+/// use flockslam_telemetry::LatencyHistogram;
+///
+/// let mut histogram = LatencyHistogram::default();
+/// (1..=100_u64).for_each(|ms| histogram.record(ms * 1_000_000));
+/// let figures = histogram.quantiles();
+/// assert_eq!((figures.count, figures.max_ns), (100, 100_000_000));
+/// assert!(figures.p50_ns.abs_diff(50_000_000) < 1_000_000);
+///
+/// let mut both = LatencyHistogram::from_bytes(histogram.as_bytes()).expect("its own bytes");
+/// both.merge(&histogram);
+/// assert_eq!(both.count(), 200);
+/// ```
 #[repr(C)]
 #[derive(Clone, Debug, PartialEq, Eq, FromBytes, IntoBytes, Immutable, KnownLayout)]
 pub struct LatencyHistogram {

@@ -1,3 +1,6 @@
+//! Log lines: to the standard error as text, JSON or for journald, and into the stream of the set. The filter can be changed
+//! while the process runs.
+
 use std::fmt;
 use std::io::IsTerminal;
 use std::os::unix::fs::MetadataExt;

@@ -1,3 +1,5 @@
+//! The documentation page of all metrics, made from their definitions.
+
 use crate::names::{self, Kind, Metric};
 use std::fmt::Write;
 

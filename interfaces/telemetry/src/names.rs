@@ -463,10 +463,17 @@ mod tests {
             assert!(metric.name.starts_with(PREFIX) && !metric.help.is_empty());
             assert!(metric.name.bytes().all(|b| b.is_ascii_lowercase() || b == b'_'), "{}", metric.name);
             assert!(!metric.name.contains("micro") && !metric.name.contains("milli"));
+            let other_units =
+                ["ms", "us", "ns", "minutes", "hours", "degrees", "percent", "kilobytes", "megabytes"];
+            assert!(metric.name.split('_').all(|word| !other_units.contains(&word)), "{}", metric.name);
             assert_eq!(ALL.iter().filter(|other| other.name == metric.name).count(), 1);
             assert_eq!(metric.name.ends_with("_total"), metric.kind == Kind::Counter, "{}", metric.name);
             if let Kind::Histogram(bounds) = metric.kind {
-                assert!(bounds.is_sorted() && !bounds.is_empty());
+                assert!(
+                    !bounds.is_empty() && bounds.windows(2).all(|pair| pair[0] < pair[1]),
+                    "{}",
+                    metric.name
+                );
             }
         }
     }

@@ -1,3 +1,5 @@
+//! Processor time and private memory of the own process, as metrics.
+
 use crate::names;
 use crate::names::Metric;
 use crate::stage_metrics::registered;

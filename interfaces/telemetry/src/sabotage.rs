@@ -1,3 +1,5 @@
+//! Switches by which a test takes a protection away, to see that its loss is noticed.
+
 use std::sync::OnceLock;
 
 /// A list of words in the environment of a set, for its own tests alone.

@@ -1,3 +1,5 @@
+//! The client of a metrics endpoint: reads the page of a stage within a time limit.
+
 use crate::http::{Bounded, split_answer};
 use rustix::net::sockopt::{Timeout, set_socket_timeout};
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, connect, socket_with};
@@ -58,7 +60,7 @@ mod tests {
     const SHORT: Duration = Duration::from_millis(50);
 
     #[test]
-    fn a_stage_that_hangs_is_given_up_in_time_even_when_its_queue_is_full() {
+    fn a_stage_that_hangs_is_given_up_even_when_its_queue_is_full() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("hangs.sock");
         assert!(matches!(scrape(&path, SHORT), Err(ScrapeError::Io(_))));

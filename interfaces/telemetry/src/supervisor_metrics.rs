@@ -1,3 +1,5 @@
+//! The metrics of the supervisor: restarts, hangs and state of each stage, and the memory of the set.
+
 use crate::names::{self, Metric};
 use crate::process_use::ProcessUse;
 use crate::stage_metrics::registered;
@@ -131,6 +133,16 @@ mod tests {
     #[test]
     fn every_stage_has_its_series_from_the_start() {
         let metrics = SupervisorMetrics::new(&["mapper", "scan-matcher"]);
+        let text = metrics.render();
+        for stage in ["mapper", "scan-matcher"] {
+            let of_stage = |name: &str| format!("flockslam_stage_{name}{{stage=\"{stage}\"}} 0");
+            let restarts = RestartReason::ALL.map(|why| {
+                format!("flockslam_stage_restarts_total{{reason=\"{}\",stage=\"{stage}\"}} 0", why.name())
+            });
+            for line in restarts.into_iter().chain(["up", "hangs_total", "degraded"].map(of_stage)) {
+                assert!(text.lines().any(|l| l == line), "{line} is missing in\n{text}");
+            }
+        }
         metrics.restarted("mapper", RestartReason::Hung);
         metrics.set_heartbeat_age("mapper", 1, 0.25);
         metrics.set_up("scan-matcher", true);

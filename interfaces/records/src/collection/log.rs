@@ -1,3 +1,5 @@
+//! What is known of one log: a record for each number, or the two that contradict each other.
+
 use crate::content::Kind;
 use crate::{Numbers, Record};
 use std::collections::BTreeMap;

@@ -1,3 +1,5 @@
+//! Tests of collections: order, exchange between robots, limits, and bytes that are no record.
+
 use super::*;
 use crate::{Constraint, Descriptor, NodeName, RecordedNode, RobotKey, Stretch, SubmapRecord, Withdrawal};
 use flockslam_geometry::Pose;
@@ -106,6 +108,7 @@ proptest! {
         talks in proptest::collection::vec((0usize..3, 0usize..3, 200usize..4000, any::<bool>()), 0..30),
     ) {
         let records = said();
+        prop_assert_eq!(records.len(), share.len());
         let mut robots = vec![Collection::default(); 3];
         for (record, owner) in records.iter().zip(&share) {
             robots[*owner].insert(record.clone());
@@ -175,11 +178,19 @@ fn the_urgent_goes_first_and_within_the_budget() {
     let mut collection = Collection::default();
     take_all(&mut collection, &said());
     let all = collection.missing(&Vector::default(), usize::MAX);
-    let kinds: Vec<Kind> = all.iter().map(|bytes| Record::read(bytes).unwrap().kind()).collect();
-    let evidence = kinds.iter().position(|kind| *kind == Kind::Submap && kinds[kinds.len() - 1] == *kind);
-    assert!(kinds[0] <= Kind::Submap && evidence.is_some(), "{kinds:?}");
+    let read: Vec<Record> = all.iter().map(|bytes| Record::read(bytes).unwrap()).collect();
+    let order: Vec<(Kind, u64)> = read.iter().map(|record| (record.kind(), record.name.number)).collect();
+    // Both records of a lie go with the withdrawals, whatever they say.
+    let (lie, withdrawals) = ([(Kind::Submap, 3); 2], [(Kind::Withdrawal, 4); 4]);
+    let stretches = [[(Kind::Stretch, 1); 3], [(Kind::Stretch, 5); 3]].concat();
+    let submaps = [vec![(Kind::Submap, 0); 4], vec![(Kind::Submap, 3); 2]].concat();
+    let constraints = [(Kind::Constraint, 2); 2];
+    let expected: Vec<(Kind, u64)> =
+        [&lie[..], &withdrawals[..], &constraints[..], &stretches[..], &submaps[..]].concat();
+    assert_eq!(order, expected);
     let some = collection.missing(&Vector::default(), 1000);
     assert!(some.iter().map(|bytes| bytes.len()).sum::<usize>() <= 1000 && some[..] == all[..some.len()]);
+    assert!(!some.is_empty() && some.len() < all.len());
     assert_eq!(collection.missing(&Vector::default(), 1).len(), 1);
     assert!(collection.missing(&collection.vector(), usize::MAX).is_empty());
 }
@@ -205,7 +216,16 @@ fn what_is_too_much_is_refused_and_counted() {
     assert_eq!(collection.take(record.bytes()), Ok(Outcome::Refused(Refusal::NotTrusted)));
     collection.trust_only([]);
     assert_eq!(collection.robots().count(), 0);
-    assert_eq!(collection.tally().refused.values().sum::<u64>(), 5);
+    let refused: Vec<(Refusal, u64)> = collection.tally().refused.iter().map(|(why, n)| (*why, *n)).collect();
+    assert_eq!(refused, Refusal::ALL[..5].iter().map(|why| (*why, 1_u64)).collect::<Vec<_>>());
+    // All robots together.
+    let mut collection = Collection::new(Limits { bytes_max: 600, ..Limits::default() });
+    let said = |name: &str, size| Record::new(&key(name), 1, 0, &submap(0, size)).unwrap();
+    assert_eq!(collection.insert(said("a", 100)), Outcome::New);
+    assert_eq!(collection.insert(said("b", 400)), Outcome::Refused(Refusal::AllBytes));
+    assert_eq!(collection.tally().refused.get(&Refusal::AllBytes), Some(&1));
+    collection.never_refuse(key("b").id().clone());
+    assert_eq!(collection.insert(said("b", 400)), Outcome::New);
 }
 
 #[test]

@@ -1,3 +1,5 @@
+//! The content of a clearance: cells of one tile of a submap that count as unknown.
+
 use crate::codec::{Reader, Writer};
 use crate::{RecordError, RobotId};
 use flockslam_evidence::{TILE_SIDE, TileKey};

@@ -1,3 +1,5 @@
+//! The content of measured motions between nodes, and the check that an information matrix is one.
+
 use crate::codec::{Reader, Writer, stored};
 use crate::{RecordError, RobotId};
 use flockslam_geometry::Pose;

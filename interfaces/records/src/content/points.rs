@@ -156,8 +156,14 @@ mod tests {
         }
 
         #[test]
-        fn any_bytes_are_points_or_refused(bytes in proptest::collection::vec(any::<u8>(), 0..80), count in 0usize..200) {
-            let _ = decode(&bytes, &[count, 3]);
+        fn any_bytes_are_refused_or_points_that_come_back(
+            bytes in proptest::collection::vec(any::<u8>(), 0..80), count in 0usize..200
+        ) {
+            if let Ok(scans) = decode(&bytes, &[count, 3]) {
+                prop_assert_eq!((scans.len(), scans[0].len(), scans[1].len()), (2, count, 3));
+                let again = encode(scans.iter().map(Vec::as_slice));
+                prop_assert_eq!(decode(&again, &[count, 3]), Ok(scans));
+            }
         }
     }
 

@@ -1,3 +1,5 @@
+//! The content of a stretch of a pose graph: nodes with motions, their information and points, and a descriptor of the place.
+
 use super::constraint::is_information;
 use super::points;
 use crate::RecordError;

@@ -1,3 +1,5 @@
+//! The content of a closed submap: its stored form, unpacked only where it is needed.
+
 use crate::RecordError;
 use crate::codec::{Reader, Writer};
 use flockslam_evidence::Submap;

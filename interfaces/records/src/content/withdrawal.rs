@@ -1,3 +1,5 @@
+//! The content of a withdrawal: the name of an earlier record of the same robot.
+
 use crate::RecordError;
 use crate::codec::{Reader, Writer};
 

@@ -1,3 +1,5 @@
+//! Log levels of a stage as a file in the set's directory, which its processes look at now and then.
+
 use super::set_log_filter;
 use std::fs;
 use std::io;

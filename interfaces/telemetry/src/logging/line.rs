@@ -1,3 +1,5 @@
+//! One log event as a line of JSON, and its priority for journald.
+
 use serde_json::{Map, Value};
 use std::fmt;
 use tracing::field::{Field, Visit};
