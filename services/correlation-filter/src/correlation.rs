@@ -1,3 +1,5 @@
+//! Pearson's coefficient of two rows of numbers, defined for every input.
+
 /// Fewer common places than this say nothing about two scans.
 const COMMON_MIN: usize = 4;
 

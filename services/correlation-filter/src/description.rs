@@ -1,3 +1,6 @@
+//! A scan as a profile of ranges by angle, a histogram of ranges and a share of corridor pattern (An. Filatov 2021,
+//! chapter 4), made from its tally.
+
 use crate::tally::UNITS_PER_M;
 use flockslam_messages::{ScanTally, TALLY_BINS, TALLY_SECTORS};
 
@@ -99,9 +102,11 @@ mod tests {
     #[test]
     fn a_corridor_is_recognised_along_its_axis_however_the_lidar_is_mounted() {
         assert!(describe(&between_walls(0.0)).corridor > 0.9);
-        let mut turned = between_walls(0.7);
-        turned.header.base_from_laser.heading_rad = 0.7;
-        assert!(describe(&turned).corridor > 0.9);
+        for mounted_rad in [0.7, -1.2, 2.5] {
+            let mut turned = between_walls(mounted_rad);
+            turned.header.base_from_laser.heading_rad = mounted_rad;
+            assert!(describe(&turned).corridor > 0.9, "{mounted_rad}");
+        }
         assert_eq!(describe(&ScanBuffer::from_ranges(&[2.0; 360], -3.1, 0.017)).corridor, 0.0);
     }
 }

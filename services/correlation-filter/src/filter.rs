@@ -1,3 +1,5 @@
+//! The logic of the stage: takes scans one by one, gives a verdict with its reason for each.
+
 use crate::description::Description;
 use crate::lidar::{Judgement, Lidar};
 use crate::tally::tally;
@@ -10,6 +12,23 @@ const LIDARS_MAX: usize = 32;
 const SHED_IN_A_ROW_MAX: u32 = 3;
 
 /// Judges scans one by one, each lidar against its own past.
+///
+/// ```
+/// use flockslam_correlation_filter::{CorrelationFilter, Settings};
+/// use flockslam_messages::{KeepReason, ScanBuffer};
+///
+/// // Three kept scans are needed to compare with; then equal scans are dropped, and one that differs is kept.
+/// let circle = |radius_m: f32| ScanBuffer::from_ranges(&[radius_m; 360], -3.1, 0.01745);
+/// let mut filter = CorrelationFilter::new(Settings::default());
+/// let mut keep = Vec::new();
+/// for radius_m in [2.0, 2.0, 2.0, 2.0, 2.0, 3.0] {
+///     let verdict = filter.handle(circle(radius_m).view()?);
+///     keep.push((verdict.keep, KeepReason::from_number(verdict.reason)));
+/// }
+/// assert_eq!(keep[..3], [(1, Some(KeepReason::FirstScans)); 3]);
+/// assert_eq!(keep[3..], [(0, None), (0, None), (1, Some(KeepReason::Novel))]);
+/// # Ok::<(), flockslam_messages::ScanProblem>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct CorrelationFilter {
     settings: Settings,

@@ -1,3 +1,5 @@
+//! The past of one lidar, and the decision about its next scan: by correlation with the last kept scans, or by the wheels.
+
 use crate::Settings;
 use crate::correlation::correlation;
 use crate::description::Description;

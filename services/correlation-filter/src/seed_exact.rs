@@ -1,3 +1,5 @@
+//! The published filter of the source work, defects included, for comparison: mode `seed-exact`.
+
 use flockslam_messages::{KeepReason, ScanView};
 use std::f64::consts::FRAC_PI_2;
 
@@ -179,15 +181,17 @@ mod tests {
 
     #[test]
     fn what_is_no_number_keeps_the_scan() {
-        // So long ranges that their squares drown all else: the variance comes out as 0, or below.
         let mut filter = PublishedFilter::default();
         let flat = vec![1e18_f32; 31];
         for _ in 0..2 {
             judged(&mut filter, &flat);
         }
+        // Beside huge ranges one of usual size still gives a number.
         let one = [5.0_f32, 1.0];
         let (coefficient, _) = judged(&mut filter, &one);
         assert!(coefficient.is_finite());
+        // Ranges that are all 0 have no variance: zero is divided by zero.
+        assert_eq!(judged(&mut filter, &[0.0; 31]), (0.0, Some(KeepReason::Novel)));
         assert!(filter.judge(scan(&[1.0]).view().unwrap()).is_none());
         assert!(filter.judge(scan(&[]).view().unwrap()).is_none());
     }
@@ -197,7 +201,7 @@ mod tests {
         let mut filter = PublishedFilter::default();
         let walls: Vec<f32> =
             (0..301_i16).map(|i| 1.2 / (f32::from(i) * 0.01 - 1.5).sin().abs().max(0.02)).collect();
-        let reasons: Vec<_> = (0..4).map(|_| judged(&mut filter, &walls).1).collect();
-        assert_eq!(reasons, [Some(KeepReason::Corridor); 4]);
+        let reasons: Vec<_> = (0..40).map(|_| judged(&mut filter, &walls).1).collect();
+        assert_eq!(reasons, [Some(KeepReason::Corridor); 40]);
     }
 }

@@ -1,3 +1,5 @@
+//! Settings of the stage, section `[correlation_filter]` of the configuration.
+
 use serde::{Deserialize, Serialize};
 
 /// How scans are judged.

@@ -1,3 +1,6 @@
+//! Integer sums over the beams of a scan. Sums over parts of a scan add up to those of the whole, to the bit, so that several
+//! processes can share a scan.
+
 use flockslam_geometry::Pose;
 use flockslam_messages::{ScanSections, ScanTally, ScanView, TALLY_BINS, TALLY_SECTORS};
 use std::f64::consts::{PI, TAU};

@@ -1,3 +1,6 @@
+//! Walks over the occupied cells of a grid around the lidar, within a wedge, in an order that is the same however the
+//! circle is divided.
+
 use crate::sector::Wedge;
 use flockslam_evidence::{CellIndex, TILE_CELLS, TILE_SIDE, Tile, TileGrid, TileKey};
 use flockslam_geometry::Point;

@@ -1,3 +1,5 @@
+//! The logic of the stage: takes a scan, its pose and the grid, gives the cells to clear and the tracks of who moves.
+
 use crate::Settings;
 use crate::cells::{Reach, for_each_occupied};
 use crate::fairness::Share;
@@ -23,6 +25,29 @@ const STANDING_APART_NS: u64 = 300_000_000;
 const STANDING: (f64, f64) = (0.05, 0.05);
 
 /// Finds cells whose evidence for "occupied" is stale.
+///
+/// ```
+/// use flockslam_dynamic_cleaner::{DynamicCleaner, Settings};
+/// use flockslam_evidence::{CellIndex, Tile, TileGrid};
+/// use flockslam_messages::{ClearedCell, PoseEstimate, PoseFlags, ScanBuffer};
+/// use std::f64::consts::{PI, TAU};
+///
+/// // The map has something at 2 m; the scan sees a wall at 5 m all around.
+/// let mut grid = TileGrid::<Box<Tile>>::new(0.05);
+/// let (cell, mut tile) = (CellIndex::new(40, 0), Tile::unknown(0));
+/// tile.set_score(cell.offset(), 60_000);
+/// grid.set(cell.tile(), tile).unwrap();
+/// let scan = ScanBuffer::from_ranges(&[5.0; 720], -PI, TAU / 720.0);
+///
+/// // By default three views from different places are needed, and most of the map must be confirmed.
+/// let settings = Settings { votes: 1, contradiction_max: 1.0, ..Settings::default() };
+/// let mut cleaner = DynamicCleaner::new(settings);
+/// let unmatched = PoseEstimate::default();
+/// assert!(cleaner.handle(scan.view()?, &unmatched, &grid).cleared.is_empty());
+/// let matched = PoseEstimate { flags: PoseFlags::MATCHED, ..unmatched };
+/// assert_eq!(cleaner.handle(scan.view()?, &matched, &grid).cleared, [ClearedCell { x: 40, y: 0 }]);
+/// # Ok::<(), flockslam_messages::ScanProblem>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct DynamicCleaner {
     settings: Settings,

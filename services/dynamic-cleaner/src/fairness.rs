@@ -1,3 +1,5 @@
+//! Where the circle around the lidar is cut, so that the replicas get about equal numbers of occupied cells to judge.
+
 use crate::cells::for_each_occupied_block;
 use crate::sector::TURNS;
 use flockslam_evidence::{Tile, TileGrid};

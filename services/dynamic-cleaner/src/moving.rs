@@ -1,3 +1,5 @@
+//! Finds the beams of a scan that end in known free space: they lie on what moves. The tracker takes their ends.
+
 use crate::cells::{is_occupied, occupied_around};
 use flockslam_evidence::{Tile, TileGrid, WEIGHT_SCALE};
 use flockslam_geometry::{Point, Pose};

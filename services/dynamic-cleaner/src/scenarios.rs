@@ -175,7 +175,7 @@ fn an_unchanged_world_stays_whole_also_where_walls_are_seen_at_grazing_angles() 
 }
 
 #[test]
-fn a_small_error_of_the_pose_eats_no_wall() {
+fn a_small_error_of_the_pose_clears_less_than_two_cells_in_a_thousand() {
     for (beams, field_rad) in LIDARS {
         let map = mapped(&ROOM, &tour(), beams, field_rad);
         for error in [Pose::new(0.05, 0.0, 0.0), Pose::new(0.0, -0.05, 0.0), Pose::new(0.0, 0.0, 0.009)] {
@@ -187,7 +187,7 @@ fn a_small_error_of_the_pose_eats_no_wall() {
 }
 
 #[test]
-fn a_box_that_vanished_is_cleared_by_three_views() {
+fn most_of_a_box_that_vanished_is_cleared_by_three_views_and_all_of_it_by_twelve() {
     let with_box: Vec<Wall> = ROOM.into_iter().chain(square(6.0, 3.2, 0.6)).collect();
     for (beams, field_rad) in LIDARS {
         let before = [Pose::new(3.0, 2.0, 0.0), Pose::new(3.2, 3.0, 0.1), Pose::new(3.4, 4.0, 0.2)];
@@ -202,7 +202,6 @@ fn a_box_that_vanished_is_cleared_by_three_views() {
         let cleared = cleared_on(&map, &ROOM, &after, beams, field_rad, Pose::IDENTITY);
         assert!(cleared.is_subset(&stale), "{beams} beams");
         let share = cleared.len() as f64 / stale.len() as f64;
-        println!("{beams} beams: {share:.2} of {} stale cells cleared by three views", stale.len());
         assert!(share > 0.55, "{beams} beams: {share}");
         let more: Vec<Pose> = (0..12).map(|i| Pose::new(2.0 + 0.2 * f64::from(i), 2.4, 0.2)).collect();
         assert_eq!(cleared_on(&map, &ROOM, &more, beams, field_rad, Pose::IDENTITY), stale, "{beams} beams");
@@ -280,7 +279,7 @@ fn an_opened_door_is_cleared_and_its_frame_stays() {
 }
 
 #[test]
-fn scans_that_contradict_much_of_the_grid_clear_nothing() {
+fn scans_that_contradict_much_of_the_grid_clear_less_than_a_twentieth_of_it() {
     let map = mapped(&ROOM, &tour(), 360, std::f64::consts::PI);
     let cleared = cleared_on(&map, &ROOM, &tour(), 360, std::f64::consts::PI, Pose::new(0.0, -0.6, 0.0));
     let share = cleared.len() as f64 / map.occupied().len() as f64;
@@ -329,22 +328,22 @@ fn somebody_who_walks_in_is_counted_and_a_robot_that_stands_still_clears_nothing
 }
 
 #[test]
-fn judging_a_scan_costs_less_than_its_budget() {
+fn a_scan_judges_no_cell_twice_and_only_occupied_ones_in_reach() {
     let map = mapped(&ROOM, &tour(), 360, std::f64::consts::PI);
     let (grid, pose) = (map.grid(), Pose::new(8.0, 3.0, 0.1));
     let scan = scan(&ROOM, pose, 360, std::f64::consts::PI, 1);
-    let mut cleaner = DynamicCleaner::new(Settings::default());
-    let mut each_us: Vec<f64> = (0..1000)
-        .map(|_| {
-            let start = std::time::Instant::now();
-            assert!(cleaner.handle(scan.view().unwrap(), &estimate(pose), &grid).cleared.is_empty());
-            start.elapsed().as_secs_f64() * 1e6
-        })
-        .collect();
-    each_us.sort_by(f64::total_cmp);
-    println!(
-        "a scan of 360 beams against {} occupied cells: median {:.0} µs",
-        map.occupied().len(),
-        each_us[500]
-    );
+    let (settings, occupied) = (Settings::default(), map.occupied());
+    let mut cleaner = DynamicCleaner::new(settings.clone());
+    let mut before = None;
+    for _ in 0..50 {
+        assert!(cleaner.handle(scan.view().unwrap(), &estimate(pose), &grid).cleared.is_empty());
+        let judged: BTreeSet<_> = cleaner.found().iter().map(|cell| CellIndex::new(cell.x, cell.y)).collect();
+        assert_eq!(judged.len(), cleaner.found().len(), "a cell is judged once");
+        assert!(judged.len() > 100 && judged.is_subset(&occupied), "{} cells", judged.len());
+        let in_reach =
+            |cell: &CellIndex| grid.center(*cell).distance_m(pose.position()) <= settings.radius_m + 1e-9;
+        assert!(judged.iter().all(in_reach));
+        // The work for a scan does not depend on those before it.
+        assert!(before.replace(judged.clone()).is_none_or(|before| before == judged));
+    }
 }

@@ -1,3 +1,5 @@
+//! Sectors of the circle around the lidar, as numbers (`Sector`) and at a place (`Wedge`). Each point lies in exactly one.
+
 use flockslam_geometry::{Point, Pose};
 use flockslam_sight::Directions;
 use std::f64::consts::TAU;

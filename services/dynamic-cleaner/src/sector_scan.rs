@@ -1,3 +1,6 @@
+//! The published way to look through a map: line segments of a scan in angular sectors (Trubin et al. 2020). Takes a
+//! scan, tells of a point whether the ray to it is free, met or shadowed.
+
 use flockslam_geometry::Point;
 use flockslam_messages::{Deskew, ScanView};
 use std::f64::consts::TAU;

@@ -1,3 +1,5 @@
+//! Settings of the stage, section `[dynamic_cleaner]` of the configuration.
+
 use serde::{Deserialize, Serialize};
 
 /// What the cleaner can be told.

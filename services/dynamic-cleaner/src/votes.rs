@@ -1,3 +1,6 @@
+//! Votes against cells: how many scans from different places have looked through each. The cleaner clears a cell once
+//! it has enough of them.
+
 use flockslam_evidence::{CellIndex, CellTable};
 use flockslam_geometry::Pose;
 

@@ -1,3 +1,5 @@
+//! Rejects scans that do not follow the ones before them: old stamps, and repeated ranges of a robot that moves.
+
 use crate::carmen::Rejection;
 use flockslam_geometry::Pose;
 use flockslam_messages::{ScanBuffer, ScanView};

@@ -157,12 +157,14 @@ mod tests {
     #[test]
     fn jumps_are_as_many_as_asked_and_bounded() {
         let raw = run(&Settings::default());
-        for jumps in [1, 3, 10] {
-            let jumping = run(&Settings { odometry_jumps: jumps, ..Settings::default() });
-            assert_eq!(differing_steps(&raw, &jumping), jumps as usize);
-            let largest =
-                steps(&jumping).into_iter().map(|step| step.position().norm_m()).fold(0.0, f64::max);
-            assert!(largest < JUMP_M + 0.06);
+        for (jumps, seed) in [(1, 1), (3, 1), (10, 1), (1, 2), (3, 3), (10, 4)] {
+            let jumping = run(&Settings { odometry_jumps: jumps, seed, ..Settings::default() });
+            assert_eq!(differing_steps(&raw, &jumping), jumps as usize, "seed {seed}");
+            // The robot itself goes 0.05 m and turns by 0.01 rad in a step.
+            let is_bounded = |step: &Pose| {
+                step.position().norm_m() < JUMP_M + 0.06 && step.heading_rad.abs() < JUMP_RAD + 0.02
+            };
+            assert!(steps(&jumping).iter().all(is_bounded), "seed {seed}");
         }
     }
 

@@ -1,3 +1,5 @@
+//! Seeded random numbers for simulation and experiments.
+
 /// A small seeded generator (SplitMix64, Steele, Lea and Flood 2014, fig. 17): the same seed gives the same numbers on
 /// every machine.
 #[derive(Clone, Debug)]
@@ -57,15 +59,19 @@ mod tests {
 
     #[test]
     fn moments_are_those_of_the_distributions() {
-        let mut random = Random::new(5, "test");
-        let count = 100_000;
-        let normal: Vec<f64> = (0..count).map(|_| random.normal()).collect();
-        let mean = normal.iter().sum::<f64>() / f64::from(count);
-        let variance = normal.iter().map(|v| v * v).sum::<f64>() / f64::from(count);
-        assert!(mean.abs() < 0.02 && (variance - 1.0).abs() < 0.03, "{mean} {variance}");
-        let share = (0..count).filter(|_| random.happens(0.2)).count();
-        assert!((19_000..21_000).contains(&share));
-        assert!((0..1000).all(|_| random.below(3) < 3));
+        for seed in [1, 2, 5] {
+            let mut random = Random::new(seed, "test");
+            let count = 100_000;
+            let normal: Vec<f64> = (0..count).map(|_| random.normal()).collect();
+            let mean = normal.iter().sum::<f64>() / f64::from(count);
+            let variance = normal.iter().map(|v| v * v).sum::<f64>() / f64::from(count);
+            assert!(mean.abs() < 0.02 && (variance - 1.0).abs() < 0.03, "{mean} {variance}");
+            let share = (0..count).filter(|_| random.happens(0.2)).count();
+            assert!((19_000..21_000).contains(&share), "{share}");
+            let mut drawn = [0; 3];
+            (0..3000).for_each(|_| drawn[random.below(3)] += 1);
+            assert!(drawn.iter().all(|count| (800..1200).contains(count)), "{drawn:?}");
+        }
     }
 
     #[test]

@@ -1,3 +1,5 @@
+//! Settings of the stage, section `[lidar_ingest]` of the configuration.
+
 use serde::{Deserialize, Serialize};
 
 /// Section `[lidar_ingest]`: how a log is read, and what an experiment does to it on the way.
@@ -100,7 +102,24 @@ mod tests {
     #[test]
     fn settings_out_of_range_are_named() {
         assert_eq!(Settings::default().check(), Ok(()));
-        let wrong = Settings { max_bad_line_share: f64::NAN, ..Settings::default() };
-        assert_eq!(wrong.check(), Err("max_bad_line_share must be between 0 and 1"));
+        let good = Settings::default;
+        let wrong = [
+            (Settings { range_min_m: 60.0, ..good() }, "range_min_m must be below range_max_m"),
+            (Settings { range_max_m: f32::INFINITY, ..good() }, "range_max_m must be finite"),
+            (Settings { max_beams: 0, ..good() }, "max_beams must be at least 1"),
+            (Settings { max_line_bytes: 0, ..good() }, "max_line_bytes must be at least 1"),
+            (
+                Settings { max_bad_line_share: f64::NAN, ..good() },
+                "max_bad_line_share must be between 0 and 1",
+            ),
+            (Settings { start_pose: Some([0.0, f64::INFINITY, 0.0]), ..good() }, "start_pose must be finite"),
+            (Settings { odometry_jumps: 100_001, ..good() }, "odometry_jumps must be at most 100000"),
+            (Settings { odometry_noise: [0.0, -1.0], ..good() }, "odometry_noise must be between 0 and 180"),
+            (Settings { beam_noise_share: 1.1, ..good() }, "beam_noise_share must be between 0 and 1"),
+            (Settings { keep_every: 0, ..good() }, "keep_every must be at least 1"),
+        ];
+        for (settings, rule) in wrong {
+            assert_eq!(settings.check(), Err(rule));
+        }
     }
 }

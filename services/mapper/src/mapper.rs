@@ -1,3 +1,5 @@
+//! The logic of the stage: takes scans with poses and cleared cells, gives changed tiles and closed submaps.
+
 use crate::newcomers::Newcomers;
 use crate::settings::Settings;
 use crate::share::TileShare;
@@ -8,6 +10,27 @@ use flockslam_messages::{ClearedCell, Deskew, PoseEstimate, ScanView};
 use std::collections::VecDeque;
 
 /// Turns scans with poses into evidence, tiles and submaps. A pure function of its calls.
+///
+/// ```
+/// use flockslam_evidence::{Tile, TileKey};
+/// use flockslam_geometry::Pose;
+/// use flockslam_mapper::{Mapper, Settings};
+/// use flockslam_messages::{PoseEstimate, ScanBuffer};
+///
+/// // One beam of 2.02 m along the x-axis ends in the cell from 2.00 to 2.05 m.
+/// let settings = Settings { cell_size_m: 0.05, skip_isolated: false, ..Settings::default() };
+/// let mut mapper = Mapper::new(settings);
+/// let scan = ScanBuffer::from_ranges(&[2.02], 0.0, 0.0);
+/// let pose = PoseEstimate { odom_from_base: Pose::new(0.01, 0.02, 0.0), ..PoseEstimate::default() };
+/// let insertion = mapper.insert(scan.view()?, &pose, &[]);
+/// assert_eq!((insertion.generation, insertion.changed), (1, &[TileKey { x: 0, y: 0 }][..]));
+///
+/// let mut tile = Tile::unknown(0);
+/// assert!(mapper.write_tile(TileKey { x: 0, y: 0 }, &mut tile));
+/// assert!(tile.cells[40].occupied > 0 && tile.cells[39].free > 0 && tile.cells[41].is_unknown());
+/// assert!(tile.score[40] > u16::MAX / 2);
+/// # Ok::<(), flockslam_messages::ScanProblem>(())
+/// ```
 #[derive(Debug)]
 pub struct Mapper {
     settings: Settings,

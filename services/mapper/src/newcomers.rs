@@ -1,3 +1,5 @@
+//! What was seen in known free space, until it was seen again: takes sightings of cells, gives how often each was confirmed.
+
 use flockslam_evidence::{CellIndex, CellTable};
 
 /// Two sightings count when their scans are at least so far apart, nanoseconds: who walks has gone on by then.

@@ -1,3 +1,5 @@
+//! Matching scores of cells from their evidence, with a memory of those computed before.
+
 use crate::settings::{ReadOut, Settings};
 use flockslam_evidence::{Cell, Masses, WEIGHT_SCALE};
 

@@ -1,3 +1,5 @@
+//! Settings of the stage, section `[mapper]` of the configuration: sensor model, read-out, submaps and window.
+
 use flockslam_evidence::{Cell, Masses, SensorModel};
 use serde::{Deserialize, Serialize};
 

@@ -1,3 +1,5 @@
+//! How the tiles of a map are divided among several mappers.
+
 use flockslam_evidence::TileKey;
 
 /// The tiles that one of several mappers looks after. Neighbours along rows and columns belong to different ones, so that all have

@@ -1,3 +1,5 @@
+//! The grid around the robot that scans are matched to: evidence goes in, changed and retired tiles come out.
+
 use crate::score::Scores;
 use crate::settings::Settings;
 use crate::share::TileShare;

@@ -1,3 +1,5 @@
+//! One tile of the window: the evidence of the active submap, the sum with the closed ones, and its published form.
+
 use crate::score::Scores;
 use flockslam_evidence::{Cell, CrossedCells, PackedCell, TILE_CELLS, TILE_SIDE, Tile};
 

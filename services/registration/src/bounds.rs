@@ -1,3 +1,6 @@
+//! Upper bounds on the scores of all translations of a window at one heading: the first level of both searches by branch
+//! and bound.
+
 use crate::field::ScoreRead;
 use flockslam_evidence::CellIndex;
 

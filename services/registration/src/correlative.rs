@@ -1,3 +1,6 @@
+//! The wide search after a bad fit: branch and bound over a window (Olson 2009; Hess et al. 2016). Takes points, a field
+//! and a window, gives the best poses with their scores.
+
 use crate::bounds::NodeBounds;
 use crate::field::{ScoreField, ScoreRead};
 use flockslam_evidence::{CellIndex, Level, floor};
@@ -278,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rival_that_cannot_be_beaten_ends_the_search() {
+    fn a_rival_that_cannot_be_beaten_and_a_scan_without_points_find_nothing() {
         let grid = room::grid(&room::ROOM);
         let truth = Pose::new(0.4, -0.3, 0.7);
         let window = Window { center: truth, reach_m: 0.6, reach_rad: 0.35 };

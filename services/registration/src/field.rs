@@ -1,3 +1,5 @@
+//! What scans are fitted to: scores over the plane in several resolutions, and how they are read between cells.
+
 use flockslam_evidence::{CellIndex, Level, ScoreReader, Tile, TileGrid, floor};
 use flockslam_geometry::Point;
 use std::ops::Deref;

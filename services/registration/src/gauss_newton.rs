@@ -1,3 +1,6 @@
+//! Gauss–Newton on interpolated scores, from coarse to fine. Takes points, a field and a predicted pose, gives the
+//! fitted pose with its score and covariance.
+
 use crate::batch::{BATCH, Batch, Sums};
 use crate::field::{ScoreField, ScoreRead};
 use flockslam_evidence::Level;
@@ -5,7 +8,37 @@ use flockslam_geometry::{Covariance, Point, Pose, wrap_angle};
 use nalgebra::{Matrix3, SMatrix, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Settings of [`GaussNewton`].
+/// Gauss–Newton on the score of a field: its settings, and the fit itself.
+///
+/// ```
+/// # use flockslam_evidence::{TILE_CELLS, Tile, TileGrid, TileKey};
+/// # use flockslam_geometry::{Point, Pose};
+/// use flockslam_registration::{GaussNewton, GridField};
+///
+/// // A room in one tile: scores fall off with the distance to the nearest wall.
+/// let mut grid = TileGrid::<Box<Tile>>::new(0.05);
+/// let (key, mut tile) = (TileKey { x: 0, y: 0 }, Tile::unknown(0));
+/// for offset in 0..TILE_CELLS {
+///     let at = grid.center(key.cell(offset));
+///     let walls = [at.x_m - 0.42, at.x_m - 2.83, at.y_m - 0.37, at.y_m - 2.56];
+///     let nearest_m = walls.iter().map(|off| off.abs()).fold(f64::INFINITY, f64::min);
+///     tile.set_score(offset, (65_535.0 * (-0.5 * (nearest_m / 0.06).powi(2)).exp()) as u16);
+/// }
+/// grid.set(key, tile).unwrap();
+///
+/// // Points on the walls, as a robot at `truth` sees them.
+/// let truth = Pose::new(1.5, 1.4, 0.3);
+/// # let on_walls = (0..=40).map(|i| f64::from(i) / 40.0).flat_map(|share| {
+/// #     let (x, y) = (0.42 + 2.41 * share, 0.37 + 2.19 * share);
+/// #     [(x, 0.37), (x, 2.56), (0.42, y), (2.83, y)].map(|(x, y)| Point::new(x, y))
+/// # });
+/// let points: Vec<Point> = on_walls.map(|point| truth.inverse().apply(point)).collect();
+///
+/// let prediction = Pose::new(1.55, 1.36, 0.32);
+/// let fit = GaussNewton::default().fit(&GridField::new(&grid, 0.0), &points, prediction, prediction);
+/// assert!(fit.pose.distance_m(truth) < 0.02 && fit.pose.turn_rad(truth) < 0.01);
+/// assert!(fit.score > 0.9);
+/// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GaussNewton {

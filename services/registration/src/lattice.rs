@@ -1,3 +1,6 @@
+//! Correlative matching on a lattice around the prediction (Olson 2009; Hess et al. 2016), refined below a cell: a matching
+//! strategy of its own, and the start of a fit without odometry.
+
 use crate::Window;
 use crate::bounds::NodeBounds;
 use crate::correlative::{REACH_MAX, end_cells, farthest_m, mean_score, node_bound, sample};

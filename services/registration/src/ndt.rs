@@ -1,3 +1,6 @@
+//! Point-to-distribution matching (Biber and Straßer 2003; Trubin et al. 2020). Takes points, a field and a predicted
+//! pose, gives the pose that makes the points most likely.
+
 mod normal;
 mod terms;
 
@@ -380,6 +383,7 @@ mod tests {
             ndt.terms(&settings, &field, &points, expected, pose)
         };
         let here = terms(0.0, 0.0, 0.0);
+        assert!(here.hits > 0 && here.cost < 0.0, "the points lie in cells of the map");
         let h = 1e-5;
         for (axis, d) in [(h, 0.0, 0.0), (0.0, h, 0.0), (0.0, 0.0, h)].into_iter().enumerate() {
             let (before, after) = (terms(-d.0, -d.1, -d.2), terms(d.0, d.1, d.2));

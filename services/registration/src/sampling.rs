@@ -188,7 +188,7 @@ mod tests {
     use crate::room;
 
     #[test]
-    fn both_searches_improve_the_guess_and_repeat_themselves() {
+    fn climbing_improves_the_guess_sampling_mostly_does_and_both_repeat_themselves() {
         let grid = room::grid(&room::ROOM);
         let truth = Pose::new(0.4, -0.3, 0.7);
         let points = room::scan(truth);
@@ -198,18 +198,28 @@ mod tests {
         let climb = || HillClimbing::default().search(&room::field(&grid), &points, &weights, start);
         let sample = |seed| MonteCarlo::default().search(&room::field(&grid), &points, &weights, start, seed);
         assert!(climb().1 > 2.0 * before && climb().0.distance_m(truth) < 0.05);
-        assert!(sample(7).1 > before);
-        assert_eq!((climb(), sample(7)), (climb(), sample(7)));
+        let mut improved = 0;
+        for seed in 0..16 {
+            let found = sample(seed);
+            assert_eq!(found, sample(seed), "seed {seed}");
+            assert!(found.1 >= before, "seed {seed}: {found:?}");
+            improved += u32::from(found.1 > before);
+        }
+        assert!(improved >= 8, "{improved} of 16 seeds");
+        assert_eq!(climb(), climb());
         assert_ne!(sample(7), sample(8));
     }
 
     #[test]
     fn normal_numbers_have_mean_zero_and_variance_one() {
-        let mut random = Random(3);
-        let numbers: Vec<f64> = (0..20_000).map(|_| random.normal_pair()).flat_map(|(a, b)| [a, b]).collect();
-        let mean = numbers.iter().sum::<f64>() / numbers.len() as f64;
-        let variance = numbers.iter().map(|n| n * n).sum::<f64>() / numbers.len() as f64;
-        assert!(mean.abs() < 0.02 && (variance - 1.0).abs() < 0.03);
+        for seed in 0..8 {
+            let mut random = Random(seed);
+            let numbers: Vec<f64> =
+                (0..20_000).map(|_| random.normal_pair()).flat_map(|(a, b)| [a, b]).collect();
+            let mean = numbers.iter().sum::<f64>() / numbers.len() as f64;
+            let variance = numbers.iter().map(|n| n * n).sum::<f64>() / numbers.len() as f64;
+            assert!(mean.abs() < 0.02 && (variance - 1.0).abs() < 0.03, "seed {seed}: {mean} {variance}");
+        }
     }
 
     #[test]

@@ -1,3 +1,5 @@
+//! The shape of a scan: which direction its surfaces leave open, as along a bare corridor.
+
 use flockslam_geometry::Point;
 use nalgebra::Vector2;
 

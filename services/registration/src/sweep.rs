@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn pose_and_velocity_are_found_when_the_wheels_are_wrong() {
+    fn pose_and_turn_rate_are_found_when_the_wheels_are_wrong() {
         let grid = room::grid(&room::ROOM);
         let field = room::field(&grid);
         let start = Pose::new(0.3, -0.2, 0.4);

@@ -1,3 +1,5 @@
+//! The logic of the stage: takes a scan, its verdict and the grid, gives a pose with its covariance and quality.
+
 use crate::contradiction::{contradicted, in_the_unknown};
 use crate::motion::{Motion, Prediction};
 use crate::settings::Settings;

@@ -1,3 +1,6 @@
+//! Prediction of the next pose from the wheels or the last velocity, with its covariance, and its fusion with a fit (the
+//! update of a Kalman filter).
+
 use flockslam_geometry::{Covariance, Pose, Twist, wrap_angle};
 use flockslam_messages::ScanView;
 use nalgebra::{Matrix3, Vector3};

@@ -1,3 +1,5 @@
+//! Settings of the stage, section `[scan_matcher]` of the configuration.
+
 use flockslam_registration::{CorrelativeSettings, GaussNewton, HillClimbing, MonteCarlo, NdtSettings};
 use serde::{Deserialize, Serialize};
 

@@ -1,3 +1,5 @@
+//! The ranges of a scan by direction: takes a scan once, answers questions about directions in constant time.
+
 use flockslam_messages::{Deskew, ScanView};
 use std::f64::consts::TAU;
 
@@ -200,6 +202,21 @@ mod tests {
                 && !sight.ends_between(0.0, 0.1 * DEGREE, 2.1, 4.0)
         );
         assert_eq!((sight.range_m(0.0), sight.range_m(20.5 * DEGREE), sight.range_m(3.0)), (2.0, 5.0, 0.0));
+        // Near the border of two beams a sector may belong to either: what lies less than a sector beyond it is left out.
+        for tenth in -895..=895_i32 {
+            let degrees = f64::from(tenth) / 10.0;
+            let (from_near, from_lost) = (degrees.abs(), (degrees - 30.0).abs());
+            let expected_m = if from_near < 0.45 {
+                2.0
+            } else if from_lost < 0.45 {
+                0.0
+            } else if from_near.min(from_lost) > 0.9 {
+                5.0
+            } else {
+                continue;
+            };
+            assert_eq!(sight.range_m(degrees * DEGREE), expected_m, "{degrees}");
+        }
     }
 
     #[test]
@@ -212,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn explicit_angles_in_any_order_give_the_same_sight() {
+    fn explicit_angles_in_reverse_order_give_the_same_sight() {
         let degrees = |list: &[f64]| {
             let mut scan = ScanBuffer::from_ranges(&[], 0.0, 0.0);
             scan.header.beam_count = list.len() as u32;

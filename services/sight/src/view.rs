@@ -1,3 +1,6 @@
+//! Judges single cells of a map by a scan: seen through, supported, or open. Takes what the lidar sees, its pose and margins
+//! for errors.
+
 use crate::Sight;
 use crate::sight::SPACING_MAX_RAD;
 use flockslam_geometry::{Point, Pose};
@@ -48,6 +51,27 @@ impl Margins {
 }
 
 /// A scan at its place, ready to judge cells.
+///
+/// ```
+/// use flockslam_geometry::{Point, Pose, Twist};
+/// use flockslam_messages::{Deskew, ScanBuffer};
+/// use flockslam_sight::{Finding, Margins, Sight, View};
+///
+/// // A wall 5 m away all around, and something 2 m ahead on some of the beams.
+/// let mut ranges = vec![5.0; 360];
+/// ranges[..=15].fill(2.0);
+/// let scan = ScanBuffer::from_ranges(&ranges, 0.0, 1f64.to_radians());
+/// let mut sight = Sight::new();
+/// sight.look(scan.view()?, &Deskew::new(scan.view()?, Twist::default()));
+///
+/// let margins = Margins { behind_m: 0.15, behind_share: 0.015, beside_m: 0.1, beside_rad: 0.003 };
+/// let view = View::new(&sight, Pose::IDENTITY, 0.045, margins);
+/// let (sin, cos) = 8f64.to_radians().sin_cos();
+/// assert_eq!(view.judge(Point::new(2.0 * cos, 2.0 * sin)), Finding::Supported);
+/// assert_eq!(view.judge(Point::new(3.5 * cos, 3.5 * sin)), Finding::Open, "hidden");
+/// assert_eq!(view.judge(Point::new(-2.0 * cos, -2.0 * sin)), Finding::SeenThrough);
+/// # Ok::<(), flockslam_messages::ScanProblem>(())
+/// ```
 #[derive(Clone, Copy, Debug)]
 pub struct View<'a> {
     sight: &'a Sight,
@@ -151,9 +175,9 @@ mod tests {
     }
 
     proptest! {
-        /// Wherever the border between two beams lies in the cell at the edge of a thing, that thing is not taken for gone.
+        /// Wherever the border between two beams lies in the cell at the edge of a thing.
         #[test]
-        fn a_cell_across_the_border_of_two_beams_is_supported_by_the_one_that_ends_at_it(
+        fn a_cell_across_the_border_of_two_beams_of_which_one_ends_at_it_is_not_taken_for_gone(
             first in 0.0..360.0_f64, heading_rad in -3.0..3.0_f64, within in 0.0..0.6_f64,
         ) {
             let mut scan = column();

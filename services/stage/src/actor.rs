@@ -1,3 +1,5 @@
+//! The loop of every stage: work while there is work, sleep on the bell, refresh ten times a second.
+
 use crate::{StageContext, StageError};
 use flockslam_bus::{Listener, Wake, half_made_publishers};
 use flockslam_messages::Stage;

@@ -1,3 +1,5 @@
+//! What surrounds a stage's logic: bus, directories, mode, metrics, heartbeat and report.
+
 use crate::StageError;
 use crate::report::ReportWriter;
 use flockslam_bus::{Bus, Capacity, RuntimeDir};

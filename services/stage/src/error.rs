@@ -1,3 +1,5 @@
+//! The error that ends a stage.
+
 use flockslam_bus::{BusError, RuntimeError};
 use std::path::PathBuf;
 

@@ -1,3 +1,5 @@
+//! The state of the flock, as a file that the command line and the live page read.
+
 use crate::StageError;
 use flockslam_journal::{Durability, replace_file};
 use std::collections::BTreeMap;
@@ -39,7 +41,7 @@ pub struct FlockStatus {
     pub flock_from_map: Option<[f64; 3]>,
     /// Searches for shared places.
     pub searches: u64,
-    /// Bytes of messages heard and said.
+    /// Bytes of messages heard.
     pub heard_bytes: u64,
     /// Bytes of messages said.
     pub said_bytes: u64,

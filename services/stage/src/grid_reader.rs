@@ -1,3 +1,5 @@
+//! The grid as its readers hold it: takes tiles and commits from the bus, gives one whole generation.
+
 use crate::{StageContext, StageError};
 use flockslam_bus::{BellRinger, Publisher, Sample, Subscriber, TileHandle};
 use flockslam_evidence::TileGrid;

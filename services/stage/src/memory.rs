@@ -1,3 +1,5 @@
+//! How much memory this process uses, read from `/proc`.
+
 use std::fs;
 
 /// Memory of a process, each page in exactly one place of a set's account.

@@ -1,3 +1,5 @@
+//! The pause of a set, as a file.
+
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};

@@ -1,3 +1,5 @@
+//! Scans that wait for their join, in the order of their sequence.
+
 use crate::StageError;
 use flockslam_bus::{ScanSample, ScanSubscriber};
 use std::collections::VecDeque;

@@ -1,3 +1,5 @@
+//! Poses that wait for their scans, in order and without duplicates.
+
 use crate::StageError;
 use flockslam_bus::Subscriber;
 use flockslam_messages::PoseEstimate;

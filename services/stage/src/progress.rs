@@ -1,3 +1,5 @@
+//! Acknowledgements to the source, and the end of the stream.
+
 use crate::{Mode, StageContext, StageError};
 use flockslam_bus::{BellRinger, Publisher, Subscriber};
 use flockslam_messages::{Control, ControlKind, Progress, Stage};

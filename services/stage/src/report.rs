@@ -1,3 +1,5 @@
+//! What each process reports about itself: counters, latencies, memory; written while it runs and read at the end.
+
 use crate::MemoryUse;
 use flockslam_telemetry::LatencyHistogram;
 use std::collections::BTreeMap;

@@ -1,3 +1,5 @@
+//! The journal of poses and accepted scans: the matcher writes it, others read it to recover what they missed.
+
 use crate::StageError;
 use flockslam_journal::{Ending, JournalError, RecordReader, RecordWriter};
 use flockslam_messages::{PoseEstimate, PoseFlags, ScanBuffer, ScanHeader, ScanView};

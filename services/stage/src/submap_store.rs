@@ -1,3 +1,5 @@
+//! The store of closed submaps: the mapper writes it, sync-manager and a restarted mapper read it.
+
 use crate::StageError;
 use flockslam_evidence::Submap;
 use flockslam_journal::{Durability, replace_file};

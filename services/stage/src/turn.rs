@@ -1,3 +1,5 @@
+//! Which of several processes of a stage acts, decided by a file lock.
+
 use crate::{Mode, StageContext, StageError};
 use flockslam_bus::{BellRinger, Listener};
 use std::fs::{File, OpenOptions, TryLockError};

@@ -121,14 +121,15 @@ mod tests {
     }
 
     #[test]
-    fn what_nobody_asks_for_is_forgotten() {
+    fn of_what_nobody_asks_for_the_oldest_is_forgotten() {
         let (scan, mut shares) = (scan(10), Shares::default());
         for sequence in 0..100 {
             let mut tally = tally_part(scan.view().unwrap(), 1, 2, 1);
             tally.id.sequence = sequence;
             shares.take(tally);
         }
-        assert_eq!(shares.received.len(), REMEMBERED_MAX);
+        let kept: Vec<u64> = shares.received.iter().map(|tally| tally.id.sequence).collect();
+        assert_eq!(kept, (100 - REMEMBERED_MAX as u64..100).collect::<Vec<_>>());
     }
 
     proptest! {

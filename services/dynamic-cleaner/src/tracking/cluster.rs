@@ -1,3 +1,5 @@
+//! Groups the ends of beams on movers into bodies and estimates the middle of each.
+
 use flockslam_geometry::Point;
 use std::f64::consts::FRAC_PI_4;
 

@@ -1,3 +1,5 @@
+//! The constant-velocity Kalman filter of one track (Bar-Shalom, Li and Kirubarajan 2001).
+
 use flockslam_geometry::Point;
 
 /// Standard deviation of a sighting, metres: bodies are seen from one side, in few beams.

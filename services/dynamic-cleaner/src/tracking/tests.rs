@@ -1,3 +1,5 @@
+//! Tests of the tracker with simulated people: followed, hidden, crossing, and with bad stamps.
+
 use super::*;
 
 const STEP_NS: i64 = 100_000_000;

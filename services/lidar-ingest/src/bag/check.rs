@@ -1,3 +1,5 @@
+//! Checks the records of a ROS 1 bag before anything else reads it, and gives the places of its chunks.
+
 use std::io::{self, Read, Seek, SeekFrom};
 
 /// The version that can be read.
@@ -196,7 +198,9 @@ mod tests {
             bytes.extend(more);
             let place = at % bytes.len();
             bytes[place] = value;
-            let _ = check(&bytes);
+            if let Ok(chunks) = check(&bytes) {
+                prop_assert!(chunks.is_sorted() && chunks.iter().all(|at| *at < bytes.len() as u64));
+            }
         }
     }
 }

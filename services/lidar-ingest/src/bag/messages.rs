@@ -1,3 +1,5 @@
+//! Decodes serialized `sensor_msgs/LaserScan` and `nav_msgs/Odometry` messages: bytes in, a scan or a pose out.
+
 use crate::Settings;
 use flockslam_geometry::Pose;
 use flockslam_messages::{ScanBuffer, ScanSections};

@@ -1,3 +1,5 @@
+//! Parses one line of a CARMEN log: text in, a scan or the reason for its rejection out.
+
 use super::Rejection;
 use crate::Settings;
 use crate::stamp::parse_stamp_ns;

@@ -1,3 +1,5 @@
+//! Reads a CARMEN log line by line: bytes in, scans out, with bounds on bad lines and on the memory for one.
+
 use super::line::{Line, begins_a_message, parse_line};
 use super::{Rejection, Tally};
 use crate::Settings;
@@ -70,6 +72,21 @@ pub enum ReadError {
 }
 
 /// Reads scans from a CARMEN log, line by line as the bytes arrive; nothing is looked at ahead of its line.
+///
+/// ```
+/// use flockslam_lidar_ingest::{Settings, carmen::CarmenReader};
+/// use flockslam_messages::ScanBuffer;
+///
+/// let log = "# a comment\nFLASER 3 1.0 2.0 81.9 0 0 0 0 0 0 10.5 host 0.1\n";
+/// let mut reader = CarmenReader::new(log.as_bytes(), "a.log", Settings::default());
+/// let mut scan = ScanBuffer::default();
+/// assert!(reader.next_scan(&mut scan)?);
+/// assert_eq!(scan.numbers, [1.0, 2.0, 81.9]);
+/// assert_eq!(scan.header.times.sensor_ns, 10_500_000_000);
+/// assert!(!reader.next_scan(&mut scan)?, "the log ends");
+/// assert_eq!((reader.tally().lines, reader.tally().invalid_beams), (2, 1));
+/// # Ok::<(), flockslam_lidar_ingest::carmen::ReadError>(())
+/// ```
 #[derive(Debug)]
 pub struct CarmenReader<R> {
     input: R,

@@ -1,3 +1,5 @@
+//! Reasons for which lines of a log and scans are rejected.
+
 /// Why a line of a log was not taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, thiserror::Error)]
 pub enum Rejection {

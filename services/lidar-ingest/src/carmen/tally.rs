@@ -1,3 +1,5 @@
+//! Counters of a reader: lines, scans, and what was rejected by reason.
+
 use super::Rejection;
 use std::collections::BTreeMap;
 

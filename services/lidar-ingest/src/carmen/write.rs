@@ -1,3 +1,5 @@
+//! Writes a scan as a line of a CARMEN log.
+
 use crate::stamp::StampText;
 use flockslam_messages::ScanView;
 use std::io::{self, Write};

@@ -1,3 +1,5 @@
+//! Reads scans with their odometry from a ROS 1 bag, in the order of the file.
+
 use crate::Settings;
 use crate::bag::{BagProblem, MAGIC, MessageProblem, check_bag, laser_scan, odometry};
 use crate::carmen::Tally;

@@ -1,3 +1,5 @@
+//! The place in the stream that a source continues from after a restart, in a file.
+
 use super::pacer::Anchor;
 use flockslam_stage::StageError;
 use std::fs::{File, OpenOptions};

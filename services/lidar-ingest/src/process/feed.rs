@@ -1,3 +1,5 @@
+//! One interface to all sources of scans – log, bag, pipe, simulation – with the experiment's changes applied.
+
 use super::bag::{BagError, BagReader, is_bag};
 use super::pipe::{Pipe, Piped};
 use super::truth::TruthWriter;

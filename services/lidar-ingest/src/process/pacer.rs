@@ -1,3 +1,5 @@
+//! When a scan of a live replay is due on the monotonic clock.
+
 use std::time::Duration;
 
 /// Where a live replay hangs on the monotonic clock; kept outside the process, so that a restart goes on in time.

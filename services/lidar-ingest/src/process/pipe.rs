@@ -1,3 +1,5 @@
+//! Reads CARMEN lines from the standard input in a thread of its own.
+
 use crate::Settings;
 use crate::carmen::{CarmenReader, Tally};
 use crossbeam::channel::{Receiver, Sender, TryRecvError, bounded};

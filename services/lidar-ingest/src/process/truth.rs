@@ -1,3 +1,5 @@
+//! Writes the exact trajectory of a simulated drive beside the results.
+
 use flockslam_geometry::Pose;
 use flockslam_stage::StageError;
 use flockslam_stage::results::{StampedPose, TRUE_TRAJECTORY};

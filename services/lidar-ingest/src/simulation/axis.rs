@@ -1,3 +1,5 @@
+//! One axis of a walk through the squares of a grid: beams through pixels and through the index of segments use it.
+
 /// A beam's way from square to square along one axis of a grid (Amanatides and Woo 1987).
 pub(super) struct Axis {
     /// The square that the beam is in, in this axis.

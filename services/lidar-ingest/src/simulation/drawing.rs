@@ -1,3 +1,5 @@
+//! Draws floor plans from walls, rectangles and rounds.
+
 use super::floor_plan::FloorPlan;
 use flockslam_geometry::Point;
 use std::f64::consts::TAU;

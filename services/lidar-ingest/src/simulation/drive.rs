@@ -1,3 +1,5 @@
+//! The exact motion of the simulated robot along its tour: pure pursuit with bounded accelerations (Coulter 1992).
+
 use super::Settings;
 use super::room::Room;
 use super::tour::Tour;

@@ -1,3 +1,5 @@
+//! Worlds made of line segments: ray casting in them, and the grid that ways are planned on.
+
 use super::index::{Segment, SegmentIndex, from_to};
 use super::planner::PlanningGrid;
 use flockslam_geometry::Point;

@@ -1,3 +1,5 @@
+//! Exact labels of the cells of a simulated world after a drive, for measurements.
+
 use super::{BeamLabel, Settings, Simulation, SimulationError, World};
 use flockslam_evidence::{Cell, CellIndex, Ray, TILE_CELLS, TileDirectory, floor};
 use flockslam_geometry::{Point, Pose};
@@ -183,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn static_cells_are_those_of_walls_and_nobody_walks_in_them() {
+    fn static_cells_are_those_of_walls_and_others_were_taken_and_left_again() {
         let truth = drive(Settings { walkers: 8, ..Settings::default() });
         let World::FloorPlan(plan) = World::floor_plan() else { unreachable!() };
         let (mut stands, mut taken, mut left) = (0, 0, 0);

@@ -1,3 +1,5 @@
+//! Worlds made of the pixels of a map picture, and the reasons for which there is no simulation.
+
 use super::axis::Axis;
 use super::planner::PlanningGrid;
 use flockslam_geometry::Point;

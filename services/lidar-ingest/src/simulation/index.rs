@@ -1,3 +1,5 @@
+//! Line segments listed by the squares that they cross, for fast ray casting (Amanatides and Woo 1987).
+
 use super::axis::Axis;
 use flockslam_geometry::Point;
 

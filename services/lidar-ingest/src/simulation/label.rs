@@ -1,3 +1,5 @@
+//! Exact labels of simulated beams.
+
 /// What a beam of a simulated scan ended on. It is known to tests and measurements alone: no message carries it.
 ///
 /// In ascending order of how much it is not part of the world: a false range between two surfaces has the greater label.

@@ -1,3 +1,5 @@
+//! The simulated lidar: casts the beams of a scan and adds the errors of a real sensor.
+
 use super::drive::Turn;
 use super::dynamics::Dynamics;
 use super::{BeamLabel, Settings, World};

@@ -43,6 +43,19 @@ use wheels::Wheels;
 const TICKS_PER_SCAN: usize = 10;
 
 /// A drive through a simulated world, scan by scan.
+///
+/// ```
+/// use flockslam_lidar_ingest::simulation::{Settings, Simulation, World};
+///
+/// let settings = Settings { duration_s: 1.0, beams: 90, ..Settings::default() };
+/// let simulation = Simulation::new(&settings, World::floor_plan())?;
+/// assert_eq!(simulation.scans(), 10);
+/// let drive: Vec<_> = simulation.collect();
+/// let ((first, start), (last, end)) = (&drive[0], &drive[9]);
+/// assert_eq!((first.header.beam_count, last.header.id.sequence), (90, 9));
+/// assert!(start.distance_m(*end) > 0.1, "the robot has begun to drive");
+/// # Ok::<(), flockslam_lidar_ingest::simulation::SimulationError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Simulation {
     world: World,

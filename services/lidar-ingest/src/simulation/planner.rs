@@ -1,3 +1,5 @@
+//! Plans ways that keep clear of walls: A* on a grid (Hart, Nilsson and Raphael 1968), then smoothing.
+
 use flockslam_geometry::Point;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -187,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn ways_lead_through_doors_and_keep_clear() {
+    fn ways_lead_through_the_middle_of_doors_and_end_where_there_is_none() {
         let (from, to) = (Point::new(2.0, 1.0), Point::new(8.0, 1.0));
         let path = rooms(true).path(from, to).unwrap();
         assert!(path[0].distance_m(from) < 0.1 && path[path.len() - 1].distance_m(to) < 0.1);

@@ -1,3 +1,5 @@
+//! Connected free space of a world: random places in it and ways between them.
+
 use super::planner::PlanningGrid;
 use crate::random::Random;
 use flockslam_geometry::Point;

@@ -1,3 +1,5 @@
+//! Settings of the simulated world, robot and lidar, section `[simulation]` of the configuration.
+
 use serde::{Deserialize, Serialize};
 
 /// The built-in worlds.
@@ -173,7 +175,38 @@ mod tests {
     #[test]
     fn settings_out_of_range_are_named() {
         assert_eq!(Settings::default().check(), Ok(()));
-        let wrong = Settings { scan_rate_hz: f64::NAN, ..Settings::default() };
-        assert_eq!(wrong.check(), Err("scan_rate_hz must be between 0.1 and 1000"));
+        let good = Settings::default;
+        let wrong = [
+            (Settings { duration_s: 0.0, ..good() }, "duration_s must be between 0.1 and 100000"),
+            (Settings { lead_s: -1.0, ..good() }, "lead_s must be between 0 and 10000"),
+            (Settings { speed_m_s: 0.0, ..good() }, "speed_m_s must be between 0.05 and 5"),
+            (Settings { turn_rad_s: 11.0, ..good() }, "turn_rad_s must be between 0.05 and 10"),
+            (Settings { scan_rate_hz: f64::NAN, ..good() }, "scan_rate_hz must be between 0.1 and 1000"),
+            (Settings { beams: 0, ..good() }, "beams must be between 1 and 10000000"),
+            (Settings { field_of_view_deg: 0.0, ..good() }, "field_of_view_deg must be up to 360"),
+            (Settings { laser_mount: [10.0, 0.0, 0.0], ..good() }, "laser_mount must lie within 10 m"),
+            (Settings { range_min_m: 12.0, ..good() }, "range_min_m must be below range_max_m"),
+            (Settings { range_max_m: 1001.0, ..good() }, "range_max_m must be at most 1000"),
+            (Settings { range_sigma_m: -0.1, ..good() }, "range_sigma_m must be between 0 and 10"),
+            (Settings { range_bias_m: f64::NAN, ..good() }, "range_bias_m must be between -10 and 10"),
+            (Settings { mixed_pixel_share: 1.1, ..good() }, "mixed_pixel_share must be between 0 and 1"),
+            (Settings { dropout_share: -0.1, ..good() }, "dropout_share must be between 0 and 1"),
+            (
+                Settings { odometry_scale_error: 2.0, ..good() },
+                "odometry_scale_error must be between 0 and 1",
+            ),
+            (Settings { odometry_walk: [0.0, 11.0], ..good() }, "odometry_walk must be between 0 and 10"),
+            (Settings { wheel_slips: 10_001, ..good() }, "wheel_slips must be at most 10000"),
+            (Settings { kidnap_at_s: vec![1.0; 101], ..good() }, "kidnap_at_s must have at most 100 times"),
+            (Settings { kidnap_at_s: vec![-1.0], ..good() }, "kidnap_at_s must be between 0 and 100000"),
+            (Settings { doors: 1001, ..good() }, "walkers, doors and pallets must be at most 1000 each"),
+            (
+                Settings { walker_speed_m_s: [1.0, 0.5], ..good() },
+                "walker_speed_m_s must be two ascending speeds up to 1.8",
+            ),
+        ];
+        for (settings, rule) in wrong {
+            assert_eq!(settings.check(), Err(rule));
+        }
     }
 }

@@ -1,7 +1,8 @@
+//! Tests of simulated drives: their ways, scans, wheels, errors and worlds.
+
 use super::*;
 use flockslam_geometry::{Point, Twist};
 use flockslam_messages::ScanView;
-use std::time::Instant;
 
 fn short() -> Settings {
     Settings { duration_s: 30.0, ..Settings::default() }
@@ -25,20 +26,17 @@ fn run(settings: &Settings) -> Vec<(ScanBuffer, Pose)> {
     Simulation::new(settings, World::built_in(settings.world)).unwrap().collect()
 }
 
-/// Bounded motion, clear of walls, everywhere at least twice.
+/// Bounded motion, clear of walls, past every way point, and at the end back near the start.
 #[test]
 fn the_demo_drives_through_the_whole_building() {
-    let started = Instant::now();
     let settings = Settings::default();
     let scans = run(&settings);
-    eprintln!("{} scans simulated in {:.2?}", scans.len(), started.elapsed());
     assert_eq!(scans.len(), 2500);
     let World::FloorPlan(plan) = World::floor_plan() else { unreachable!() };
     let nearest_m =
         scans.iter().map(|(_, truth)| plan.distance_m(truth.position())).fold(f64::INFINITY, f64::min);
     let driven_m: f64 = scans.windows(2).map(|pair| pair[0].1.distance_m(pair[1].1)).sum();
-    eprintln!("{driven_m:.0} m driven, nearest wall {nearest_m:.2} m");
-    assert!(nearest_m > 0.25 && driven_m > 120.0);
+    assert!(nearest_m > 0.25 && driven_m > 120.0, "{driven_m:.0} m driven, nearest wall {nearest_m:.2} m");
     for pair in scans.windows(2) {
         let twist = Twist::from_motion(pair[0].1.to(pair[1].1), 0.1);
         assert!(
@@ -66,11 +64,9 @@ fn the_worlds_have_rounds_that_close() {
         let World::FloorPlan(plan) = World::built_in(world) else { unreachable!() };
         let nearest_m =
             truth.iter().step_by(7).map(|at| plan.distance_m(at.position())).fold(f64::INFINITY, f64::min);
-        let driven_m: f64 = truth.windows(2).map(|pair| pair[0].distance_m(pair[1])).sum();
         let passed = |point: &Point| truth.iter().any(|at| at.position().distance_m(*point) < 0.6);
         let missed: Vec<_> = plan.way_points().iter().filter(|point| !passed(point)).collect();
         let back = truth[truth.len() / 2..].iter().any(|at| at.distance_m(truth[0]) < 1.0);
-        eprintln!("{world:?}: {driven_m:.0} m driven, nearest wall {nearest_m:.2} m");
         assert!(
             nearest_m > 0.25 && missed.is_empty() && back,
             "{world:?}: {nearest_m} m, {missed:?}, {back}"
@@ -78,7 +74,7 @@ fn the_worlds_have_rounds_that_close() {
     }
 }
 
-/// Neither the wheels nor the beams notice that the robot is carried away; only the truth jumps.
+/// The wheels do not notice that the robot is carried away; only the truth jumps, and what the lidar sees with it.
 #[test]
 fn a_kidnap_moves_the_truth_only() {
     let free = Settings { duration_s: 60.0, ..ideal(Settings::default()) };
@@ -101,7 +97,7 @@ fn a_kidnap_moves_the_truth_only() {
     assert!(Simulation::new(&wrong, World::floor_plan()).is_err());
 }
 
-/// A picture's tour goes on from wherever the robot is put, and a patrol of hours never comes to an end.
+/// A patrol of eight hours does not come to an end before its time, and the robot keeps driving.
 #[test]
 fn a_patrol_goes_on_for_hours() {
     let settings = Settings { duration_s: 28_800.0, scan_rate_hz: 1.0, beams: 1, ..Settings::default() };
@@ -112,6 +108,7 @@ fn a_patrol_goes_on_for_hours() {
         driven_m += last.map_or(0.0, |last| last.distance_m(truth));
         last = Some(truth);
     }
+    assert_eq!(scan.header.id.sequence, 28_799);
     assert!(driven_m > 15_000.0, "{driven_m} m");
 }
 
@@ -163,8 +160,12 @@ fn a_slip_turns_odometry_only() {
         };
         scans.windows(2).map(error).sum::<f64>()
     };
-    assert!(turned(&run(&with(0))) < 1e-6);
-    assert!((0.1..5.0).contains(&turned(&run(&with(4)))));
+    let (without, slipping) = (run(&with(0)), run(&with(4)));
+    assert!(turned(&without) < 1e-6);
+    assert!((0.1..5.0).contains(&turned(&slipping)));
+    let is_same =
+        |(a, b): (&(ScanBuffer, Pose), &(ScanBuffer, Pose))| a.1 == b.1 && a.0.numbers == b.0.numbers;
+    assert!(without.iter().zip(&slipping).all(is_same), "way and ranges are the same");
 }
 
 impl Settings {

@@ -1,3 +1,5 @@
+//! The robot's way without end: legs between given points or random ones.
+
 use super::SimulationError;
 use super::planner::PlanningGrid;
 use super::room::Room;

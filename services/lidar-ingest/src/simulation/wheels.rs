@@ -1,3 +1,5 @@
+//! The simulated wheels: odometry with scale errors, random walk and slips.
+
 use super::Settings;
 use super::drive::Turn;
 use crate::random::Random;

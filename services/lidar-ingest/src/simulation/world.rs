@@ -1,3 +1,5 @@
+//! The worlds that can be simulated, built-in plans and map images, behind one interface.
+
 use super::floor_plan::FloorPlan;
 use super::tour::Tour;
 use super::{ImageWorld, SimulationError, WorldName, built_in};

@@ -1,3 +1,5 @@
+//! Tests of the mapper: evidence, submaps, windows, chains, shares and newcomers.
+
 use super::*;
 use flockslam_evidence::{Cell, FusedMap};
 use flockslam_messages::{PoseFlags, ScanBuffer};
@@ -70,11 +72,15 @@ fn every_scan_enters_exactly_one_submap_and_their_sum_is_the_window() {
         sum.add(submap, submap.odom_from_submap).unwrap();
     }
     assert_eq!(next, 60);
+    let mut known = 0;
     for (key, tile) in window_of(&mapper) {
         for (offset, cell) in tile.cells.iter().enumerate() {
             assert_eq!(sum.cell(key.cell(offset)).pack(), *cell);
+            known += usize::from(!cell.is_unknown());
         }
     }
+    let cells_of_sum = sum.tiles().flat_map(|(_, cells)| cells.iter());
+    assert_eq!(cells_of_sum.filter(|cell| !cell.is_unknown()).count(), known);
 }
 
 #[test]
@@ -163,7 +169,7 @@ fn shares_of_several_mappers_are_together_what_one_has() {
 }
 
 #[test]
-fn an_absurd_pose_is_no_crash() {
+fn an_absurd_pose_leaves_the_map_as_it_is() {
     let mut mapper = Mapper::new(Settings::default());
     drive(&mut mapper, 0..2);
     let before = window_of(&mapper);

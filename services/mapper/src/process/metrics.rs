@@ -1,3 +1,5 @@
+//! Metrics and log lines about the map.
+
 use crate::Mapper;
 use flockslam_telemetry::{Gauge, StageMetrics, names};
 

@@ -1,3 +1,6 @@
+//! Point-to-line refinement of a pose by Gauss–Newton (Censi 2008). Takes the moments of a submap, the points of a scan and
+//! a guess, gives the pose with its information matrix and share of inliers.
+
 use super::{Line, MomentGrid, PackedPoint, Placement};
 
 /// Cosine to the normal from which on it is clear which face of a wall is seen.
@@ -52,6 +55,26 @@ pub struct Alignment {
 
 /// Fits clouds to grids by Gauss–Newton on the distance of a point to its line (Censi 2008, with lines from a
 /// grid in place of neighbours in the last scan).
+///
+/// ```
+/// use flockslam_registration::cloud::{Aligner, MomentGrid, PackedPoint, Placement};
+///
+/// // The walls of a room of 6 × 4 m, as they are seen from a place.
+/// let room = |at: Placement| -> Vec<PackedPoint> {
+///     let walls = (0..=200).map(|i| f64::from(i) / 200.0).flat_map(|share| {
+///         let (x, y) = (6.0 * share - 3.0, 4.0 * share - 2.0);
+///         [(x, -2.0), (x, 2.0), (-3.0, y), (3.0, y)]
+///     });
+///     let seen = walls.map(|(x, y)| at.inverse().apply(x, y));
+///     seen.filter_map(|(x, y)| PackedPoint::from_metres(x, y)).collect()
+/// };
+/// let mut grid = MomentGrid::default();
+/// grid.add(&Placement::IDENTITY, &room(Placement::IDENTITY));
+///
+/// let (truth, guess) = (Placement::new(0.4, -0.3, 0.7), Placement::new(0.45, -0.33, 0.72));
+/// let found = Aligner::default().align(&mut grid, &room(truth), guess).unwrap();
+/// assert!(found.placement.distance_m(&truth) < 0.003 && found.inliers > 0.95);
+/// ```
 #[derive(Default)]
 pub struct Aligner {
     settings: AlignSettings,
@@ -189,7 +212,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// The walls of a 6 × 4 m room with a pillar, seen from `at`.
+    /// The walls of a 6 × 4 m room, seen from `at`.
     pub fn room(at: &Placement) -> Vec<PackedPoint> {
         let mut points = Vec::new();
         let mut put = |x: f64, y: f64| {

@@ -1,3 +1,5 @@
+//! Scores around the points of a submap with maxima over growing squares: what the search by branch and bound reads.
+
 use super::MomentGrid;
 
 /// Side of a cell, metres.

@@ -1,3 +1,5 @@
+//! Points of several scans as integer moments in cells of 0.1 m, from which local lines are read.
+
 use super::{PackedPoint, Placement};
 use zerocopy::FromZeros;
 
@@ -302,10 +304,13 @@ mod tests {
             let mut grid = MomentGrid::default();
             grid.add(&Placement::IDENTITY, &wall());
             let before = grid.cells.clone();
+            let line = grid.line_near(0.03, 2.015);
             let elsewhere = Placement::new(x, y, heading);
             grid.add(&elsewhere, &wall());
             grid.withdraw(&elsewhere, &wall());
-            prop_assert_eq!(before, grid.cells);
+            prop_assert_eq!(&before, &grid.cells);
+            prop_assert!(line.is_some());
+            prop_assert_eq!(line, grid.line_near(0.03, 2.015));
         }
     }
 }

@@ -1,3 +1,5 @@
+//! Points of scans in four bytes each.
+
 /// A point of a scan in the robot's frame, in whole millimetres: four bytes, so that every scan of a run can
 /// be kept.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

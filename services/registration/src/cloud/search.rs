@@ -1,3 +1,6 @@
+//! Branch and bound for the pose of a cloud in a window (Olson 2009; Hess et al. 2016). Takes a pooled field and points,
+//! gives the best pose and its score.
+
 use super::{MomentGrid, Placement, PooledField};
 
 /// Where to look: a square and a range of headings around a guess.

@@ -1,3 +1,5 @@
+//! Sums of occupied mass and the normal distributions made of them, with the distance of a point from one.
+
 use super::NdtSettings;
 use flockslam_geometry::Point;
 use nalgebra::{Matrix2, Vector2};

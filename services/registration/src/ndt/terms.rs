@@ -1,3 +1,5 @@
+//! Cost, gradient and Hessian of a pose in point-to-distribution matching, and Newton's step from them.
+
 use super::{Expected, NdtSettings};
 use flockslam_geometry::{Pose, wrap_angle};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};

@@ -1,3 +1,5 @@
+//! Tests of matcher and mapper together, in a simulated room.
+
 use super::*;
 use crate::settings::Strategy;
 use flockslam_geometry::wrap_angle;
@@ -84,7 +86,7 @@ fn in_odom(i: u64) -> Pose {
 }
 
 #[test]
-fn follows_the_robot_whatever_the_wheels_say() {
+fn follows_the_robot_with_wheels_that_slip_and_turn_too_much() {
     let mut front_end = FrontEnd::new(Settings::default());
     for i in 0..80 {
         let estimate = front_end.step(&look(i, truth(i), Some(wheels(i))), true);
@@ -142,9 +144,15 @@ fn a_dropped_scan_gets_a_predicted_pose_and_touches_nothing() {
 #[test]
 fn a_withheld_scan_is_never_matched() {
     let mut front_end = FrontEnd::new(Settings::default());
-    let mut scan = look(0, truth(0), Some(truth(0)));
-    scan.header.withheld = 1;
-    assert_eq!(front_end.step(&scan, false).flags, PoseFlags::HAS_ODOMETRY);
+    for i in 0..20 {
+        let mut scan = look(i, truth(i), Some(truth(i)));
+        scan.header.withheld = u32::from(i == 0 || i > 15);
+        let estimate = front_end.step(&scan, i % 2 == 1);
+        if scan.header.withheld == 1 {
+            assert_eq!((estimate.flags, estimate.score), (PoseFlags::HAS_ODOMETRY, 0.0), "{i}");
+        }
+    }
+    assert!(front_end.mapper.generation() > 0, "there was a map to match them with");
 }
 
 #[test]
@@ -273,6 +281,7 @@ fn scans_that_take_time_and_end_outside_the_map_are_fitted_by_every_strategy() {
             }
             let estimate = front_end.step(&scan, true);
             assert!(estimate.odom_from_base.distance_m(pose) < 0.2, "{strategy:?}: {estimate:?}");
+            assert_eq!(estimate.has(PoseFlags::MATCHED), sequence > 0, "{strategy:?}: {estimate:?}");
         }
     }
 }

@@ -1,3 +1,5 @@
+//! Metrics and log lines about published poses.
+
 use flockslam_messages::{PoseEstimate, PoseFlags};
 use flockslam_telemetry::{Counter, Histogram, LabelledCounters, StageMetrics, names};
 

@@ -1,3 +1,5 @@
+//! The hotel: parallel corridors with identical rooms at regular spacing.
+
 use crate::random::Random;
 use crate::simulation::drawing::{Drawing, WALL_M};
 use crate::simulation::floor_plan::FloorPlan;

@@ -1,3 +1,5 @@
+//! The office: corridors, halls, rooms and furniture, given as lists of coordinates.
+
 use crate::simulation::drawing::Drawing;
 use crate::simulation::floor_plan::FloorPlan;
 

@@ -1,3 +1,5 @@
+//! The warehouse: parallel aisles between identical racks.
+
 use crate::random::Random;
 use crate::simulation::drawing::{Drawing, WALL_M};
 use crate::simulation::floor_plan::FloorPlan;

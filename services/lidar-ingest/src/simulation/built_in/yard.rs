@@ -1,3 +1,5 @@
+//! The yard: buildings, trees and a car park, with little to see between them.
+
 use crate::random::Random;
 use crate::simulation::drawing::Drawing;
 use crate::simulation::floor_plan::FloorPlan;

@@ -1,3 +1,5 @@
+//! The body of a simulated person during one turn of the lidar, for ray casting and as exact truth.
+
 use flockslam_geometry::Point;
 
 /// Radius of a person at the height of the lidar, metres.

@@ -1,3 +1,5 @@
+//! Simulated doors: where they hang, and when they open and close.
+
 use crate::random::Random;
 use crate::simulation::World;
 use crate::simulation::index::{Segment, from_to};

@@ -1,3 +1,5 @@
+//! A simulated person who follows the robot.
+
 use super::body::{Body, squeezed};
 use crate::simulation::drive::Turn;
 use flockslam_geometry::{Point, Pose};

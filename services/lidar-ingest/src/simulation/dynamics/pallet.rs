@@ -1,3 +1,5 @@
+//! Simulated pallets that appear, stand and vanish.
+
 use crate::random::Random;
 use crate::simulation::index::{Segment, from_to};
 use crate::simulation::room::Room;

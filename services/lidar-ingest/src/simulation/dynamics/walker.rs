@@ -1,3 +1,5 @@
+//! Simulated people who walk from place to place and make way for the robot.
+
 use super::body::{Body, RADIUS_M, squeezed};
 use crate::random::Random;
 use crate::simulation::room::Room;
