@@ -11,6 +11,20 @@ use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 /// Everything that can be set. Each section belongs to the stage of its name.
+///
+/// ```
+/// use flockslam::configuration::{Configuration, ConfigurationError, Profile};
+///
+/// let overrides = ["mapper.cell_size_m=0.1", "page.enabled=false"].map(str::to_owned);
+/// let configuration = Configuration::load(Profile::Default, None, &overrides)?;
+/// assert_eq!(configuration.mapper.cell_size_m, 0.1);
+/// assert!(!configuration.page.enabled);
+///
+/// // A key that is not known is refused.
+/// let refused = Configuration::load(Profile::Default, None, &["mapper.cel_size_m=0.1".to_owned()]);
+/// assert!(refused.unwrap_err().to_string().contains("did you mean `cell_size_m`?"));
+/// # Ok::<(), ConfigurationError>(())
+/// ```
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Configuration {
@@ -257,8 +271,27 @@ mod tests {
         Configuration::load(Profile::Default, None, &[assignment.to_owned()])
     }
 
+    /// Appends an assignment of its present value for each key below `path`.
+    fn assignments(path: &str, value: &Value, to: &mut Vec<String>) {
+        match value {
+            Value::Table(table) => {
+                for (key, value) in table {
+                    let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+                    assignments(&path, value, to);
+                }
+            }
+            value => to.push(format!("{path}={value}")),
+        }
+    }
+
     #[test]
-    fn any_key_can_be_set_and_words_need_no_quotes() {
+    fn every_key_with_a_default_can_be_set_and_words_need_no_quotes() {
+        let configuration = Configuration::default();
+        let table = Table::try_from(&configuration).unwrap();
+        let mut all = Vec::new();
+        assignments("", &Value::Table(table.clone()), &mut all);
+        assert!(all.len() > table.len(), "{all:?}");
+        assert_eq!(Configuration::load(Profile::Default, None, &all).unwrap(), configuration);
         let off = set("correlation_filter.mode=off").unwrap().correlation_filter.mode;
         assert_eq!(off, flockslam_correlation_filter::Mode::Off);
         assert_eq!(set("mapper.cell_size_m=1").unwrap().mapper.cell_size_m, 1.0);

@@ -1,3 +1,5 @@
+//! A TCP listener with a bounded number of connections, each of which ends after a time of silence.
+
 use axum::serve::Listener;
 use std::io;
 use std::net::SocketAddr;

@@ -1,3 +1,5 @@
+//! The binary format of what a browser is sent: JSON, then sections of numbers.
+
 use crate::layer::Layer;
 use crate::path::{POINT_BYTES, PathPoint};
 use crate::view::ScanNow;

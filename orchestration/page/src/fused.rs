@@ -1,3 +1,5 @@
+//! The map of closed submaps on the page. It follows the layout one submap at a time.
+
 use flockslam_evidence::{Footprint, FusedMap, Submap, TILE_SIDE, TileKey, TooFar};
 use flockslam_geometry::{Point, Pose};
 use std::collections::{BTreeMap, BTreeSet};

@@ -1,3 +1,5 @@
+//! Access to the page: checks the `Host` and `Origin` headers of a request and the token of an order.
+
 use serde::Serialize;
 use std::hint::black_box;
 use std::net::{IpAddr, SocketAddr};
@@ -7,6 +9,17 @@ use std::net::{IpAddr, SocketAddr};
 /// A browser on the operator's machine also runs the pages of strangers. What they could do here is prevented by names: a request is
 /// answered only when it was made to this machine by an address or by its own name (a stranger's name that was made to point here
 /// is neither), and a WebSocket is opened only for a page that came from here.
+///
+/// ```
+/// use flockslam_page::{Settings, SettingsError};
+///
+/// // By default the page is for this machine only, and there its buttons need no token.
+/// let guard = Settings::default().guard("robot")?;
+/// assert!(guard.is_own_host(Some("localhost:8470")));
+/// assert!(!guard.is_own_host(Some("robot:8470")));
+/// assert!(guard.may_order(None));
+/// # Ok::<(), SettingsError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Guard {
     is_local: bool,

@@ -1,3 +1,5 @@
+//! The state of a set as its supervisor tells it, and the events that follow from two successive states.
+
 use serde::{Deserialize, Serialize};
 
 /// How a set is, as its supervisor tells it.

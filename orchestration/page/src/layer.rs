@@ -1,3 +1,5 @@
+//! The tiles of one grid, encoded, each with the version of its last change.
+
 use crate::shade::Shades;
 use crate::tile_code::encode_tile;
 use flockslam_evidence::TileKey;

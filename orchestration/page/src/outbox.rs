@@ -1,3 +1,5 @@
+//! Decides what one browser is sent next. Takes the view and what the browser has answered; gives a frame of bounded size.
+
 use crate::frame::Frame;
 use crate::guard::Controls;
 use crate::view::View;
@@ -129,6 +131,8 @@ impl Outbox {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::path::POINT_BYTES;
+    use crate::tile_code::encode_tile;
     use crate::view::{Head, RobotNow};
     use flockslam_evidence::{TILE_CELLS, TileKey};
     use flockslam_messages::PoseEstimate;
@@ -147,13 +151,13 @@ mod tests {
         serde_json::from_slice(&frame[4..4 + length]).unwrap()
     }
 
-    /// Lengths of a frame's sections, by kind.
-    fn sections(frame: &[u8]) -> Vec<(u8, usize)> {
+    /// A frame's sections: kind and bytes of each.
+    fn sections(frame: &[u8]) -> Vec<(u8, &[u8])> {
         let mut rest = &frame[4 + u32::from_le_bytes(frame[..4].try_into().unwrap()) as usize..];
         let mut found = Vec::new();
         while let [kind, a, b, c, d, tail @ ..] = rest {
             let length = u32::from_le_bytes([*a, *b, *c, *d]) as usize;
-            found.push((*kind, length));
+            found.push((*kind, &tail[..length]));
             rest = &tail[length..];
         }
         assert!(rest.is_empty());
@@ -181,7 +185,10 @@ mod tests {
             (&json_of(&frame)["robot"]["sequence"], &json_of(&frame)["frame"]),
             (&json!(99), &json!(3))
         );
-        assert_eq!(sections(&frame), [(2, 50 * 13)], "each tile once");
+        let newest = encode_tile(&[99 % 15; TILE_CELLS]);
+        let told = sections(&frame);
+        assert_eq!((told.len(), told[0].0, told[0].1.len()), (1, 2, 50 * 13), "each tile once");
+        assert!(told[0].1.chunks_exact(13).all(|tile| tile.ends_with(&newest)));
         outbox.answered(3);
         assert!(outbox.next_frame(&view, Controls::Open, 0).is_none(), "nothing is new");
         outbox.answered(900);
@@ -197,21 +204,27 @@ mod tests {
             let odom_from_base = flockslam_geometry::Pose::new(f64::from(step), 0.0, 0.0);
             view.path.push(&PoseEstimate { odom_from_base, ..PoseEstimate::default() });
         }
-        let (mut tiles, mut points, mut frames) = (0, 0, 0);
+        let number = |bytes: &[u8]| u32::from_le_bytes(bytes[..4].try_into().unwrap());
+        let (mut tiles, mut points, mut frames) = (Vec::new(), 0, 0);
         while let Some(frame) = outbox.next_frame(&view, Controls::Open, 0) {
-            assert!(frame.len() < 250_000, "{}", frame.len());
-            for (kind, length) in sections(&frame) {
+            // 192 KiB, one tile more, and the JSON.
+            assert!(frame.len() < 202_000, "{}", frame.len());
+            for (kind, bytes) in sections(&frame) {
                 match kind {
-                    1 => tiles += length / (10 + TILE_CELLS),
-                    3 => points += (length - 4) / POINT_BYTES,
+                    1 => tiles.extend(bytes.chunks_exact(10 + TILE_CELLS).map(number)),
+                    3 => {
+                        assert_eq!(number(bytes) as usize, points);
+                        points += (bytes.len() - 4) / POINT_BYTES;
+                    }
                     _ => {}
                 }
             }
             frames += 1;
             outbox.answered(frames);
         }
-        assert_eq!((tiles, points), (300, 50_000));
-        assert!(frames > 5);
+        assert_eq!(tiles, (0..300).collect::<Vec<u32>>(), "each tile once");
+        // 2 031 800 bytes of tiles and points need 11 frames of 192 KiB.
+        assert_eq!((points, frames), (50_000, 11));
     }
 
     #[test]
@@ -226,6 +239,4 @@ mod tests {
         assert!(frame["hello"].is_object() && frame["robot"]["sequence"] == 1 && frame["now_ms"] == 7);
         assert_eq!(frame["replies"][0]["id"], 4);
     }
-
-    use crate::path::POINT_BYTES;
 }

@@ -1,3 +1,5 @@
+//! The robot's path, thinned out to one point for each 0.1 m.
+
 use flockslam_messages::PoseEstimate;
 
 /// A new point of the path is taken after this much travel, metres.
@@ -82,8 +84,11 @@ mod tests {
             path.push(&pose(0.011 * f64::from(step), 0));
             path.push(&pose(0.011 * f64::from(step), 0));
         }
-        assert!((path.length_m - 1.1).abs() < 0.12 && path.points().len() == 10, "{path:?}");
-        path.push(&pose(1.1, 1));
-        assert_eq!(path.points().last().unwrap().submap, 1);
+        // Points at 0, 0.11 … 0.99 m; the robot has come to 1.089 m.
+        assert!((path.length_m - 0.99).abs() < 1e-9 && path.points().len() == 10, "{path:?}");
+        path.push(&pose(0.011 * 99.0, 1));
+        let first = path.points()[10];
+        assert!(first.submap == 1 && (first.x_m - 1.089).abs() < 1e-6, "{first:?}");
+        assert!((path.length_m - 1.089).abs() < 1e-9 && path.points().len() == 11, "{path:?}");
     }
 }

@@ -1,3 +1,5 @@
+//! The HTTP and WebSocket server of the page: it checks requests, gives the files of the page, sends frames and takes orders.
+
 use crate::bus_watch::watch_bus;
 use crate::connection::BoundedListener;
 use crate::guard::Guard;

@@ -1,3 +1,5 @@
+//! The thread that asks the supervisor how the set is and reads the latencies of its stages.
+
 use crate::health::{Health, events_between};
 use crate::latency::{LatencySample, LatencyWatch, StageLatency};
 use crate::shared::{Place, Shared};

@@ -1,3 +1,5 @@
+//! Settings of the live page, the section `[page]` of the configuration.
+
 use crate::Guard;
 use serde::{Deserialize, Serialize};
 use std::net::{Ipv4Addr, SocketAddr};

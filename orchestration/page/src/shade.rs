@@ -1,3 +1,5 @@
+//! Turns the evidence of a cell into one of 16 shades, with a table in place of exponentials.
+
 use flockslam_evidence::{Masses, TILE_CELLS, WEIGHT_SCALE};
 
 /// Shades of a cell on the page: 0 unknown, then from 1 (free) to this (occupied).

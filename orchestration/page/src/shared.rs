@@ -1,3 +1,5 @@
+//! State that the threads of the page share: the view, the viewers, and access to the supervisor.
+
 use crate::guard::Guard;
 use crate::health::{Event, EventKind, Health};
 use crate::view::{Head, View};

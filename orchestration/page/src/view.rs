@@ -1,3 +1,5 @@
+//! The state that browsers are shown. Each part has a version or a count, so that an outbox can tell what is new.
+
 use crate::health::{Event, Health};
 use crate::latency::LatencySample;
 use crate::layer::Layer;

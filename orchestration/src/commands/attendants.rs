@@ -1,3 +1,5 @@
+//! What runs beside a single run: its live page, and its control socket.
+
 use super::CommandError;
 use crate::supervisor::{ControlSocket, PageProcess, ProcessSet, Reply, Request, known_stage};
 

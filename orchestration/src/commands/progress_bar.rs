@@ -1,3 +1,5 @@
+//! The progress bar of a run on the terminal.
+
 use indicatif::{ProgressBar, ProgressStyle};
 
 /// Progress on the terminal; silent when there is none.

@@ -1,3 +1,5 @@
+//! Proposes the nearest known name for an unknown one, by Levenshtein distance.
+
 /// Adds "did you mean …?" to a message about an unknown field, when one of the expected names is close to it.
 pub fn with_hint(message: &str) -> String {
     let names: Vec<&str> = message.split('`').skip(1).step_by(2).collect();

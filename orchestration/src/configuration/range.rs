@@ -1,3 +1,5 @@
+//! Checks the numbers of a configuration, given as a TOML table: finite, not negative, and within bounds where a key has some.
+
 use toml::{Table, Value};
 
 /// Keys whose numbers may be negative; their own sections bound them.
@@ -84,6 +86,16 @@ mod tests {
                     value = value.and_then(|value| value.get(part).cloned());
                 }
                 assert!(value.is_some(), "{key}");
+            }
+        }
+    }
+
+    #[test]
+    fn bounds_are_inclusive_and_nothing_beyond_them_is_accepted() {
+        for (key, least, greatest) in BOUNDED {
+            assert!(check_number(key, least).is_ok() && check_number(key, greatest).is_ok(), "{key}");
+            for beyond in [least - 1e-6, greatest * 1.001, f64::NAN, f64::INFINITY] {
+                assert!(check_number(key, beyond).is_err(), "{key} = {beyond}");
             }
         }
     }

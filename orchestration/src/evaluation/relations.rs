@@ -1,3 +1,5 @@
+//! Compares a trajectory with relations between pairs of its poses: Kümmerle et al. 2009.
+
 use super::spread::{SPREAD_COLUMNS, row};
 use super::text::{number, parse_lines, stamp};
 use super::{EvaluationError, Spread};
@@ -62,6 +64,18 @@ pub fn parse_relations(source_name: &str, bytes: &[u8]) -> Result<Vec<Relation>,
 /// Compares a trajectory with relations: the error of one is `rel⁻¹ · (p1⁻¹ · p2)`.
 ///
 /// The points may come in any order. Of several with the same stamp the first counts.
+///
+/// ```
+/// use flockslam::evaluation::{EvaluationError, evaluate_relations, parse_relations, parse_tum};
+///
+/// // The robot drove 3 m, and the relation says 3.3 m.
+/// let points = parse_tum("a.tum", b"0 0 0 0 0 0 0 1\n1 3 0 0 0 0 0 1\n")?;
+/// let relations = parse_relations("a.relations", b"0 1 3.3 0 0 0 0 0\n0 9 1 0 0 0 0 0\n")?;
+/// let report = evaluate_relations(&points, &relations);
+/// assert_eq!((report.short.n, report.short.missing), (1, 1));
+/// assert!(report.short.translation_m.is_some_and(|errors| (errors.mean - 0.3).abs() < 1e-9));
+/// # Ok::<(), EvaluationError>(())
+/// ```
 pub fn evaluate_relations(points: &[TrajectoryPoint], relations: &[Relation]) -> RelationsReport {
     let mut by_stamp = points.to_vec();
     by_stamp.sort_by_key(|point| point.stamp_ns);
@@ -144,8 +158,9 @@ mod tests {
         evaluate_relations(&points, &parse_relations("a.relations", relations.as_bytes()).unwrap())
     }
 
-    /// Worked out by hand: the robot turned left by 90° at stamp 1, then drove 3 m, and the relations say 3.3 m ahead,
-    /// and 4 m to the left of a place that was 0.4 m further.
+    /// Worked out by hand: the robot moved 1 m ahead and 1 m to the left and turned left by 90°, then drove 3 m ahead.
+    /// For the second motion a relation says 3.3 m. For the first one a relation is 0.1 m and 0.1 rad off, and one is
+    /// exact. Two name a stamp without a pose.
     #[test]
     fn errors_are_those_worked_out_by_hand() {
         let tum = "0 0 0 0 0 0 0 1\n1 1 1 0 0 0 0.7071067811865476 0.7071067811865476\n\
@@ -170,6 +185,14 @@ mod tests {
         assert_eq!(json["all"]["translation_m"]["mean"], 1.0);
         assert!(json["loop"]["translation_m"].is_null());
         assert_eq!((&json["loop"]["n"], &json["short"]["missing"]), (&0.into(), &0.into()));
+        let names = |value: &serde_json::Value| {
+            let mut names: Vec<String> = value.as_object().unwrap().keys().cloned().collect();
+            names.sort();
+            names
+        };
+        assert_eq!(names(&json), ["all", "loop", "short"]);
+        assert_eq!(names(&json["loop"]), ["missing", "n", "rotation_deg", "translation_m"]);
+        assert_eq!(names(&json["all"]["rotation_deg"]), ["max", "mean", "median", "rmse", "std"]);
     }
 
     /// Wavy trajectories with duplicate, unsorted and missing stamps, at the size of real ones.

@@ -1,3 +1,5 @@
+//! Statistics of a set of errors: mean, standard deviation, RMSE, median, maximum. Also prints them as columns of a table.
+
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -70,6 +72,17 @@ mod tests {
 
     #[test]
     fn columns_stand_below_their_names() {
-        assert_eq!(row(Spread::of(&[1.0]), 4).chars().count(), SPREAD_COLUMNS.chars().count());
+        // The place behind each word.
+        let ends = |text: &str| -> Vec<usize> {
+            let text: Vec<char> = text.chars().chain([' ']).collect();
+            let ends = (1..text.len()).filter(|place| text[place - 1] != ' ' && text[*place] == ' ');
+            ends.collect()
+        };
+        let (names, figures) = (ends(SPREAD_COLUMNS), ends(&row(Spread::of(&[1.0]), 4)));
+        assert_eq!((names.len(), figures.len()), (6, 6));
+        // Mean, ±, rmse, median, max. The deviation is aligned to the left.
+        for column in [0, 1, 3, 4, 5] {
+            assert_eq!(names[column], figures[column], "column {column}");
+        }
     }
 }

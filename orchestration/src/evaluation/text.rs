@@ -1,3 +1,5 @@
+//! Reads the text formats of evaluation line by line: TUM trajectories, and what relations share with them.
+
 use crate::outputs::TrajectoryPoint;
 use flockslam_geometry::Pose;
 use flockslam_lidar_ingest::stamp::parse_stamp_ns;
@@ -92,7 +94,7 @@ mod tests {
     fn poses_are_read() {
         let text = "# t x y z qx qy qz qw\n\n976052905.167303 1 2 0 0 0 0.707106781 0.707106781\r\n";
         let points = parse_tum("a.tum", text.as_bytes()).unwrap();
-        assert_eq!(points[0].stamp_ns, 976_052_905_167_303_000);
+        assert_eq!((points.len(), points[0].stamp_ns), (1, 976_052_905_167_303_000));
         let pose = points[0].map_from_base;
         assert!(
             (pose.heading_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-8

@@ -1,3 +1,6 @@
+//! Compares a trajectory with the whole true trajectory. Gives absolute errors (ATE) and relative errors (RPE): Sturm et al. 2012,
+//! section IV.
+
 use super::spread::{SPREAD_COLUMNS, row};
 use super::{EvaluationError, Spread};
 use crate::outputs::TrajectoryPoint;
@@ -54,6 +57,19 @@ struct Pair {
 ///
 /// # Errors
 /// When fewer than two poses have a true one.
+///
+/// ```
+/// use flockslam::evaluation::{EvaluationError, evaluate_truth, parse_tum};
+///
+/// let truth = parse_tum("truth.tum", b"0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n2 2 0 0 0 0 0 1\n")?;
+/// // The same way, 5 m to the left: a rigid motion is no error.
+/// let points = parse_tum("found.tum", b"0 0 5 0 0 0 0 1\n1 1 5 0 0 0 0 1\n2 2 5 0 0 0 0 1\n")?;
+/// let report = evaluate_truth(&points, &truth)?;
+/// assert_eq!((report.matched, report.without_truth, report.missing), (3, 0, 0));
+/// assert!(report.absolute.translation_m.is_some_and(|errors| errors.max < 1e-9));
+/// assert!((report.alignment[1] + 5.0).abs() < 1e-9);
+/// # Ok::<(), EvaluationError>(())
+/// ```
 pub fn evaluate_truth(
     points: &[TrajectoryPoint],
     truth: &[TrajectoryPoint],
@@ -261,9 +277,12 @@ mod tests {
             let by = Pose::new(x, y, heading);
             let report = evaluate_truth(&moved(&truth, by), &truth).unwrap();
             prop_assert!(report.absolute.translation_m.unwrap().max < 1e-9 && report.absolute.rotation_deg.unwrap().max < 1e-9);
-            prop_assert!(report.per_metre.translation_m.unwrap().max < 1e-9 && report.per_second.rotation_deg.unwrap().max < 1e-9);
+            for relative in [report.per_metre, report.per_second] {
+                prop_assert!(relative.n > 0);
+                prop_assert!(relative.translation_m.unwrap().max < 1e-9 && relative.rotation_deg.unwrap().max < 1e-9);
+            }
             let found = Pose::new(report.alignment[0], report.alignment[1], report.alignment[2].to_radians());
-            prop_assert!(found.distance_m(by.inverse()) < 1e-9);
+            prop_assert!(found.distance_m(by.inverse()) < 1e-9 && found.turn_rad(by.inverse()) < 1e-9);
         }
     }
 }

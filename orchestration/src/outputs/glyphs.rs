@@ -1,3 +1,5 @@
+//! A dot font: digits, the full stop, and the letters of the units m and s.
+
 /// Rows of a glyph.
 pub(super) const HEIGHT: usize = 7;
 

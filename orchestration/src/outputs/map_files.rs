@@ -1,3 +1,5 @@
+//! The map as `map.pgm` and `map.yaml`, by the conventions of nav2's map server.
+
 use super::{CellState, OccupancyImage, OutputError, put};
 use std::path::Path;
 

@@ -1,3 +1,5 @@
+//! A hash of a fused map: equal for maps that are equal to the bit.
+
 use flockslam_stage::results::StoredMap;
 
 /// Names a fused map: blake3 over its place, its size and every cell, hexadecimal.

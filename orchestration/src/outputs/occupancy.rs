@@ -1,3 +1,5 @@
+//! A map in three states, cell by cell: free, occupied, unknown. Map files and pictures are made of it.
+
 use flockslam_geometry::Point;
 
 /// What is known of a cell.

@@ -1,3 +1,5 @@
+//! The map and trajectories as a PNG for people. Takes an occupancy image and trajectories; gives the bytes of the picture.
+
 use super::canvas::{Canvas, Colour, Spot, mix};
 use super::glyphs::text_width;
 use super::{CellState, OccupancyImage, OutputError, TrajectoryPoint, put};
@@ -301,6 +303,9 @@ mod tests {
     #[test]
     fn the_longer_side_has_a_legible_number_of_pixels() {
         for (width, height) in [(1, 1), (40, 90), (700, 300), (1300, 200), (2001, 10), (30, 9000)] {
+            let view = View::of(&room(width, height), PictureTracks::default());
+            let longer = view.width.max(view.height);
+            assert!(longer > SIDE_MAX / 2 && longer <= SIDE_MAX, "{width} x {height}: {longer}");
             let picture = decoded(&room(width, height), PictureTracks::default());
             let longer = picture.width().max(picture.height());
             assert!((1000..=2150).contains(&longer), "{width} x {height}: {longer}");

@@ -1,3 +1,5 @@
+//! `report.json`: the figures of one run, as plain data.
+
 use super::{OutputError, put};
 use flockslam_telemetry::LatencyQuantiles;
 use serde::{Deserialize, Serialize};

@@ -1,3 +1,5 @@
+//! Trajectories as TUM text. Stamps are written by integer arithmetic, so they lose nothing down to the microsecond.
+
 use super::{OutputError, put};
 use flockslam_geometry::Pose;
 use std::fmt::Write;

@@ -1,3 +1,5 @@
+//! Turns scans, poses, transforms, log lines and grids into messages of a recording: JSON by the schemas of Foxglove.
+
 use super::RecordTopic;
 use flockslam_geometry::Pose;
 use flockslam_messages::{PoseEstimate, ScanView};

@@ -1,3 +1,5 @@
+//! Reads the bus and the log stream of a running set, and gives what it has read as messages of a recording.
+
 use super::{LiveGrid, RecordError, Recorded, log, pose, scan, tracks, transforms};
 use flockslam_bus::{Bus, BusError, Capacity, RuntimeDir, ScanSubscriber, SliceSubscriber, Subscriber};
 use flockslam_geometry::Pose;

@@ -1,3 +1,5 @@
+//! Turns the tracks of moving bodies into a scene of a recording: one cylinder and one arrow for each track.
+
 use super::RecordTopic;
 use super::messages::{Recorded, SpatialPose, Time, Vector3, recorded, time, wall};
 use flockslam_geometry::Pose;

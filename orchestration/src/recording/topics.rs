@@ -1,3 +1,5 @@
+//! The topics of a recording, their names, and their JSON schemas.
+
 use serde_json::{Value, json};
 
 /// A topic of a recording.

@@ -1,3 +1,5 @@
+//! A websocket server on loopback that speaks Foxglove's protocol: it advertises the topics and sends each client what it subscribed to.
+
 use super::{RecordError, RecordTopic, Recorded};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;

@@ -1,3 +1,5 @@
+//! `map.head`: the record that says which build and which settings a saved map belongs to.
+
 use super::StoreError;
 use flockslam_journal::{Ending, RecordReader, RecordWriter};
 use flockslam_messages::{Layout, Message, PoseEstimate, ScanHeader};

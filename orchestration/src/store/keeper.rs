@@ -1,3 +1,5 @@
+//! A thread that saves the map of a running set periodically and by order.
+
 use super::{Mirror, StoreError};
 use crate::supervisor::SaveStatus;
 use std::path::PathBuf;

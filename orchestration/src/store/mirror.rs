@@ -1,3 +1,5 @@
+//! Copies what is new in the journal, the records and the submaps of a set to a saved map.
+
 use super::{MapHead, SavedMap, StoreError};
 use flockslam_journal::{Durability, RecordReader, RecordWriter, replace_file};
 use flockslam_stage::flock_files::records_file;

@@ -1,3 +1,5 @@
+//! A saved map: it is checked byte by byte, restored into the directory of a set, and its damaged parts are set aside.
+
 use super::{MapHead, StoreError};
 use flockslam_bus::RuntimeDir;
 use flockslam_journal::{Durability, Ending, RecordReader, RecordWriter, replace_file};

@@ -1,3 +1,5 @@
+//! One replica of a stage as a child process. Starts it with its limits, reads its heartbeat, kills it, and plans its next start.
+
 use super::hang::hangs;
 use super::restarts::{AfterDeath, RestartPolicy};
 use super::supervision::ProcessLimits;

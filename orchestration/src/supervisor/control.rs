@@ -1,3 +1,5 @@
+//! The control socket of a set: a Unix socket that takes one request and gives one reply, each a line of JSON. Holds both ends.
+
 use super::status::SetStatus;
 use flockslam_messages::Stage;
 use serde::{Deserialize, Serialize};
@@ -179,12 +181,17 @@ mod tests {
         assert_eq!(order.request, Request::Restart("mapper".to_owned()));
         order.answer(Reply::Done);
         assert_eq!(asked.join().unwrap(), Reply::Done);
-        let stream = UnixStream::connect(&path).unwrap();
-        (&stream).write_all(b"\xff\x00 nonsense\n").unwrap();
-        drop(stream);
-        let stream = UnixStream::connect(&path).unwrap();
-        (&stream).write_all(b"{\"fly\":1}\n").unwrap();
-        assert!(read_line(&stream).unwrap().contains("refused"));
+        let say = |bytes: &[u8]| {
+            let stream = UnixStream::connect(&path).unwrap();
+            (&stream).write_all(bytes).unwrap();
+            stream
+        };
+        // Who asks and goes away without its answer holds nobody up.
+        drop(say(b"nonsense\n"));
+        for garbage in [b"\xff\x00 nonsense\n".as_slice(), b"\n", b"{\"fly\":1}\n"] {
+            assert!(read_line(&say(garbage)).unwrap().contains("refused"), "{garbage:?}");
+        }
+        assert!(socket.next().is_none(), "garbage is no order");
     }
 
     #[test]

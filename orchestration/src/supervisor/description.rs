@@ -1,3 +1,5 @@
+//! The file that `flockslam up` is given. Takes TOML; gives the configuration of the stages, their limits, and the source.
+
 use super::{ProcessLimits, Supervision};
 use crate::configuration::{Configuration, ConfigurationError, Profile, parse_file};
 use flockslam_lidar_ingest::process::Source;
@@ -9,8 +11,27 @@ use std::time::Duration;
 
 /// Most processes of one stage.
 const REPLICAS_MAX: usize = 8;
+/// No period is longer than a year, seconds.
+const PERIOD_MAX_S: f64 = 366.0 * 86_400.0;
 
 /// A process set as a file describes it: what `flockslam up SET.toml` runs. Paths are relative to the file.
+///
+/// ```
+/// use flockslam::supervisor::{SetDescription, SourceDescription};
+///
+/// let directory = tempfile::tempdir()?;
+/// let path = directory.path().join("set.toml");
+/// std::fs::write(&path, "robot = \"r1\"\n[source]\nkind = \"log\"\npath = \"drive.log\"\n")?;
+/// let description = SetDescription::read(&path)?;
+/// assert_eq!(description.robot, "r1");
+/// assert!(matches!(description.source, SourceDescription::Log { rate, .. } if rate == 1.0));
+///
+/// // A key that is not known is refused.
+/// std::fs::write(&path, "robot = \"r1\"\nretri_s = 5.0\n")?;
+/// let refused = SetDescription::read(&path).unwrap_err().to_string();
+/// assert!(refused.contains("did you mean `retry_s`?"));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SetDescription {
@@ -126,25 +147,26 @@ impl SetDescription {
     }
 
     fn check(&self, path: &Path) -> Result<(), ConfigurationError> {
-        let positive = |key: &str, value: f64| {
-            let reason = format!("{value} is not a positive number");
-            let key = format!("{}: {key}", path.display());
-            if value.is_finite() && value > 0.0 {
-                Ok(())
-            } else {
-                Err(ConfigurationError::Value { key, reason })
-            }
+        let refused = |key: &str, reason: String| {
+            Err(ConfigurationError::Value { key: format!("{}: {key}", path.display()), reason })
         };
+        let positive = |key: &str, value: f64| match value.is_finite() && value > 0.0 {
+            true => Ok(()),
+            false => refused(key, format!("{value} is not a positive number")),
+        };
+        for (key, value_s) in [("save_every_s", self.save_every_s), ("retry_s", self.retry_s)] {
+            positive(key, value_s)?;
+            if value_s > PERIOD_MAX_S {
+                return refused(key, format!("{value_s} is more than a year"));
+            }
+        }
         for (stage, limits) in self.supervision().limits {
             if let Some(replicas) = limits.replicas.filter(|replicas| !(1..=REPLICAS_MAX).contains(replicas))
             {
-                let key = format!("{}: stages.{}.replicas", path.display(), stage.name());
                 let reason = format!("{replicas} is not between 1 and {REPLICAS_MAX}");
-                return Err(ConfigurationError::Value { key, reason });
+                return refused(&format!("stages.{}.replicas", stage.name()), reason);
             }
         }
-        positive("save_every_s", self.save_every_s)?;
-        positive("retry_s", self.retry_s)?;
         match self.source {
             SourceDescription::Log { rate, .. } | SourceDescription::Simulation { rate, .. } => {
                 positive("source.rate", rate)
@@ -214,34 +236,62 @@ mod tests {
     }
 
     #[test]
-    fn everything_can_be_said_and_paths_are_beside_the_file() {
+    fn every_key_of_a_set_can_be_said_and_paths_are_beside_the_file() {
+        let directory = tempfile::tempdir().unwrap();
+        let beside = |name: &str| std::path::absolute(directory.path()).unwrap().join(name);
+        std::fs::write(beside("robot.toml"), "[page]\nenabled = false\n").unwrap();
+        let read = |text: &str| {
+            std::fs::write(beside("set.toml"), text).unwrap();
+            SetDescription::read(&beside("set.toml")).unwrap()
+        };
         let description = read(
-            "robot = \"r1\"\nmap = \"maps/r1\"\nset = [\"mapper.cell_size_m=0.1\"]\n\
+            "robot = \"r1\"\nmap = \"maps/r1\"\nsave_every_s = 2.5\nretry_s = 7.0\nmetrics_port = 9100\n\
+             config = \"robot.toml\"\nset = [\"mapper.cell_size_m=0.1\"]\n\
              [source]\nkind = \"log\"\npath = \"drive.log\"\nrate = 2.0\n\
-             [stages.mapper]\ncpus = [0]\nmemory_max_bytes = 100000000\nnice = 5\ndeadline_ms = 2000\n",
-        )
-        .unwrap();
-        assert!(description.map.as_ref().unwrap().is_absolute());
-        assert_eq!(description.configuration(&[]).unwrap().mapper.cell_size_m, 0.1);
+             [stages.mapper]\nreplicas = 2\ncpus = [0]\nmemory_max_bytes = 100000000\nnice = 5\n\
+             deadline_ms = 2000\n",
+        );
+        assert_eq!(description.map, Some(beside("maps/r1")));
+        assert_eq!((description.save_every_s, description.metrics_port), (2.5, Some(9100)));
+        let configuration = description.configuration(&[]).unwrap();
+        assert_eq!((configuration.mapper.cell_size_m, configuration.mapper.replicas), (0.1, 2));
+        assert!(!configuration.page.enabled, "its file counts");
+        let over = description.configuration(&["mapper.cell_size_m=0.2".to_owned()]).unwrap();
+        assert_eq!(over.mapper.cell_size_m, 0.2);
         let supervision = description.supervision();
+        assert_eq!((supervision.live, supervision.retry), (true, Duration::from_secs(7)));
         let mapper = supervision.limits(Stage::Mapper);
         assert_eq!((mapper.nice, mapper.cpus.as_slice()), (Some(5), [0].as_slice()));
+        assert_eq!(mapper.memory_max_bytes, Some(100_000_000));
         assert_eq!(mapper.deadline(Stage::Mapper), Duration::from_secs(2));
         let task = description.source();
-        assert!(matches!(task.source, Source::Log(path) if path.ends_with("drive.log")));
+        assert!(matches!(task.source, Source::Log(path) if path == beside("drive.log")));
         assert_eq!(task.rate, Some(2.0));
+        let task =
+            read("robot = \"r1\"\n[source]\nkind = \"simulation\"\nworld = \"maps/hall.yaml\"\n").source();
+        assert!(matches!(task.source, Source::Simulation));
+        assert_eq!((task.world, task.rate), (Some(beside("maps/hall.yaml")), Some(1.0)));
     }
 
     #[test]
-    fn unknown_keys_and_bad_values_are_refused_with_line_and_hint() {
+    fn unknown_keys_are_refused_with_line_and_hint_and_bad_values_with_their_key() {
         let wrong = read("robot = \"r1\"\n[stages.maper]\nnice = 1\n").unwrap_err();
         assert!(wrong.starts_with("set.toml:2: ") && wrong.contains("did you mean `mapper`?"), "{wrong}");
         let wrong = read("robot = \"r1\"\n\n[stages.mapper]\nnise = 1\n").unwrap_err();
         assert!(wrong.starts_with("set.toml:4: ") && wrong.contains("did you mean `nice`?"), "{wrong}");
-        assert!(read("robto = \"r1\"").unwrap_err().contains("did you mean `robot`?"));
+        let wrong = read("robto = \"r1\"").unwrap_err();
+        assert!(wrong.starts_with("set.toml:1: ") && wrong.contains("did you mean `robot`?"), "{wrong}");
         assert!(read("robot = \"r1\"\n[source]\nkind = \"ros\"\n").unwrap_err().contains("unknown variant"));
         assert!(read("robot = \"r1\"\nsave_every_s = 0.0\n").unwrap_err().contains("save_every_s"));
+        for period in ["-1.0", "0.0", "nan", "inf", "1e30"] {
+            for key in ["retry_s", "save_every_s"] {
+                let wrong = read(&format!("robot = \"r1\"\n{key} = {period}\n")).unwrap_err();
+                assert!(wrong.contains(&format!("{key}: ")), "{wrong}");
+            }
+        }
         assert!(read("save_every_s = 1.0").unwrap_err().contains("robot"));
+        let stdin = "robot = \"r1\"\n[source]\nkind = \"stdin\"\npath = \"x\"\n";
+        assert!(read(stdin).is_err(), "a pipe has no path");
         let none = "robot = \"r1\"\n[stages.mapper]\nreplicas = 0\n";
         assert!(read(none).unwrap_err().contains("stages.mapper.replicas: 0 is not between 1 and 8"));
     }

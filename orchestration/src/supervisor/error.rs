@@ -1,3 +1,5 @@
+//! Errors of a process set.
+
 use flockslam_bus::{BusError, RuntimeError};
 use flockslam_stage::StageError;
 use std::io;

@@ -1,3 +1,5 @@
+//! Decides whether a process hangs. Takes its last heartbeat and the time; reads no clock.
+
 use flockslam_telemetry::Beat;
 use std::time::Duration;
 

@@ -1,3 +1,5 @@
+//! Serves one metrics page for the whole set. It reads the page of each process and merges them with the supervisor's own.
+
 use super::ProcessSet;
 use flockslam_bus::RuntimeDir;
 use flockslam_messages::Stage;

@@ -1,3 +1,5 @@
+//! The protocol of systemd's service notification, as far as the supervisor needs it: ready, alive, stopping.
+
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::time::{Duration, Instant};

@@ -1,3 +1,5 @@
+//! The process of the live page, as the supervisor handles it: it is started, started again when it dies, and killed with the set.
+
 use rustix::process::Signal;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};

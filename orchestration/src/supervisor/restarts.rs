@@ -1,3 +1,5 @@
+//! Decides when a process that died is started again. Takes whether it had worked; gives a pause, or that the stage is given up.
+
 use std::time::Duration;
 
 /// Starts in a row that end before the stage has worked, after which it is given up for a while.

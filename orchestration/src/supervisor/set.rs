@@ -1,3 +1,5 @@
+//! A running process set: it starts the stages, watches them, starts again what died or hung, and stops all of them.
+
 use super::child::{StageChild, StartOrder};
 use super::error::{READY_LIMIT, SetError};
 use super::hang::HangWatch;

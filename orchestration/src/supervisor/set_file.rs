@@ -1,3 +1,5 @@
+//! `set.json` in the directory of a set. The supervisor writes it, and each stage reads it when it starts.
+
 use crate::configuration::Configuration;
 use flockslam_lidar_ingest::process::Source;
 use flockslam_stage::{StageError, StageOptions};

@@ -1,3 +1,5 @@
+//! What a stage process does: it reads `set.json`, joins the bus, and runs the stage of its name until the stage ends.
+
 use super::SetFile;
 use flockslam_bus::RuntimeDir;
 use flockslam_lidar_ingest::process::Task;

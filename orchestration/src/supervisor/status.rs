@@ -1,3 +1,5 @@
+//! The state of a set and of its processes: as JSON for programs and as text for people.
+
 use super::child::StageChild;
 use flockslam_stage::FlockStatus;
 use flockslam_telemetry::{Beat, monotonic_ns};

@@ -1,3 +1,5 @@
+//! Settings of the supervisor: whether the set is live, and what the processes of each stage may use.
+
 use flockslam_messages::Stage;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

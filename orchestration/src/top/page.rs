@@ -1,3 +1,5 @@
+//! Reads a metrics page in the Prometheus text format. Gives its samples, sums over samples, and histogram buckets.
+
 /// A metrics page, read.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MetricsPage {
@@ -109,7 +111,8 @@ mod tests {
     proptest! {
         #[test]
         fn any_text_is_survived(text in "[a{}=\", \n0-9#]{0,200}") {
-            let _ = MetricsPage::parse(&text);
+            let page = MetricsPage::parse(&text);
+            prop_assert!(page.samples.len() <= text.lines().count());
         }
     }
 }

@@ -1,3 +1,5 @@
+//! Draws a [`TopState`] on a terminal: three lines on the robot, a table with one row for each stage, and a sparkline of latencies.
+
 use super::{RobotFigures, StageFigures, TopState};
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout};
@@ -170,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_answer_and_small_terminals_are_no_problem() {
+    fn a_set_that_does_not_answer_and_narrow_terminals_are_no_problem() {
         let mut silent = state();
         silent.answers = false;
         assert!(shown(&silent, 100)[0].starts_with("r1 does not answer"));
