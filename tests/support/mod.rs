@@ -22,6 +22,7 @@ mod outputs;
 mod pictures;
 mod poses;
 mod running;
+pub mod seeds;
 pub mod slow_link;
 pub mod source;
 

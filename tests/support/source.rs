@@ -27,7 +27,7 @@ pub fn tokens(file: &Path) -> TokenStream {
     text.parse().unwrap_or_else(|error| panic!("{}: {error}", file.display()))
 }
 
-/// Every identifier of a file that is compiled into the product, in order.
+/// Every identifier of a file that is compiled into the product, in order; what is called comes once more, as `name()`.
 pub fn product_identifiers(file: &Path) -> Vec<String> {
     let mut found = Vec::new();
     if !is_test_module(file) {
@@ -37,10 +37,17 @@ pub fn product_identifiers(file: &Path) -> Vec<String> {
 }
 
 fn collect(stream: TokenStream, found: &mut Vec<String>) {
-    let mut tokens = stream.into_iter();
+    let mut tokens = stream.into_iter().peekable();
     while let Some(token) = tokens.next() {
         match token {
-            TokenTree::Ident(name) => found.push(name.to_string()),
+            TokenTree::Ident(name) => {
+                found.push(name.to_string());
+                if let Some(TokenTree::Group(group)) = tokens.peek()
+                    && group.delimiter() == Delimiter::Parenthesis
+                {
+                    found.push(format!("{name}()"));
+                }
+            }
             TokenTree::Group(group)
                 if is_cfg_test(&group.stream()) && group.delimiter() == Delimiter::Bracket =>
             {

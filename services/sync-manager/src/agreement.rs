@@ -1,3 +1,5 @@
+//! Which loop closures are eligible: those found in wide windows need others that agree with them over the cycle of chain and closures.
+
 use crate::chain::Node;
 use crate::closure::Closure;
 use flockslam_registration::cloud::Placement;

@@ -1,3 +1,6 @@
+//! Poses of scans between known poses, by the wheels or by a smooth curve (Catmull and Rom 1974); which of them is better is measured on known poses that are
+//! left out.
+
 use crate::trajectory::Record;
 use flockslam_registration::cloud::Placement;
 
@@ -7,10 +10,10 @@ const SPAN_MAX: u64 = 5;
 const REHEARSAL_SPAN_MAX: u64 = 2 * SPAN_MAX;
 /// Motion below this tells nothing about how poses follow from each other, metres (a radian counts as a metre).
 const REHEARSAL_WAY_M: f64 = 0.02;
-/// What one rehearsal counts at most: a slip must not decide for all.
 /// In use a stretch is half as long as in a rehearsal. Of a curve that leaves at most this share of the error, more than of
 /// the wheels.
 const CURVE_SHARE: f64 = 0.5;
+/// What one rehearsal counts at most: a slip must not decide for all.
 const REHEARSAL_ERROR_MAX_M: f64 = 0.1;
 /// A step between stamps counts as this many times the usual one at least and at most.
 const STEP: (f64, f64) = (0.3, 3.0);
@@ -169,6 +172,7 @@ mod tests {
     use super::*;
     use crate::trajectory::{Between, filled};
     use flockslam_messages::ScanId;
+    use proptest::prelude::*;
 
     /// Where a robot is that drives an arc at a speed that swings.
     fn truth(time_s: f64) -> Placement {
@@ -255,9 +259,24 @@ mod tests {
     }
 
     #[test]
-    fn stamps_always_step_forward() {
+    fn a_stamp_that_runs_back_or_leaps_steps_forward_by_at_most_three_usual_steps() {
         let times_s = [0.0, 0.1, 0.2, 0.15, 0.4, 90.0, 90.1];
         let steps = stamps(&records(&times_s, &times_s, 0.0));
-        assert!(steps.windows(2).all(|pair| pair[1] > pair[0] && pair[1] - pair[0] < 0.4), "{steps:?}");
+        assert_eq!(steps.len(), times_s.len());
+        let step_max_s = 0.3 + 1e-9;
+        assert!(
+            steps.windows(2).all(|pair| pair[1] > pair[0] && pair[1] - pair[0] <= step_max_s),
+            "{steps:?}"
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn stamps_always_step_forward(stamps_s in prop::collection::vec(-1e3..1e3f64, 2..40)) {
+            let times_s = stamps(&records(&stamps_s, &stamps_s, 0.0));
+            let steps_s: Vec<f64> = times_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+            let (low, high) = steps_s.iter().fold((f64::MAX, 0.0f64), |(l, h), s| (l.min(*s), h.max(*s)));
+            prop_assert!(low > 0.0 && high <= 1.001 * STEP.1 / STEP.0 * low, "{steps_s:?}");
+        }
     }
 }

@@ -1,3 +1,6 @@
+//! The chain of nodes: each inserted scan, some decimetres apart, is matched to the nodes before it. Gives nodes with poses that drift smoothly, and an
+//! edge with its information from each node to the next.
+
 use crate::edge::Edge;
 use crate::scans::ScanStore;
 use crate::segment::{cloud, picked, scan_cloud};

@@ -1,3 +1,5 @@
+//! Sparse Cholesky factorisation for matrices of 3 × 3 blocks, with the same result to the bit on every machine.
+
 use crate::ordering::minimum_degree;
 
 /// A 3 × 3 block, row by row.

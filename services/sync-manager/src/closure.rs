@@ -1,3 +1,6 @@
+//! The search for loop closures: takes a query (a node and its neighbours) and segments, matches by branch and bound, refines, checks. Gives closures with
+//! their information.
+
 use crate::agreement::WIDE_M;
 use crate::chain::{BROKEN_M, Node, POINT_INFORMATION};
 use crate::edge::Edge;

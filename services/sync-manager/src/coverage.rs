@@ -1,3 +1,5 @@
+//! Which submaps know something in which blocks of the fused map: from this follows which submap newer ones cover.
+
 use flockslam_evidence::{Footprint, TileKey};
 use std::collections::BTreeMap;
 

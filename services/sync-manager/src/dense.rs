@@ -1,3 +1,6 @@
+//! The dense pass: matches each node to all segments near it and solves the graph of these matches. Takes poses that loops have brought close, gives
+//! better ones.
+
 use crate::chain::{Node, POINT_INFORMATION};
 use crate::edge::Edge;
 use crate::robust::{RobustSettings, solve};

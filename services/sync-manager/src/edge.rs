@@ -1,8 +1,23 @@
+//! The constraint of a pose graph: a measured motion between two nodes with its information, and its error at given poses.
+
 use crate::symmetric::{Symmetric, quadratic, times};
 use flockslam_geometry::wrap_angle;
 use flockslam_registration::cloud::Placement;
 
-/// A measured motion between two nodes.
+/// A measured motion between two nodes, which must not be the same.
+///
+/// ```
+/// use flockslam_registration::cloud::Placement;
+/// use flockslam_sync_manager::pose_graph::Edge;
+///
+/// // One metre ahead, known to 0.1 m along each axis and to 0.05 rad.
+/// let information = [100.0, 0.0, 0.0, 100.0, 0.0, 400.0];
+/// let edge = Edge { from: 0, to: 1, motion: Placement::new(1.0, 0.0, 0.0), information };
+/// // At these poses it is off by 0.2 m: two standard deviations.
+/// let poses = [Placement::IDENTITY, Placement::new(1.2, 0.0, 0.0)];
+/// assert!((edge.error(&poses)[0] - 0.2).abs() < 1e-9);
+/// assert!((edge.chi_squared(&poses) - 4.0).abs() < 1e-9);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Edge {
     /// Node that it starts from.

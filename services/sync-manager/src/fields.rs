@@ -1,3 +1,5 @@
+//! A cache of the search fields of segments: the fields used last are kept, up to a number.
+
 use flockslam_registration::cloud::PooledField;
 
 /// Fields kept ready for searching; each takes one to two hundred kilobytes.

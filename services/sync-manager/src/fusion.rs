@@ -1,3 +1,5 @@
+//! The fused map, kept up step by step with a layout that changes: takes submaps and where they belong, says which submaps it needs next.
+
 use crate::PlacedSubmap;
 use crate::coverage::Coverage;
 use flockslam_evidence::{ClearedCells, FusedMap, Submap, TILE_SIDE, TooFar};
@@ -360,7 +362,10 @@ mod tests {
         submaps[1].tiles[0].cells[700].free += 100;
         let moved = [layout[0], placed(1, 1.0, 0.0, 0.0)];
         follow(&mut fusion, &submaps, &moved, 2);
-        assert!(fusion.map().is_some());
+        let anew = from_scratch(&submaps, &moved, &[0]);
+        assert!(fusion.map() == Some(&anew), "the map holds nothing but the submap that was moved");
+        follow(&mut fusion, &submaps, &moved, 2);
+        assert!(fusion.map() == Some(&from_scratch(&submaps, &moved, &[])), "the next step fills it");
         finish(&mut fusion, &submaps, &moved);
         assert!(fusion.map() == Some(&from_scratch(&submaps, &moved, &[])));
     }

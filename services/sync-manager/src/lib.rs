@@ -36,6 +36,15 @@ mod strands;
 mod symmetric;
 mod trajectory;
 
+/// The pose graph and its robust solver, as sync-manager uses them: nodes are numbered from 0, edges are measured motions between
+/// them, and of the edges that may be wrong the solver says which are outliers.
+pub mod pose_graph {
+    pub use crate::edge::Edge;
+    pub use crate::graph::PoseGraph;
+    pub use crate::robust::{RobustSettings, Solved, solve};
+    pub use crate::symmetric::Symmetric;
+}
+
 pub use fusion::{Fusion, Step};
 pub use manager::SyncManager;
 pub use settings::{ClosureSettings, FlockSettings, ProximitySource, Settings};

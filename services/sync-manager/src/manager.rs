@@ -1,3 +1,5 @@
+//! The back end of one robot as a state machine: poses, scans and closed submaps in; corrections, and at the end the solution, out.
+
 use crate::agreement::eligible;
 use crate::chain::{Chain, NewNode};
 use crate::closure::{Closure, ClosureFinder, QUERY_NODES, World, graph_distances};
@@ -54,6 +56,36 @@ struct Kept {
 ///
 /// A pure function of its calls. Work per call is bounded by the settings; everything measured stays
 /// revocable, since poses are solved anew from the measurements.
+///
+/// ```
+/// use flockslam_geometry::Pose;
+/// use flockslam_messages::{PoseEstimate, PoseFlags, ScanBuffer, SubmapClosed};
+/// use flockslam_sync_manager::{Settings, SyncManager};
+/// # // Ranges in a room of 6 m × 4 m, from this far ahead of its middle.
+/// # fn scan(x_m: f64) -> ScanBuffer {
+/// #     let range = |degrees: i32| {
+/// #         let (sin, cos) = f64::from(degrees).to_radians().sin_cos();
+/// #         ((3.0 - x_m * cos.signum()) / cos.abs()).min(2.0 / sin.abs()) as f32
+/// #     };
+/// #     ScanBuffer::from_ranges(&(0..360).map(range).collect::<Vec<_>>(), 0.0, 1f64.to_radians())
+/// # }
+///
+/// let mut manager = SyncManager::new(Settings::default());
+/// let mut pose = PoseEstimate { flags: PoseFlags::MATCHED | PoseFlags::INSERT, ..PoseEstimate::default() };
+/// for k in 0..20u8 {
+///     pose.id.sequence = k.into();
+///     pose.odom_from_base = Pose::new(0.1 * f64::from(k), 0.0, 0.0);
+///     manager.pose(&pose);
+///     manager.node(scan(pose.odom_from_base.x_m).view()?, &pose, &[]);
+/// }
+/// let layout = manager.submap_closed(&SubmapClosed { last: pose.id, ..SubmapClosed::default() });
+/// // The front end was right: there is nothing to correct.
+/// assert!(layout.map_from_odom.distance_m(Pose::IDENTITY) < 0.1);
+/// let solution = manager.finish();
+/// assert_eq!(solution.trajectory.len(), 20);
+/// assert!(solution.trajectory[19].map_from_base.distance_m(pose.odom_from_base) < 0.1);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct SyncManager {
     settings: Settings,
     records: Vec<Record>,

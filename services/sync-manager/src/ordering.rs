@@ -1,3 +1,5 @@
+//! The order in which the unknowns of a sparse system are eliminated: minimum degree (Tinney and Walker 1967).
+
 use std::collections::BTreeSet;
 
 /// An order in which to eliminate the nodes of a graph that keeps the factor sparse: always the node with the

@@ -1,3 +1,5 @@
+//! The last step for single scans: each kept scan is matched to the nodes around it, whose poses are final. Takes guesses, gives poses.
+
 use crate::chain::Node;
 use crate::scans::ScanStore;
 use flockslam_registration::cloud::{AlignSettings, Aligner, Alignment, MomentGrid, PackedPoint, Placement};

@@ -1,3 +1,5 @@
+//! What a scan saw in each direction, for the question whether a point of another scan lies in free space.
+
 use flockslam_registration::cloud::{PackedPoint, Placement};
 use std::f64::consts::{PI, TAU};
 

@@ -1,3 +1,5 @@
+//! The refinement of all poses against the map that all nodes make together: matches each node to it, solves the graph, and repeats.
+
 use crate::chain::{Node, POINT_INFORMATION};
 use crate::edge::Edge;
 use crate::robust::{RobustSettings, solve};

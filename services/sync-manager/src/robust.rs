@@ -1,8 +1,11 @@
+//! The robust solver: graduated non-convexity with truncated least squares (Yang et al. 2020) over the pose graph. Takes edges, of which the first are trusted,
+//! and start poses; gives poses and a weight for each edge.
+
 use crate::edge::Edge;
 use crate::graph::PoseGraph;
 use flockslam_registration::cloud::Placement;
 
-/// How a graph is solved.
+/// How a graph is solved; [`solve`] has an example.
 #[derive(Clone, Copy, Debug)]
 pub struct RobustSettings {
     /// Squared Mahalanobis error from which a loop does not act.
@@ -26,6 +29,33 @@ pub struct Solved {
 
 /// Solves a pose graph by graduated non-convexity with truncated least squares (Yang et al. 2020, eq. 14):
 /// the edges from number `trusted` on are loops that may be wrong. Poses are the start in, the solution out.
+///
+/// The trusted edges must connect all nodes. Node 0 stays where it is.
+///
+/// ```
+/// use flockslam_registration::cloud::Placement;
+/// use flockslam_sync_manager::pose_graph::{Edge, RobustSettings, solve};
+///
+/// let edge = |from, to, motion, sigma_m: f64, sigma_rad: f64| {
+///     let (t, r) = (sigma_m.powi(-2), sigma_rad.powi(-2));
+///     Edge { from, to, motion, information: [t, 0.0, 0.0, t, 0.0, r] }
+/// };
+/// // Odometry measures each of three metres as 1.05 m.
+/// let mut edges: Vec<Edge> =
+///     (0..3).map(|k| edge(k, k + 1, Placement::new(1.05, 0.0, 0.0), 0.1, 0.01)).collect();
+/// let mut poses: Vec<Placement> = (0..4).map(|k| Placement::new(1.05 * k as f64, 0.0, 0.0)).collect();
+/// let trusted = edges.len();
+/// edges.push(edge(0, 3, Placement::new(3.0, 0.0, 0.0), 0.02, 0.01));
+/// // This one is wrong.
+/// edges.push(edge(0, 2, Placement::new(0.0, 0.5, 0.0), 0.02, 0.01));
+/// let settings = RobustSettings { chi_squared_max: 16.0, growth: 1.6, rounds: 25, warm_up: 6 };
+/// let solved = solve(poses.len(), &edges, trusted, &settings, &mut poses);
+/// assert_eq!(solved.weights[trusted..], [1.0, 0.0]);
+/// assert!((poses[3].x_m - 3.0).abs() < 0.01);
+/// ```
+///
+/// # Panics
+/// When there are fewer poses than nodes, or fewer edges than are trusted.
 pub fn solve(
     nodes: usize,
     edges: &[Edge],
@@ -116,13 +146,22 @@ mod tests {
         for k in (45..160).step_by(30) {
             edges.push(edge(k - 38, k, Placement::IDENTITY, 0.03, 0.01));
         }
+        let worst_m =
+            |poses: &[Placement]| truth.iter().zip(poses).map(|(a, b)| a.distance_m(b)).fold(0.0, f64::max);
+        assert!(worst_m(&poses) > 4.0, "the path must need help");
+        let step_work = {
+            let mut graph = PoseGraph::new(161, &edges);
+            graph.step(&vec![1.0; edges.len()], &mut poses.clone());
+            graph.work()
+        };
         let Solved { weights, work } = solve(161, &edges, 160, &SETTINGS, &mut poses);
         for (edge, weight) in edges.iter().zip(&weights) {
             assert_eq!(*weight, if edge.to - edge.from == 38 { 0.0 } else { 1.0 }, "{edge:?}");
         }
-        let worst = truth.iter().zip(&poses).map(|(a, b)| a.distance_m(b)).fold(0.0, f64::max);
-        assert!(worst < 0.6, "{worst}");
-        assert!(work > 161, "{work}");
+        assert!(worst_m(&poses) < 0.15, "{}", worst_m(&poses));
+        // Each of 160 unknowns has a block on the diagonal; the steps of the warm-up, of all rounds and three more.
+        assert!(step_work >= 160 && work % step_work == 0, "{work} of {step_work}");
+        assert!((3..=6 + 30 + 3).contains(&(work / step_work)), "{work} of {step_work}");
     }
 
     #[test]

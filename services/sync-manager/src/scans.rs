@@ -1,3 +1,5 @@
+//! The store of scan points: valid points of each kept scan, thinned out, without the robot's own motion during the scan, four bytes each.
+
 use crate::settings::Settings;
 use flockslam_geometry::Twist;
 use flockslam_messages::{BeamRange, ScanView};

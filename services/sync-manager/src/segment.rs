@@ -1,3 +1,5 @@
+//! Segments: stretches of the chain, a few metres long, as clouds of points that scans are matched against; and the clouds of single scans.
+
 use crate::chain::Node;
 use crate::scans::ScanStore;
 use flockslam_registration::cloud::{MomentGrid, PackedPoint, Placement};

@@ -1,3 +1,5 @@
+//! The settings of sync-manager, with their defaults and rules.
+
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 

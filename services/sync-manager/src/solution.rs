@@ -1,3 +1,5 @@
+//! What the back end gives at the end: poses of scans and submaps, and counts of closures.
+
 use flockslam_geometry::Pose;
 use flockslam_messages::ScanId;
 

@@ -1,3 +1,5 @@
+//! Strands, the chains of submaps between which nothing was measured while driving: which of them closures connect, and where each starts in the solver.
+
 use crate::chain::Node;
 use crate::edge::Edge;
 use flockslam_registration::cloud::Placement;

@@ -1,3 +1,5 @@
+//! Symmetric 3 × 3 matrices over (x, y, heading): information and covariance of planar motions.
+
 use flockslam_registration::cloud::Placement;
 
 /// A symmetric 3 × 3 matrix over (x, y, heading), upper triangle: xx, xy, xθ, yy, yθ, θθ.

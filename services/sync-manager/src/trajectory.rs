@@ -1,3 +1,5 @@
+//! A pose for every scan from the poses of a few: along the front end's path, along the wheels, or on a curve, between known poses.
+
 use crate::between::{Curve, Way};
 use flockslam_messages::{PoseEstimate, PoseFlags, Quality, ScanId};
 use flockslam_registration::cloud::Placement;

@@ -1,3 +1,6 @@
+//! The pose graph of all robots: takes a collection of records, gives nodes, edges, segments and closures, in an order that follows from the records
+//! alone.
+
 use super::consistency::consistent;
 use super::inspection::Inspected;
 use crate::agreement::eligible;

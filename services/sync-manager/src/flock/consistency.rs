@@ -1,3 +1,6 @@
+//! Groups of closures between robots that agree with each other (pairwise consistency, after Mangelson et al. 2018, with cliques grown greedily): says
+//! which closures may take part in a solution.
+
 use crate::agreement::agree;
 use crate::chain::Node;
 use crate::closure::Closure;

@@ -1,3 +1,6 @@
+//! The test of a group of closures between two robots against what both have seen: free space of one where the other saw a wall speaks against it, and so
+//! does another place that fits as well.
+
 use super::Atlas;
 use super::overlap::Fit;
 use super::rivals::{Place, Tie};

@@ -1,3 +1,5 @@
+//! Closures between robots that are tied already: those that lie where the solution expects them may act with less confirmation.
+
 use super::Atlas;
 use super::inspection::Inspected;
 use super::layout::Solved;

@@ -1,3 +1,5 @@
+//! The common layout: solves the atlas, with closures between robots on trial, and gives the poses of all nodes and submaps in one frame.
+
 use super::inspection::Inspected;
 use super::start::start;
 use super::{Atlas, Flock};

@@ -1,3 +1,5 @@
+//! One robot's state in the flock: its key, the records that it has, its search; messages in, messages and records out.
+
 use super::inspection::Inspected;
 use super::search::Search;
 use super::{Atlas, News};
@@ -13,6 +15,37 @@ use std::sync::Arc;
 /// What one robot knows of its flock, and what it says.
 ///
 /// A pure function of its calls: news of its own back end and messages of others in, records and messages out.
+///
+/// ```
+/// use flockslam_geometry::Pose;
+/// use flockslam_records::{Descriptor, Limits, RecordedNode, RobotKey, Stretch};
+/// use flockslam_sync_manager::Settings;
+/// use flockslam_sync_manager::flock::{Flock, News};
+///
+/// let robot = |key| Flock::new(key, 1, Settings::default(), Limits::default());
+/// let (mut a, mut b) = (robot(RobotKey::of_replay("a")?), robot(RobotKey::of_replay("b")?));
+/// // Robot a has driven a metre.
+/// let node = |sequence: u8| RecordedNode {
+///     sequence: sequence.into(),
+///     submap: 0,
+///     odom_from_base: Pose::new(sequence.into(), 0.0, 0.0),
+///     motion: Pose::new(1.0, 0.0, 0.0),
+///     information: [400.0, 0.0, 0.0, 400.0, 0.0, 1e4],
+///     doubt_m: 0.0,
+///     points: vec![[2000, 0]],
+/// };
+/// let (descriptor, nodes) = (Descriptor::default(), vec![node(0), node(1)]);
+/// let stretch = Stretch { chain: 0, previous: None, descriptor, nodes };
+/// a.say_news(&News { stretches: vec![stretch], loops: Vec::new() })?;
+/// // Robot b says what it has, and is sent what it lacks, here at most 20 kB.
+/// for answer in a.answer(&b.have(), 20_000) {
+///     b.answer(&answer, 0);
+/// }
+/// // Who knows the same records has the same layout.
+/// assert_eq!(b.layout(false), a.layout(false));
+/// assert_eq!(b.layout(false).members(), [a.robot()]);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct Flock {
     key: RobotKey,
     epoch: u64,

@@ -1,3 +1,5 @@
+//! How well the scans of two robots fit together at a given place: counts of points that the other robot saw too, and of points in its free space.
+
 use super::Atlas;
 use crate::polar::Polar;
 use flockslam_registration::cloud::{PackedPoint, Placement};

@@ -1,3 +1,5 @@
+//! Descriptions of the surroundings of nodes by histograms of range, which do not depend on the heading: they order the pairs to be matched.
+
 use super::Atlas;
 use crate::closure::QUERY_NODES;
 use crate::segment::CLOUD_RANGE_M;

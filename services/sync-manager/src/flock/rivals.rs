@@ -1,3 +1,5 @@
+//! Other explanations of a tie between two robots: looks for places in what the first robot saw where the second robot's scans fit as well.
+
 use super::Atlas;
 use super::overlap::{Fit, Overlap};
 use crate::closure::Closure;

@@ -1,3 +1,6 @@
+//! The search for places that a robot shares with others: matches its queries to other robots' segments, first anywhere, then where the ties found
+//! so far say. Gives constraints.
+
 use super::Atlas;
 use super::inspection::Inspected;
 use super::layout::Solved;

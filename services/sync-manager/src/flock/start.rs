@@ -1,3 +1,5 @@
+//! Start poses for the solver over many strands: a spanning tree over the pairs of strands, those with most agreeing closures first.
+
 use crate::chain::Node;
 use crate::edge::Edge;
 use flockslam_registration::cloud::Placement;

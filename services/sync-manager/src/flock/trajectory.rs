@@ -1,3 +1,5 @@
+//! A robot's own poses brought into the layout of the flock, between those of its nodes that are in it.
+
 use super::PlacedNode;
 use flockslam_geometry::Pose;
 use flockslam_registration::cloud::Placement;

@@ -1,3 +1,5 @@
+//! How many loops were searched for, found, accepted and revoked so far.
+
 use super::SyncManager;
 use crate::ClosureCounts;
 

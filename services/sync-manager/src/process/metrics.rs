@@ -1,3 +1,5 @@
+//! Metrics of the back end: searches, closures, time for each closed submap and area of the map.
+
 use crate::ClosureCounts;
 use flockslam_telemetry::{Counter, Gauge, Histogram, StageMetrics, names};
 

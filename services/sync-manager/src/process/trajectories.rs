@@ -1,3 +1,5 @@
+//! The files of poses: online poses as they come, settled scans, and at the end the final trajectory of all scans.
+
 use crate::{SettledScan, Solution};
 use flockslam_geometry::Pose;
 use flockslam_messages::{PoseEstimate, ScanId};

@@ -1,3 +1,6 @@
+//! What follows from all records that a robot has: the members of the common map, where their submaps lie, and hashes to compare with
+//! other robots.
+
 use crate::flock::Flock;
 use flockslam_geometry::Pose;
 use flockslam_messages::FlockFrame;

@@ -1,3 +1,5 @@
+//! Poses of the other robots of the common map, from what they last said, in this robot's map.
+
 use super::common::Common;
 use flockslam_geometry::Pose;
 use flockslam_messages::{FLOCK_ROBOTS_MAX, FlockRobot, FlockRobots};

@@ -1,3 +1,5 @@
+//! Reasons for which messages and records of the flock are not used, and a counter for each.
+
 use flockslam_records::Refusal;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -1,3 +1,5 @@
+//! The file with a robot's secret key and the number of its last epoch.
+
 use crate::FlockSettings;
 use flockslam_records::{RecordError, RobotKey};
 use flockslam_stage::StageError;

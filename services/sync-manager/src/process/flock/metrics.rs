@@ -1,3 +1,5 @@
+//! Metrics of the flock: takes a status and counts of drops, brings gauges and counters up to them.
+
 use super::drops::Dropped;
 use super::link::OTHERS;
 use flockslam_stage::FlockStatus;

@@ -1,3 +1,5 @@
+//! Limits of time and of bytes: work that rests in proportion to what it took, and a budget of bytes per minute.
+
 use std::time::{Duration, Instant};
 
 /// Keeps work that takes long to a share of the time.

@@ -1,3 +1,5 @@
+//! Which robots are near: all that are connected, or those that an outside program reports on a socket.
+
 use crate::{FlockSettings, ProximitySource};
 use flockslam_stage::StageError;
 use std::collections::BTreeMap;

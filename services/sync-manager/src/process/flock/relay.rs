@@ -1,3 +1,5 @@
+//! When records of others are passed on: a record that its author may still send to a neighbour itself is held back for some seconds.
+
 use super::link::address;
 use flockslam_records::{Collection, LogState, Vector};
 use std::collections::{BTreeSet, VecDeque};

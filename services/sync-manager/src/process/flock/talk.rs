@@ -1,3 +1,5 @@
+//! The conversation of the flock: takes what comes over the network, answers, tells what is new, and works out the common map in between.
+
 use super::common::Common;
 use super::companions::Companions;
 use super::drops::{Dropped, Drops};

@@ -1,3 +1,6 @@
+//! The robot's own log of records: writes what the back end finds to a file, then into the collection, and each thing once only, also after a
+//! restart.
+
 use super::drops::{Dropped, Drops};
 use super::identity::Identity;
 use crate::Settings;
@@ -257,8 +260,11 @@ fn unsaid(error: RecordError) -> StageError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::closure::Closure;
+    use crate::edge::Edge;
     use flockslam_geometry::Pose;
     use flockslam_records::{Descriptor, RecordedNode, Stretch};
+    use flockslam_registration::cloud::Placement;
 
     fn news(sequences: std::ops::Range<u64>) -> News {
         let node = |sequence: u64| RecordedNode {
@@ -278,6 +284,13 @@ mod tests {
         }
     }
 
+    fn with_loop(mut news: News, from: u64, to: u64) -> News {
+        let information = [1.0, 0.0, 0.0, 1.0, 0.0, 1.0];
+        let edge = Edge { from: 0, to: 1, motion: Placement::IDENTITY, information };
+        news.loops.push(OwnLoop { from, to, closure: Closure { edge, reach_m: 1.0, shift_m: 0.0 } });
+        news
+    }
+
     fn settings(enabled: bool) -> Settings {
         let mut settings = Settings::default();
         (settings.flock.name, settings.flock.enabled) = ("a".to_owned(), enabled);
@@ -292,22 +305,33 @@ mod tests {
         teller.flock().collection().records().filter_map(told).collect()
     }
 
+    fn loops(teller: &Teller) -> Vec<(u64, u64)> {
+        let told = |record: &Arc<Record>| -> Vec<(u64, u64)> {
+            match &record.content {
+                Content::Constraints(some) => some.iter().map(|c| (c.from.sequence, c.to.sequence)).collect(),
+                _ => Vec::new(),
+            }
+        };
+        teller.flock().collection().records().flat_map(told).collect()
+    }
+
     #[test]
-    fn a_process_that_is_started_again_tells_nothing_twice() {
+    fn a_process_that_is_started_again_tells_no_node_and_no_loop_twice() {
         for enabled in [false, true] {
             let directory = tempfile::tempdir().unwrap();
             let open = || Teller::open(&settings(enabled), directory.path()).unwrap().unwrap();
             let mut first = open();
             first.tell(news(0..5)).unwrap();
-            first.tell(news(5..8)).unwrap();
+            first.tell(with_loop(news(5..8), 1, 6)).unwrap();
             let told = first.flock().collection().hash();
             drop(first);
             let mut second = open();
             assert_eq!(second.flock().collection().hash(), told);
             // It takes in all of the journal again.
             second.tell(news(0..6)).unwrap();
-            second.tell(news(6..10)).unwrap();
+            second.tell(with_loop(with_loop(news(6..10), 1, 6), 2, 7)).unwrap();
             assert_eq!(nodes(&second), [(None, 4), (Some(4), 7), (Some(7), 9)]);
+            assert_eq!(loops(&second), [(1, 6), (2, 7)]);
             assert_eq!(second.epoch(), 1);
         }
     }

@@ -1,3 +1,5 @@
+//! The thread of the flock, and the channels between it and the stage, which never waits for it.
+
 use super::metrics::FlockMetrics;
 use super::proximity::proximity;
 use super::talk::Talk;

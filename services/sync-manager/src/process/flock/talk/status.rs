@@ -1,3 +1,5 @@
+//! The state of the flock as others see it: the status file and the metrics.
+
 use super::super::link::hexadecimal;
 use super::super::thread::locked;
 use super::{Talk, kept};

@@ -1,3 +1,5 @@
+//! Presences: takes in where neighbours say that they are, and tells them where this robot is.
+
 use super::super::drops::Dropped;
 use super::super::link::address;
 use super::super::thread::locked;

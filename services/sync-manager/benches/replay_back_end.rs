@@ -1,6 +1,6 @@
 //! Replays a log and a front end's poses through the back end, and prints what each part costs.
 //!
-//! Usage: `replay_back_end LOG POSES OUT.tum [all]`, where LOG is a CARMEN log with FLASER lines and each
+//! `cargo bench -p flockslam-sync-manager --bench replay_back_end -- LOG POSES OUT.tum [all]`, where LOG is a CARMEN log with FLASER lines and each
 //! line of POSES is `stamp x y heading odometry_x odometry_y odometry_heading inserted`. With `all`, scans
 //! that were not inserted are given to the back end too. `SETTINGS` in the environment may hold settings as
 //! JSON.
@@ -52,7 +52,8 @@ fn poses(text: &str) -> Result<Vec<PoseEstimate>, Box<dyn Error>> {
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let arguments: Vec<String> = std::env::args().collect();
+    // Cargo adds an option of its own.
+    let arguments: Vec<String> = std::env::args().filter(|argument| argument != "--bench").collect();
     let settings: Settings = match std::env::var("SETTINGS") {
         Ok(text) => serde_json::from_str(&text)?,
         Err(_) => Settings::default(),

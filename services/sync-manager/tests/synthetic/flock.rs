@@ -1,15 +1,11 @@
 //! Robots that map for themselves and then meet, in synthetic buildings.
 
-use flocks::{hear, meet, robot, worst_m};
+use super::flocks::{hear, meet, robot, worst_m};
+use super::support::{Building, Noise, laps, path};
 use flockslam_geometry::Pose;
 use flockslam_records::{Constraint, Content, Limits, NodeName, RobotKey};
 use flockslam_sync_manager::Settings;
 use flockslam_sync_manager::flock::{Flock, FlockLayout};
-use support::{Building, Noise, laps, path};
-
-#[path = "support/flocks.rs"]
-mod flocks;
-mod support;
 
 #[test]
 fn robots_with_unknown_starts_find_each_other_and_all_have_the_same_layout() {
@@ -63,6 +59,7 @@ fn buildings_that_only_look_alike_are_not_merged() {
     meet(&mut flocks);
     let layout = flocks[0].layout(true);
     assert_eq!(layout.members().len(), 1, "{:?}", layout.across);
+    assert_eq!(layout.across.0, 0, "no closure between any two of them acts: {:?}", layout.across);
 }
 
 #[test]
@@ -74,7 +71,9 @@ fn lies_about_how_robots_lie_to_each_other_do_not_act() {
         robot("b", &building, &way, half..way.len(), Pose::new(9.0, 9.0, 2.0)),
     ];
     meet(&mut flocks);
+    // Records: each may hold several constraints.
     let found: usize = flocks.iter_mut().map(|flock| flock.search(u64::MAX).unwrap().len()).sum();
+    assert!(found > 0);
     meet(&mut flocks);
     let honest = flocks[0].layout(true);
     let nodes = |name: &str| -> Vec<NodeName> {
@@ -106,11 +105,11 @@ fn lies_about_how_robots_lie_to_each_other_do_not_act() {
     meet(&mut flocks);
     let layout = flocks[0].layout(true);
     let ways = [("a", &way[..half]), ("b", &way[half..])];
-    // As many lies as true constraints neither keep robots apart nor bend a map.
-    assert_eq!(layout.members().len(), 2, "{:?} of {found} true ones", layout.across);
-    assert!(layout.across.1 >= found as u64, "{:?} of {found} true ones", layout.across);
+    // A lie for each record of true constraints neither keeps the robots apart nor bends the map.
+    assert_eq!(layout.members().len(), 2, "{:?} of {found} true records", layout.across);
+    assert!(layout.across.1 >= found as u64, "{:?} of {found} true records", layout.across);
     let worst = worst_m(&layout, &ways);
-    assert!(worst < 0.06, "{worst}, {:?} of {found} true ones", layout.across);
+    assert!(worst < 0.06, "{worst}, {:?} of {found} true records", layout.across);
 }
 
 #[test]

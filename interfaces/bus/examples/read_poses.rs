@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! flockslam demo --rate 1 --robot r1 &
-//! cargo run --example read_poses -- r1
+//! cargo run -p flockslam-bus --example read_poses -- r1
 //! ```
 //!
 //! The argument is the name given to `--robot`, or the directory of the set (`/dev/shm/flockslam-r1`). One line a scan:

@@ -1,7 +1,7 @@
 //! Replays a CARMEN log through matcher and mapper in one process: writes a TUM trajectory, prints processor times per
 //! scan, and beside them what copying 64 MiB takes.
 //!
-//! `replay_front_end LOG [--tum FILE] [--poses FILE] [--heading RAD] [--vinyslam] [--no-odometry] [--beam-noise SHARE]
+//! `cargo bench -p flockslam-scan-matcher --bench replay_front_end -- LOG [--tum FILE] [--poses FILE] [--heading RAD] [--vinyslam] [--no-odometry] [--beam-noise SHARE]
 //! [--set matcher.KEY=VALUE | mapper.KEY=VALUE …]`
 //!
 //! `--no-odometry` takes the wheels away, `--beam-noise` replaces that share of all beams by random ranges.
@@ -47,7 +47,8 @@ fn main() -> Result<(), Failure> {
 
 impl Options {
     fn from_arguments() -> Result<Self, Failure> {
-        let mut arguments = std::env::args().skip(1);
+        // Cargo adds an option of its own.
+        let mut arguments = std::env::args().skip(1).filter(|argument| argument != "--bench");
         let mut options = Self {
             log: arguments.next().ok_or("which log?")?,
             tum: None,

@@ -1,13 +1,13 @@
-//! Trials of meetings with as many lies as truths: how many are merged that should be, and how many that should not.
+//! Trials of meetings with lies: how many are merged that should be, and how many that should not.
 //!
-//! `cargo run --example false_merges -- [FIRST] [COUNT]` prints a line for each trial and the sum; 200 from 0 on by default.
+//! `cargo bench -p flockslam-sync-manager --bench false_merges -- [FIRST] [COUNT]` prints a line for each trial and the sum; 200 from 0 on by default.
 
-#[path = "../tests/support/flocks.rs"]
+#[path = "../tests/synthetic/flocks.rs"]
 mod flocks;
 #[allow(dead_code, reason = "what several tests share, one of them does not need all of")]
-#[path = "../tests/support/mod.rs"]
+#[path = "../tests/synthetic/support.rs"]
 mod support;
-#[path = "../tests/support/trials.rs"]
+#[path = "../tests/synthetic/trials.rs"]
 mod trials;
 
 use std::collections::BTreeMap;
@@ -24,7 +24,9 @@ struct Tally {
 }
 
 fn main() {
-    let mut arguments = std::env::args().skip(1).map(|argument| argument.parse().expect("a number"));
+    // Cargo adds an option of its own.
+    let arguments = std::env::args().skip(1).filter(|argument| argument != "--bench");
+    let mut arguments = arguments.map(|argument| argument.parse().expect("a number"));
     let (first, count): (u64, u64) = (arguments.next().unwrap_or(0), arguments.next().unwrap_or(200));
     let mut tallies: BTreeMap<(bool, &str), Tally> = BTreeMap::new();
     for number in first..first + count {
@@ -37,7 +39,7 @@ fn main() {
         tally.worst_m = tally.worst_m.max(outcome.worst_m);
         tally.searches += outcome.searches;
         println!(
-            "{number:3} {:32} {} worst {:.3} m, {} truths, {} lies, {} searches, {:.1} s",
+            "{number:3} {:32} {} worst {:.3} m, {} records of truths, {} lies, {} searches, {:.1} s",
             trial.kind,
             if outcome.is_false_merge() {
                 "MERGED WRONGLY"

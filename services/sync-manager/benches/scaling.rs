@@ -1,13 +1,13 @@
 //! What a flock costs as it grows: records, memory and time of the common layout, for so many robots that drive the same ring of
 //! corridors, each tied to the next.
 //!
-//! `cargo run --release -p flockslam-sync-manager --example scaling -- [ROBOTS]` prints one line; a process for each number, so that memory is that of one.
+//! `cargo bench -p flockslam-sync-manager --bench scaling -- [ROBOTS]` prints one line; a process for each number, so that memory is that of one.
 
-#[path = "../tests/support/flocks.rs"]
+#[path = "../tests/synthetic/flocks.rs"]
 #[allow(dead_code, reason = "what several programs share, one of them does not need all of")]
 mod flocks;
 #[allow(dead_code, reason = "what several programs share, one of them does not need all of")]
-#[path = "../tests/support/mod.rs"]
+#[path = "../tests/synthetic/support.rs"]
 mod support;
 
 use flockslam_geometry::Pose;
@@ -31,7 +31,7 @@ struct Drive {
 
 fn main() {
     let robots: usize =
-        std::env::args().nth(1).map_or(10, |robots| robots.parse().expect("a number of robots"));
+        std::env::args().skip(1).find(|argument| argument != "--bench").map_or(10, |robots| robots.parse().expect("a number of robots"));
     let drives: Vec<Drive> = (0..DRIVES.min(robots)).map(drive).collect();
     let limits = Limits { robots_max: robots + 1, ..Limits::default() };
     let mut flock = Flock::new(key(0), 1, Settings::default(), limits);

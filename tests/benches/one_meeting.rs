@@ -1,8 +1,8 @@
 //! What one meeting is worth: two robots drive a hundred metres through the simulated building, exchange what they have recorded
 //! once, in the middle, and go on. Prints the error of each robot's pose as it was known at the time, with and without that.
 //!
-//! `cargo run --release --example one_meeting -- [FLOCKSLAM] [SEEDS] [SECTION.KEY=VALUE …]`: the executable that drives the robots (default
-//! `target/release/flockslam`), how many seeds (default 10), and settings of the drives.
+//! `cargo bench -p flockslam --bench one_meeting -- [SEEDS] [SECTION.KEY=VALUE …]`: how many seeds (default 10), and settings of the
+//! drives.
 
 use flockslam::evaluation::{evaluate_truth, parse_tum};
 use flockslam::outputs::TrajectoryPoint;
@@ -26,8 +26,9 @@ const EPOCH: u64 = 1;
 const SEARCHES: u64 = 60;
 
 fn main() -> Result<()> {
-    let mut arguments = std::env::args().skip(1);
-    let flockslam = PathBuf::from(arguments.next().unwrap_or_else(|| "target/release/flockslam".into()));
+    // Cargo adds an option of its own.
+    let mut arguments = std::env::args().skip(1).filter(|argument| argument != "--bench");
+    let flockslam = PathBuf::from(env!("CARGO_BIN_EXE_flockslam"));
     let seeds: u64 = arguments.next().map_or(Ok(10), |seeds| seeds.parse())?;
     let settings: Vec<String> = arguments.collect();
     println!("seed  driven m  with one meeting m  without m  as the set published it m");

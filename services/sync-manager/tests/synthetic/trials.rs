@@ -25,7 +25,7 @@ pub struct Outcome {
     pub merged: bool,
     /// Largest error between them when they were the same building's, metres; infinite in different buildings.
     pub worst_m: f64,
-    /// Constraints that the robots found, and lies that were told beside them.
+    /// Records of constraints that the robots found (each holds up to 64 of them), and lies that were told beside them.
     pub told: (usize, usize),
     /// Branch-and-bound searches.
     pub searches: u64,
@@ -104,8 +104,8 @@ fn strangers(kind: &'static str, random: &mut Random, equal: bool) -> Trial {
     Trial { kind, is_meeting: false, buildings: [one.building, other.building], ways }
 }
 
-/// Runs a trial: both map alone, meet, look for each other, and then as many lies are told as they have found truths, a third of them
-/// in groups that agree. The same trial has the same outcome.
+/// Runs a trial: both map alone, meet, look for each other, and then lies are told: one for each record of constraints that they have
+/// found, but twelve at least; a third of the draws are groups of lies that agree. The same trial has the same outcome.
 pub fn run(trial: &Trial) -> Outcome {
     let [a, b] = &trial.ways;
     let mut flocks = vec![

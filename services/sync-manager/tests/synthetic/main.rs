@@ -1,0 +1,12 @@
+//! The back end in synthetic buildings, in one executable: one robot whose front end drifts, jumps or is lost (`loops`), robots
+//! that meet (`flock`), and meetings beside robots that share no place, with lies told among them (`false_merges`).
+//!
+//! `support` has the buildings and front ends, `flocks` the robots that tell each other, `trials` the trials of `false_merges`. The
+//! examples `false_merges` and `scaling` use these three as well.
+
+mod false_merges;
+mod flock;
+mod flocks;
+mod loops;
+mod support;
+mod trials;

@@ -1,0 +1,60 @@
+//! How outcomes that depend on a seed are spread: `cargo bench -p flockslam --bench seeds -- [yard|people|flat] [SEEDS]`, twenty seeds of
+//! each by default. Tests judge a few of these drives; their limits come from here.
+
+#[allow(dead_code, unused_imports, reason = "a benchmark needs a part of what tests share")]
+#[path = "../support/mod.rs"]
+mod support;
+
+use support::experiments::BEARING_SIGMA_RAD;
+use support::seeds::{YardDrive, alone_and_among_twenty_m, flat_worst};
+
+fn main() {
+    // Cargo adds an option of its own.
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
+    let seeds = arguments.iter().find_map(|argument| argument.parse().ok()).unwrap_or(20);
+    let wants = |name: &str| {
+        arguments.iter().all(|argument| argument.parse::<u64>().is_ok()) || arguments.iter().any(|a| a == name)
+    };
+    if wants("flat") {
+        for (name, sigma_rad) in [("exact bearings", 0.0), ("bearings off by a degree", BEARING_SIGMA_RAD)] {
+            let worst: Vec<_> = (1..=seeds).map(|seed| flat_worst(sigma_rad, seed)).collect();
+            spread(&format!("flat, {name}: way, mm"), worst.iter().map(|worst| 1e3 * worst.way_m));
+            spread(&format!("flat, {name}: turn, degrees"), worst.iter().map(|worst| worst.turn_deg));
+            spread(&format!("flat, {name}: end, mm"), worst.iter().map(|worst| 1e3 * worst.end_m));
+        }
+    }
+    if wants("yard") {
+        let drives: Vec<_> = (1..=seeds).map(YardDrive::with_seed).collect();
+        drives.iter().zip(1..).for_each(|(drive, seed)| println!("yard, seed {seed}: {drive:?}"));
+        let claims: usize = drives.iter().map(|drive| drive.claims).sum();
+        let wrong: usize = drives.iter().map(|drive| drive.false_claims).sum();
+        println!("yard: {wrong} of {claims} seconds wrong though said to be tracked");
+        spread("yard: false claims of a thousand", drives.iter().map(|d| 1e3 * d.false_claims as f64 / d.claims as f64));
+        spread("yard: ATE, m", drives.iter().map(|drive| drive.ate_m));
+    }
+    if wants("people") {
+        for building in [None, Some("stata_basement")] {
+            let name = building.unwrap_or("office");
+            let drives = (1..=seeds).map_while(|seed| alone_and_among_twenty_m(building, seed));
+            let drives: Vec<_> = drives.collect();
+            spread(&format!("{name}: ATE alone, mm"), drives.iter().map(|[alone, _]| 1e3 * alone));
+            spread(&format!("{name}: ATE among twenty, mm"), drives.iter().map(|[_, among]| 1e3 * among));
+            spread(&format!("{name}: difference, mm"), drives.iter().map(|[alone, among]| 1e3 * (among - alone)));
+        }
+    }
+}
+
+/// Prints the mean, the median, the greatest, and all in order.
+fn spread(name: &str, values: impl Iterator<Item = f64>) {
+    let all: Vec<f64> = values.collect();
+    let mut sorted = all.clone();
+    sorted.sort_by(f64::total_cmp);
+    let mean = all.iter().sum::<f64>() / all.len() as f64;
+    let shown: Vec<String> = all.iter().map(|value| format!("{value:.2}")).collect();
+    println!(
+        "{name}: mean {mean:.2}, median {:.2}, greatest {:.2}; by seed {}",
+        sorted[all.len() / 2],
+        sorted[all.len() - 1],
+        shown.join(" ")
+    );
+}
