@@ -50,7 +50,7 @@ fn log_refused(bytes: &[u8], line: usize, reason: &str, more: &[&str]) {
 }
 
 #[test]
-fn files_that_cannot_be_read() {
+fn files_that_cannot_be_read_are_refused() {
     let directory = tempfile::tempdir().unwrap();
     let missing = directory.path().join("nowhere.log");
     let missing = missing.to_str().unwrap();
@@ -61,7 +61,7 @@ fn files_that_cannot_be_read() {
 }
 
 #[test]
-fn logs_without_a_scan() {
+fn logs_without_a_scan_are_refused() {
     log_refused(b"", 1, "empty", &[]);
     log_refused(&[0x00, 0xff, 0xfe, b'\n', 0x80, 0x81, b'\n'], 1, "not text", &[]);
     let noise: Vec<u8> =
@@ -73,7 +73,7 @@ fn logs_without_a_scan() {
 }
 
 #[test]
-fn a_log_whose_poses_are_no_numbers() {
+fn a_log_whose_poses_are_no_numbers_is_refused() {
     let mut log = String::new();
     for i in 0..50 {
         log += &format!("FLASER 3 1.0 1.5 2.0 nan nan nan nan nan nan {i}.000000 robot {i}.0\n");
@@ -84,7 +84,7 @@ fn a_log_whose_poses_are_no_numbers() {
 }
 
 #[test]
-fn a_log_that_breaks_off() {
+fn a_log_that_breaks_off_is_refused_unless_that_is_allowed() {
     let log = simulated_log(5.0);
     let cut = &log[..log.len() - 300];
     log_refused(cut.as_bytes(), 50, "ends in the middle of this line", &[]);
@@ -98,7 +98,7 @@ fn a_log_that_breaks_off() {
 }
 
 #[test]
-fn a_line_without_end() {
+fn a_line_without_end_or_with_too_many_beams_is_refused() {
     let huge = "FLASER ".to_owned() + &"1 ".repeat(34 << 20);
     log_refused(huge.as_bytes(), 1, "longer than lidar_ingest.max_line_bytes", &[]);
     let announced = "FLASER 4000000000 1 2 3 0 0 0 0 0 0 1.0 robot 1.0\n".repeat(30);
@@ -106,7 +106,7 @@ fn a_line_without_end() {
 }
 
 #[test]
-fn too_many_bad_lines() {
+fn a_log_with_too_many_bad_lines_is_refused() {
     let bad = "FLASER 3 1.0 far 2.0 0 0 0 0 0 0 1.000000 robot 1.0\n".repeat(11);
     let log = simulated_log(3.0) + &bad;
     log_refused(log.as_bytes(), 41, "max_bad_line_share", &[]);
@@ -147,7 +147,7 @@ fn single_bad_lines_are_counted_and_skipped() {
 }
 
 #[test]
-fn a_directory_that_cannot_be_written() {
+fn a_directory_that_cannot_be_written_is_refused() {
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("file");
     std::fs::write(&file, b"precious").unwrap();
@@ -161,7 +161,7 @@ fn a_directory_that_cannot_be_written() {
 }
 
 #[test]
-fn configurations_that_are_not_understood() {
+fn configurations_that_are_not_understood_are_refused() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("robot.toml");
     let name = path.to_str().unwrap();
@@ -182,7 +182,7 @@ fn configurations_that_are_not_understood() {
 }
 
 #[test]
-fn arguments_that_make_no_sense() {
+fn arguments_that_make_no_sense_are_refused() {
     refused_at(&["map", "--source", "x"], "--source x: ", "standard input");
     for rate in ["0", "-1", "fast", "inf"] {
         let told = refused(&["demo", &format!("--rate={rate}")]);
@@ -208,7 +208,10 @@ fn a_pipe_gives_the_same_result_as_the_file() {
     }
     drop(stdin);
     let piped = set.finish();
-    assert_eq!(piped.bytes("trajectory.tum"), from_file.bytes("trajectory.tum"));
+    assert_eq!((piped.report.scans, from_file.report.scans), (200, 200));
+    for name in ["trajectory.tum", "trajectory_online.tum", "map.pgm"] {
+        assert!(piped.bytes(name) == from_file.bytes(name), "{name} differs");
+    }
     assert_eq!(piped.report.map_hash, from_file.report.map_hash);
 }
 
@@ -252,18 +255,19 @@ fn an_interrupted_live_run_ends_with_what_it_has() {
 }
 
 #[test]
-fn a_terminal_interrupts_all_processes_at_once() {
+fn a_live_run_whose_processes_are_all_interrupted_at_once_ends_with_what_it_has() {
     let directory = tempfile::tempdir().unwrap();
     let outputs = ends_in_good_order(directory.path(), &live_building(250, 20), |pid| {
+        // As a terminal does.
         kill_process_group(Pid::from_raw(pid as i32).unwrap(), Signal::INT).unwrap();
     });
     assert_no_restarts(&outputs);
 }
 
 #[test]
-fn a_service_manager_terminates_all_processes_at_once() {
+fn a_live_run_whose_processes_are_all_terminated_at_once_ends_with_what_it_has() {
     let directory = tempfile::tempdir().unwrap();
-    // Stages that end on their own are started again to finish the work.
+    // As a service manager does. Stages that end on their own are started again to finish the work.
     ends_in_good_order(directory.path(), &live_building(250, 20), |pid| {
         kill_process_group(Pid::from_raw(pid as i32).unwrap(), Signal::TERM).unwrap();
     });

@@ -6,7 +6,7 @@
 //! against the errors of its past as well, which no matcher can know. All else is as in a run: wheels that slip, beams
 //! taken while driving, a fit against the window of the last submaps.
 
-use crate::support::nees::nees_of_run;
+use flockslam_drives::nees::nees_of_run;
 
 /// The mean over 50 drives: of so many single values with three degrees of freedom it would lie within these bounds with a
 /// probability of 95 %; each value is itself the mean over a drive, which is steadier.

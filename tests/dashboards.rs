@@ -70,7 +70,9 @@ fn queries(name: &str, board: &Value) -> Vec<Query> {
 fn recorded() -> BTreeSet<String> {
     let rules = text("recording.yml");
     let names = rules.lines().filter_map(|line| line.trim().strip_prefix("- record: "));
-    names.map(str::to_owned).collect()
+    let names: BTreeSet<String> = names.map(str::to_owned).collect();
+    assert!(!names.is_empty());
+    names
 }
 
 /// All names of metrics and of recorded rules in a text.
@@ -234,7 +236,7 @@ fn assert_panels_show(prometheus: &Prometheus, name: &str, board: &Value, robots
 }
 
 #[test]
-fn every_panel_has_something_to_show_in_a_real_run() {
+fn each_panel_of_one_robot_and_each_recorded_rule_has_something_to_show_in_a_real_run() {
     let directory = tempfile::tempdir().unwrap();
     let metrics_port = free_port();
     let scraped = directory.path().join("prometheus");
@@ -262,8 +264,8 @@ fn now_s() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64()
 }
 
-/// Pictures of the boards with what a real run gave them, in which a stage is killed. They are drawn by a page of the tests' own, since
-/// Grafana is not where tests run: the same panels, queries, units and legends.
+/// Pictures of the boards with what a real run gave them, in which a stage is killed: each board has several lines. They are drawn by a
+/// page of the tests' own, since Grafana is not where tests run: the same panels, queries, units and legends.
 #[test]
 fn boards_are_drawn_from_a_real_run() {
     let Some(browser) = Browser::start("pictures of the boards") else { return };
@@ -279,6 +281,8 @@ fn boards_are_drawn_from_a_real_run() {
     set.wait_until_handled(Stage::ScanMatcher, 500);
     support::send(set.pid(Stage::Mapper), Signal::KILL);
     set.wait_until_handled(Stage::ScanMatcher, 1200);
+    let died = format!("{}{{stage=\"mapper\",reason=\"died\"}} > 0", names::STAGE_RESTARTS.name);
+    wait_for("the restart of the killed stage", || prometheus.series(&died));
     let span = (started_s, now_s());
     for (name, board) in boards().into_iter().filter(|(name, _)| name != FLOCK_BOARD) {
         draw(&browser, directory.path(), &name, &board, &prometheus, span);

@@ -23,7 +23,9 @@ fn sets(prefix: &str) -> Vec<SetDescription> {
 
 #[test]
 fn the_example_sets_can_be_read_and_three_on_one_machine_do_not_clash() {
-    assert_eq!(sets("one-robot").len(), 1);
+    let one = sets("one-robot");
+    assert_eq!(one.len(), 1);
+    one[0].configuration(&[]).unwrap();
     let three = sets("three-robots");
     assert_eq!(three.len(), 3);
     for (i, set) in three.iter().enumerate() {

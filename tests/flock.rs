@@ -15,6 +15,9 @@ const MEETING: Drive = Drive { scan_rate_hz: 5.0, duration_s: 100.0, rate: 5.0 }
 /// A drive that no test sees the end of.
 const LONG: Drive = Drive { scan_rate_hz: 5.0, duration_s: 2000.0, rate: 5.0 };
 
+/// Memory of a sync-manager that is flooded with messages.
+const RESIDENT_MAX_KB: u64 = 400_000;
+
 /// Waits until a robot is in one map with so many robots, itself among them.
 fn wait_until_merged(robot: &mut FlockRobot, members: usize) -> FlockStatus {
     let what = format!("a map of {members} robots");
@@ -22,7 +25,7 @@ fn wait_until_merged(robot: &mut FlockRobot, members: usize) -> FlockStatus {
 }
 
 #[test]
-fn three_robots_meet_while_they_drive_and_have_one_map() {
+fn three_robots_of_a_swarm_end_with_one_map() {
     let directory = tempfile::tempdir().unwrap();
     let mut command = flockslam();
     command.args(["swarm", "--robots", "3", "--rate", "5", "--set", "simulation.duration_s=100"]);
@@ -143,7 +146,11 @@ fn join_late(world: &str, duration_s: f64, then: impl FnOnce(&mut FlockRobot)) {
     let mut late = FlockRobot::start_one(&test, directory.path(), LONG, &endpoints, 1, (world, ""));
     late.wait_for_flock("a peer", |flock| !flock.peers.is_empty());
     let (met, carried) = (Instant::now(), link.carried());
-    late.wait_for_flock("all records", |flock| flock.records.0 >= all.records.0);
+    // It counts its own records too: what it has heard must be as much as the other has recorded.
+    late.wait_for_flock("all records", |flock| {
+        flock.robots.len() == 2 && flock.records.0 >= all.records.0 && flock.heard_bytes >= all.records.1
+    });
+    assert!(link.carried() >= all.records.1, "{} bytes came over the slow link", link.carried());
     println!(
         "{world}: {} records, {} bytes, in {:.2} s over 10 Mbit/s, {} bytes on the link",
         all.records.0,
@@ -155,7 +162,7 @@ fn join_late(world: &str, duration_s: f64, then: impl FnOnce(&mut FlockRobot)) {
 }
 
 #[test]
-fn a_process_that_is_killed_while_it_talks_tells_nothing_twice() {
+fn a_process_that_is_killed_while_it_talks_is_not_quarantined_and_keeps_its_epoch() {
     let directory = tempfile::tempdir().unwrap();
     let mut robots = FlockRobot::start_all("twice", directory.path(), LONG, 2);
     for robot in &mut robots {
@@ -178,7 +185,7 @@ fn a_process_that_is_killed_while_it_talks_tells_nothing_twice() {
 }
 
 #[test]
-fn a_link_that_was_cut_and_mended_leaves_no_trace() {
+fn a_link_that_was_cut_and_mended_leaves_both_robots_with_one_map() {
     let Some(namespaces) = Namespace::pair("flock-cut") else { return };
     let directory = tempfile::tempdir().unwrap();
     let mut robots = FlockRobot::start_in(&namespaces, "cut", directory.path(), MEETING);
@@ -200,7 +207,7 @@ fn a_link_that_was_cut_and_mended_leaves_no_trace() {
 }
 
 #[test]
-fn a_hostile_peer_changes_nothing_and_is_counted() {
+fn a_hostile_peer_is_counted_by_reason_and_nothing_is_merged_or_restarted() {
     let directory = tempfile::tempdir().unwrap();
     let mut robots = FlockRobot::start_all("hostile", directory.path(), LONG, 1);
     let robot = &mut robots[0];
@@ -222,7 +229,7 @@ fn a_hostile_peer_changes_nothing_and_is_counted() {
     assert_eq!((after.restarts, after.hangs), (0, 0));
     let rss_kb = resident_kb(after.pid.unwrap());
     println!("sync-manager takes {rss_kb} kB");
-    assert!(rss_kb < 400_000);
+    assert!(rss_kb < RESIDENT_MAX_KB, "{rss_kb} kB");
 }
 
 fn resident_kb(pid: u32) -> u64 {
@@ -254,8 +261,8 @@ fn robots_talk_only_when_somebody_reports_a_contact() {
     let more = "proximity = \"contacts\"";
     let mut robots = FlockRobot::start_with("contacts", directory.path(), LONG, 2, more);
     for robot in &mut robots {
-        robot.wait_for_flock("a peer", |flock| flock.peers.len() == 1 && flock.records.0 > 1);
-        let flock = robot.flock().unwrap();
+        // It has had several records to tell and somebody to tell them to.
+        let flock = robot.wait_for_flock("a peer", |flock| flock.peers.len() == 1 && flock.records.0 > 3);
         assert!(flock.near.is_empty() && flock.robots.len() == 1, "{flock:?}");
     }
     let names: Vec<String> = robots.iter().map(FlockRobot::name).collect();

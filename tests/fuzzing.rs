@@ -52,9 +52,10 @@ fn mutate(bytes: &mut Vec<u8>, other: &[u8], random: &mut Seeded) {
 fn no_reader_of_foreign_bytes_panics() {
     let runs = std::env::var("FLOCKSLAM_FUZZ_RUNS").ok().and_then(|runs| runs.parse().ok()).unwrap_or(RUNS);
     let only = std::env::var("FLOCKSLAM_FUZZ_ENTRY").ok();
-    for (name, entry) in
-        fuzz_entries::ENTRIES.into_iter().filter(|(n, _)| only.as_deref().is_none_or(|o| o == *n))
-    {
+    let mut entries = fuzz_entries::ENTRIES.to_vec();
+    entries.retain(|(name, _)| only.as_deref().is_none_or(|only| only == *name));
+    assert!(!entries.is_empty(), "there is no entry of the name {only:?}");
+    for (name, entry) in entries {
         let (seeds, since) = (corpus(name), Instant::now());
         seeds.iter().for_each(|seed| entry(seed));
         for run in 0..runs {

@@ -48,32 +48,32 @@ fn kill_during_a_live_replay(stage: Stage) {
 }
 
 #[test]
-fn lidar_ingest_killed() {
+fn a_live_run_restarts_a_lidar_ingest_that_is_killed_and_ends_with_a_usable_map() {
     kill_during_a_live_replay(Stage::LidarIngest);
 }
 
 #[test]
-fn correlation_filter_killed() {
+fn a_live_run_restarts_a_correlation_filter_that_is_killed_and_ends_with_a_usable_map() {
     kill_during_a_live_replay(Stage::CorrelationFilter);
 }
 
 #[test]
-fn scan_matcher_killed() {
+fn a_live_run_restarts_a_scan_matcher_that_is_killed_and_ends_with_a_usable_map() {
     kill_during_a_live_replay(Stage::ScanMatcher);
 }
 
 #[test]
-fn mapper_killed() {
+fn a_live_run_restarts_a_mapper_that_is_killed_and_ends_with_a_usable_map() {
     kill_during_a_live_replay(Stage::Mapper);
 }
 
 #[test]
-fn dynamic_cleaner_killed() {
+fn a_live_run_restarts_a_dynamic_cleaner_that_is_killed_and_ends_with_a_usable_map() {
     kill_during_a_live_replay(Stage::DynamicCleaner);
 }
 
 #[test]
-fn sync_manager_killed() {
+fn a_live_run_restarts_a_sync_manager_that_is_killed_and_ends_with_a_usable_map() {
     kill_during_a_live_replay(Stage::SyncManager);
 }
 

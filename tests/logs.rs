@@ -7,7 +7,7 @@ use std::process::Command;
 
 /// What default settings reach at start heading 0: mean errors over all relations, metres and degrees, and over loops, metres.
 const REACHED: [(Log, f64, f64, f64); 3] =
-    [(INTEL, 0.0, 0.0, 0.0), (FR079, 0.0, 0.0, 0.0), (ACES, 0.0, 0.0, 0.0)];
+    [(INTEL, 0.0137, 0.362, 0.0160), (FR079, 0.0307, 0.534, 0.0407), (ACES, 0.0348, 0.407, 0.0498)];
 /// A tenth more is a regression.
 const TOLERANCE: f64 = 1.1;
 

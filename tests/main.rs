@@ -19,7 +19,6 @@ mod live_set;
 mod log_readers;
 mod logs;
 mod metrics;
-mod moving_pictures;
 mod moving_world;
 mod ndt_experiments;
 mod overload;

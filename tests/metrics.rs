@@ -27,7 +27,11 @@ fn assert_valid(page: &str) {
             assert!(series.insert(name.to_owned()), "twice: {line}");
         }
     }
-    assert!(!series.is_empty() && heads.len() % 2 == 0);
+    assert!(!series.is_empty());
+    for (kind, name) in &heads {
+        let other = if kind == "HELP" { "TYPE" } else { "HELP" };
+        assert!(heads.contains(&(other.to_owned(), name.clone())), "{name} has no {other}");
+    }
 }
 
 #[test]

@@ -1,8 +1,7 @@
 //! Worlds that move: people, doors and pallets leave neither ghosts nor holes in the map that navigation reads, and do not
 //! lead the robot astray.
 
-use crate::support;
-use crate::support::{BUILDINGS, MapFigures, MovingDrive, later_free, lively, moving_building};
+use crate::support::{MapFigures, MovingDrive, lively, moving_building};
 use flockslam_lidar_ingest::simulation::Settings;
 
 /// What is asked: cells kept, cells removed, and their harmonic mean, percent.
@@ -56,47 +55,5 @@ fn twenty_people_do_not_lead_the_robot_astray() {
         let (alone_m, among_people_m) = (mean_error_m(0), mean_error_m(20));
         println!("mean ATE {alone_m:.4} m alone, {among_people_m:.4} m among people");
         assert!(among_people_m < astray_max_m(alone_m), "{among_people_m} m for {alone_m} m");
-    }
-}
-
-/// Real logs with people in them, where nobody knows the truth: what was looked through at least three times has gone.
-#[test]
-#[ignore = "figures for people"]
-fn what_real_logs_look_through_later_is_gone() {
-    let Some(data) = support::data_dir() else { return };
-    for name in ["aces/aces.clf", "people/fhw-corrected.log"] {
-        let log = data.join(name);
-        for profile in ["default", "vinyslam"] {
-            let directory = tempfile::tempdir().unwrap();
-            let args = ["map", &log.display().to_string(), "--profile", profile].map(str::to_owned);
-            let outputs = support::run_well("later-free", directory.path(), &args);
-            let share = later_free(&outputs, &log);
-            println!(
-                "{name}, {profile}: {} of {} occupied cells, {:.2} %",
-                share.good,
-                share.of,
-                share.percent()
-            );
-        }
-    }
-}
-
-/// The whole table: minutes.
-#[test]
-#[ignore = "ten seeds in three buildings take an hour"]
-fn three_buildings_full_of_people() {
-    for name in BUILDINGS {
-        let Some(map) = moving_building(name) else { return };
-        for seed in 1..=10 {
-            let alone =
-                MovingDrive { map: Some(map.clone()), settings: Settings { seed, ..Settings::default() } };
-            println!("{name} seed {seed} alone: ATE {:.4}", alone.run(&[]).error_m());
-            for walkers in [2, 20] {
-                let drive = MovingDrive { map: Some(map.clone()), settings: lively(seed, walkers) };
-                let run = drive.run(&[]);
-                let figures = drive.figures(&run);
-                println!("{name} seed {seed} walkers {walkers}: {figures}, ATE {:.4}", run.error_m());
-            }
-        }
     }
 }

@@ -1,8 +1,9 @@
 //! The two experiments of the published NDT system (Trubin et al. 2020), with `--profile ndt`.
 
 use crate::support;
-use crate::support::experiments::{BEARING_SIGMA_RAD, Experiment, flat, one_mover};
-use crate::support::ndt_system::{MoveError, PLAIN, errors, run_ndt};
+use crate::support::ndt_system::{PLAIN, run_ndt};
+use flockslam_drives::experiments::{BEARING_SIGMA_RAD, Experiment, flat, one_mover};
+use flockslam_drives::ndt_system::{MoveError, errors};
 use flockslam_geometry::{Point, Pose};
 
 /// The largest errors of the twelve moves.

@@ -1,5 +1,6 @@
-//! Overload: a stage ten or a hundred times slower than it should be, and somebody else's work on all processors. The newest scans get their
-//! poses, what is left out is counted, memory stays what was laid out, and nothing that was accepted is lost.
+//! Overload: a stage ten or a hundred times slower than it should be, and somebody else's work on all processors. A scan that is at most
+//! a second old has its pose, what is left out is counted, shared memory grows by at most 64 MiB, no stage is replaced, and no accepted
+//! scan is lost.
 
 use crate::support::faults::{Overload, overload};
 use flockslam_messages::Stage;
@@ -10,16 +11,16 @@ fn judge(kind: Overload) {
 }
 
 #[test]
-fn a_matcher_a_hundred_times_slower() {
+fn a_matcher_a_hundred_times_slower_leaves_poses_new_and_the_map_complete() {
     judge(Overload::Slow(Stage::ScanMatcher, 100));
 }
 
 #[test]
-fn a_mapper_ten_times_slower() {
+fn a_mapper_ten_times_slower_leaves_poses_new_and_the_map_complete() {
     judge(Overload::Slow(Stage::Mapper, 10));
 }
 
 #[test]
-fn processors_that_are_busy_with_something_else() {
+fn processors_that_are_busy_with_something_else_leave_poses_new_and_the_map_complete() {
     judge(Overload::Hog);
 }

@@ -75,7 +75,7 @@ fn a_browser_shows_the_run_and_what_happens_to_it() {
     browser.open(&format!("http://localhost:{port}/"));
     browser.wait_until("a connection", "document.body.dataset.link === 'open'");
 
-    // The map grows, with all that belongs to it.
+    // The map is drawn, with all that belongs to it.
     browser.wait_until("tiles", "Number(document.body.dataset.tiles) > 20");
     let before = browser.script(PIXELS);
     let view = "(await import('/main.js')).view";
@@ -209,7 +209,7 @@ fn strangers_are_refused_and_orders_need_the_token() {
 }
 
 #[test]
-fn a_live_run_of_a_log_is_shown_as_well() {
+fn a_live_demo_is_shown_as_well_and_its_page_is_replaced_when_it_is_killed() {
     let (directory, port) = (tempfile::tempdir().unwrap(), free_port());
     let args = ["demo", "--live", "--rate", "2", "--set", &format!("page.listen=127.0.0.1:{port}")];
     let set = RunningSet::start("livepage", directory.path(), &args.map(str::to_owned));
@@ -225,7 +225,7 @@ fn a_live_run_of_a_log_is_shown_as_well() {
 }
 
 #[test]
-fn a_token_that_is_none_is_refused_at_the_start() {
+fn a_token_file_that_is_missing_is_refused_at_the_start() {
     let directory = tempfile::tempdir().unwrap();
     let missing = directory.path().join("missing");
     let output = support::flockslam()
@@ -262,7 +262,7 @@ fn a_browser_shows_the_other_robots_of_the_flock() {
     assert!(pixels["flock"].as_u64() > Some(50), "{pixels}");
     show(&browser, "flock", "dark", (1280, 800, false));
 
-    // One dies: it stays where it was seen last, and is marked.
+    // One dies: it is no longer shown as near.
     let mut dead = robots.pop().unwrap();
     dead.kill();
     browser.wait_until("one less near", &format!("{rows} === 1"));

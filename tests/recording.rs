@@ -83,7 +83,11 @@ fn a_file_is_whole_after_its_end_and_readable_after_a_kill_and_the_set_does_not_
     wait_until_full(&killed);
     drop(victim);
     recorder.finish();
+    let left = messages(&killed, Some(Options::IgnoreEndMagic));
+    assert_eq!(left.len(), RecordTopic::ALL.len(), "the file of the killed recorder: {:?}", left.keys());
+    assert!(left["/pose"].len() > 40, "{} poses", left["/pose"].len());
     let seen = messages(&ended, None);
+    assert_eq!(seen.len(), RecordTopic::ALL.len(), "{:?}", seen.keys());
     let number = |value: &Value| value.as_f64().unwrap();
     for scan in &seen["/scan"] {
         let ranges = scan["ranges"].as_array().unwrap();

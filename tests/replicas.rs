@@ -24,7 +24,7 @@ fn replay(directory: &Path, stages: &[Stage], replicas: usize) -> Outputs {
 }
 
 #[test]
-fn exact_replay_gives_the_same_bytes_with_any_number_of_processes() {
+fn exact_replay_gives_the_same_bytes_with_one_two_or_three_processes_of_a_stage() {
     let directory = tempfile::tempdir().unwrap();
     let alone = replay(&directory.path().join("alone"), &[], 1);
     let same = |name: String, outputs: Outputs, stages: &[Stage], replicas: usize| {

@@ -20,12 +20,13 @@ fn the_result_is_the_same_and_nothing_is_left() {
     let plain = run_well("memory", &directory.path().join("memory"), &building(40));
     let spilled = run_well("disk", &directory.path().join("disk"), &with_spill(building(40), &spill_dir));
     assert_eq!(spilled.report.map_hash, plain.report.map_hash);
+    assert!(spilled.bytes("trajectory.tum") == plain.bytes("trajectory.tum"), "the trajectory differs");
     assert!(spilled.report.submap_bytes > 0 && spilled.report.submap_bytes == plain.report.submap_bytes);
     assert_eq!(folders(&spill_dir), 0);
 }
 
 #[test]
-fn submaps_of_a_running_set_lie_on_disk_and_go_with_a_killed_one() {
+fn submaps_of_a_running_set_lie_on_disk_and_those_of_a_killed_one_are_removed_by_the_next() {
     let directory = tempfile::tempdir().unwrap();
     let spill_dir = directory.path().join("spill");
     let set = RunningSet::start("kept", directory.path(), &with_spill(live_building(600, 40), &spill_dir));

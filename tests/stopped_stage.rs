@@ -61,31 +61,31 @@ fn stop_and_go_on(stage: Stage) {
 }
 
 #[test]
-fn lidar_ingest_stopped_and_going_on() {
+fn a_lidar_ingest_that_is_stopped_holds_the_source_back_and_changes_no_result() {
     stop_and_go_on(Stage::LidarIngest);
 }
 
 #[test]
-fn correlation_filter_stopped_and_going_on() {
+fn a_correlation_filter_that_is_stopped_holds_the_source_back_and_changes_no_result() {
     stop_and_go_on(Stage::CorrelationFilter);
 }
 
 #[test]
-fn scan_matcher_stopped_and_going_on() {
+fn a_scan_matcher_that_is_stopped_holds_the_source_back_and_changes_no_result() {
     stop_and_go_on(Stage::ScanMatcher);
 }
 
 #[test]
-fn mapper_stopped_and_going_on() {
+fn a_mapper_that_is_stopped_holds_the_source_back_and_changes_no_result() {
     stop_and_go_on(Stage::Mapper);
 }
 
 #[test]
-fn dynamic_cleaner_stopped_and_going_on() {
+fn a_dynamic_cleaner_that_is_stopped_holds_the_source_back_and_changes_no_result() {
     stop_and_go_on(Stage::DynamicCleaner);
 }
 
 #[test]
-fn sync_manager_stopped_and_going_on() {
+fn a_sync_manager_that_is_stopped_holds_the_source_back_and_changes_no_result() {
     stop_and_go_on(Stage::SyncManager);
 }

@@ -9,14 +9,20 @@ use std::path::Path;
 /// A tenth more than what was reached with the same settings and start heading is a regression.
 const TOLERANCE: f64 = 1.1;
 
-/// What a log is put to, and the mean error over all relations that Intel, FR079 and ACES reach then, metres.
-type Hardship = (&'static [&'static str], [f64; 3]);
+/// What logs are put to, and the mean error over all relations that each reaches then, metres.
+type Hardship = (&'static [&'static str], &'static [(Log, f64)]);
 
-const AS_IT_IS: Hardship = (&[], [0.0, 0.0, 0.0]);
-const JUMPS: Hardship = (&["lidar_ingest.odometry_jumps=5", "lidar_ingest.seed=7"], [0.0, 0.0, 0.0]);
-const FALSE_BEAMS: Hardship = (&["lidar_ingest.beam_noise_share=0.2"], [0.0, 0.0, 0.0]);
-const MISSING_SCANS: Hardship = (&["lidar_ingest.keep_every=2"], [0.0, 0.0, 0.0]);
-const POOR_WHEELS: Hardship = (&["lidar_ingest.odometry_noise=[0.02, 1.0]"], [0.0, 0.0, 0.0]);
+const AS_IT_IS: Hardship = (&[], &[(INTEL, 0.0127), (FR079, 0.0298), (ACES, 0.0333)]);
+const JUMPS: Hardship = (
+    &["lidar_ingest.odometry_jumps=5", "lidar_ingest.seed=7"],
+    &[(INTEL, 0.0127), (FR079, 0.0298), (ACES, 0.0333)],
+);
+// Intel takes a minute with these: the benchmark page has it.
+const FALSE_BEAMS: Hardship = (&["lidar_ingest.beam_noise_share=0.2"], &[(FR079, 0.0302), (ACES, 0.0350)]);
+const MISSING_SCANS: Hardship =
+    (&["lidar_ingest.keep_every=2"], &[(INTEL, 0.0133), (FR079, 0.0306), (ACES, 0.0340)]);
+const POOR_WHEELS: Hardship =
+    (&["lidar_ingest.odometry_noise=[0.02, 1.0]"], &[(INTEL, 0.0127), (FR079, 0.0302), (ACES, 0.0339)]);
 
 /// Where a log is cut, so that the robot is carried from before the first scan to the second, and the mean error then, metres.
 const CUTS: [(Log, (usize, usize), f64); 3] =
@@ -28,7 +34,7 @@ fn settings(more: &[&'static str]) -> Vec<&'static str> {
 
 /// Every log reaches what it did before, and no loop is torn.
 fn demand((more, reached_m): Hardship) {
-    for (log, reached_m) in LOGS.iter().zip(reached_m) {
+    for (log, reached_m) in reached_m {
         let Some(run) = log.shared_run(&settings(more)) else { return };
         let errors = log.errors(run.wait());
         println!("{} {more:?}: {errors:?}", log.name);
@@ -46,7 +52,7 @@ fn demand((more, reached_m): Hardship) {
 #[test]
 fn every_scan_processed_is_as_accurate_as_before() {
     demand(AS_IT_IS);
-    for (log, reached_deg) in LOGS.iter().zip([0.0, 0.0, 0.0]) {
+    for (log, reached_deg) in LOGS.iter().zip([0.207, 0.415, 0.305]) {
         let Some(run) = log.shared_run(&settings(&[])) else { return };
         let errors = log.errors(run.wait());
         assert!(

@@ -1,6 +1,7 @@
-//! People who walk around the robot are followed: against the exact truth of simulated drives.
+//! People who walk around the robot are followed: against the exact truth of simulated drives, and in a real hall.
 
-use crate::support::TrackFigures;
+use crate::support::data_dir;
+use flockslam_drives::followed::{TrackFigures, followed_from_a_stand};
 
 #[test]
 fn people_are_followed() {
@@ -15,4 +16,19 @@ fn people_are_followed() {
     assert!(speed_error_m_s < 0.15, "{speed_error_m_s} m/s");
     assert!(hidden > 100 && recognised * 10 >= hidden * 9, "{recognised} of {hidden}");
     assert!(nobodys * 10 < positions, "{nobodys} of {positions}");
+}
+
+/// In a real hall, from a lidar that stands still: whoever is followed walks, and nobody is followed at rest on the walls.
+#[test]
+fn people_in_a_hall_are_followed_from_a_stand() {
+    let Some(data) = data_dir() else { return };
+    let seen = followed_from_a_stand(&data.join("people/leg_tracker_stationary.bag"));
+    let walked = seen.ways.values().filter(|way| {
+        let farthest_m = way.iter().map(|at| at.distance_m(way[0])).fold(0.0, f64::max);
+        farthest_m > 2.0
+    });
+    let walked = walked.count();
+    println!("{} tracks of a second and more, {walked} of them over two metres", seen.ways.len());
+    assert!(walked >= 5, "{walked} of {}", seen.ways.len());
+    assert!(2 * walked >= seen.ways.len(), "{walked} of {}", seen.ways.len());
 }

@@ -5,7 +5,7 @@
 #[path = "../support/mod.rs"]
 mod support;
 
-use support::experiments::BEARING_SIGMA_RAD;
+use flockslam_drives::experiments::BEARING_SIGMA_RAD;
 use support::seeds::{YardDrive, alone_and_among_twenty_m, flat_worst};
 
 fn main() {
@@ -13,7 +13,8 @@ fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
     let seeds = arguments.iter().find_map(|argument| argument.parse().ok()).unwrap_or(20);
     let wants = |name: &str| {
-        arguments.iter().all(|argument| argument.parse::<u64>().is_ok()) || arguments.iter().any(|a| a == name)
+        arguments.iter().all(|argument| argument.parse::<u64>().is_ok())
+            || arguments.iter().any(|a| a == name)
     };
     if wants("flat") {
         for (name, sigma_rad) in [("exact bearings", 0.0), ("bearings off by a degree", BEARING_SIGMA_RAD)] {
@@ -29,7 +30,10 @@ fn main() {
         let claims: usize = drives.iter().map(|drive| drive.claims).sum();
         let wrong: usize = drives.iter().map(|drive| drive.false_claims).sum();
         println!("yard: {wrong} of {claims} seconds wrong though said to be tracked");
-        spread("yard: false claims of a thousand", drives.iter().map(|d| 1e3 * d.false_claims as f64 / d.claims as f64));
+        spread(
+            "yard: false claims of a thousand",
+            drives.iter().map(|d| 1e3 * d.false_claims as f64 / d.claims as f64),
+        );
         spread("yard: ATE, m", drives.iter().map(|drive| drive.ate_m));
     }
     if wants("people") {
@@ -39,7 +43,10 @@ fn main() {
             let drives: Vec<_> = drives.collect();
             spread(&format!("{name}: ATE alone, mm"), drives.iter().map(|[alone, _]| 1e3 * alone));
             spread(&format!("{name}: ATE among twenty, mm"), drives.iter().map(|[_, among]| 1e3 * among));
-            spread(&format!("{name}: difference, mm"), drives.iter().map(|[alone, among]| 1e3 * (among - alone)));
+            spread(
+                &format!("{name}: difference, mm"),
+                drives.iter().map(|[alone, among]| 1e3 * (among - alone)),
+            );
         }
     }
 }

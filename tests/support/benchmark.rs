@@ -1,3 +1,5 @@
+//! Files of a benchmark log, and the error of a run's final trajectory over the relations of that log.
+
 use super::outputs::Outputs;
 use super::{flockslam, stderr};
 use std::path::{Path, PathBuf};

@@ -1,3 +1,5 @@
+//! The least of HTTP that a test needs: a free port and a GET request.
+
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 

@@ -1,3 +1,5 @@
+//! A set that was started by `flockslam up`: orders, status, end, and a start after its supervisor was killed.
+
 use super::{Outputs, assert_nothing_left, flockslam, processes_of, robot, send, stderr, wait_for};
 use flockslam::supervisor::{Reply, Request, SetStatus, StageStatus, ask};
 use flockslam_bus::RuntimeDir;

@@ -1,3 +1,5 @@
+//! Logs that the simulation writes, for tests that need a file.
+
 use flockslam_lidar_ingest::carmen::write_scan;
 use flockslam_lidar_ingest::simulation::{Settings, Simulation, World};
 use flockslam_messages::ScanBuffer;

@@ -3,10 +3,8 @@
 
 mod benchmark;
 mod browser;
-pub mod experiments;
 pub mod faults;
 pub mod flocks;
-mod followed;
 mod http;
 mod later_free;
 mod live;
@@ -16,7 +14,6 @@ mod montage;
 mod moved_map;
 mod moving_drive;
 pub mod ndt_system;
-pub mod nees;
 mod not_tested;
 mod outputs;
 mod pictures;
@@ -28,7 +25,6 @@ pub mod source;
 
 pub use benchmark::{benchmark_file, evaluate_relations};
 pub use browser::Browser;
-pub use followed::{TrackFigures, followed_from_a_stand};
 pub use http::{free_port, http_get};
 pub use later_free::later_free;
 pub use live::{Drive, LiveSet, of};

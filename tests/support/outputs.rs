@@ -1,3 +1,5 @@
+//! The files that a run has written, read back, and the error of its trajectory against the truth.
+
 use flockslam::evaluation::{evaluate_truth, parse_tum};
 use flockslam::outputs::{Report, TrajectoryPoint};
 use std::path::{Path, PathBuf};

@@ -1,3 +1,5 @@
+//! Poses of a running set, read from its journal with the time at which each was there.
+
 use super::wait_for;
 use flockslam_messages::PoseEstimate;
 use flockslam_stage::JournalReader;

@@ -1,3 +1,5 @@
+//! A run of `flockslam map` or `demo` that a test watches from outside while it goes on.
+
 use super::{Outputs, assert_nothing_left, flockslam, robot, wait_for};
 use flockslam_messages::Stage;
 use flockslam_stage::{ProcessReport, heartbeat_file, metrics_socket, read_reports};

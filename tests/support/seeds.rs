@@ -1,10 +1,11 @@
 //! Outcomes that depend on a seed: one drive with one seed, measured. `cargo bench -p flockslam --bench seeds` shows how they are spread
 //! over many seeds; tests run some of them and judge by that.
 
-use super::experiments::flat_seeded;
-use super::ndt_system::{MoveError, ndt_errors};
+use super::ndt_system::ndt_settings;
 use super::{MovingDrive, Outputs, RunningSet, building, moving_building};
 use flockslam::evaluation::{Spread, evaluate_truth};
+use flockslam_drives::experiments::flat_seeded;
+use flockslam_drives::ndt_system::{MoveError, ndt_errors};
 use flockslam_geometry::Pose;
 use flockslam_lidar_ingest::simulation::Settings;
 use flockslam_messages::{PoseEstimate, PoseFlags, Quality};
@@ -40,7 +41,8 @@ impl YardDrive {
         args.extend(["--set".to_owned(), "simulation.world=yard".to_owned()]);
         args.extend(["--set".to_owned(), format!("simulation.seed={seed}")]);
         let (outputs, poses) = run_watched("yard", directory.path(), &args);
-        let truth: Vec<Pose> = outputs.trajectory("truth.tum").iter().map(|point| point.map_from_base).collect();
+        let truth: Vec<Pose> =
+            outputs.trajectory("truth.tum").iter().map(|point| point.map_from_base).collect();
         assert_eq!(poses.len(), truth.len(), "a pose for each scan");
         // Who predicts a pose claims no fit.
         let tracked = |pose: &PoseEstimate| pose.quality == Quality::Tracking as u32;
@@ -108,5 +110,6 @@ pub fn alone_and_among_twenty_m(building: Option<&str>, seed: u64) -> Option<[f6
 
 /// The largest errors of the moves in the flat of the published NDT experiment, with noise from a seed.
 pub fn flat_worst(bearing_sigma_rad: f64, seed: u64) -> MoveError {
-    ndt_errors(&flat_seeded(bearing_sigma_rad, seed)).into_iter().fold(MoveError::default(), MoveError::max)
+    let moves = ndt_errors(&flat_seeded(bearing_sigma_rad, seed), &ndt_settings());
+    moves.into_iter().fold(MoveError::default(), MoveError::max)
 }

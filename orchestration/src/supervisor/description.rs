@@ -61,12 +61,11 @@ pub struct SetDescription {
 }
 
 /// Where the scans of a set come from.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", tag = "kind", deny_unknown_fields)]
 pub enum SourceDescription {
     /// CARMEN lines on the standard input: a driver's output.
-    #[default]
-    Stdin,
+    Stdin {},
     /// A CARMEN log.
     Log {
         /// The log.
@@ -83,6 +82,12 @@ pub enum SourceDescription {
         #[serde(default = "rate")]
         rate: f64,
     },
+}
+
+impl Default for SourceDescription {
+    fn default() -> Self {
+        Self::Stdin {}
+    }
 }
 
 /// What the processes of each stage may use.
@@ -141,7 +146,7 @@ impl SetDescription {
         match &mut description.source {
             SourceDescription::Log { path, .. } => beside(path),
             SourceDescription::Simulation { world, .. } => world.iter_mut().for_each(beside),
-            SourceDescription::Stdin => {}
+            SourceDescription::Stdin {} => {}
         }
         Ok(description)
     }
@@ -171,7 +176,7 @@ impl SetDescription {
             SourceDescription::Log { rate, .. } | SourceDescription::Simulation { rate, .. } => {
                 positive("source.rate", rate)
             }
-            SourceDescription::Stdin => Ok(()),
+            SourceDescription::Stdin {} => Ok(()),
         }
     }
 
@@ -205,7 +210,7 @@ impl SetDescription {
     /// What its source is to lidar-ingest.
     pub fn source(&self) -> SourceTask {
         match self.source.clone() {
-            SourceDescription::Stdin => SourceTask { source: Source::Pipe, rate: None, world: None },
+            SourceDescription::Stdin {} => SourceTask { source: Source::Pipe, rate: None, world: None },
             SourceDescription::Log { path, rate } => {
                 SourceTask { source: Source::Log(path), rate: Some(rate), world: None }
             }
@@ -231,7 +236,7 @@ mod tests {
     #[test]
     fn a_name_is_enough() {
         let description = read("robot = \"r1\"").unwrap();
-        assert_eq!((description.source, description.save_every_s), (SourceDescription::Stdin, 5.0));
+        assert_eq!((description.source, description.save_every_s), (SourceDescription::Stdin {}, 5.0));
         assert_eq!(description.stages.mapper.deadline(Stage::Mapper), Duration::from_millis(500));
     }
 

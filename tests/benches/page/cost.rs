@@ -1,3 +1,5 @@
+//! Section `cost`: scans a second, processor time, memory and latency of whole runs, in all and by stage.
+
 use super::machine::copy_line;
 use super::runs::{Measured, Subject, set};
 use super::{Bench, Table, figure};

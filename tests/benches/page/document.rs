@@ -1,3 +1,5 @@
+//! The page as a text with sections: reads the page that is kept, replaces the sections that were measured, and writes it again.
+
 use std::collections::BTreeMap;
 
 /// The sections of the page in their order: the name by which `--only` knows them, and the heading.

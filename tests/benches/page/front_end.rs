@@ -1,3 +1,5 @@
+//! Section `front-end`: times of matcher and mapper in one process, and of the publication of tiles.
+
 use super::machine::copy_line;
 use super::{Bench, SharedMemory, Table};
 use flockslam::configuration::Configuration;

@@ -1,3 +1,5 @@
+//! Time from the publication of a scan to its arrival in another process, by number of beams.
+
 use super::{SharedMemory, Table};
 use flockslam_bus::{Bus, Capacity, RuntimeDir};
 use flockslam_messages::{ScanBuffer, Stage, Verdict};

@@ -1,3 +1,5 @@
+//! Section `long-run`: a simulated drive of several hours, watched from outside for processor time and memory that grow.
+
 use super::Table;
 use super::runs::set;
 use flockslam_messages::Stage;

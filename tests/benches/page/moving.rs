@@ -1,9 +1,11 @@
+//! Sections `moving` and `movers`: maps, ghosts and tracks where people walk, and the published NDT experiment (Trubin et al. 2020).
+
 use super::{Bench, Table, figure, mean};
-use crate::support::experiments::{BEARING_SIGMA_RAD, flat, flat_seeded};
-use crate::support::ndt_system::{MoveError, ndt_cost_ms, ndt_errors};
-use crate::support::{
-    BUILDINGS, MovingDrive, Outputs, TrackFigures, later_free, lively, moving_building, run_well,
-};
+use crate::support::ndt_system::ndt_settings;
+use crate::support::{BUILDINGS, MovingDrive, Outputs, later_free, lively, moving_building, run_well};
+use flockslam_drives::experiments::{BEARING_SIGMA_RAD, flat, flat_seeded};
+use flockslam_drives::followed::TrackFigures;
+use flockslam_drives::ndt_system::{MoveError, ndt_cost_ms, ndt_errors};
 use flockslam_dynamic_cleaner::{DynamicCleaner, Sector};
 use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::Covariance;
@@ -142,7 +144,7 @@ fn tracks(seeds: u64) -> String {
 
 fn experiment() -> String {
     let noisy = flat(BEARING_SIGMA_RAD);
-    let (with, without) = (ndt_errors(&noisy), ndt_errors(&flat(0.0)));
+    let (with, without) = (ndt_errors(&noisy, &ndt_settings()), ndt_errors(&flat(0.0), &ndt_settings()));
     let mut table = Table::new([
         "scan",
         "way off by mm",
@@ -161,14 +163,15 @@ fn experiment() -> String {
     }
     let last = [vec!["worst".to_owned()], cells(&worst(&with)).to_vec(), cells(&worst(&without)).to_vec()];
     table.row(last.concat());
-    let others: Vec<MoveError> =
-        (0..OTHER_NOISES).flat_map(|seed| ndt_errors(&flat_seeded(BEARING_SIGMA_RAD, seed))).collect();
+    let others: Vec<MoveError> = (0..OTHER_NOISES)
+        .flat_map(|seed| ndt_errors(&flat_seeded(BEARING_SIGMA_RAD, seed), &ndt_settings()))
+        .collect();
     let share = |is: fn(&MoveError) -> bool| {
         100.0 * others.iter().filter(|error| is(error)).count() as f64 / others.len() as f64
     };
     let [way, turn, end] = cells(&worst(&others));
     let (turns, ends) = (share(|error| error.turn_deg <= 0.5), share(|error| error.end_m <= 0.01));
-    let [matching, cleaning, mapping] = ndt_cost_ms(&noisy);
+    let [matching, cleaning, mapping] = ndt_cost_ms(&noisy, &ndt_settings());
     format!(
         "`--profile ndt` on thirteen scans in a flat (1000 beams, 2 mm of range, each beam 1° of direction; a door closes, an operator follows): each of the twelve moves against the true one, its length \
          and its turn as the published table gives them; its *end* is seen from the pose before, so that the heading of that one counts with the length of the move. Asked: 10 mm and 0.5°. A scan takes \

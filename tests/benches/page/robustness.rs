@@ -1,3 +1,5 @@
+//! Section `robustness`: errors on logs that are spoilt on purpose, beside the plain run and the limit that was asked for.
+
 use super::accuracy::plain;
 use super::runs::{Outcome, set};
 use super::{Bench, Table, figure};

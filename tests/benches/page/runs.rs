@@ -1,3 +1,5 @@
+//! Runs of the executable that sections share: takes a log or a simulation and options, gives the report and the errors.
+
 use flockslam::evaluation::{
     Relation, RelationsReport, TruthReport, evaluate_relations, evaluate_truth, parse_relations, parse_tum,
 };

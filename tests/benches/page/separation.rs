@@ -1,3 +1,5 @@
+//! Section `separation`: the same stages over the same scans as six processes and as threads of one process.
+
 use super::runs::{Subject, execute};
 use super::{Bench, Table, hop};
 use flockslam::configuration::Configuration;

@@ -1,3 +1,5 @@
+//! Section `small-computer`: what a Raspberry Pi 3B+ would reach, computed from a run on this machine and two factors.
+
 use super::accuracy::plain;
 use super::machine::copy_gb_per_s;
 use super::{Bench, Table};

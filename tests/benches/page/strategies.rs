@@ -1,3 +1,5 @@
+//! Section `strategies`: error and processor time of each way to match a scan.
+
 use super::accuracy::plain;
 use super::runs::{Errors, Measured, Outcome, set};
 use super::{Bench, Table, figure, greatest, mean};

@@ -1,3 +1,5 @@
+//! Tables of the page.
+
 use std::fmt;
 
 /// A Markdown table.

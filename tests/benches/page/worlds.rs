@@ -1,6 +1,8 @@
+//! Section `worlds`: drives through simulated worlds, and how well covariances agree with errors.
+
 use super::runs::{Errors, Outcome};
 use super::{Bench, Subject, Table, figure, greatest, mean, simulated};
-use crate::support::nees::nees_of_run;
+use flockslam_drives::nees::nees_of_run;
 
 /// A world to drive through several times with different noise.
 struct Drive {

@@ -1,3 +1,5 @@
+//! Fuzz target: the reader of a ROS 1 bag.
+
 #![no_main]
 
 #[path = "../entries.rs"]

@@ -1,3 +1,5 @@
+//! Fuzz target: the reader of a CARMEN log.
+
 #![no_main]
 
 #[path = "../entries.rs"]

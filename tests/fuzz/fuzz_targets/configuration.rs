@@ -1,3 +1,5 @@
+//! Fuzz target: the reader of configurations, descriptions of sets and orders.
+
 #![no_main]
 
 #[path = "../entries.rs"]

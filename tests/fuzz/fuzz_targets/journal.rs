@@ -1,3 +1,5 @@
+//! Fuzz target: the reader of the journal of scans and poses.
+
 #![no_main]
 
 #[path = "../entries.rs"]

@@ -1,3 +1,5 @@
+//! Fuzz target: the reader of the head of a saved map and its journal.
+
 #![no_main]
 
 #[path = "../entries.rs"]

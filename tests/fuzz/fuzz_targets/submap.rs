@@ -1,3 +1,5 @@
+//! Fuzz target: the reader of a stored submap.
+
 #![no_main]
 
 #[path = "../entries.rs"]

@@ -1,3 +1,5 @@
+//! Fuzz target: the reader of a trajectory in TUM format.
+
 #![no_main]
 
 #[path = "../entries.rs"]

@@ -1,3 +1,5 @@
+//! Reads a saved map and says which promises about accepted scans and poses it breaks.
+
 use flockslam::store::SavedMap;
 use flockslam_messages::{PoseEstimate, PoseFlags};
 use flockslam_stage::JournalReader;

@@ -1,3 +1,5 @@
+//! Damaged input: a log with bad beams and bad lines, and repetitions of one drive.
+
 use super::{Seeded, Trial};
 use crate::support::{building, run_well};
 use flockslam::evaluation::{evaluate_truth, parse_tum};

@@ -1,3 +1,5 @@
+//! What the journal adds to the latency of a pose, measured in pairs of drives.
+
 use crate::support::{Outputs, flockslam, live_building, robot};
 use std::path::Path;
 

@@ -1,3 +1,5 @@
+//! Too little processor time: one stage is slowed, or other threads take all processors.
+
 use super::{Evidence, Trial};
 use crate::support::{Drive, LiveSet, PoseWatch, of, wait_for};
 use flockslam::store::SavedMap;

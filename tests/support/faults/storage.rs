@@ -1,3 +1,5 @@
+//! Faults of what is stored: damaged files, a disk that refuses, and the time that the last save takes.
+
 use super::{Seeded, Trial};
 use crate::support::{Drive, LiveSet, PoseWatch, send, wait_for};
 use flockslam::store::{Findings, SavedMap};

@@ -1,13 +1,14 @@
-//! Pictures of worlds that move, for docs/moving-world.md.
+//! Pictures of worlds that move, for docs/moving-world.md: `cargo bench -p flockslam --bench moving_pictures -- $PWD/docs/images`.
 
-use crate::support;
-use crate::support::experiments::{BEARING_SIGMA_RAD, flat, one_mover};
-use crate::support::ndt_system::{PLAIN, run_ndt};
-use crate::support::{UNCLEANED, followed_from_a_stand, montage, panel, picture_of_ways, store_picture};
+#[allow(dead_code, unused_imports, reason = "a benchmark needs a part of what tests share")]
+#[path = "../support/mod.rs"]
+mod support;
+
+use flockslam_drives::experiments::{BEARING_SIGMA_RAD, flat, one_mover};
+use flockslam_drives::followed::followed_from_a_stand;
 use std::path::Path;
-
-/// Where the pictures go.
-const PICTURES: &str = "FLOCKSLAM_PICTURES";
+use support::ndt_system::{PLAIN, run_ndt};
+use support::{UNCLEANED, montage, panel, picture_of_ways, store_picture};
 
 fn experiments(to: &Path) {
     let ways = [&[PLAIN][..], &[]];
@@ -47,31 +48,15 @@ fn people(data: &Path, to: &Path) {
     store_picture(picture, &to.join("moving-people.png"));
 }
 
-/// `FLOCKSLAM_PICTURES=docs/images cargo test --test moving_pictures -- --ignored --nocapture`; the path is seen from `orchestration`,
-/// or absolute.
-#[test]
-#[ignore = "pictures for people"]
-fn pictures_of_worlds_that_move() {
-    let Some(to) = std::env::var_os(PICTURES) else { return };
+fn main() {
+    // Cargo adds an option of its own.
+    let to =
+        std::env::args().skip(1).find(|argument| argument != "--bench").expect("where do the pictures go?");
     let to = Path::new(&to);
     std::fs::create_dir_all(to).unwrap();
     experiments(to);
-    let Some(data) = support::data_dir() else { return };
-    people(&data, to);
-    real_logs(&data, to);
-}
-
-/// In a real hall, from a lidar that stands still: whoever is followed walks, and nobody is followed at rest on the walls.
-#[test]
-fn people_in_a_hall_are_followed_from_a_stand() {
-    let Some(data) = support::data_dir() else { return };
-    let seen = followed_from_a_stand(&data.join("people/leg_tracker_stationary.bag"));
-    let walked = seen.ways.values().filter(|way| {
-        let farthest_m = way.iter().map(|at| at.distance_m(way[0])).fold(0.0, f64::max);
-        farthest_m > 2.0
-    });
-    let walked = walked.count();
-    println!("{} tracks of a second and more, {walked} of them over two metres", seen.ways.len());
-    assert!(walked >= 5, "{walked} of {}", seen.ways.len());
-    assert!(2 * walked >= seen.ways.len(), "{walked} of {}", seen.ways.len());
+    if let Some(data) = support::data_dir() {
+        people(&data, to);
+        real_logs(&data, to);
+    }
 }
