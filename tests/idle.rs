@@ -2,6 +2,7 @@
 
 use crate::support;
 use crate::support::RunningSet;
+use crate::support::share;
 use flockslam_messages::Stage;
 use rustix::process::Signal;
 use std::time::{Duration, Instant};
@@ -25,6 +26,7 @@ fn cpu_s(pid: u32) -> f64 {
 
 #[test]
 fn a_set_whose_pipe_is_silent_uses_under_one_hundredth_of_a_core() {
+    share::alone();
     let directory = tempfile::tempdir().unwrap();
     let args = ["map", "--source", "-"].map(str::to_owned);
     let mut set = RunningSet::start_with_pipe("idle", directory.path(), &args);

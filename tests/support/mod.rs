@@ -20,6 +20,7 @@ mod pictures;
 mod poses;
 mod running;
 pub mod seeds;
+pub mod share;
 pub mod slow_link;
 pub mod source;
 
@@ -36,7 +37,7 @@ pub use not_tested::not_tested;
 pub use outputs::{Outputs, known_truth_error_m, truth_error_m};
 pub use pictures::keep_picture;
 pub use poses::{PoseWatch, SeenPose};
-pub use running::{RunningSet, send};
+pub use running::{RunningSet, send, try_send};
 
 use flockslam_messages::Stage;
 use std::path::{Path, PathBuf};
@@ -66,6 +67,7 @@ pub fn flockslam() -> Command {
 
 /// A name for a process set that no other test and no other run has.
 pub fn robot(test: &str) -> String {
+    share::computes();
     static COUNT: AtomicU32 = AtomicU32::new(0);
     // The last letter keeps one name from being the beginning of another.
     format!("{test}-{}-{}t", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed))

@@ -4,6 +4,7 @@ use super::{Outputs, assert_nothing_left, flockslam, robot, wait_for};
 use flockslam_messages::Stage;
 use flockslam_stage::{ProcessReport, heartbeat_file, metrics_socket, read_reports};
 use flockslam_telemetry::{read_heartbeat, scrape};
+use rustix::io::Errno;
 use rustix::process::{Pid, Signal, kill_process};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
@@ -126,5 +127,16 @@ impl Drop for RunningSet {
 
 /// Sends a signal to a process.
 pub fn send(pid: u32, signal: Signal) {
-    kill_process(Pid::from_raw(pid as i32).unwrap(), signal).unwrap();
+    assert!(try_send(pid, signal), "there is no process {pid}");
+}
+
+/// As [`send`]; whether there was such a process.
+pub fn try_send(pid: u32, signal: Signal) -> bool {
+    match kill_process(Pid::from_raw(pid as i32).unwrap(), signal) {
+        Err(Errno::SRCH) => false,
+        result => {
+            result.unwrap();
+            true
+        }
+    }
 }

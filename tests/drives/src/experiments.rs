@@ -10,6 +10,7 @@ use std::path::Path;
 const BEAMS: usize = 1000;
 const REACH_M: f64 = 12.0;
 const RANGE_SIGMA_M: f64 = 0.002;
+/// Standard deviation of the direction of each beam, radians.
 pub const BEARING_SIGMA_RAD: f64 = 0.0175;
 
 /// A wall between two points, or one of its sides.
@@ -19,7 +20,9 @@ const THICKNESS_M: f64 = 0.12;
 
 /// Scans with the poses that they were taken from.
 pub struct Experiment {
+    /// The scans.
     pub scans: Vec<ScanBuffer>,
+    /// The pose that each was taken from.
     pub truth: Vec<Pose>,
     /// Where somebody stood at each scan.
     pub movers: Vec<Point>,

@@ -83,6 +83,7 @@ impl Robot {
 pub struct SeenFromAStand {
     /// Where each one was at every sighting, by name; those who were followed for a second at least.
     pub ways: BTreeMap<u64, Vec<Point>>,
+    /// Points of what stands.
     pub standing: Vec<Point>,
 }
 
@@ -111,13 +112,15 @@ pub fn followed_from_a_stand(bag: &Path) -> SeenFromAStand {
 #[derive(Debug, Default)]
 pub struct TrackFigures {
     squared_m2: f64,
+    /// Sightings of somebody.
     pub positions: usize,
     speed_errors_m_s: f64,
     speeds: usize,
     /// Tracks in sight that are nobody's.
     pub nobodys: usize,
-    /// How often somebody was hidden for up to a second, and how often the name was the same afterwards.
+    /// How often somebody was hidden for up to a second.
     pub hidden: usize,
+    /// How often the name was the same afterwards.
     pub recognised: usize,
     /// By who it is: the name last given, and when.
     names: BTreeMap<u32, (u64, f64)>,

@@ -75,8 +75,9 @@ pub fn ndt_cost_ms(experiment: &Experiment, settings: &NdtSettings) -> [f64; 3] 
 /// How far off a move between two scans is.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct MoveError {
-    /// Its length, metres, and its turn, degrees: what the published table gives of a move.
+    /// Its length, metres; the published table gives this and the turn.
     pub way_m: f64,
+    /// Its turn, degrees.
     pub turn_deg: f64,
     /// Its end as the pose before sees it, metres: an error of that one's heading counts with the length of the move.
     pub end_m: f64,

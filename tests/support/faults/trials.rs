@@ -2,7 +2,8 @@
 
 use super::{Evidence, Seeded};
 use crate::support::{
-    Drive, LiveSet, PoseWatch, building, known_truth_error_m, of, run_well, send, truth_error_m, wait_for,
+    Drive, LiveSet, PoseWatch, building, known_truth_error_m, of, run_well, send, truth_error_m, try_send,
+    wait_for,
 };
 use flockslam::store::SavedMap;
 use flockslam::supervisor::{SetStatus, StageState};
@@ -333,7 +334,11 @@ pub fn storm(duration_s: f64, seed: u64) -> Trial {
     while begun.elapsed().as_secs_f64() < duration_s {
         let stage = Stage::ALL[random.below(6) as usize];
         let since = Instant::now();
-        send(subject.set.pid(stage), Signal::KILL);
+        if !try_send(subject.set.pid(stage), Signal::KILL) {
+            // It was killed a moment ago, and its successor is on its way.
+            std::thread::sleep(Duration::from_millis(5));
+            continue;
+        }
         trial.runs += 1;
         trial.recoveries_ms.push(subject.poses.back_after_ms(since));
         let pause = Duration::from_millis(250 + random.below(501));
