@@ -1,6 +1,7 @@
 //! Worlds that move: people, doors and pallets leave neither ghosts nor holes in the map that navigation reads, and do not
 //! lead the robot astray.
 
+use crate::support::seeds::alone_and_among_twenty_m;
 use crate::support::{MapFigures, MovingDrive, lively, moving_building};
 use flockslam_lidar_ingest::simulation::Settings;
 
@@ -36,24 +37,28 @@ fn somebody_who_follows_does_not_hold_the_robot_back() {
     }
 }
 
-/// How much farther off twenty people may lead the robot. 1.2 times is wanted; of three drives the mean scatters by half, even when
-/// all beams on people are taken out by the truth: what they hide is hidden.
+/// How much farther off twenty people may lead the robot, on the mean of some drives. 1.2 times is wanted; what people hide is hidden, even
+/// when all beams on them are taken out by the truth.
+///
+/// Over ten seeds (`cargo bench -p flockslam --bench seeds -- people`) the office has 4.9 mm alone and 8.1 mm among people, the basement 22 and
+/// 33 mm; the difference is 0.2 to 10 mm but for two drives of twenty, in the basement, with 33 and 45 mm: seeds 4 and 7.
 fn astray_max_m(alone_m: f64) -> f64 {
-    1.2 * alone_m + 0.015
+    1.2 * alone_m + 0.008
 }
 
+/// Seeds of the drives: one of the two bad ones is among them.
+const SEEDS: std::ops::RangeInclusive<u64> = 1..=4;
+
 #[test]
-fn twenty_people_do_not_lead_the_robot_astray() {
-    for map in [None, moving_building("stata_basement")] {
-        let mean_error_m = |walkers: u32| {
-            let drives = (1..=3).map(|seed| MovingDrive {
-                map: map.clone(),
-                settings: Settings { seed, walkers, ..Settings::default() },
-            });
-            drives.map(|drive| drive.run(&[]).error_m()).sum::<f64>() / 3.0
-        };
-        let (alone_m, among_people_m) = (mean_error_m(0), mean_error_m(20));
-        println!("mean ATE {alone_m:.4} m alone, {among_people_m:.4} m among people");
-        assert!(among_people_m < astray_max_m(alone_m), "{among_people_m} m for {alone_m} m");
+fn twenty_people_lead_the_robot_astray_by_millimetres() {
+    for building in [None, Some("stata_basement")] {
+        let drives: Option<Vec<_>> = SEEDS.map(|seed| alone_and_among_twenty_m(building, seed)).collect();
+        let Some(drives) = drives else { return };
+        let mean = |kind: usize| drives.iter().map(|drive| drive[kind]).sum::<f64>() / drives.len() as f64;
+        let (alone_m, among_people_m) = (mean(0), mean(1));
+        println!(
+            "{building:?}: mean ATE {alone_m:.4} m alone, {among_people_m:.4} m among people: {drives:?}"
+        );
+        assert!(among_people_m < astray_max_m(alone_m), "{among_people_m} m for {alone_m} m: {drives:?}");
     }
 }

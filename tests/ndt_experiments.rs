@@ -2,6 +2,7 @@
 
 use crate::support;
 use crate::support::ndt_system::{PLAIN, run_ndt};
+use crate::support::seeds::flat_worst;
 use flockslam_drives::experiments::{BEARING_SIGMA_RAD, Experiment, flat, one_mover};
 use flockslam_drives::ndt_system::{MoveError, errors};
 use flockslam_geometry::{Point, Pose};
@@ -20,19 +21,48 @@ fn worst(flat: &Experiment) -> MoveError {
     errors.into_iter().fold(MoveError::default(), MoveError::max)
 }
 
+/// What twenty seeds reach with exact bearings: the worst of twelve moves in way, turn and end. Noise of 2 mm in ranges changes little.
+const EXACT: MoveError = MoveError { way_m: 0.0078, turn_deg: 0.12, end_m: 0.0078 };
+/// The same with bearings off by a degree, means and the greatest: after moves of metres a heading that is off by a quarter of a degree
+/// counts for more in the end than the way's own error. Three of twenty drives turn by more than half a degree too much or too
+/// little, where few beams of a corridor fix the heading.
+const NOISY_MEAN: MoveError = MoveError { way_m: 0.0080, turn_deg: 0.42, end_m: 0.0190 };
+const NOISY_WORST: MoveError = MoveError { way_m: 0.0095, turn_deg: 0.78, end_m: 0.0364 };
+const SEEDS: u64 = 20;
+
+/// At most a tenth more than before.
+fn assert_within(found: MoveError, before: MoveError) {
+    let within = |found: f64, before: f64| found <= 1.1 * before;
+    assert!(within(found.way_m, before.way_m), "{found:?}, {before:?} before");
+    assert!(within(found.turn_deg, before.turn_deg), "{found:?}, {before:?} before");
+    assert!(within(found.end_m, before.end_m), "{found:?}, {before:?} before");
+}
+
 #[test]
 fn thirteen_scans_in_a_flat_are_matched_from_the_odometry_guess() {
-    let worst = worst(&flat(0.0));
-    assert!(worst.end_m < 0.010 && worst.turn_deg < 0.5, "{worst:?}");
+    assert_within(worst(&flat(0.0)), EXACT);
+}
+
+#[test]
+fn the_flat_is_matched_as_well_with_other_noise() {
+    let all = (1..=SEEDS).map(|seed| flat_worst(0.0, seed));
+    assert_within(all.fold(MoveError::default(), MoveError::max), EXACT);
 }
 
 /// Each beam for itself points elsewhere by a degree: at eight metres, walls of a corridor are a band 28 cm wide.
 #[test]
 fn beams_that_point_elsewhere_by_a_degree_do_not_lead_astray() {
-    let worst = worst(&flat(BEARING_SIGMA_RAD));
-    assert!(worst.way_m < 0.010 && worst.turn_deg < 0.5, "{worst:?}");
-    // After moves of metres a heading that is off by a quarter of a degree counts for more than this.
-    assert!(worst.end_m < 0.025, "{worst:?}");
+    assert_within(worst(&flat(BEARING_SIGMA_RAD)), NOISY_WORST);
+    let all: Vec<MoveError> = (1..=SEEDS).map(|seed| flat_worst(BEARING_SIGMA_RAD, seed)).collect();
+    let mean = |value: fn(&MoveError) -> f64| all.iter().map(value).sum::<f64>() / all.len() as f64;
+    let means = MoveError {
+        way_m: mean(|error| error.way_m),
+        turn_deg: mean(|error| error.turn_deg),
+        end_m: mean(|error| error.end_m),
+    };
+    println!("means of {SEEDS} seeds: {means:?}");
+    assert_within(means, NOISY_MEAN);
+    assert_within(all.into_iter().fold(MoveError::default(), MoveError::max), NOISY_WORST);
 }
 
 /// Occupied cells where somebody was, but is not at the last of `count` scans.

@@ -30,8 +30,10 @@ struct Drive {
 }
 
 fn main() {
-    let robots: usize =
-        std::env::args().skip(1).find(|argument| argument != "--bench").map_or(10, |robots| robots.parse().expect("a number of robots"));
+    let robots: usize = std::env::args()
+        .skip(1)
+        .find(|argument| argument != "--bench")
+        .map_or(10, |robots| robots.parse().expect("a number of robots"));
     let drives: Vec<Drive> = (0..DRIVES.min(robots)).map(drive).collect();
     let limits = Limits { robots_max: robots + 1, ..Limits::default() };
     let mut flock = Flock::new(key(0), 1, Settings::default(), limits);
