@@ -20,7 +20,7 @@ const COVERED_SHARE: f64 = 0.98;
 /// moves them, and retire when newer ones know all that they know.
 ///
 /// It holds no submaps: it says which it needs, and is handed them. What it does depends on these calls alone, and the map after
-/// [`Fusion::settle`] of every submap is the sum over them at these poses, to the bit, whatever came before.
+/// the [`Fusion::last_steps`] is the sum over them at these poses, to the bit, whatever came before.
 #[derive(Debug)]
 pub struct Fusion {
     map: Option<FusedMap>,

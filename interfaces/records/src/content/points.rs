@@ -12,7 +12,7 @@ const SIZES: usize = 20;
 /// Bits of a difference that are learned, the highest first; lower ones are noise.
 const LEARNED: usize = 2;
 
-/// A point as it is sent: coordinates in millimetres, multiples of [`POINT_UNIT_MM`].
+/// A point as it is sent: coordinates in millimetres, multiples of `POINT_UNIT_MM`.
 pub fn rounded([x_mm, y_mm]: [i16; 2]) -> [i16; 2] {
     [x_mm, y_mm].map(|value| in_units(value) as i16 * POINT_UNIT_MM)
 }
