@@ -9,20 +9,17 @@ use std::path::Path;
 /// A tenth more than what was reached with the same settings and start heading is a regression.
 const TOLERANCE: f64 = 1.1;
 
-/// What logs are put to, and the mean error over all relations that each reaches then, metres.
+/// What logs are put to, and the mean error over all relations that each reaches then, metres. Intel, the longest, goes through all
+/// of it on the benchmark page.
 type Hardship = (&'static [&'static str], &'static [(Log, f64)]);
 
 const AS_IT_IS: Hardship = (&[], &[(INTEL, 0.0127), (FR079, 0.0298), (ACES, 0.0333)]);
-const JUMPS: Hardship = (
-    &["lidar_ingest.odometry_jumps=5", "lidar_ingest.seed=7"],
-    &[(INTEL, 0.0127), (FR079, 0.0298), (ACES, 0.0333)],
-);
-// Intel takes a minute with these: the benchmark page has it.
+const JUMPS: Hardship =
+    (&["lidar_ingest.odometry_jumps=5", "lidar_ingest.seed=7"], &[(FR079, 0.0298), (ACES, 0.0333)]);
 const FALSE_BEAMS: Hardship = (&["lidar_ingest.beam_noise_share=0.2"], &[(FR079, 0.0302), (ACES, 0.0350)]);
-const MISSING_SCANS: Hardship =
-    (&["lidar_ingest.keep_every=2"], &[(INTEL, 0.0133), (FR079, 0.0306), (ACES, 0.0340)]);
+const MISSING_SCANS: Hardship = (&["lidar_ingest.keep_every=2"], &[(FR079, 0.0306), (ACES, 0.0340)]);
 const POOR_WHEELS: Hardship =
-    (&["lidar_ingest.odometry_noise=[0.02, 1.0]"], &[(INTEL, 0.0127), (FR079, 0.0302), (ACES, 0.0339)]);
+    (&["lidar_ingest.odometry_noise=[0.02, 1.0]"], &[(FR079, 0.0302), (ACES, 0.0339)]);
 
 /// Where a log is cut, so that the robot is carried from before the first scan to the second, and the mean error then, metres.
 const CUTS: [(Log, (usize, usize), f64); 3] =

@@ -1,12 +1,18 @@
 //! A set that was started by `flockslam up`: orders, status, end, and a start after its supervisor was killed.
 
-use super::{Outputs, assert_nothing_left, flockslam, processes_of, robot, send, stderr, wait_for};
+use super::{
+    Outputs, assert_nothing_left, flockslam, processes_of, robot, send, stderr, wait_for, wait_for_every,
+};
 use flockslam::supervisor::{Reply, Request, SetStatus, StageStatus, ask};
 use flockslam_bus::RuntimeDir;
 use flockslam_messages::Stage;
 use rustix::process::Signal;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
+use std::time::Duration;
+
+/// The supervisor works for each answer.
+const STATUS_EVERY: Duration = Duration::from_millis(20);
 
 /// A process set started by `flockslam up`, in a directory of its own.
 pub struct LiveSet {
@@ -118,7 +124,7 @@ impl LiveSet {
 
     /// Waits until the set is as asked for.
     pub fn wait_until(&mut self, what: &str, is: impl Fn(&SetStatus) -> bool) -> SetStatus {
-        wait_for(what, || {
+        wait_for_every(STATUS_EVERY, what, || {
             let ended = self.child.try_wait().unwrap();
             assert!(ended.is_none(), "{what}: the set has ended: {ended:?}");
             self.status().filter(&is)

@@ -121,14 +121,19 @@ pub fn processes_of(robot: &str) -> Vec<u32> {
 }
 
 /// Looks until there is something to see.
-pub fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+pub fn wait_for<T>(what: &str, look: impl FnMut() -> Option<T>) -> T {
+    wait_for_every(Duration::from_millis(2), what, look)
+}
+
+/// As [`wait_for`], with so long a pause between two looks: who looks all the time takes the processor from what is waited for.
+pub fn wait_for_every<T>(pause: Duration, what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     let deadline = Instant::now() + LIMIT;
     loop {
         if let Some(seen) = look() {
             return seen;
         }
         assert!(Instant::now() < deadline, "{what}: not within {} s", LIMIT.as_secs());
-        std::thread::sleep(Duration::from_millis(2));
+        std::thread::sleep(pause);
     }
 }
 
