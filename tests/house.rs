@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Crates that others may import, lowest layer first; an import goes to a lower layer only.
-const LIBRARIES: [(&str, u32); 12] = [
+const LIBRARIES: [(&str, u32); 14] = [
     ("geometry", 0),
     ("evidence", 1),
     ("messages", 2),
@@ -20,6 +20,8 @@ const LIBRARIES: [(&str, u32); 12] = [
     ("registration", 4),
     ("sight", 4),
     ("stage", 4),
+    ("random", 0),
+    ("simulation", 4),
     ("page", 5),
     // For tests alone.
     ("drives", 6),

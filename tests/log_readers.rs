@@ -4,9 +4,9 @@ use crate::support::data_dir;
 use flockslam_geometry::Pose;
 use flockslam_lidar_ingest::Settings;
 use flockslam_lidar_ingest::carmen::{CarmenReader, Tally};
-use flockslam_lidar_ingest::simulation::{ImageWorld, Settings as SimulationSettings, Simulation, World};
 use flockslam_lidar_ingest::stamp::StampText;
 use flockslam_messages::ScanBuffer;
+use flockslam_simulation::{ImageWorld, Settings as SimulationSettings, Simulation, World};
 use std::time::Instant;
 
 fn data(name: &str) -> Option<Vec<u8>> {

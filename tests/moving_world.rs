@@ -3,7 +3,7 @@
 
 use crate::support::seeds::alone_and_among_twenty_m;
 use crate::support::{MapFigures, MovingDrive, lively, moving_building};
-use flockslam_lidar_ingest::simulation::Settings;
+use flockslam_simulation::Settings;
 
 /// What is asked: cells kept, cells removed, and their harmonic mean, percent.
 const ASKED: (f64, f64, f64) = (99.5, 95.0, 97.0);

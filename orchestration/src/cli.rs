@@ -424,6 +424,7 @@ pub fn abort_on_panic() {
     let report = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
         report(panic);
+        tracing::error!(%panic, "a broken assumption");
         std::process::abort();
     }));
 }

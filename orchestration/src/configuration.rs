@@ -33,7 +33,7 @@ pub struct Configuration {
     /// Reading a source, and experiments on it.
     pub lidar_ingest: flockslam_lidar_ingest::Settings,
     /// The simulated building.
-    pub simulation: flockslam_lidar_ingest::simulation::Settings,
+    pub simulation: flockslam_simulation::Settings,
     /// Which scans are processed.
     pub correlation_filter: flockslam_correlation_filter::Settings,
     /// How a scan is fitted to the grid.

@@ -1,8 +1,8 @@
 //! Logs that the simulation writes, for tests that need a file.
 
 use flockslam_lidar_ingest::carmen::write_scan;
-use flockslam_lidar_ingest::simulation::{Settings, Simulation, World};
 use flockslam_messages::ScanBuffer;
+use flockslam_simulation::{Settings, Simulation, World};
 
 /// A CARMEN log of the simulated building: one ROBOTLASER1 line a scan, ten scans a second.
 pub fn simulated_log(duration_s: f64) -> String {

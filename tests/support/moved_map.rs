@@ -3,7 +3,7 @@
 use super::Outputs;
 use flockslam_evidence::CellIndex;
 use flockslam_geometry::{Point, Pose};
-use flockslam_lidar_ingest::simulation::{CellTruth, GroundTruth};
+use flockslam_simulation::{CellTruth, GroundTruth};
 use std::fmt;
 
 /// What stands may be shown so many cells beside its place: ranges have errors.

@@ -2,7 +2,7 @@
 
 use super::{MapFigures, Outputs, data_dir, run_well, truth_error_m};
 use flockslam_lidar_ingest::process::read_world;
-use flockslam_lidar_ingest::simulation::{GroundTruth, Settings, World};
+use flockslam_simulation::{GroundTruth, Settings, World};
 use std::path::PathBuf;
 
 /// Side of a cell of the map, metres.

@@ -3,8 +3,8 @@
 use super::CommandError;
 use flockslam_bus::RuntimeDir;
 use flockslam_geometry::{Point, Pose};
-use flockslam_lidar_ingest::simulation::{Settings, Simulation, World};
 use flockslam_messages::{ScanBuffer, Stage};
+use flockslam_simulation::{Settings, Simulation, World};
 use flockslam_stage::{FlockStatus, heartbeat_file};
 use flockslam_telemetry::read_heartbeat;
 use std::os::unix::net::UnixDatagram;

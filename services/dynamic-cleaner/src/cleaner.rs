@@ -14,7 +14,7 @@ use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{
     ClearedCell, Deskew, JudgedCell, MarksHeader, PoseEstimate, PoseFlags, Quality, ScanId, ScanView, Track,
 };
-use flockslam_sight::{Finding, Margins, Sight, View};
+use flockslam_visibility::{Finding, Margins, Sight, View};
 use std::ops::Deref;
 
 /// Cells that one scan may look through; more than these wait for the next scan.

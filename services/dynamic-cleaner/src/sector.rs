@@ -1,7 +1,7 @@
 //! Sectors of the circle around the lidar, as numbers (`Sector`) and at a place (`Wedge`). Each point lies in exactly one.
 
 use flockslam_geometry::{Point, Pose};
-use flockslam_sight::Directions;
+use flockslam_visibility::Directions;
 use std::f64::consts::TAU;
 
 /// One of several equal sectors of the circle around the lidar: the share of one replica of the cleaner.

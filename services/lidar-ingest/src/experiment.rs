@@ -1,9 +1,9 @@
 //! Switches that make a log harder in a repeatable way.
 
 use crate::Settings;
-use crate::random::Random;
 use flockslam_geometry::Pose;
 use flockslam_messages::ScanBuffer;
+use flockslam_random::Random;
 use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Largest distance that odometry jumps within one scan, metres.

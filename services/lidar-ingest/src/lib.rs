@@ -8,9 +8,7 @@ pub mod carmen;
 mod continuity;
 pub mod experiment;
 pub mod process;
-mod random;
 mod settings;
-pub mod simulation;
 pub mod stamp;
 
 pub use settings::Settings;

@@ -9,7 +9,7 @@ mod pipe;
 mod truth;
 mod world_file;
 
-use crate::{Settings, simulation};
+use crate::Settings;
 use cursor::Cursor;
 use feed::{Fed, Feed};
 
@@ -50,7 +50,7 @@ pub struct Task {
     /// Settings of the stage.
     pub settings: Settings,
     /// Settings of the simulated world.
-    pub simulation: simulation::Settings,
+    pub simulation: flockslam_simulation::Settings,
     /// The YAML file of a map (nav2 conventions) to simulate in, in place of a built-in world.
     pub world: Option<PathBuf>,
 }

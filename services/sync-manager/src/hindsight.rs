@@ -5,7 +5,7 @@ use crate::rays::Rays;
 use flockslam_evidence::{CellIndex, FusedMap, TILE_SIDE, TileKey, floor};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{Deskew, ScanView};
-use flockslam_sight::{Finding, Margins, Sight, View};
+use flockslam_visibility::{Finding, Margins, Sight, View};
 use std::collections::BTreeMap;
 
 /// Cells farther from the lidar are not judged, metres: beams are too far apart there.

@@ -151,7 +151,10 @@ impl SyncManager {
 
     /// Takes the published pose of a scan. Every scan's, in order of arrival.
     pub fn pose(&mut self, pose: &PoseEstimate) {
-        self.records.push(Record::new(pose));
+        let mut record = Record::new(pose);
+        // Chains only follow each other. A front end that has forgotten its own says one of before.
+        record.strand = self.records.last().map_or(0, |last| last.strand).max(record.strand);
+        self.records.push(record);
     }
 
     /// Takes a scan whose pose has just been given. Inserted scans may become nodes of the graph; any matched

@@ -9,9 +9,9 @@ use flockslam_drives::ndt_system::{MoveError, ndt_cost_ms, ndt_errors};
 use flockslam_dynamic_cleaner::{DynamicCleaner, Sector};
 use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::Covariance;
-use flockslam_lidar_ingest::simulation::{Settings, Simulation, World};
 use flockslam_mapper::Mapper;
 use flockslam_messages::{PoseEstimate, PoseFlags, ScanBuffer};
+use flockslam_simulation::{Settings, Simulation, World};
 use std::path::Path;
 use std::time::Instant;
 

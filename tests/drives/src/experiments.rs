@@ -3,6 +3,7 @@
 use flockslam_geometry::{Point, Pose};
 use flockslam_lidar_ingest::carmen::write_scan;
 use flockslam_messages::ScanBuffer;
+use flockslam_random::Random;
 use std::f64::consts::TAU;
 use std::path::Path;
 
@@ -105,22 +106,6 @@ const CORRIDOR: [Wall; 26] = [
 const DOOR: Wall = [9.5, -1.0, 10.6, -1.0];
 const DOOR_CLOSES: usize = 7;
 
-/// Small seeded noise (SplitMix64, Steele, Lea and Flood 2014).
-struct Noise(u64);
-
-impl Noise {
-    fn share(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mixed = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((mixed ^ (mixed >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    fn normal(&mut self) -> f64 {
-        (-2.0 * (1.0 - self.share()).ln()).sqrt() * (TAU * self.share()).cos()
-    }
-}
-
 /// Distance from a point to the first wall or person in a direction.
 fn cast(walls: &[Wall], people: &[Point], from: Point, angle_rad: f64) -> f64 {
     let (sin, cos) = angle_rad.sin_cos();
@@ -150,7 +135,7 @@ fn scan(
     pose: Pose,
     odometry: Pose,
     bearing_sigma_rad: f64,
-    noise: &mut Noise,
+    noise: &mut Random,
 ) -> ScanBuffer {
     let step = TAU / BEAMS as f64;
     let ranges: Vec<f32> = (0..BEAMS)
@@ -204,7 +189,7 @@ pub fn flat_seeded(bearing_sigma_rad: f64, seed: u64) -> Experiment {
     let open: Vec<Wall> = ROOM.into_iter().chain(CORRIDOR.map(along_corridor)).flat_map(thick).collect();
     let closed: Vec<Wall> = open.iter().copied().chain(thick(along_corridor(DOOR))).collect();
     let movers: Vec<Point> = truth.iter().map(|pose| pose.apply(Point::new(-0.9, 0.3))).collect();
-    let mut noise = Noise(seed);
+    let mut noise = Random::seeded(seed);
     let scans = (0..truth.len()).map(|i| {
         let walls = if i >= DOOR_CLOSES { &closed } else { &open };
         scan(i as u64, (walls, &movers[i..=i]), truth[i], odometry[i], bearing_sigma_rad, &mut noise)
@@ -235,7 +220,7 @@ pub fn one_mover() -> Experiment {
     let truth = truth.map(|(x, y, heading)| Pose::new(x, y, heading)).to_vec();
     let movers: Vec<Point> =
         (0..8).map(|i| Point::new(4.0 - 0.7 * f64::from(i), 2.5 - 0.1 * f64::from(i))).collect();
-    let mut noise = Noise(8);
+    let mut noise = Random::seeded(8);
     let scans = truth.iter().enumerate().map(|(i, pose)| {
         scan(i as u64, (&room, &movers[i..=i]), *pose, *pose, BEARING_SIGMA_RAD, &mut noise)
     });

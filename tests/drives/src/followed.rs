@@ -4,9 +4,9 @@ use flockslam_dynamic_cleaner::DynamicCleaner;
 use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::{Covariance, Point, Pose, Twist};
 use flockslam_lidar_ingest::process::BagReader;
-use flockslam_lidar_ingest::simulation::{MoverTruth, Settings, Simulation, World};
 use flockslam_mapper::Mapper;
 use flockslam_messages::{PoseEstimate, PoseFlags, ScanBuffer, ScanView, Track};
+use flockslam_simulation::{MoverTruth, Settings, Simulation, World};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 

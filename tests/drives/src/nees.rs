@@ -2,10 +2,10 @@
 
 use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::{Pose, wrap_angle};
-use flockslam_lidar_ingest::simulation::{Settings, Simulation, World, WorldName};
 use flockslam_mapper::Mapper;
 use flockslam_messages::{Commit, PoseEstimate, PoseFlags, ScanBuffer, ScanView, Verdict};
 use flockslam_scan_matcher::ScanMatcher;
+use flockslam_simulation::{Settings, Simulation, World, WorldName};
 use nalgebra::{Matrix3, Vector3};
 
 /// Seeds of these drives alone: nothing was fitted to them.

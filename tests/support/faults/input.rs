@@ -4,8 +4,8 @@ use super::{Seeded, Trial};
 use crate::support::{building, run_well};
 use flockslam::evaluation::{evaluate_truth, parse_tum};
 use flockslam_lidar_ingest::carmen::write_scan;
-use flockslam_lidar_ingest::simulation::{Settings, Simulation, World};
 use flockslam_messages::ScanBuffer;
+use flockslam_simulation::{Settings, Simulation, World};
 use std::fmt::Write;
 use std::fs;
 

@@ -9,6 +9,7 @@ mod storage;
 mod trials;
 
 pub use evidence::Evidence;
+use flockslam_random::Random;
 pub use input::{corrupt_scans, repetitions};
 pub use journal_cost::JournalCost;
 pub use overload::{Overload, overload};
@@ -19,20 +20,16 @@ pub use trials::{
     storm, too_much_is_left,
 };
 
-/// A small generator of seeded random numbers (splitmix64): the same seed, the same faults.
-pub struct Seeded(u64);
+/// Seeded random numbers: the same seed, the same faults.
+pub struct Seeded(Random);
 
 impl Seeded {
     pub fn new(seed: u64) -> Self {
-        Self(seed)
+        Self(Random::seeded(seed))
     }
 
     /// A number below `limit`.
     pub fn below(&mut self, limit: u64) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (z ^ (z >> 31)) % limit
+        self.0.next_u64() % limit
     }
 }

@@ -1,6 +1,6 @@
 //! Reads a nav2 map (YAML and picture) as a world to simulate in.
 
-use crate::simulation::{ImageWorld, World};
+use flockslam_simulation::{ImageWorld, World};
 use flockslam_stage::StageError;
 use std::path::Path;
 

@@ -236,3 +236,21 @@ fn scans_without_points_and_an_empty_run_do_no_harm() {
     assert!(worst_error_m(&solution, &odom) < 1e-6, "without points the front end's path stands");
     assert_eq!(SyncManager::new(Settings::default()).finish(), Solution::default());
 }
+
+#[test]
+fn a_chain_that_runs_back_counts_as_the_newest() {
+    let (ring, mut manager, mut noise) = (Building::ring(), SyncManager::new(Settings::default()), Noise(7));
+    let mut pose = PoseEstimate { flags: PoseFlags::MATCHED | PoseFlags::INSERT, ..PoseEstimate::default() };
+    for (k, chain) in [0, 0, 1, 1, 0, 0].into_iter().enumerate() {
+        pose.id.sequence = k as u64;
+        pose.chain = chain;
+        pose.odom_from_base = Pose::new(0.3 * k as f64, 0.0, 0.0);
+        manager.pose(&pose);
+        manager.node(ring.scan(pose.odom_from_base, &mut noise).view().unwrap(), &pose, &[]);
+        assert_eq!(
+            manager.submap_closed(&SubmapClosed { last: pose.id, ..SubmapClosed::default() }).chain,
+            [0, 0, 1, 1, 1, 1][k]
+        );
+    }
+    assert_eq!(manager.finish().trajectory.len(), 6);
+}

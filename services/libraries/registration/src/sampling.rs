@@ -1,0 +1,194 @@
+//! The matchers of vinySLAM: random search and hill climbing on the score of single cells.
+
+use crate::field::{ScoreField, ScoreRead, nearest};
+use flockslam_evidence::Level;
+use flockslam_geometry::{Point, Pose};
+use flockslam_random::Random;
+use serde::{Deserialize, Serialize};
+
+/// Settings of the random search [Filatov, "Monte Carlo method in scan matching"].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MonteCarlo {
+    /// Standard deviation of the first samples' position, metres.
+    pub sigma_xy_m: f64,
+    /// Standard deviation of the first samples' heading, radians.
+    pub sigma_heading_rad: f64,
+    /// Failures since the last shrink after which the search stops.
+    pub failures_max: u32,
+    /// Poses tried at most.
+    pub poses_max: u32,
+}
+
+impl Default for MonteCarlo {
+    fn default() -> Self {
+        Self { sigma_xy_m: 0.2, sigma_heading_rad: 0.1, failures_max: 20, poses_max: 100 }
+    }
+}
+
+/// Settings of the deterministic search by steps along each axis, halved after a round without success.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct HillClimbing {
+    /// First step of the position, metres.
+    pub step_xy_m: f64,
+    /// First step of the heading, radians.
+    pub step_heading_rad: f64,
+    /// Rounds without success after which the search stops.
+    pub failed_rounds_max: u32,
+}
+
+impl Default for HillClimbing {
+    fn default() -> Self {
+        Self { step_xy_m: 0.1, step_heading_rad: 0.1, failed_rounds_max: 6 }
+    }
+}
+
+/// Rounds of hill climbing at most, whatever the field looks like.
+const ROUNDS_MAX: u32 = 1000;
+
+/// vinySLAM's weight of a beam: `sqrt(range) · (3 if |cos a| > .9; 2 if > .8; else |sin a| + |cos a|)` with `a` the
+/// direction of the point from the robot.
+pub fn beam_weight(point: Point) -> f64 {
+    let range = point.norm_m();
+    if range == 0.0 {
+        return 0.0;
+    }
+    let (cos, sin) = ((point.x_m / range).abs(), (point.y_m / range).abs());
+    let direction = if cos > 0.9 {
+        3.0
+    } else if cos > 0.8 {
+        2.0
+    } else {
+        sin + cos
+    };
+    range.sqrt() * direction
+}
+
+/// Mean score of the cells that the points fall into, weighted.
+fn weighted_score<F: ScoreField>(field: &F, points: &[Point], weights: &[f64], pose: Pose) -> f64 {
+    let mut read = field.reader(Level::Full);
+    let per_metre = 1.0 / read.cell_size_m();
+    let (sin, cos) = pose.heading_rad.sin_cos();
+    let (mut sum, mut total) = (0.0, 0.0);
+    for (point, weight) in points.iter().zip(weights) {
+        let x = cos * point.x_m - sin * point.y_m + pose.x_m;
+        let y = sin * point.x_m + cos * point.y_m + pose.y_m;
+        sum += weight * nearest(&mut read, per_metre, x, y);
+        total += weight;
+    }
+    if total > 0.0 { sum / total } else { 0.0 }
+}
+
+impl MonteCarlo {
+    /// Searches around `start`; `seed` fixes the samples. Gives the best pose and its score.
+    pub fn search<F: ScoreField>(
+        &self,
+        field: &F,
+        points: &[Point],
+        weights: &[f64],
+        start: Pose,
+        seed: u64,
+    ) -> (Pose, f64) {
+        let mut random = Random::seeded(seed);
+        let (mut best, mut best_score) = (start, weighted_score(field, points, weights, start));
+        let (mut sigma_xy, mut sigma_heading) = (self.sigma_xy_m, self.sigma_heading_rad);
+        let mut failures = 0;
+        for _ in 0..self.poses_max {
+            let (dx, dy) = random.normal_pair();
+            let (turn, _) = random.normal_pair();
+            let pose = Pose::new(
+                best.x_m + sigma_xy * dx,
+                best.y_m + sigma_xy * dy,
+                best.heading_rad + sigma_heading * turn,
+            );
+            let score = weighted_score(field, points, weights, pose);
+            if score > best_score {
+                (best, best_score) = (pose, score);
+                if failures > self.failures_max / 3 {
+                    (sigma_xy, sigma_heading, failures) = (0.5 * sigma_xy, 0.5 * sigma_heading, 0);
+                }
+            } else {
+                failures += 1;
+                if failures >= self.failures_max {
+                    break;
+                }
+            }
+        }
+        (best, best_score)
+    }
+}
+
+impl HillClimbing {
+    /// Climbs from `start`. Gives the best pose and its score.
+    pub fn search<F: ScoreField>(
+        &self,
+        field: &F,
+        points: &[Point],
+        weights: &[f64],
+        start: Pose,
+    ) -> (Pose, f64) {
+        let (mut best, mut best_score) = (start, weighted_score(field, points, weights, start));
+        let (mut step, mut turn, mut failed) = (self.step_xy_m, self.step_heading_rad, 0);
+        for _ in 0..ROUNDS_MAX {
+            if failed >= self.failed_rounds_max {
+                break;
+            }
+            let before = best_score;
+            for (dx, dy, dt) in [
+                (step, 0.0, 0.0),
+                (-step, 0.0, 0.0),
+                (0.0, step, 0.0),
+                (0.0, -step, 0.0),
+                (0.0, 0.0, turn),
+                (0.0, 0.0, -turn),
+            ] {
+                let pose = Pose::new(best.x_m + dx, best.y_m + dy, best.heading_rad + dt);
+                let score = weighted_score(field, points, weights, pose);
+                if score > best_score {
+                    (best, best_score) = (pose, score);
+                }
+            }
+            if best_score <= before {
+                (step, turn, failed) = (0.5 * step, 0.5 * turn, failed + 1);
+            }
+        }
+        (best, best_score)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::room;
+
+    #[test]
+    fn climbing_improves_the_guess_sampling_mostly_does_and_both_repeat_themselves() {
+        let grid = room::grid(&room::ROOM);
+        let truth = Pose::new(0.4, -0.3, 0.7);
+        let points = room::scan(truth);
+        let weights: Vec<f64> = points.iter().map(|point| beam_weight(*point)).collect();
+        let start = Pose::new(0.5, -0.35, 0.75);
+        let before = weighted_score(&room::field(&grid), &points, &weights, start);
+        let climb = || HillClimbing::default().search(&room::field(&grid), &points, &weights, start);
+        let sample = |seed| MonteCarlo::default().search(&room::field(&grid), &points, &weights, start, seed);
+        assert!(climb().1 > 2.0 * before && climb().0.distance_m(truth) < 0.05);
+        let mut improved = 0;
+        for seed in 0..16 {
+            let found = sample(seed);
+            assert_eq!(found, sample(seed), "seed {seed}");
+            assert!(found.1 >= before, "seed {seed}: {found:?}");
+            improved += u32::from(found.1 > before);
+        }
+        assert!(improved >= 8, "{improved} of 16 seeds");
+        assert_eq!(climb(), climb());
+        assert_ne!(sample(7), sample(8));
+    }
+
+    #[test]
+    fn beams_ahead_and_behind_weigh_most() {
+        assert_eq!(beam_weight(Point::new(4.0, 0.0)), 6.0);
+        assert_eq!(beam_weight(Point::new(-3.4, 2.1)), 2.0 * 3.4f64.hypot(2.1).sqrt());
+        assert_eq!((beam_weight(Point::new(0.0, 9.0)), beam_weight(Point::new(0.0, 0.0))), (3.0, 0.0));
+    }
+}

@@ -1,0 +1,131 @@
+//! The simulated lidar: casts the beams of a scan and adds the errors of a real sensor.
+
+use super::drive::Turn;
+use super::dynamics::Dynamics;
+use super::{BeamLabel, Settings, World};
+use flockslam_geometry::{Point, Pose};
+use flockslam_messages::{ScanBuffer, ScanHeader};
+use flockslam_random::Random;
+use std::f64::consts::TAU;
+
+/// Neighbouring beams whose ranges differ by more than this have an edge between them, metres.
+const EDGE_M: f64 = 0.2;
+
+/// A rotating lidar with the errors of real ones.
+#[derive(Clone, Debug)]
+pub(super) struct Lidar {
+    settings: Settings,
+    mount: Pose,
+    angle_min_rad: f64,
+    angle_increment_rad: f64,
+    /// Seconds from beam to beam.
+    time_increment_s: f32,
+    random: Random,
+    /// True ranges of the scan at hand, infinite where nothing is in reach.
+    ranges_m: Vec<f64>,
+    /// What each beam of the scan at hand ended on.
+    labels: Vec<BeamLabel>,
+}
+
+impl Lidar {
+    /// A lidar that turns once in `period_s` seconds.
+    pub(super) fn new(settings: &Settings, period_s: f64) -> Self {
+        let field_rad = settings.field_of_view_deg.clamp(0.0, 360.0).to_radians();
+        let beams = f64::from(settings.beams);
+        // A full circle has no beam twice; a narrower field has one at both of its ends.
+        let steps = if settings.field_of_view_deg >= 360.0 { beams } else { (beams - 1.0).max(1.0) };
+        let angle_increment_rad = field_rad / steps;
+        let [x_m, y_m, heading_rad] = settings.laser_mount;
+        Self {
+            settings: settings.clone(),
+            mount: Pose::new(x_m, y_m, heading_rad),
+            angle_min_rad: -field_rad / 2.0,
+            angle_increment_rad,
+            time_increment_s: (period_s * angle_increment_rad / TAU) as f32,
+            random: Random::new(settings.seed, "lidar"),
+            ranges_m: Vec::with_capacity(settings.beams as usize),
+            labels: Vec::with_capacity(settings.beams as usize),
+        }
+    }
+
+    /// Takes a scan during a turn. Its name, times and odometry are left to the caller.
+    pub(super) fn take(&mut self, world: &World, dynamics: &Dynamics, turn: &Turn, scan: &mut ScanBuffer) {
+        scan.header = ScanHeader {
+            base_from_laser: self.mount,
+            angle_min_rad: self.angle_min_rad,
+            angle_increment_rad: self.angle_increment_rad,
+            range_min_m: self.settings.range_min_m,
+            range_max_m: self.settings.range_max_m,
+            time_increment_s: self.time_increment_s,
+            beam_count: self.settings.beams,
+            ..ScanHeader::default()
+        };
+        self.cast_all(world, dynamics, turn);
+        scan.numbers.clear();
+        for beam in 0..self.ranges_m.len() {
+            let range = self.measure(beam);
+            scan.numbers.push(range);
+        }
+    }
+
+    /// Its pose on the robot, `base_from_laser`.
+    pub(super) fn mount(&self) -> Pose {
+        self.mount
+    }
+
+    /// What each beam of the last scan ended on.
+    pub(super) fn labels(&self) -> &[BeamLabel] {
+        &self.labels
+    }
+
+    fn cast_all(&mut self, world: &World, dynamics: &Dynamics, turn: &Turn) {
+        self.ranges_m.clear();
+        self.labels.clear();
+        for beam in 0..self.settings.beams {
+            let seconds = f64::from(beam) * f64::from(self.time_increment_s);
+            let laser = turn.pose_after(seconds) * self.mount;
+            let direction_rad =
+                laser.heading_rad + self.angle_min_rad + f64::from(beam) * self.angle_increment_rad;
+            let (sin, cos) = direction_rad.sin_cos();
+            // A little farther than the lidar reaches, so that edges there look like all others.
+            let reach_m = f64::from(self.settings.range_max_m) + 1.0;
+            let (from, direction) = (laser.position(), Point::new(cos, sin));
+            let wall = world.cast(from, direction, reach_m).unwrap_or(f64::INFINITY);
+            let other = dynamics.cast(from, direction, seconds).filter(|(range_m, _)| *range_m < wall);
+            let (range_m, label) = other.unwrap_or((wall, BeamLabel::Static));
+            self.ranges_m.push(range_m);
+            self.labels.push(label);
+        }
+    }
+
+    /// The range that the lidar gives for a beam: metres, or an infinity as REP-117 has it.
+    fn measure(&mut self, beam: usize) -> f32 {
+        let mut true_m = self.ranges_m[beam];
+        let next = (beam + 1) % self.ranges_m.len();
+        let next_m = self.ranges_m[next];
+        let at_edge = next_m.is_finite() && (true_m - next_m).abs() > EDGE_M;
+        if at_edge && true_m.is_finite() && self.random.happens(self.settings.mixed_pixel_share) {
+            true_m += self.random.share() * (next_m - true_m);
+            // The last beam's neighbour is the first, whose range may have been lost.
+            self.labels[beam] = self.labels[beam].max(self.labels[next]);
+        }
+        let range = self.returned(true_m);
+        if !range.is_finite() {
+            self.labels[beam] = BeamLabel::NoReturn;
+        }
+        range
+    }
+
+    /// What the lidar makes of a true range.
+    fn returned(&mut self, true_m: f64) -> f32 {
+        if self.random.happens(self.settings.dropout_share) {
+            return f32::INFINITY;
+        }
+        let noise_m = self.settings.range_sigma_m * self.random.normal() + self.settings.range_bias_m;
+        match (true_m + noise_m) as f32 {
+            range if range > self.settings.range_max_m => f32::INFINITY,
+            range if range < self.settings.range_min_m => f32::NEG_INFINITY,
+            range => range,
+        }
+    }
+}
