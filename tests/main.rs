@@ -25,7 +25,6 @@ mod overload;
 mod page;
 mod panics;
 mod recording;
-mod refine;
 mod replay;
 mod replicas;
 mod saved_map;

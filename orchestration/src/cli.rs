@@ -84,10 +84,6 @@ pub struct MapArgs {
     /// Where scans come from, in place of a log: `-` reads CARMEN lines from the standard input as they arrive
     #[arg(long, value_name = "-")]
     pub source: Option<PathBuf>,
-    /// Afterwards match all scans once more, to the map that they make together, and make the map anew from them: adds
-    /// trajectory_refined.tum and submaps/
-    #[arg(long)]
-    pub refine: bool,
     /// What every run shares
     #[command(flatten)]
     pub run: RunArgs,

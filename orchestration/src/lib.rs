@@ -3,7 +3,6 @@
 pub mod cli;
 pub mod commands;
 pub mod configuration;
-pub mod epoch;
 pub mod evaluation;
 pub mod outputs;
 pub mod recording;

@@ -9,7 +9,6 @@ use flockslam::outputs::TrajectoryPoint;
 use flockslam_geometry::Pose;
 use flockslam_records::{Content, Limits, Record, RobotKey};
 use flockslam_stage::flock_files::{OWN_SCANS, RecordLog, read_named};
-use flockslam_sync_manager::Settings;
 use flockslam_sync_manager::flock::{Flock, FlockLayout};
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -123,7 +122,7 @@ impl Robot {
 
     fn flock(&self) -> Result<Flock> {
         let key = RobotKey::of_replay(self.name)?;
-        Ok(Flock::new(key, EPOCH, Settings::default(), Limits::default()))
+        Ok(Flock::new(key, EPOCH, Limits::default()))
     }
 
     /// Its records in the order in which it told them, each with the sequence of the newest scan that it knew then.

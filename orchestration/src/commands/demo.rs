@@ -14,19 +14,14 @@ use flockslam_lidar_ingest::process::Source;
 pub fn run(args: &DemoArgs) -> Result<(), CommandError> {
     let absolute = |path| std::path::absolute(path).map_err(CommandError::user);
     let world = args.world.as_deref().map(absolute).transpose()?;
-    let outcome = run_set(
-        &args.run,
-        Run { source: Source::Simulation, world, scans: None, refine: false, continues: None },
-    )?;
+    let outcome =
+        run_set(&args.run, Run { source: Source::Simulation, world, scans: None, continues: None })?;
     say(&summary(&args.run.out, &outcome.report));
     let truth = outcome.truth.ok_or_else(|| CommandError::failed("the simulation left no truth"))?;
     let truth = points(&truth);
     write_trajectory(&args.run.out.join("truth.tum"), &truth).map_err(CommandError::failed)?;
     say("wrote truth.tum beside them\n");
-    let refined = outcome.refined.as_ref().map(|refined| ("refined", refined));
-    for (name, trajectory) in
-        [("online", &outcome.online), ("final", &outcome.last)].into_iter().chain(refined)
-    {
+    for (name, trajectory) in [("online", &outcome.online), ("final", &outcome.last)] {
         let report = evaluate_truth(trajectory, &truth).map_err(CommandError::failed)?;
         say(&format!("\n{name} trajectory against the truth\n{report}"));
     }

@@ -4,7 +4,6 @@
 use super::CommandError;
 use super::run::occupancy;
 use crate::cli::ConfigurationArgs;
-use crate::configuration::Configuration;
 use crate::outputs::{TrajectoryPoint, map_hash, write_flock_picture, write_map, write_trajectory};
 use clap::ValueEnum;
 use flockslam_evidence::FusedMap;
@@ -15,7 +14,6 @@ use flockslam_records::{Limits, Message, RobotKey};
 use flockslam_stage::flock_files::{NamedPose, OWN_NODES, OWN_SCANS, RecordLog, read_named};
 use flockslam_stage::results::StoredMap;
 use flockslam_stage::{FlockStatus, StageError};
-use flockslam_sync_manager::Settings;
 use flockslam_sync_manager::flock::{Carried, Flock, FlockLayout, carried};
 use serde::Serialize;
 use std::ffi::OsStr;
@@ -176,9 +174,9 @@ impl Joined {
 /// Lets the robots meet, and writes what they find into a directory.
 ///
 /// # Errors
-/// When the configuration is not usable or the disk refuses.
-pub fn join(out: &Path, given: &ConfigurationArgs, members: Vec<Member>) -> Result<Joined, CommandError> {
-    let mut flocks = flocks(given, &members)?;
+/// When the disk refuses.
+pub fn join(out: &Path, members: Vec<Member>) -> Result<Joined, CommandError> {
+    let mut flocks = flocks(&members)?;
     let mut met = Met { bytes_exchanged: exchange(&mut flocks), ..Met::default() };
     for k in 0..flocks.len() {
         let started = Instant::now();
@@ -194,8 +192,8 @@ pub fn join(out: &Path, given: &ConfigurationArgs, members: Vec<Member>) -> Resu
 /// As [`join`], of robots that have met while they drove: each knows the records of all.
 ///
 /// # Errors
-/// When the configuration is not usable, a robot has left no status, or the disk refuses.
-pub fn join_met(out: &Path, given: &ConfigurationArgs, members: Vec<Member>) -> Result<Joined, CommandError> {
+/// When a robot has left no status, or the disk refuses.
+pub fn join_met(out: &Path, members: Vec<Member>) -> Result<Joined, CommandError> {
     let statuses: Option<Vec<&FlockStatus>> = members.iter().map(|member| member.status.as_ref()).collect();
     let statuses = statuses.ok_or_else(|| CommandError::failed("a robot has left no status of its flock"))?;
     let same = |status: &&FlockStatus| status.settled && status.map_hash == statuses[0].map_hash;
@@ -205,7 +203,7 @@ pub fn join_met(out: &Path, given: &ConfigurationArgs, members: Vec<Member>) -> 
         search_s: 0.0,
         differ: !statuses.iter().all(same),
     };
-    let flocks = flocks(given, &members)?;
+    let flocks = flocks(&members)?;
     conclude(out, &members, &flocks, &met)
 }
 
@@ -220,13 +218,8 @@ struct Met {
 }
 
 /// What each robot knows.
-fn flocks(given: &ConfigurationArgs, members: &[Member]) -> Result<Vec<Flock>, CommandError> {
-    let configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
-    let mut flocks = Vec::new();
-    for member in members {
-        flocks.push(alone(member, &configuration.sync_manager)?);
-    }
-    Ok(flocks)
+fn flocks(members: &[Member]) -> Result<Vec<Flock>, CommandError> {
+    members.iter().map(alone).collect()
 }
 
 /// Lets each robot work out the common map, compares them, and writes it into a directory.
@@ -271,9 +264,9 @@ fn conclude(out: &Path, members: &[Member], flocks: &[Flock], met: &Met) -> Resu
 ///
 /// # Errors
 /// When its name is not one of a robot, or its records are not.
-pub fn alone(member: &Member, settings: &Settings) -> Result<Flock, CommandError> {
+pub fn alone(member: &Member) -> Result<Flock, CommandError> {
     let key = RobotKey::of_replay(&member.name).map_err(CommandError::user)?;
-    let mut flock = Flock::new(key, EPOCH, settings.clone(), Limits::default());
+    let mut flock = Flock::new(key, EPOCH, Limits::default());
     for record in &member.records {
         flock.collection_mut().take(record).map_err(CommandError::failed)?;
     }

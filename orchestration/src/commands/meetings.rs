@@ -2,8 +2,7 @@
 
 use super::CommandError;
 use super::join::{Member, alone, stored_or_empty, track, write};
-use crate::cli::{ConfigurationArgs, FusionArg};
-use crate::configuration::Configuration;
+use crate::cli::FusionArg;
 use crate::outputs::{TrajectoryPoint, map_hash};
 use flockslam_geometry::Pose;
 use flockslam_sync_manager::flock::{MeetingCounts, Meetings, Snapshot};
@@ -53,17 +52,11 @@ impl Met {
 /// Lets the robots meet, each every other, until nobody learns anything more, and writes what one of them has then.
 ///
 /// # Errors
-/// When the configuration is not usable or the disk refuses.
-pub fn meet(
-    out: &Path,
-    given: &ConfigurationArgs,
-    members: &[Member],
-    fusion: FusionArg,
-) -> Result<Met, CommandError> {
-    let configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
+/// When the disk refuses.
+pub fn meet(out: &Path, members: &[Member], fusion: FusionArg) -> Result<Met, CommandError> {
     let (mut robots, mut own_tracks) = (Vec::new(), Vec::new());
     for member in members {
-        let flock = alone(member, &configuration.sync_manager)?;
+        let flock = alone(member)?;
         let snapshot = Snapshot::of(&flock).ok_or_else(|| {
             CommandError::failed(format!("robot {} has no map to hand over", member.name()))
         })?;

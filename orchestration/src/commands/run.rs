@@ -6,7 +6,6 @@ use super::attendants::Attendants;
 use super::progress_bar::RunProgress;
 use crate::cli::RunArgs;
 use crate::configuration::Configuration;
-use crate::epoch;
 use crate::outputs::{
     CellState, LatencyMicroseconds, LoopClosures, OccupancyImage, PictureTracks, Report, StageReport,
     TrajectoryPoint, map_hash, write_map, write_picture, write_report, write_trajectory,
@@ -19,7 +18,7 @@ use flockslam_messages::Stage;
 use flockslam_scan_matcher::process::LOST;
 use flockslam_stage::flock_files;
 use flockslam_stage::results::{self, StampedPose, StoredMap, Summary};
-use flockslam_stage::{FlockStatus, MemoryUse, Mode, StageError, SubmapStore, read_reports};
+use flockslam_stage::{FlockStatus, MemoryUse, Mode, read_reports};
 use flockslam_telemetry::LatencyHistogram;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -27,7 +26,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-const REFINED_TRAJECTORY: &str = "trajectory_refined.tum";
 /// A shorter way may be noise of the poses, metres.
 const STEP_MIN_M: f64 = 0.05;
 
@@ -39,8 +37,6 @@ pub struct Run {
     pub world: Option<PathBuf>,
     /// Scans in the source, when that is known.
     pub scans: Option<u64>,
-    /// Whether all scans are matched once more at the end.
-    pub refine: bool,
     /// A saved map to begin with.
     pub continues: Option<SavedMap>,
 }
@@ -53,8 +49,6 @@ pub struct Outcome {
     pub last: Vec<TrajectoryPoint>,
     /// The trajectory as it was published at the time.
     pub online: Vec<TrajectoryPoint>,
-    /// The refined trajectory, when it was asked for.
-    pub refined: Option<Vec<TrajectoryPoint>>,
     /// The exact trajectory, when the source knows it.
     pub truth: Option<Vec<StampedPose>>,
 }
@@ -67,11 +61,7 @@ pub struct Outcome {
 pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
     flockslam_telemetry::init_tracing("supervisor");
     let given = &args.configuration;
-    let mut configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
-    configuration.sync_manager.refine |= run.refine;
-    if configuration.sync_manager.refine {
-        keep_everything(&mut configuration);
-    }
+    let configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
     prepare_directory(&args.out)?;
     // A recorded source has no pace of its own; a pipe has.
     let paced = args.live && run.source != Source::Pipe;
@@ -109,12 +99,6 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
     let source = describe(&run.source);
     let finished = Finished { set: &set, started, shared_memory_bytes, own_memory, source, configuration };
     write_outputs(&args.out, &finished)
-}
-
-/// What has been settled or has retired cannot be refined.
-fn keep_everything(configuration: &mut Configuration) {
-    configuration.sync_manager.visits_kept = 0;
-    configuration.sync_manager.retire_covered_by = 0;
 }
 
 fn watch(
@@ -216,25 +200,15 @@ pub(super) fn write_outputs(out: &Path, run: &Finished<'_>) -> Result<Outcome, C
     let last = points(&read(results::FINAL_TRAJECTORY)?);
     let online = points(&read(results::ONLINE_TRAJECTORY)?);
     let summary = results::read_summary(&directory).map_err(CommandError::failed)?;
-    let (stored, refined) = match refine(out, run).map_err(CommandError::failed)? {
-        Some((map, trajectory)) => (map, Some(trajectory)),
-        None => (results::read_map(&directory).map_err(CommandError::failed)?, None),
-    };
+    let stored = results::read_map(&directory).map_err(CommandError::failed)?;
     let (map, map_hash) = (occupancy(&stored), map_hash(&stored));
     // Several times larger than the picture of it.
     drop(stored);
     let write = || {
         write_trajectory(&out.join("trajectory.tum"), &last)?;
         write_trajectory(&out.join("trajectory_online.tum"), &online)?;
-        if let Some(refined) = &refined {
-            write_trajectory(&out.join(REFINED_TRAJECTORY), refined)?;
-        }
         write_map(out, &map)?;
-        write_picture(
-            &out.join("map.png"),
-            &map,
-            PictureTracks { main: refined.as_ref().unwrap_or(&last), other: &[] },
-        )
+        write_picture(&out.join("map.png"), &map, PictureTracks { main: &last, other: &[] })
     };
     write().map_err(CommandError::failed)?;
     let report = report(run, &summary, &map, &last, map_hash)?;
@@ -246,30 +220,7 @@ pub(super) fn write_outputs(out: &Path, run: &Finished<'_>) -> Result<Outcome, C
             status.write(out).map_err(CommandError::failed)?;
         }
     }
-    Ok(Outcome { report, last, online, refined, truth })
-}
-
-fn remove_file(path: &Path) -> Result<(), StageError> {
-    match std::fs::remove_file(path) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(StageError::file(path, error)),
-        _ => Ok(()),
-    }
-}
-
-/// Makes the map of refined poses, when they were asked for: the map and the trajectory.
-fn refine(out: &Path, run: &Finished<'_>) -> Result<Option<(StoredMap, Vec<TrajectoryPoint>)>, StageError> {
-    let (runtime, submaps) = (run.set.runtime(), out.join("submaps"));
-    if !run.configuration.sync_manager.refine {
-        // What an earlier run refined does not belong to this one.
-        epoch::forget(&submaps)?;
-        remove_file(&out.join(REFINED_TRAJECTORY))?;
-        return Ok(None);
-    }
-    let layout = results::read_layout(&runtime.results())?;
-    let rows = results::read_trajectory(&runtime.results(), results::REFINED_TRAJECTORY)?;
-    epoch::keep_originals(&SubmapStore::new(&runtime.submaps()), &layout, &submaps)?;
-    let map = epoch::rebuild(&runtime.journal(), &run.configuration, &rows, &layout, &submaps)?;
-    Ok(Some((StoredMap::of(&map), points(&rows))))
+    Ok(Outcome { report, last, online, truth })
 }
 
 /// A stored trajectory as the outputs take it.

@@ -58,7 +58,7 @@ fn export(args: &ExportArgs) -> Result<(), CommandError> {
         metrics_port: None,
         configuration: args.configuration.clone(),
     };
-    let run = Run { source: Source::Nothing, world: None, scans: None, refine: false, continues: Some(map) };
+    let run = Run { source: Source::Nothing, world: None, scans: None, continues: Some(map) };
     let outcome = run_set(&run_args, run)?;
     say(&summary(&args.out, &outcome.report));
     Ok(())
@@ -74,7 +74,7 @@ fn merge(args: &MergeArgs) -> Result<(), CommandError> {
         let order = Order { name: &name, command: &command, assignments: &[], out: &args.out.join(&name) };
         members.push(order.run(&args.configuration)?);
     }
-    let joined = join(&args.out, &args.configuration, members)?;
+    let joined = join(&args.out, members)?;
     say(&joined.summary(&args.out));
     Ok(())
 }

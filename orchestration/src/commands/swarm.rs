@@ -55,16 +55,16 @@ pub fn run(args: &SwarmArgs) -> Result<(), CommandError> {
                 robots.iter().map(|robot| robot.order(|o| o.run(given))).collect();
             let members = members?;
             if args.protocol == ProtocolArg::Meeting {
-                say(&meet(&args.out, given, &members, args.fusion)?.summary(&args.out));
+                say(&meet(&args.out, &members, args.fusion)?.summary(&args.out));
                 return Ok(());
             }
-            join(&args.out, given, members)?
+            join(&args.out, members)?
         }
         Some(rate) => {
             connect(&mut robots, rate)?;
             let contacts = args.range.map(|range_m| meet_within(&mut robots, range_m));
             let members = run_at_once(&robots, given, contacts.transpose()?.as_ref())?;
-            join_met(&args.out, given, members)?
+            join_met(&args.out, members)?
         }
     };
     say(&joined.summary(&args.out));

@@ -12,7 +12,7 @@ const SIGNED: [&str; 5] = [
 ];
 
 /// Keys that need more than "not negative": least and greatest value.
-const BOUNDED: [(&str, f64, f64); 22] = [
+const BOUNDED: [(&str, f64, f64); 19] = [
     ("set.window", 2.0, 4096.0),
     ("set.live_tiles", 64.0, 65_536.0),
     ("lidar_ingest.replicas", 1.0, 8.0),
@@ -31,9 +31,6 @@ const BOUNDED: [(&str, f64, f64); 22] = [
     ("mapper.miss_nat", 0.0, 16.0),
     ("mapper.submap_length_m", 0.5, 1000.0),
     ("mapper.submap_insertions", 1.0, 2000.0),
-    ("sync_manager.node_distance_m", 0.01, 10.0),
-    ("sync_manager.segment_length_m", 0.5, 10.0),
-    ("sync_manager.chain_nodes", 2.0, 60.0),
     ("sync_manager.flock.bytes_per_minute", 10_000.0, 1e12),
 ];
 

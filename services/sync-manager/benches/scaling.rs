@@ -12,7 +12,6 @@ mod support;
 
 use flockslam_geometry::Pose;
 use flockslam_records::{CONSTRAINTS_MAX, Constraint, Content, Limits, NodeName, Record, RobotId, RobotKey};
-use flockslam_sync_manager::Settings;
 use flockslam_sync_manager::flock::Flock;
 use std::sync::Arc;
 use std::time::Instant;
@@ -36,7 +35,7 @@ fn main() {
         .map_or(10, |robots| robots.parse().expect("a number of robots"));
     let drives: Vec<Drive> = (0..DRIVES.min(robots)).map(drive).collect();
     let limits = Limits { robots_max: robots + 1, ..Limits::default() };
-    let mut flock = Flock::new(key(0), 1, Settings::default(), limits);
+    let mut flock = Flock::new(key(0), 1, limits);
     let before_kb = resident_kb();
     for robot in 0..robots {
         let mut contents = drives[robot % drives.len()].contents.clone();

@@ -4,7 +4,6 @@
 use crate::edge::Edge;
 use crate::scans::ScanStore;
 use crate::segment::{cloud, picked, scan_cloud};
-use crate::settings::Settings;
 use crate::symmetric::{Symmetric, in_frame, loosened};
 use flockslam_registration::cloud::{
     AlignSettings, Aligner, Alignment, MomentGrid, Placement, PooledField, Searcher, Window,
@@ -37,6 +36,9 @@ const RESCUE_POINTS: usize = 150;
 const DOUBT_M: f64 = 8.0;
 /// The doubt where another strand begins, metres: more than any path is long.
 pub const BROKEN_M: f64 = 1e6;
+/// Each node is matched again to this many before it: enough for a stable map around the robot, few enough that the front end's
+/// errors stay small within.
+const WINDOW_NODES: usize = 20;
 /// The nodes that are matched to must lie within this of each other, metres, so that all points fit on the
 /// grid's torus.
 const WINDOW_MAX_M: f64 = 10.0;
@@ -109,13 +111,12 @@ pub struct Chain {
     start_from_chain: Placement,
     aligner: Aligner,
     searcher: Searcher,
-    window: usize,
     unmatched: usize,
 }
 
 impl Chain {
     /// An empty chain.
-    pub fn new(settings: &Settings) -> Self {
+    pub fn new() -> Self {
         Self {
             nodes: Vec::new(),
             edges: Vec::new(),
@@ -124,7 +125,6 @@ impl Chain {
             start_from_chain: Placement::IDENTITY,
             aligner: Aligner::new(AlignSettings::default()),
             searcher: Searcher::default(),
-            window: settings.chain_nodes.max(1),
             unmatched: 0,
         }
     }
@@ -255,7 +255,7 @@ impl Chain {
         let newest = self.nodes.len() - 1;
         let at = self.nodes[newest].chain;
         while self.first < newest
-            && (newest - self.first >= self.window
+            && (newest - self.first >= WINDOW_NODES
                 || self.nodes[self.first].chain.distance_m(&at) > WINDOW_MAX_M)
         {
             let old = &self.nodes[self.first];

@@ -8,13 +8,24 @@ use crate::fields::{FIELDS_MAX, FieldCache};
 use crate::polar::Polar;
 use crate::scans::ScanStore;
 use crate::segment::{Segment, cloud, load, packed, picked, unload};
-use crate::settings::ClosureSettings;
 use crate::symmetric::{in_frame, loosened};
 use flockslam_registration::cloud::{
     AlignSettings, Aligner, Alignment, Found, MomentGrid, PackedPoint, Placement, PooledField, Searcher,
     Window,
 };
 
+/// A search starts after this much travel, metres.
+pub const EVERY_M: f64 = 1.5;
+/// Only segments that lie back at least this much travel are searched: nearer ones are what the node was matched to anyway, metres.
+pub const LEAST_TRAVEL_M: f64 = 15.0;
+/// Most segments tried for one query.
+pub const SEGMENTS_PER_QUERY: usize = 6;
+/// Least score of a match, 0 … 1.
+const SCORE_MIN: f64 = 0.55;
+/// Least share of the query's points on the segment's lines after refinement.
+const INLIERS_MIN: f64 = 0.6;
+/// A closure whose squared Mahalanobis error exceeds this in the solved graph is an outlier: 1 in 900 right ones does, by chance.
+pub const CHI_SQUARED_MAX: f64 = 16.0;
 /// A query is its node and this many before and after it.
 pub const QUERY_NODES: usize = 3;
 /// A query of fewer points is not looked for.
@@ -71,7 +82,6 @@ pub struct SearchCounts {
 
 /// Looks for loops.
 pub struct ClosureFinder {
-    settings: ClosureSettings,
     fields: FieldCache,
     searcher: Searcher,
     searcher_anywhere: Searcher,
@@ -93,11 +103,10 @@ pub struct World<'a> {
 }
 
 impl ClosureFinder {
-    /// A finder with these settings.
-    pub fn new(settings: &ClosureSettings) -> Self {
+    /// A finder that has found nothing yet.
+    pub fn new() -> Self {
         let align = AlignSettings { iterations: 12, gate_wide_m: 0.4, ..AlignSettings::default() };
         Self {
-            settings: settings.clone(),
             fields: FieldCache::new(FIELDS_MAX),
             searcher: Searcher::default(),
             searcher_anywhere: Searcher::bounded(ANYWHERE_SUMS_MAX),
@@ -108,9 +117,9 @@ impl ClosureFinder {
     }
 
     /// A finder that looks at so many squares in a search anywhere before it gives up, and that keeps so many segments ready.
-    pub fn thorough(settings: &ClosureSettings, sums_max: u64, fields: usize) -> Self {
+    pub fn thorough(sums_max: u64, fields: usize) -> Self {
         let searcher_anywhere = Searcher::bounded(sums_max);
-        Self { searcher_anywhere, fields: FieldCache::new(fields), ..Self::new(settings) }
+        Self { searcher_anywhere, fields: FieldCache::new(fields), ..Self::new() }
     }
 
     /// An empty grid to work with, lent between searches: it must be given back empty.
@@ -151,8 +160,7 @@ impl ClosureFinder {
     /// The segments that the query may see, nearest first, and where to look in each.
     fn candidates(&self, world: &World<'_>, query: usize, distances_m: &[f64]) -> Vec<(usize, Window)> {
         let old = |s: &Segment| {
-            world.nodes[query].travel_m - world.nodes[s.nodes.end - 1].travel_m
-                >= self.settings.least_travel_m
+            world.nodes[query].travel_m - world.nodes[s.nodes.end - 1].travel_m >= LEAST_TRAVEL_M
         };
         let mut near = Vec::new();
         for (number, segment) in world.segments.iter().enumerate().filter(|(_, s)| old(s)) {
@@ -166,7 +174,7 @@ impl ClosureFinder {
             }
         }
         near.sort_by(|a, b| a.0.total_cmp(&b.0));
-        near.truncate(self.settings.segments_per_query);
+        near.truncate(SEGMENTS_PER_QUERY);
         let mut candidates: Vec<_> = near.into_iter().map(|(_, number, window)| (number, window)).collect();
         candidates.extend(self.anywhere(world, query, distances_m));
         candidates
@@ -188,7 +196,7 @@ impl ClosureFinder {
             }
         }
         near.sort_by(|a, b| a.0.total_cmp(&b.0));
-        near.truncate(self.settings.segments_per_query);
+        near.truncate(SEGMENTS_PER_QUERY);
         if !far.is_empty() {
             let first = (self.counts.searches % far.len() as u64) as usize;
             far.rotate_left(first);
@@ -245,7 +253,7 @@ impl ClosureFinder {
         let few = picked(points, if anywhere { SEARCH_POINTS / 2 } else { SEARCH_POINTS });
         let searcher = if anywhere { &mut self.searcher_anywhere } else { &mut self.searcher };
         self.counts.searches += 1;
-        let found = searcher.best(field, &few, guess, window, self.settings.score_min, None)?;
+        let found = searcher.best(field, &few, guess, window, SCORE_MIN, None)?;
         self.counts.matches += 1;
         if window.reach_m > WIDE_M {
             let exclude = Some((found.placement, APART));
@@ -261,7 +269,7 @@ impl ClosureFinder {
     fn holds(&self, refined: &Alignment, found: &Found) -> bool {
         let [xx, xy, _, yy, ..] = refined.information;
         let (middle, gap) = (0.5 * (xx + yy), (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt());
-        refined.inliers >= self.settings.inliers_min
+        refined.inliers >= INLIERS_MIN
             && refined.placement.distance_m(&found.placement) <= REFINED_MAX.0
             && refined.placement.turn_rad(&found.placement) <= REFINED_MAX.1
             && middle - gap >= DEGENERATE * (middle + gap)

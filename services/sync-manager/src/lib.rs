@@ -47,5 +47,5 @@ pub mod pose_graph {
 
 pub use fusion::{Fusion, Step};
 pub use manager::SyncManager;
-pub use settings::{ClosureSettings, FlockSettings, ProximitySource, Settings};
+pub use settings::{FlockSettings, ProximitySource, Settings};
 pub use solution::{ClosureCounts, PlacedScan, PlacedSubmap, SettledScan, Solution};

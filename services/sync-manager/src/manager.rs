@@ -2,7 +2,9 @@
 
 use crate::agreement::eligible;
 use crate::chain::{Chain, NewNode};
-use crate::closure::{Closure, ClosureFinder, QUERY_NODES, World, graph_distances};
+use crate::closure::{
+    CHI_SQUARED_MAX, Closure, ClosureFinder, EVERY_M, LEAST_TRAVEL_M, QUERY_NODES, World, graph_distances,
+};
 use crate::dense::DensePass;
 use crate::edge::Edge;
 use crate::place::{KeptScan, Placer};
@@ -31,11 +33,16 @@ mod tell;
 
 /// A scan this close to the last one kept tells nothing new, metres and radians.
 const REST: (f64, f64) = (0.01, 0.005);
+/// A scan becomes a node of the graph after this much travel, metres …
+const NODE_DISTANCE_M: f64 = 0.3;
+/// … or this much turning, radians.
+const NODE_TURN_RAD: f64 = 0.35;
+/// Each scan is placed at the end against the nodes up to this many before and after it.
+const FINAL_NODES: usize = 3;
+/// Most branch-and-bound searches after one closed submap.
+const SEARCHES_PER_SUBMAP: usize = 60;
 /// Searches after one closed submap beyond the usual ones while the newest strand is not connected with the map.
 const ADRIFT_SEARCHES: u64 = 100;
-
-/// Most rounds of the refinement that is asked for.
-const REFINE_ROUNDS_MAX: u32 = 12;
 
 /// Work on solving the graph after each closed submap, products of 3 × 3 blocks: a graph that takes more is solved less often, with
 /// the same work for each metre.
@@ -124,9 +131,9 @@ impl SyncManager {
     /// A back end that has seen nothing yet.
     pub fn new(settings: Settings) -> Self {
         Self {
-            chain: Chain::new(&settings),
-            finder: ClosureFinder::new(&settings.closure),
-            next_search_m: settings.closure.least_travel_m,
+            chain: Chain::new(),
+            finder: ClosureFinder::new(),
+            next_search_m: LEAST_TRAVEL_M,
             settings,
             records: Vec::new(),
             scans: ScanStore::default(),
@@ -167,7 +174,7 @@ impl SyncManager {
         if !is_node && self.rests(&odom) {
             return;
         }
-        let scan = self.scans.keep(scan, pose.twist.into(), moving, &self.settings);
+        let scan = self.scans.keep(scan, pose.twist.into(), moving);
         if is_node {
             let sequence = pose.id.sequence;
             self.chain.extend(NewNode { sequence, scan, odom, strand }, &self.scans);
@@ -189,8 +196,8 @@ impl SyncManager {
     fn is_due(&self, odom: &Placement, strand: u32) -> bool {
         self.chain.nodes().last().is_none_or(|last| {
             last.strand != strand
-                || last.odom.distance_m(odom) >= self.settings.node_distance_m
-                || last.odom.turn_rad(odom) >= self.settings.node_turn_rad
+                || last.odom.distance_m(odom) >= NODE_DISTANCE_M
+                || last.odom.turn_rad(odom) >= NODE_TURN_RAD
         })
     }
 
@@ -199,7 +206,7 @@ impl SyncManager {
     /// end.
     pub fn submap_closed(&mut self, notice: &SubmapClosed) -> LayoutHeader {
         let known = self.nodes_up_to(notice.last.sequence);
-        self.close_loops(known, self.settings.closure.searches_per_submap);
+        self.close_loops(known, SEARCHES_PER_SUBMAP);
         self.revision += 1;
         let strands = self.strands(known);
         let map_from_odom = self.correction(known);
@@ -269,12 +276,8 @@ impl SyncManager {
     fn close_loops(&mut self, known: usize, searches: usize) {
         self.follow_chain(known);
         let from = self.segments.last().map_or(0, |s| s.nodes.end);
-        self.segments.extend(Segment::cut(
-            &self.chain.nodes()[..known],
-            from,
-            self.settings.segment_length_m,
-        ));
-        if !self.settings.closure.enabled {
+        self.segments.extend(Segment::cut(&self.chain.nodes()[..known], from));
+        if !self.settings.close_loops {
             return;
         }
         let before = self.closures.len();
@@ -323,7 +326,7 @@ impl SyncManager {
         for (i, node) in nodes.iter().enumerate().skip(first) {
             if node.travel_m >= self.next_search_m {
                 due.push(i);
-                self.next_search_m = node.travel_m + self.settings.closure.every_m;
+                self.next_search_m = node.travel_m + EVERY_M;
             }
         }
         due
@@ -354,12 +357,8 @@ impl SyncManager {
         edges.extend(
             self.closures.iter().zip(&eligible).filter(|(_, eligible)| **eligible).map(|(c, _)| c.edge),
         );
-        let settings = RobustSettings {
-            chi_squared_max: self.settings.closure.chi_squared_max,
-            growth: 1.6,
-            rounds: 25,
-            warm_up: 6,
-        };
+        let settings =
+            RobustSettings { chi_squared_max: CHI_SQUARED_MAX, growth: 1.6, rounds: 25, warm_up: 6 };
         let mut poses = strands::start(&self.chain.nodes()[..known], &edges[trusted..]);
         let solved = solve(known, &edges, trusted, &settings, &mut poses);
         (self.poses, self.solving_cost) = (poses, solved.work);
@@ -380,22 +379,13 @@ impl SyncManager {
         self.placed()
     }
 
-    /// The same with all scans matched once more, to the map that they make together; after [`Self::finish`]. It takes a
-    /// multiple of the time.
-    pub fn refined(&mut self) -> Solution {
-        if !self.chain.nodes().is_empty() {
-            self.match_to_map(REFINE_ROUNDS_MAX);
-        }
-        self.placed()
-    }
-
-    /// Matches all nodes of the map, at most so many times, to the map that they make together.
-    fn match_to_map(&mut self, rounds_max: u32) {
+    /// Matches all nodes of the map to the map that they make together.
+    fn match_to_map(&mut self) {
         let nodes = self.chain.nodes();
         let strands = self.strands(nodes.len());
         let in_map: Vec<bool> = nodes.iter().map(|node| strands.is_attached(node.strand)).collect();
         let refinement = Refinement { nodes, scans: &self.scans, chain: self.chain.edges(), in_map: &in_map };
-        refinement.run(rounds_max, self.finder.scratch(), &mut self.poses);
+        refinement.run(self.finder.scratch(), &mut self.poses);
     }
 
     /// Every kept scan placed among the nodes at their present poses.
@@ -404,12 +394,8 @@ impl SyncManager {
             return self.solution(&filled(&self.records, &[], Between::FrontEnd));
         }
         let kept = expected(&self.records, &self.kept, &self.placed_nodes());
-        let placer = Placer {
-            nodes: self.chain.nodes(),
-            scans: &self.scans,
-            poses: &self.poses,
-            reach: self.settings.final_nodes,
-        };
+        let placer =
+            Placer { nodes: self.chain.nodes(), scans: &self.scans, poses: &self.poses, reach: FINAL_NODES };
         let placed = placer.place_all(&kept, self.finder.scratch());
         let pairs: Vec<_> = self.kept.iter().zip(placed).map(|(k, pose)| (k.record, pose)).collect();
         self.solution(&filled(&self.records, &pairs, Between::Measured))
@@ -431,10 +417,8 @@ impl SyncManager {
             chain: self.chain.edges(),
             strands: &strands,
         };
-        for _ in 0..self.settings.dense_passes {
-            pass.run(self.finder.scratch(), &mut self.poses);
-        }
-        self.match_to_map(self.settings.map_passes);
+        pass.run(self.finder.scratch(), &mut self.poses);
+        self.match_to_map();
     }
 
     fn placed_nodes(&self) -> Vec<(usize, Placement)> {

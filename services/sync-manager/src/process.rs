@@ -5,7 +5,7 @@
 //! goes on when it dies: recovering what it knew takes as long as all its searches.
 
 use crate::fuse::Fuser;
-use crate::{PlacedScan, PlacedSubmap, Settings, Solution, SyncManager};
+use crate::{PlacedSubmap, Settings, SyncManager};
 use flock::{FlockMetrics, Voice};
 use flockslam_bus::{BellRinger, Publisher, ScanSample, SliceSubscriber, Subscriber};
 use flockslam_geometry::Pose;
@@ -13,7 +13,7 @@ use flockslam_messages::{
     BeamRange, Control, ControlKind, DropReason, FlockFrame, FlockRobots, LayoutHeader, MovingBeamsHeader,
     PoseEstimate, PoseFlags, ScanView, Stage, SubmapClosed,
 };
-use flockslam_stage::results::{self, LayoutRow, LiveLayout, StampedPose, Summary};
+use flockslam_stage::results::{self, LayoutRow, LiveLayout, Summary};
 use flockslam_stage::{
     Acknowledger, Actor, JournalReader, Mode, PendingScans, PoseQueue, StageContext, StageError, StreamEnd,
     SubmapStore, Turn, run,
@@ -22,7 +22,7 @@ use flockslam_telemetry::monotonic_ns;
 use look_back::look_back;
 use metrics::LayoutMetrics;
 use std::collections::{BTreeMap, VecDeque};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use trajectories::Trajectories;
 
 mod flock;
@@ -54,7 +54,6 @@ struct SyncProcess {
     /// Scans are handed to the logic, which places them anew.
     optimises: bool,
     /// All scans are matched once more at the end.
-    refines: bool,
     /// Others may watch: what was concluded is left for them in the results.
     is_watched: bool,
     result_dir: PathBuf,
@@ -108,7 +107,6 @@ impl SyncProcess {
         let bus = &context.bus;
         let mut process = Self {
             optimises: settings.enabled,
-            refines: settings.refine,
             is_watched: context.mode == Mode::Live,
             result_dir: context.result_dir.clone(),
             fuser: Fuser::new(SubmapStore::new(&context.submap_dir), &settings),
@@ -386,9 +384,6 @@ impl SyncProcess {
             look_back(&mut self.fuser, &solution.submaps, &scans, self.summary.inserted, context)?;
         }
         results::write_map(directory, &self.fuser.stored_map())?;
-        if self.refines {
-            self.refine(directory, &solution)?;
-        }
         self.summary.submaps = self.fuser.known(&solution.submaps);
         self.fuser.report(&mut self.summary);
         self.summary.chains = solution.closures.strands;
@@ -400,15 +395,6 @@ impl SyncProcess {
         self.voice.finish(&mut self.logic, &solution, &self.store, &scans, context)?;
         self.finished = true;
         self.repeat_the_end()
-    }
-
-    /// Stores the refined trajectory, and where the submaps are to be found that it does without.
-    fn refine(&mut self, directory: &Path, solution: &Solution) -> Result<(), StageError> {
-        results::write_layout(directory, &rows(&solution.submaps))?;
-        let refined = self.logic.refined().trajectory;
-        let row = |scan: &PlacedScan| StampedPose { stamp_ns: scan.stamp_ns, pose: scan.map_from_base };
-        let rows: Vec<_> = refined.iter().map(row).collect();
-        results::write_trajectory(directory, results::REFINED_TRAJECTORY, &rows)
     }
 
     fn repeat_the_end(&self) -> Result<(), StageError> {

@@ -12,8 +12,6 @@ use std::collections::BTreeMap;
 const BLOCK_M: f64 = 8.0;
 /// Points are in reach of a block within this of its centre along both axes, metres.
 const REACH_M: f64 = 0.5 * MomentGrid::SPAN_M - 2.0 * MomentGrid::CELL_M;
-/// Poses that move less than this have arrived, metres.
-const ARRIVED_M: f64 = 0.001;
 /// Share of points on lines that a match needs.
 const INLIERS_MIN: f64 = 0.5;
 /// Largest root mean square distance of those from their lines, metres.
@@ -44,20 +42,8 @@ pub struct Refinement<'a> {
 type Around = Vec<(usize, Vec<PackedPoint>)>;
 
 impl Refinement<'_> {
-    /// Refines the poses of the nodes in at most so many rounds. `grid` is lent empty and given back so.
-    pub fn run(&self, rounds_max: u32, grid: &mut MomentGrid, poses: &mut [Placement]) {
-        for _ in 0..rounds_max {
-            let before = poses.to_vec();
-            self.improve(grid, poses);
-            let moved = poses.iter().zip(&before).map(|(a, b)| a.distance_m(b)).fold(0.0, f64::max);
-            if moved < ARRIVED_M {
-                break;
-            }
-        }
-    }
-
-    /// One round: every node matched to the map of the present poses, and all poses solved anew.
-    fn improve(&self, grid: &mut MomentGrid, poses: &mut [Placement]) {
+    /// Matches every node to the map of the present poses, and solves all poses anew. `grid` is lent empty and given back so.
+    pub fn run(&self, grid: &mut MomentGrid, poses: &mut [Placement]) {
         let aligner = Aligner::new(AlignSettings { iterations: 6, ..AlignSettings::default() });
         let mut edges = self.chain.to_vec();
         self.for_each_node(grid, poses, |grid, around, node| {

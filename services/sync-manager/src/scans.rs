@@ -1,6 +1,5 @@
 //! The store of scan points: valid points of each kept scan, thinned out, without the robot's own motion during the scan, four bytes each.
 
-use crate::settings::Settings;
 use flockslam_geometry::Twist;
 use flockslam_messages::{BeamRange, ScanView};
 use flockslam_registration::cloud::{PackedPoint, Placement};
@@ -9,6 +8,8 @@ use flockslam_registration::cloud::{PackedPoint, Placement};
 const SPACING_M: f64 = 0.02;
 /// Farther points are never used, metres: the points of a few nodes must fit on a grid's torus.
 const RANGE_MAX_M: f64 = 20.0;
+/// Nearer points are never used, metres: the robot's own body.
+const RANGE_MIN_M: f64 = 0.3;
 /// Most points kept of one scan.
 const POINTS_MAX: usize = 720;
 
@@ -46,13 +47,7 @@ pub struct ScanStore {
 impl ScanStore {
     /// Keeps the valid points of a scan but those on what moves, thinned out, as seen from where the robot was at its stamp; gives
     /// its number in the store. `moving` is in order.
-    pub fn keep(
-        &mut self,
-        scan: ScanView<'_>,
-        velocity: Velocity,
-        moving: &[BeamRange],
-        settings: &Settings,
-    ) -> usize {
+    pub fn keep(&mut self, scan: ScanView<'_>, velocity: Velocity, moving: &[BeamRange]) -> usize {
         let first = self.points.len();
         let mount = Placement::from(scan.header().base_from_laser);
         let takes_time =
@@ -67,7 +62,7 @@ impl ScanStore {
                 continue;
             }
             let Some(range_m) = scan.valid_range_m(i) else { continue };
-            if range_m < settings.range_min_m || range_m > settings.range_max_m.min(RANGE_MAX_M) {
+            if !(RANGE_MIN_M..=RANGE_MAX_M).contains(&range_m) {
                 continue;
             }
             if scan.is_isolated(i) {
@@ -151,7 +146,7 @@ mod tests {
             ScanBuffer::from_ranges(&[1.0, f32::NAN, 1.9, 50.0, 0.1], 0.0, std::f64::consts::FRAC_PI_2);
         scan.header.base_from_laser.x_m = 0.5;
         let mut store = ScanStore::default();
-        assert_eq!(store.keep(scan.view().unwrap(), Velocity::default(), &[], &Settings::default()), 0);
+        assert_eq!(store.keep(scan.view().unwrap(), Velocity::default(), &[]), 0);
         let metres: Vec<_> = store.points(0).iter().map(|p| (p.x_m(), p.y_m())).collect();
         let expected = [(1.5, 0.0), (-1.4, 0.0)];
         assert_eq!(metres.len(), 2);
@@ -166,7 +161,7 @@ mod tests {
         let scan = ScanBuffer::from_ranges(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], 0.0, 0.5);
         let moving = [BeamRange { first: 1, end: 3 }, BeamRange { first: 4, end: 5 }];
         let mut store = ScanStore::default();
-        store.keep(scan.view().unwrap(), Velocity::default(), &moving, &Settings::default());
+        store.keep(scan.view().unwrap(), Velocity::default(), &moving);
         let kept = store.points(0).iter().map(|p| p.x_m().hypot(p.y_m()).round());
         assert_eq!(kept.collect::<Vec<_>>(), [1.0, 4.0, 6.0]);
     }
@@ -178,9 +173,8 @@ mod tests {
         // Driving at 1 m/s towards a wall, whose ranges shrink by 5 cm a beam; the second beam came early.
         scan.numbers[1] = 1.95;
         let velocity = Velocity { x_m_s: 1.0, ..Velocity::default() };
-        let settings = Settings { range_min_m: 0.0, ..Settings::default() };
         let mut store = ScanStore::default();
-        store.keep(scan.view().unwrap(), velocity, &[], &settings);
+        store.keep(scan.view().unwrap(), velocity, &[]);
         assert_eq!(store.points(0).len(), 1, "all three beams hit the same point");
     }
 
@@ -189,7 +183,7 @@ mod tests {
         let mut store = ScanStore::default();
         for range in [2.0, 3.0, 4.0, 5.0] {
             let scan = ScanBuffer::from_ranges(&[range, range + 0.1, range], 0.0, 0.3);
-            store.keep(scan.view().unwrap(), Velocity::default(), &[], &Settings::default());
+            store.keep(scan.view().unwrap(), Velocity::default(), &[]);
         }
         let (second, fourth) = (store.points(1).to_vec(), store.points(3).to_vec());
         let renamed = store.retain(&[false, true, false, true]);
@@ -201,7 +195,7 @@ mod tests {
     fn bounds_what_it_keeps_of_a_huge_scan() {
         let scan = ScanBuffer::from_ranges(&vec![15.0; 100_000], 0.0, std::f64::consts::TAU / 1e5);
         let mut store = ScanStore::default();
-        store.keep(scan.view().unwrap(), Velocity::default(), &[], &Settings::default());
+        store.keep(scan.view().unwrap(), Velocity::default(), &[]);
         let kept = store.points(0).len();
         assert!((POINTS_MAX / 2..=POINTS_MAX).contains(&kept), "{kept}");
     }

@@ -8,8 +8,8 @@ use std::ops::Range;
 /// Points farther than this from their node are left out of clouds and segments, metres.
 pub const CLOUD_RANGE_M: f64 = 15.0;
 
-/// Longest segment, metres: its points must fit on a grid's torus.
-const LENGTH_MAX_M: f64 = 10.0;
+/// Length of travel in a segment, metres.
+const LENGTH_M: f64 = 5.0;
 /// Most nodes of a segment: a robot that turns on the spot makes nodes without travel.
 const NODES_MAX: usize = 64;
 
@@ -29,15 +29,14 @@ impl Segment {
         Self { nodes, anchor }
     }
 
-    /// Cuts `nodes[from..]` into segments of `length_m` of travel each; the rest that is too short stays for
+    /// Cuts `nodes[from..]` into segments of 5 m of travel each; the rest that is too short stays for
     /// later.
-    pub fn cut(nodes: &[Node], from: usize, length_m: f64) -> Vec<Segment> {
-        let length_m = length_m.min(LENGTH_MAX_M);
+    pub fn cut(nodes: &[Node], from: usize) -> Vec<Segment> {
         let mut segments = Vec::new();
         let mut start = from;
         for end in from..nodes.len() {
             let breaks = nodes[end].strand != nodes[start].strand;
-            if breaks || nodes[end].travel_m - nodes[start].travel_m >= length_m || end - start >= NODES_MAX {
+            if breaks || nodes[end].travel_m - nodes[start].travel_m >= LENGTH_M || end - start >= NODES_MAX {
                 segments.push(Segment::new(start..end));
                 start = end;
             }
@@ -135,7 +134,7 @@ mod tests {
             strand: u32::from(k >= 30),
         };
         let nodes: Vec<_> = (0..60).map(node).collect();
-        let segments = Segment::cut(&nodes, 4, 5.0);
+        let segments = Segment::cut(&nodes, 4);
         assert_eq!(segments.len(), 3);
         assert!(segments.iter().any(|s| s.nodes.end == 30), "no segment spans two strands");
         assert!(

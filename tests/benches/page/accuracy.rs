@@ -29,7 +29,6 @@ const REFERENCES: [(&str, [&str; 3]); 7] = [
 
 /// Accuracy with one configuration.
 pub fn section(bench: &mut Bench) -> String {
-    let refine = has_option("map", "--refine");
     let mut table = Table::new([
         "",
         "trajectory",
@@ -47,11 +46,6 @@ pub fn section(bench: &mut Bench) -> String {
         let runs: Vec<_> = headings.iter().map(|heading| bench.runs.of(&log, &start(*heading))).collect();
         table_rows(&mut table, &log.name, "final", &runs, |run| Some(run.last));
         table_rows(&mut table, &log.name, "online", &runs, |run| Some(run.online));
-        if refine {
-            let runs: Vec<_> =
-                headings.iter().map(|heading| bench.runs.of(&log, &refined(*heading))).collect();
-            table_rows(&mut table, &log.name, "refined", &runs, |run| Some(run.refined.unwrap_or(run.last)));
-        }
     }
     format!(
         "{}`flockslam map LOG --set correlation_filter.mode=off`, all other settings at their defaults, the same for every log. Metres and degrees; means over \
@@ -71,10 +65,6 @@ pub fn start(heading_rad: f64) -> Vec<String> {
         return Vec::new();
     }
     set(&[&format!("lidar_ingest.start_pose=[0.0,0.0,{heading_rad:?}]")])
-}
-
-fn refined(heading_rad: f64) -> Vec<String> {
-    [start(heading_rad), vec!["--refine".to_owned()]].concat()
 }
 
 fn table_rows(

@@ -38,8 +38,6 @@ pub struct Measured {
     pub last: Errors,
     /// Errors of `trajectory_online.tum`.
     pub online: Errors,
-    /// Errors of `trajectory_refined.tum`, when there is one.
-    pub refined: Option<Errors>,
 }
 
 /// A run, or in one line why there is none.
@@ -154,17 +152,7 @@ impl Runs {
                 .map(Errors::Truth)
                 .map_err(|error| error.to_string()),
         };
-        let refined = out
-            .join("trajectory_refined.tum")
-            .exists()
-            .then(|| errors("trajectory_refined.tum"))
-            .transpose()?;
-        Ok(Measured {
-            report,
-            last: errors("trajectory.tum")?,
-            online: errors("trajectory_online.tum")?,
-            refined,
-        })
+        Ok(Measured { report, last: errors("trajectory.tum")?, online: errors("trajectory_online.tum")? })
     }
 
     fn relations(&mut self, path: &Path) -> Result<Rc<Vec<Relation>>, String> {

@@ -23,8 +23,6 @@ pub struct StampedPose {
 pub const FINAL_TRAJECTORY: &str = "final.poses";
 /// Trajectory as it was published at the time.
 pub const ONLINE_TRAJECTORY: &str = "online.poses";
-/// Refined trajectory: as the final one, every scan.
-pub const REFINED_TRAJECTORY: &str = "refined.poses";
 /// Exact trajectory of a simulated robot.
 pub const TRUE_TRAJECTORY: &str = "truth.poses";
 /// The fused map.
@@ -224,26 +222,6 @@ pub fn write_summary(directory: &Path, summary: &Summary) -> Result<(), StageErr
     let path = directory.join(SUMMARY);
     let json = serde_json::to_vec_pretty(summary).map_err(|e| StageError::file(&path, e))?;
     Ok(replace_file(&path, &json, Durability::Process)?)
-}
-
-/// Writes where the submaps of the map lie.
-///
-/// # Errors
-/// When the disk refuses.
-pub fn write_layout(directory: &Path, layout: &[LayoutRow]) -> Result<(), StageError> {
-    let path = directory.join(LAYOUT);
-    let json = serde_json::to_vec_pretty(layout).map_err(|e| StageError::file(&path, e))?;
-    Ok(replace_file(&path, &json, Durability::Process)?)
-}
-
-/// Reads where the submaps of the map lie.
-///
-/// # Errors
-/// When it is not known.
-pub fn read_layout(directory: &Path) -> Result<Vec<LayoutRow>, StageError> {
-    let path = directory.join(LAYOUT);
-    let json = fs::read(&path).map_err(|e| StageError::file(&path, e))?;
-    serde_json::from_slice(&json).map_err(|e| StageError::file(&path, e))
 }
 
 /// The file of what was concluded so far.

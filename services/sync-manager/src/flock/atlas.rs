@@ -9,7 +9,6 @@ use crate::closure::Closure;
 use crate::edge::Edge;
 use crate::scans::ScanStore;
 use crate::segment::Segment;
-use crate::settings::Settings;
 use flockslam_records::{Collection, Constraint, Content, NodeName, RecordedNode, RobotId, Stretch};
 use flockslam_registration::cloud::{PackedPoint, Placement};
 use std::collections::BTreeSet;
@@ -55,7 +54,7 @@ pub struct Scanned {
 
 impl Atlas {
     /// The graph of all records that hold.
-    pub fn new(collection: &Collection, settings: &Settings) -> Self {
+    pub fn new(collection: &Collection) -> Self {
         let mut atlas = Self {
             logs: Vec::new(),
             nodes: Vec::new(),
@@ -67,7 +66,7 @@ impl Atlas {
             owners: Vec::new(),
         };
         atlas.add_chains(collection);
-        atlas.segments = Segment::cut(&atlas.nodes, 0, settings.segment_length_m);
+        atlas.segments = Segment::cut(&atlas.nodes, 0);
         let rest = atlas.segments.last().map_or(0, |s| s.nodes.end)..atlas.nodes.len();
         // The end of each robot's way counts too, short as it may be.
         if rest.len() > 1 {

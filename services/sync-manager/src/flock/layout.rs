@@ -3,11 +3,11 @@
 use super::inspection::Inspected;
 use super::start::start;
 use super::{Atlas, Flock};
+use crate::closure::CHI_SQUARED_MAX;
 use crate::dense::DensePass;
 use crate::edge::Edge;
 use crate::refine::Refinement;
 use crate::robust::{RobustSettings, solve};
-use crate::settings::Settings;
 use crate::strands::Strands;
 use flockslam_geometry::Pose;
 use flockslam_records::RobotId;
@@ -95,8 +95,8 @@ impl FlockLayout {
 
 impl Atlas {
     /// Solves the graph from the chains: what ties robots together first, then with all that this leads one to expect.
-    pub(super) fn solve(&self, settings: &Settings, inspected: &mut Inspected) -> Solved {
-        let (tied, mut more) = self.tied(settings, inspected);
+    pub(super) fn solve(&self, inspected: &mut Inspected) -> Solved {
+        let (tied, mut more) = self.tied(inspected);
         let mut solved = tied.clone();
         for _ in 0..EXPECTED_ROUNDS {
             let expected = self.expected(&solved, inspected);
@@ -105,7 +105,7 @@ impl Atlas {
             if more == known {
                 break;
             }
-            let next = self.solve_with(&more, settings);
+            let next = self.solve_with(&more);
             // Nothing that ties robots together may give way to what does not.
             let still_ties = (0..more.len())
                 .all(|i| !(tied.in_force[i] && self.is_across(&self.closures[i])) || next.in_force[i]);
@@ -119,11 +119,11 @@ impl Atlas {
 
     /// The solution with all closures on trial that agree and that what both robots have seen confirms, and what was on trial.
     /// What is left between two robots after that must still agree.
-    fn tied(&self, settings: &Settings, inspected: &mut Inspected) -> (Solved, Vec<bool>) {
+    fn tied(&self, inspected: &mut Inspected) -> (Solved, Vec<bool>) {
         let mut denied = BTreeSet::new();
         for _ in 0..TRIALS_MAX {
             let on_trial = self.eligible(&denied, inspected);
-            let solved = self.solve_with(&on_trial, settings);
+            let solved = self.solve_with(&on_trial);
             let doubtful = self.unconfirmed(&solved.in_force);
             if doubtful.is_empty() {
                 return (solved, on_trial);
@@ -132,20 +132,15 @@ impl Atlas {
         }
         denied.extend((0..self.closures.len()).filter(|i| self.is_across(&self.closures[*i])));
         let on_trial = self.eligible(&denied, inspected);
-        (self.solve_with(&on_trial, settings), on_trial)
+        (self.solve_with(&on_trial), on_trial)
     }
 
-    fn solve_with(&self, on_trial: &[bool], settings: &Settings) -> Solved {
+    fn solve_with(&self, on_trial: &[bool]) -> Solved {
         let mut edges: Vec<Edge> = self.edges.clone();
         let trusted = edges.len();
         edges.extend(self.closures.iter().zip(on_trial).filter(|(_, e)| **e).map(|(c, _)| c.edge));
         let (mut poses, _) = start(&self.nodes, &edges[trusted..]);
-        let robust = RobustSettings {
-            chi_squared_max: settings.closure.chi_squared_max,
-            growth: 1.6,
-            rounds: 25,
-            warm_up: 6,
-        };
+        let robust = RobustSettings { chi_squared_max: CHI_SQUARED_MAX, growth: 1.6, rounds: 25, warm_up: 6 };
         let solved = solve(self.nodes.len(), &edges, trusted, &robust, &mut poses);
         let mut acting = solved.weights[trusted..].iter().map(|&w| w > 0.5);
         let in_force: Vec<bool> = on_trial.iter().map(|e| *e && acting.next() == Some(true)).collect();
@@ -159,7 +154,7 @@ impl Atlas {
     }
 
     /// Measures the solved layout again, all of it: what is near each other is matched, whoever saw it.
-    fn measure_again(&self, settings: &Settings, solved: &mut Solved, grid: &mut MomentGrid) {
+    fn measure_again(&self, solved: &mut Solved, grid: &mut MomentGrid) {
         let strands = &solved.strands;
         let held = self.held_together(&solved.in_force);
         let pass = DensePass {
@@ -169,9 +164,7 @@ impl Atlas {
             chain: &held,
             strands,
         };
-        for _ in 0..settings.dense_passes {
-            pass.run(grid, &mut solved.poses);
-        }
+        pass.run(grid, &mut solved.poses);
         let mut parts: Vec<u32> = (0..strands.count() as u32).map(|strand| strands.part(strand)).collect();
         parts.sort_unstable();
         parts.dedup();
@@ -179,7 +172,7 @@ impl Atlas {
             let in_map: Vec<bool> = self.nodes.iter().map(|node| strands.part(node.strand) == part).collect();
             let refinement =
                 Refinement { nodes: &self.nodes, scans: &self.scans, chain: &held, in_map: &in_map };
-            refinement.run(settings.map_passes, grid, &mut solved.poses);
+            refinement.run(grid, &mut solved.poses);
         }
     }
 
@@ -194,13 +187,13 @@ impl Atlas {
 
     /// Where everything lies. With `finely`, after all of it has been matched again: for the end, since it takes a multiple of the
     /// time.
-    pub fn layout(&self, settings: &Settings, finely: bool, inspected: &mut Inspected) -> FlockLayout {
+    pub fn layout(&self, finely: bool, inspected: &mut Inspected) -> FlockLayout {
         if self.is_empty() {
             return FlockLayout::default();
         }
-        let mut solved = self.solve(settings, inspected);
+        let mut solved = self.solve(inspected);
         if finely {
-            self.measure_again(settings, &mut solved, &mut MomentGrid::default());
+            self.measure_again(&mut solved, &mut MomentGrid::default());
         }
         self.told(&solved)
     }
@@ -251,7 +244,7 @@ impl Atlas {
 impl Flock {
     /// Where everything lies that this robot has heard of; with `finely`, matched again as a whole.
     pub fn layout(&self, finely: bool) -> FlockLayout {
-        let atlas = Atlas::new(self.collection(), self.settings());
-        atlas.layout(self.settings(), finely, &mut self.inspected())
+        let atlas = Atlas::new(self.collection());
+        atlas.layout(finely, &mut self.inspected())
     }
 }

@@ -321,7 +321,7 @@ impl Snapshot {
     pub fn of(flock: &Flock) -> Option<Self> {
         let layout = flock.layout(true);
         let map = flock.map(&layout).map?;
-        let atlas = Atlas::new(flock.collection(), flock.settings());
+        let atlas = Atlas::new(flock.collection());
         let nodes =
             layout.nodes.iter().find(|((robot, _), _)| robot == flock.robot()).map(|(_, nodes)| nodes)?;
         let last = nodes.iter().rposition(|node| node.part == layout.main_part)?;

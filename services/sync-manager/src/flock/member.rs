@@ -3,7 +3,6 @@
 use super::inspection::Inspected;
 use super::search::Search;
 use super::{Atlas, News};
-use crate::settings::Settings;
 use flockslam_geometry::Pose;
 use flockslam_records::{
     CONSTRAINTS_MAX, Collection, Constraint, Content, Limits, Message, NodeName, Presence, Record,
@@ -19,10 +18,9 @@ use std::sync::Arc;
 /// ```
 /// use flockslam_geometry::Pose;
 /// use flockslam_records::{Descriptor, Limits, RecordedNode, RobotKey, Stretch};
-/// use flockslam_sync_manager::Settings;
 /// use flockslam_sync_manager::flock::{Flock, News};
 ///
-/// let robot = |key| Flock::new(key, 1, Settings::default(), Limits::default());
+/// let robot = |key| Flock::new(key, 1, Limits::default());
 /// let (mut a, mut b) = (robot(RobotKey::of_replay("a")?), robot(RobotKey::of_replay("b")?));
 /// // Robot a has driven a metre.
 /// let node = |sequence: u8| RecordedNode {
@@ -49,7 +47,6 @@ use std::sync::Arc;
 pub struct Flock {
     key: RobotKey,
     epoch: u64,
-    settings: Settings,
     collection: Collection,
     search: Search,
     inspected: RefCell<Inspected>,
@@ -57,16 +54,9 @@ pub struct Flock {
 
 impl Flock {
     /// A robot that has said and heard nothing yet. An epoch is never used again after a log has been lost.
-    pub fn new(key: RobotKey, epoch: u64, settings: Settings, limits: Limits) -> Self {
-        let search = Search::new(&settings);
-        Self {
-            key,
-            epoch,
-            settings,
-            collection: Collection::new(limits),
-            search,
-            inspected: RefCell::default(),
-        }
+    pub fn new(key: RobotKey, epoch: u64, limits: Limits) -> Self {
+        let search = Search::new();
+        Self { key, epoch, collection: Collection::new(limits), search, inspected: RefCell::default() }
     }
 
     /// Who it is.
@@ -82,11 +72,6 @@ impl Flock {
     /// The same, to ban or to trust.
     pub fn collection_mut(&mut self) -> &mut Collection {
         &mut self.collection
-    }
-
-    /// How it matches and solves.
-    pub fn settings(&self) -> &Settings {
-        &self.settings
     }
 
     /// What it remembers of groups of closures.
@@ -177,7 +162,7 @@ impl Flock {
 
     /// As [`Self::search`], without saying it: for who knows some of it already.
     pub fn find(&mut self, searches_max: u64) -> Vec<Constraint> {
-        let mut atlas = Atlas::new(&self.collection, &self.settings);
-        self.search.run(&mut atlas, self.key.id(), &self.settings, searches_max, self.inspected.get_mut())
+        let mut atlas = Atlas::new(&self.collection);
+        self.search.run(&mut atlas, self.key.id(), searches_max, self.inspected.get_mut())
     }
 }

@@ -7,7 +7,7 @@ use super::layout::Solved;
 use super::resemblance::Resemblance;
 use crate::chain::{BROKEN_M, Node};
 use crate::closure::{ANYWHERE, Closure, ClosureFinder, QUERY_NODES, SIGHT_M, World, apart_m, window};
-use crate::settings::Settings;
+use crate::closure::{EVERY_M, SEGMENTS_PER_QUERY};
 use crate::strands::Strands;
 use flockslam_records::{Constraint, RobotId};
 use flockslam_registration::cloud::{Placement, Window};
@@ -49,9 +49,9 @@ pub struct Search {
 }
 
 impl Search {
-    pub fn new(settings: &Settings) -> Self {
+    pub fn new() -> Self {
         Self {
-            finder: ClosureFinder::thorough(&settings.closure, WIDE_SUMS_MAX, FIELDS),
+            finder: ClosureFinder::thorough(WIDE_SUMS_MAX, FIELDS),
             tried: BTreeSet::new(),
             followed: BTreeSet::new(),
             found: Vec::new(),
@@ -70,7 +70,6 @@ impl Search {
         &mut self,
         atlas: &mut Atlas,
         own: &RobotId,
-        settings: &Settings,
         searches_max: u64,
         inspected: &mut Inspected,
     ) -> Vec<Constraint> {
@@ -78,22 +77,22 @@ impl Search {
             return Vec::new();
         }
         let until = self.searches().saturating_add(searches_max);
-        let queries = queries(atlas, own, settings.closure.every_m);
+        let queries = queries(atlas, own, EVERY_M);
         let few: Vec<usize> = queries.iter().copied().step_by(WIDE_EVERY).collect();
-        let mut solved = atlas.solve(settings, inspected);
-        self.anywhere(atlas, &few, settings, until, &mut solved, inspected);
+        let mut solved = atlas.solve(inspected);
+        self.anywhere(atlas, &few, until, &mut solved, inspected);
         for query in queries {
             if self.searches() >= until {
                 break;
             }
-            self.near(atlas, query, settings, &solved);
+            self.near(atlas, query, &solved);
         }
         std::mem::take(&mut self.found)
     }
 
     /// Looks for a query where the solution puts it.
-    fn near(&mut self, atlas: &mut Atlas, query: usize, settings: &Settings, solved: &Solved) {
-        let most = settings.closure.segments_per_query;
+    fn near(&mut self, atlas: &mut Atlas, query: usize, solved: &Solved) {
+        let most = SEGMENTS_PER_QUERY;
         let name = |node: usize| atlas.nodes[node].sequence;
         let is_tried =
             |k: &usize| self.tried.contains(&(name(query), name(atlas.segments[*k].anchor), false));
@@ -116,7 +115,6 @@ impl Search {
         &mut self,
         atlas: &mut Atlas,
         queries: &[usize],
-        settings: &Settings,
         until: u64,
         solved: &mut Solved,
         inspected: &mut Inspected,
@@ -136,13 +134,13 @@ impl Search {
                 continue;
             }
             matches.iter().for_each(|closure| self.follow(atlas, closure, queries));
-            *solved = atlas.solve(settings, inspected);
+            *solved = atlas.solve(inspected);
             if !is_strange(atlas, &solved.strands, query, segment) {
                 // Tied, if loosely: what confirms it or not lies where that says.
                 let neighbours =
                     place.saturating_sub(NEIGHBOURS)..(place + NEIGHBOURS + 1).min(queries.len());
-                neighbours.for_each(|place| self.near(atlas, queries[place], settings, solved));
-                *solved = atlas.solve(settings, inspected);
+                neighbours.for_each(|place| self.near(atlas, queries[place], solved));
+                *solved = atlas.solve(inspected);
             }
             known = firmly_tied(atlas, solved);
         }

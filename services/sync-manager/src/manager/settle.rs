@@ -1,7 +1,7 @@
 //! What keeps the back end bounded: a stretch through a place that is known well is not kept. Its scans get their poses once
 //! and for all, relative to a node that stays, and its nodes leave the graph.
 
-use super::{SyncManager, expected};
+use super::{FINAL_NODES, SyncManager, expected};
 use crate::place::Placer;
 use crate::solution::SettledScan;
 use crate::symmetric::Symmetric;
@@ -104,12 +104,8 @@ impl SyncManager {
         let nodes: Vec<_> =
             stretch.filter(|k| k.is_node).map(|k| (k.record - first, self.poses[k.node])).collect();
         let scans = expected(&self.records[first..=next.record], &self.kept[kept.clone()], &nodes);
-        let placer = Placer {
-            nodes: self.chain.nodes(),
-            scans: &self.scans,
-            poses: &self.poses,
-            reach: self.settings.final_nodes,
-        };
+        let placer =
+            Placer { nodes: self.chain.nodes(), scans: &self.scans, poses: &self.poses, reach: FINAL_NODES };
         let placed = placer.place_all(&scans, self.finder.scratch());
         let mut pairs: Vec<_> =
             self.kept[kept.clone()].iter().zip(placed).map(|(k, pose)| (k.record - first, pose)).collect();

@@ -4,7 +4,6 @@ use super::flocks::{hear, meet, robot, worst_m};
 use super::support::{Building, Noise, laps, path};
 use flockslam_geometry::Pose;
 use flockslam_records::{Constraint, Content, Limits, NodeName, RobotKey};
-use flockslam_sync_manager::Settings;
 use flockslam_sync_manager::flock::{Flock, FlockLayout};
 
 #[test]
@@ -30,8 +29,7 @@ fn robots_with_unknown_starts_find_each_other_and_all_have_the_same_layout() {
     assert!(worst < 0.06, "{worst}");
 
     // A robot that hears everything late, in small portions and over others, works out the same.
-    let mut late =
-        vec![Flock::new(RobotKey::of_replay("d").unwrap(), 1, Settings::default(), Limits::default())];
+    let mut late = vec![Flock::new(RobotKey::of_replay("d").unwrap(), 1, Limits::default())];
     late.push(flocks.swap_remove(1));
     let mut noise = Noise(3);
     hear(&mut late, 0, 1, || noise.next() > 0.2);

@@ -11,7 +11,7 @@ use std::ops::Range;
 /// A robot that drives the stretch `range` of a way and tells what it finds; its odometry begins somewhere of its own.
 pub fn robot(name: &str, building: &Building, way: &[Pose], range: Range<usize>, origin: Pose) -> Flock {
     let key = RobotKey::of_replay(name).unwrap();
-    let mut flock = Flock::new(key, 1, Settings::default(), Limits::default());
+    let mut flock = Flock::new(key, 1, Limits::default());
     let mut manager = SyncManager::new(Settings::default());
     manager.tell_the_flock();
     let mut noise = Noise(name.bytes().map(u64::from).sum());

@@ -3,7 +3,7 @@
 use super::support::{Building, Noise, drifting, laps, path};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{LayoutHeader, PoseEstimate, PoseFlags, ScanId, SubmapClosed};
-use flockslam_sync_manager::{ClosureSettings, Settings, Solution, SyncManager};
+use flockslam_sync_manager::{Settings, Solution, SyncManager};
 use std::f64::consts::FRAC_PI_2;
 
 /// Replays a run; a submap is closed every 60 scans, and every second scan is inserted.
@@ -220,8 +220,8 @@ fn a_corridor_that_repeats_itself_closes_no_false_loop() {
     let truth = path(&[(0.0, 0.0), (72.0, 0.0), (2.0, 0.0), (40.0, 0.0)]);
     let odom = drifting(&truth, 0.0, 1.02);
     let (_, with) = replay(&building, &truth, &odom, Settings::default());
-    let closure = ClosureSettings { enabled: false, ..ClosureSettings::default() };
-    let (_, without) = replay(&building, &truth, &odom, Settings { closure, ..Settings::default() });
+    let (_, without) =
+        replay(&building, &truth, &odom, Settings { close_loops: false, ..Settings::default() });
     let (with_m, without_m) = (worst_error_m(&with, &truth), worst_error_m(&without, &truth));
     assert!(with_m < 0.15 && with_m < without_m, "{with_m} m against {without_m} m, {:?}", with.closures);
 }

@@ -65,7 +65,7 @@ impl Teller {
         } else {
             (RobotKey::of_replay(&flock.name).map_err(wrong)?, FIRST_EPOCH)
         };
-        let mut flock = Flock::new(key, epoch, settings.clone(), Limits::default());
+        let mut flock = Flock::new(key, epoch, Limits::default());
         restrict(&mut flock, settings);
         for bytes in &kept {
             // What cannot be read was refused when it came, or is of a robot that is banned by now.
