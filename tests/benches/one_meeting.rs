@@ -6,10 +6,10 @@
 
 use flockslam::evaluation::{evaluate_truth, parse_tum};
 use flockslam::outputs::TrajectoryPoint;
+use flockslam_flock::{Flock, FlockLayout};
 use flockslam_geometry::Pose;
 use flockslam_records::{Content, Limits, Record, RobotKey};
 use flockslam_stage::flock_files::{OWN_SCANS, RecordLog, read_named};
-use flockslam_sync_manager::flock::{Flock, FlockLayout};
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::{Path, PathBuf};

@@ -10,9 +10,9 @@ mod flocks;
 #[path = "../tests/synthetic/support.rs"]
 mod support;
 
+use flockslam_flock::Flock;
 use flockslam_geometry::Pose;
 use flockslam_records::{CONSTRAINTS_MAX, Constraint, Content, Limits, NodeName, Record, RobotId, RobotKey};
-use flockslam_sync_manager::flock::Flock;
 use std::sync::Arc;
 use std::time::Instant;
 use support::{Building, laps};

@@ -1,9 +1,10 @@
 //! The fused map's way to and from the store of submaps.
 
-use crate::fusion::{Fusion, Step};
-use crate::stale::stale_cells;
-use crate::{PlacedSubmap, Settings};
+use crate::Settings;
 use flockslam_evidence::{CellIndex, FusedMap};
+use flockslam_map_fusion::PlacedSubmap;
+use flockslam_map_fusion::stale_cells;
+use flockslam_map_fusion::{Fusion, Step};
 use flockslam_stage::results::{StoredMap, Summary};
 use flockslam_stage::{StageError, SubmapStore};
 

@@ -1,29 +1,31 @@
 //! The back end of one robot as a state machine: poses, scans and closed submaps in; corrections, and at the end the solution, out.
 
-use crate::agreement::eligible;
-use crate::chain::{Chain, NewNode};
-use crate::closure::{
-    CHI_SQUARED_MAX, Closure, ClosureFinder, EVERY_M, LEAST_TRAVEL_M, QUERY_NODES, World, graph_distances,
-};
-use crate::dense::DensePass;
-use crate::edge::Edge;
-use crate::place::{KeptScan, Placer};
-use crate::refine::Refinement;
-use crate::robust::{RobustSettings, solve};
-use crate::scans::ScanStore;
-use crate::segment::Segment;
 use crate::settings::Settings;
-use crate::solution::{ClosureCounts, PlacedSubmap, SettledScan, Solution};
-use crate::strands::{self, Strands};
+use crate::solution::{ClosureCounts, SettledScan, Solution};
 use crate::trajectory::{Between, Record, filled};
 use flockslam_geometry::Pose;
+use flockslam_loop_closure::agreement::eligible;
+use flockslam_loop_closure::chain::Chain;
+use flockslam_loop_closure::closure::{CHI_SQUARED_MAX, Closure};
+use flockslam_loop_closure::dense::DensePass;
+use flockslam_loop_closure::finder::{
+    ClosureFinder, EVERY_M, LEAST_TRAVEL_M, QUERY_NODES, World, graph_distances,
+};
+use flockslam_loop_closure::node::NewNode;
+use flockslam_loop_closure::place::{KeptScan, Placer};
+use flockslam_loop_closure::refine::Refinement;
+use flockslam_loop_closure::scans::ScanStore;
+use flockslam_loop_closure::segment::Segment;
+use flockslam_loop_closure::strands::{self, Strands};
+use flockslam_map_fusion::PlacedSubmap;
 use flockslam_messages::{BeamRange, LayoutHeader, PoseEstimate, PoseFlags, ScanView, SubmapClosed};
+use flockslam_pose_graph::Edge;
+use flockslam_pose_graph::{RobustSettings, solve};
 use flockslam_registration::cloud::Placement;
 use settle::SettledSubmap;
 use solution::placed;
 use std::collections::{BTreeMap, BTreeSet};
 use tell::Telling;
-pub use tell::{News, OwnLoop};
 
 mod counts;
 mod settle;

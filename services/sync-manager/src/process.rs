@@ -5,10 +5,11 @@
 //! goes on when it dies: recovering what it knew takes as long as all its searches.
 
 use crate::fuse::Fuser;
-use crate::{PlacedSubmap, Settings, SyncManager};
+use crate::{Settings, SyncManager};
 use flock::{FlockMetrics, Voice};
 use flockslam_bus::{BellRinger, Publisher, ScanSample, SliceSubscriber, Subscriber};
 use flockslam_geometry::Pose;
+use flockslam_map_fusion::PlacedSubmap;
 use flockslam_messages::{
     BeamRange, Control, ControlKind, DropReason, FlockFrame, FlockRobots, LayoutHeader, MovingBeamsHeader,
     PoseEstimate, PoseFlags, ScanView, Stage, SubmapClosed,

@@ -1,6 +1,7 @@
 //! What the back end gives at the end: poses of scans and submaps, and counts of closures.
 
 use flockslam_geometry::Pose;
+use flockslam_map_fusion::PlacedSubmap;
 use flockslam_messages::ScanId;
 
 /// What the back end concludes at the end of a run.
@@ -54,15 +55,6 @@ pub struct PlacedScan {
     pub stamp_ns: i64,
     /// The robot's pose.
     pub map_from_base: Pose,
-}
-
-/// Where a submap of the mapper belongs. Submaps that nothing but driving connects with the map have no place in it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PlacedSubmap {
-    /// Its number.
-    pub number: u32,
-    /// Takes the coordinates that its evidence was inserted in (the front end's `odom`) to the final map.
-    pub map_from_odom: Pose,
 }
 
 /// What became of the loops.

@@ -1,6 +1,6 @@
 //! Section `accuracy`: errors of the final trajectory on each log and in the simulated building, beside published figures.
 
-use super::runs::{Errors, Measured, Outcome, Subject, has_option, set};
+use super::runs::{Errors, Measured, Outcome, Subject, set};
 use super::{Bench, Table, figure, greatest, mean};
 use std::rc::Rc;
 

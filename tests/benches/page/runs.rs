@@ -197,12 +197,6 @@ pub fn execute(arguments: &[String], out: &Path) -> Result<(), String> {
     Err(reason)
 }
 
-/// Whether a command of the executable knows an option.
-pub fn has_option(command: &str, option: &str) -> bool {
-    let output = Command::new(env!("CARGO_BIN_EXE_flockslam")).args([command, "--help"]).output();
-    output.is_ok_and(|output| String::from_utf8_lossy(&output.stdout).contains(option))
-}
-
 /// `--set KEY=VALUE` for each of these.
 pub fn set(assignments: &[&str]) -> Vec<String> {
     assignments.iter().flat_map(|assignment| ["--set".to_owned(), (*assignment).to_owned()]).collect()

@@ -2,10 +2,10 @@
 //! and for all, relative to a node that stays, and its nodes leave the graph.
 
 use super::{FINAL_NODES, SyncManager, expected};
-use crate::place::Placer;
 use crate::solution::SettledScan;
-use crate::symmetric::Symmetric;
 use crate::trajectory::{Between, filled};
+use flockslam_loop_closure::place::Placer;
+use flockslam_pose_graph::Symmetric;
 use flockslam_registration::cloud::Placement;
 use std::ops::Range;
 
@@ -56,7 +56,7 @@ impl SyncManager {
         let strands = self.strands(self.poses.len());
         let part = |node: usize| strands.part(self.chain.nodes()[node].strand);
         let middle = self.poses[segment.anchor];
-        let same = |older: &&crate::segment::Segment| {
+        let same = |older: &&flockslam_loop_closure::segment::Segment| {
             let at = &self.poses[older.anchor];
             at.distance_m(&middle) < SAME.0
                 && at.turn_rad(&middle) < SAME.1

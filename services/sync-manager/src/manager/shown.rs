@@ -1,7 +1,7 @@
 //! What others are shown of the back end while it works.
 
 use super::SyncManager;
-use crate::closure::Closure;
+use flockslam_loop_closure::closure::Closure;
 
 impl SyncManager {
     /// Closed loops in the present solution: x and y of both ends, metres; then 1 when the loop acts, else 0.

@@ -1,10 +1,11 @@
 //! What the manager's poses make of scans and submaps.
 
 use super::SyncManager;
-use crate::solution::{PlacedScan, PlacedSubmap, Solution};
-use crate::strands::Strands;
+use crate::solution::{PlacedScan, Solution};
 use crate::trajectory::Record;
 use flockslam_geometry::Pose;
+use flockslam_loop_closure::strands::Strands;
+use flockslam_map_fusion::PlacedSubmap;
 use flockslam_registration::cloud::Placement;
 use std::collections::BTreeMap;
 

@@ -2,33 +2,14 @@
 //! and stays as it was told.
 
 use super::SyncManager;
-use crate::chain::Node;
-use crate::closure::Closure;
+use flockslam_flock::{News, OwnLoop};
+use flockslam_loop_closure::closure::Closure;
+use flockslam_loop_closure::node::Node;
 use flockslam_records::{Descriptor, RecordedNode, Stretch, rounded_point};
 use flockslam_registration::cloud::{PackedPoint, Placement};
 
 /// Most nodes of a stretch that is told at once.
 const STRETCH_NODES: usize = 48;
-
-/// A loop among a robot's own nodes, which are named by the sequences of their scans.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct OwnLoop {
-    /// Node that it starts from.
-    pub from: u64,
-    /// Node that it leads to.
-    pub to: u64,
-    /// The measured motion and how it was found; its numbers of nodes mean nothing here.
-    pub closure: Closure,
-}
-
-/// What is new since the flock was told last.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct News {
-    /// New nodes, in order.
-    pub stretches: Vec<Stretch>,
-    /// New loops among nodes that have been told.
-    pub loops: Vec<OwnLoop>,
-}
 
 /// What waits to be told.
 #[derive(Debug, Default)]

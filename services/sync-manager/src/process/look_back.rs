@@ -1,8 +1,8 @@
 //! The journal read once more at the end, at the final poses.
 
-use crate::PlacedSubmap;
 use crate::fuse::Fuser;
-use crate::hindsight::{APART_NS, Hindsight, VIEWS};
+use flockslam_map_fusion::PlacedSubmap;
+use flockslam_map_fusion::{APART_NS, Hindsight, VIEWS};
 use flockslam_messages::Deskew;
 use flockslam_stage::flock_files::NamedPose;
 use flockslam_stage::{JournalReader, Journaled, StageContext, StageError};

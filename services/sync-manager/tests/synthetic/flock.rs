@@ -2,9 +2,9 @@
 
 use super::flocks::{hear, meet, robot, worst_m};
 use super::support::{Building, Noise, laps, path};
+use flockslam_flock::{Flock, FlockLayout};
 use flockslam_geometry::Pose;
 use flockslam_records::{Constraint, Content, Limits, NodeName, RobotKey};
-use flockslam_sync_manager::flock::{Flock, FlockLayout};
 
 #[test]
 fn robots_with_unknown_starts_find_each_other_and_all_have_the_same_layout() {
@@ -77,7 +77,7 @@ fn lies_about_how_robots_lie_to_each_other_do_not_act() {
     let nodes = |name: &str| -> Vec<NodeName> {
         let ((robot, epoch), nodes) =
             honest.nodes.iter().find(|((robot, _), _)| robot.name() == name).unwrap();
-        let named = |n: &flockslam_sync_manager::flock::PlacedNode| NodeName {
+        let named = |n: &flockslam_flock::PlacedNode| NodeName {
             robot: robot.clone(),
             epoch: *epoch,
             sequence: n.sequence,

@@ -1,10 +1,10 @@
 //! Robots that map synthetic buildings and tell each other.
 
 use super::support::{Building, Noise, drifting};
+use flockslam_flock::{Flock, FlockLayout};
 use flockslam_geometry::Pose;
 use flockslam_messages::{PoseEstimate, PoseFlags, ScanId, SubmapClosed};
 use flockslam_records::{Limits, Message, RobotKey};
-use flockslam_sync_manager::flock::{Flock, FlockLayout};
 use flockslam_sync_manager::{Settings, SyncManager};
 use std::ops::Range;
 

@@ -2,9 +2,9 @@
 
 use super::flocks::{meet, robot, worst_m};
 use super::support::{Building, Noise, path};
+use flockslam_flock::Flock;
 use flockslam_geometry::Pose;
 use flockslam_records::{Constraint, Content, NodeName};
-use flockslam_sync_manager::flock::Flock;
 
 /// A merge that is off by more than this anywhere is a false one, metres.
 const OFF_MAX_M: f64 = 0.5;

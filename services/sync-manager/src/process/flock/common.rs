@@ -1,7 +1,7 @@
 //! What follows from all records that a robot has: the members of the common map, where their submaps lie, and hashes to compare with
 //! other robots.
 
-use crate::flock::Flock;
+use flockslam_flock::Flock;
 use flockslam_geometry::Pose;
 use flockslam_messages::FlockFrame;
 use flockslam_records::{Presence, RobotId};

@@ -11,7 +11,7 @@ use super::relay::Relay;
 use super::teller::Teller;
 use super::thread::{Shared, Task, locked};
 use crate::FlockSettings;
-use crate::flock::Flock;
+use flockslam_flock::Flock;
 use flockslam_geometry::Pose;
 use flockslam_records::{Message, RecordError};
 use flockslam_stage::StageError;

@@ -4,8 +4,8 @@
 use super::drops::{Dropped, Drops};
 use super::identity::Identity;
 use crate::Settings;
-use crate::flock::{Flock, News, OwnLoop};
 use flockslam_evidence::{Submap, TILE_SIDE, TileKey};
+use flockslam_flock::{Flock, News, OwnLoop};
 use flockslam_records::{
     Clearance, Constraint, Content, Limits, Message, NodeName, Outcome, Record, RecordError, RobotId,
     RobotKey,
@@ -260,9 +260,9 @@ fn unsaid(error: RecordError) -> StageError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::closure::Closure;
-    use crate::edge::Edge;
     use flockslam_geometry::Pose;
+    use flockslam_loop_closure::closure::Closure;
+    use flockslam_pose_graph::Edge;
     use flockslam_records::{Descriptor, RecordedNode, Stretch};
     use flockslam_registration::cloud::Placement;
 

@@ -1,0 +1,144 @@
+//! The test of a group of closures between two robots against what both have seen: free space of one where the other saw a wall speaks against it, and so
+//! does another place that fits as well.
+
+use super::Atlas;
+use super::overlap::Fit;
+use super::rivals::{Place, Tie};
+use flockslam_loop_closure::closure::Closure;
+use flockslam_registration::cloud::Placement;
+use std::collections::BTreeMap;
+
+/// Places of a group that are looked at, so far apart along the second robot's way, metres.
+const PLACES: usize = 3;
+const APART_M: f64 = 20.0;
+/// Scans that must be compared at a place, around both robots' ways together, before anything is said.
+const SCANS_MIN: u32 = 30;
+/// The same around a single closure.
+const SCANS_ALONE_MIN: u32 = 8;
+/// Tells the verdict on a closure alone from that on a place.
+const ALONE: u64 = u64::MAX;
+/// Largest share of what both have seen that one of them may deny: what is the same has up to 0.047 with people in it, rooms that only look
+/// alike mostly 0.06 and more.
+const DENIED_MAX: f64 = 0.05;
+/// Another explanation is as good when its share is no more than this multiple of the claimed one's and a little …
+const RIVAL: (f64, f64) = (1.5, 0.02);
+/// … and it explains at least this share of what the claimed one does.
+const EXPLAINED: f64 = 0.4;
+/// Verdicts that are remembered.
+const REMEMBERED_MAX: usize = 4096;
+
+/// What was found out about groups of closures. It follows from the records alone: that it is remembered saves time and changes nothing.
+#[derive(Clone, Debug, Default)]
+pub struct Inspected {
+    verdicts: BTreeMap<Vec<u64>, bool>,
+}
+
+impl Inspected {
+    /// The verdict of this name, worked out when it is new.
+    fn verdict(&mut self, name: Vec<u64>, work_out: impl FnOnce() -> bool) -> bool {
+        if let Some(verdict) = self.verdicts.get(&name) {
+            return *verdict;
+        }
+        let verdict = work_out();
+        if self.verdicts.len() >= REMEMBERED_MAX {
+            self.verdicts.clear();
+        }
+        self.verdicts.insert(name, verdict);
+        verdict
+    }
+}
+
+impl Atlas {
+    /// Whether a group of closures between two robots, which agree with each other, may be believed: what both robots have seen there is the
+    /// same, and it fits nowhere else as well.
+    ///
+    /// Buildings are full of things that look alike: a few matches that agree can always be found. Where robots are tied together
+    /// rightly, neither has seen free space where the other saw a wall.
+    pub(super) fn stands(&self, group: &[usize], inspected: &mut Inspected) -> bool {
+        let mut ties: Vec<Tie> = group.iter().map(|i| Tie::of(&self.closures[*i])).collect();
+        ties.sort_by_key(|tie| (tie.to, tie.from));
+        let turned: Vec<Tie> = ties.iter().map(Tie::turned).collect();
+        // The first places, not the best spread ones: what was found out about them stays when the group grows.
+        let cell = |tie: &Tie| (self.nodes[tie.to].travel_m / APART_M) as u64;
+        let places = ties.chunk_by(|a, b| cell(a) == cell(b)).map(|some| &some[0]);
+        places.take(PLACES).all(|middle| {
+            let there = Place::new(self, middle, &ties);
+            let back = Place::new(self, &middle.turned(), &turned);
+            let name = [self.named(&there, middle), self.named(&back, &middle.turned())].concat();
+            inspected.verdict(name, || is_sure(&[there.fits(self), back.fits(self)]))
+        })
+    }
+
+    /// Whether what both robots have seen around a closure between them is the same. That it may be so elsewhere too does not matter where
+    /// other ties say that it should be here.
+    pub(super) fn is_the_same_there(&self, closure: &Closure, inspected: &mut Inspected) -> bool {
+        let tie = Tie::of(closure);
+        let place = Place::new(self, &tie, &[tie]);
+        let mut name = self.named(&place, &tie);
+        name.push(ALONE);
+        inspected.verdict(name, || {
+            let claimed = place.fit(self);
+            claimed.scans >= SCANS_ALONE_MIN && claimed.denied_share() <= DENIED_MAX
+        })
+    }
+
+    /// All that the verdict on a place depends on, to the bit: who remembers it must conclude the same as who works it out.
+    fn named(&self, place: &Place, middle: &Tie) -> Vec<u64> {
+        let mut name = vec![self.nodes[middle.to].sequence];
+        for range in &place.nodes {
+            let (first, last) = (&self.nodes[range.start], &self.nodes[range.end - 1]);
+            name.extend([first.sequence, last.sequence, first.travel_m.to_bits(), first.doubt_m.to_bits()]);
+        }
+        for (to, first_from_second) in &place.ties {
+            name.push(self.nodes[*to].sequence);
+            let Placement { x_m, y_m, heading_rad, .. } = *first_from_second;
+            name.extend([x_m, y_m, heading_rad].map(f64::to_bits));
+        }
+        name
+    }
+}
+
+/// Whether what both have seen is the same, and would not be somewhere else: fits as claimed and as they would be otherwise, around what
+/// the second robot has seen and around what the first has. One of them may have seen only a part of a place that the other knows well.
+fn is_sure(fits: &[(Fit, Option<Fit>); 2]) -> bool {
+    let is_rivalled = |(claimed, other): &(Fit, Option<Fit>)| {
+        let as_good = RIVAL.0 * claimed.denied_share() + RIVAL.1;
+        let explained = EXPLAINED * f64::from(claimed.seen);
+        other.is_some_and(|other| f64::from(other.seen) >= explained && other.denied_share() <= as_good)
+    };
+    let [(there, _), (back, _)] = fits;
+    let both = there.and(back);
+    both.scans >= SCANS_MIN && both.denied_share() <= DENIED_MAX && !fits.iter().any(is_rivalled)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_fits_once_and_nowhere_else_is_sure() {
+        let fit = |seen: u32, denied: u32| Fit { scans: 30, seen, denied };
+        let claimed = fit(1750, 10);
+        let around = |claimed: Fit, other: Option<Fit>| [(claimed, other), (fit(1800, 12), None)];
+        assert!(is_sure(&around(fit(1750, 45), None)) && !is_sure(&around(fit(1750, 400), None)));
+        assert!(
+            !is_sure(&[(Fit { scans: 5, ..claimed }, None); 2]) && !is_sure(&[(Fit::default(), None); 2])
+        );
+        // A room farther on, with other furniture; with the same; and something small that fits anywhere.
+        assert!(is_sure(&around(claimed, Some(fit(1700, 150)))));
+        assert!(!is_sure(&around(claimed, Some(fit(1600, 20)))));
+        assert!(is_sure(&around(claimed, Some(fit(300, 2)))));
+    }
+
+    #[test]
+    fn a_hall_of_which_one_has_seen_only_a_part_fits_both_ways_round_in_what_the_other_has_seen() {
+        let there = (Fit { scans: 22, seen: 1166, denied: 41 }, None);
+        let claimed = Fit { scans: 22, seen: 1148, denied: 35 };
+        let turned_round = Fit { scans: 16, seen: 616, denied: 14 };
+        assert!(is_sure(&[there, (claimed, None)]));
+        assert!(
+            !is_sure(&[there, (claimed, Some(turned_round))])
+                && !is_sure(&[(claimed, Some(turned_round)), there])
+        );
+    }
+}

@@ -1,0 +1,67 @@
+//! Closures between robots that are tied already: those that lie where the solution expects them may act with less confirmation.
+
+use super::Atlas;
+use super::inspection::Inspected;
+use super::layout::Solved;
+use flockslam_loop_closure::agreement::eligible;
+use flockslam_loop_closure::closure::Closure;
+use flockslam_loop_closure::finder::{graph_distances, window};
+use std::collections::BTreeMap;
+
+/// Closures that are looked at in one go: the work is bounded whatever somebody claims.
+const LOOKED_AT_MAX: usize = 1024;
+
+impl Atlas {
+    /// Of the closures between robots that do not act yet those that a solution which ties these robots together already leads one to
+    /// expect: they lie where it says, as far as the ways between can be trusted; they need no more than a robot's own closures do, and
+    /// what both have seen there must be the same. No robot is tied to another by these.
+    pub(super) fn expected(&self, solved: &Solved, inspected: &mut Inspected) -> Vec<usize> {
+        let part = |node: usize| solved.strands.part(self.nodes[node].strand);
+        let is_open = |i: &usize| {
+            let edge = &self.closures[*i].edge;
+            !solved.in_force[*i] && self.is_across(&self.closures[*i]) && part(edge.from) == part(edge.to)
+        };
+        let mut by_query: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+        for i in (0..self.closures.len()).filter(is_open).take(LOOKED_AT_MAX) {
+            by_query.entry(self.closures[i].edge.to).or_default().push(i);
+        }
+        let mut likely: Vec<usize> = Vec::new();
+        let mut judged: Vec<Closure> = Vec::new();
+        for (query, members) in by_query {
+            let distances_m = self.distances_m(solved, query);
+            for i in members {
+                if let Some(closure) = self.as_expected(solved, &self.closures[i], &distances_m) {
+                    likely.push(i);
+                    judged.push(closure);
+                }
+            }
+        }
+        // Those that act already count as partners of those that may.
+        let acting = |i: &usize| solved.in_force[*i] && self.is_across(&self.closures[*i]);
+        judged.extend((0..self.closures.len()).filter(acting).map(|i| self.closures[i]));
+        let eligible = eligible(&judged, &self.nodes);
+        let eligible = likely.into_iter().zip(eligible).filter(|(_, eligible)| *eligible).map(|(i, _)| i);
+        let mut expected: Vec<usize> =
+            eligible.filter(|i| self.is_the_same_there(&self.closures[*i], inspected)).collect();
+        expected.sort_unstable();
+        expected
+    }
+
+    /// Metres from a node to every other over the chains and the closures that act.
+    pub(super) fn distances_m(&self, solved: &Solved, node: usize) -> Vec<f64> {
+        let acting = self.closures.iter().zip(&solved.in_force).filter(|(_, acts)| **acts);
+        let loops: Vec<_> = acting.map(|(c, _)| (c.edge.from, c.edge.to)).collect();
+        graph_distances(&self.nodes, &loops, node)
+    }
+
+    /// A closure with the window that it would have been found in by this solution, if it lies in that.
+    fn as_expected(&self, solved: &Solved, closure: &Closure, distances_m: &[f64]) -> Option<Closure> {
+        let (from, to) = (closure.edge.from, closure.edge.to);
+        let expected = solved.poses[from].to(solved.poses[to]);
+        let window = window(distances_m[from]);
+        let shift_m = expected.distance_m(&closure.edge.motion);
+        let lies_in_it =
+            shift_m <= window.reach_m && expected.turn_rad(&closure.edge.motion) <= window.turn_rad;
+        lies_in_it.then_some(Closure { reach_m: window.reach_m, shift_m, ..*closure })
+    }
+}

@@ -1,0 +1,250 @@
+//! The common layout: solves the atlas, with closures between robots on trial, and gives the poses of all nodes and submaps in one frame.
+
+use super::inspection::Inspected;
+use super::start::start;
+use super::{Atlas, Flock};
+use flockslam_geometry::Pose;
+use flockslam_loop_closure::closure::CHI_SQUARED_MAX;
+use flockslam_loop_closure::dense::DensePass;
+use flockslam_loop_closure::refine::Refinement;
+use flockslam_loop_closure::strands::Strands;
+use flockslam_pose_graph::Edge;
+use flockslam_pose_graph::{RobustSettings, solve};
+use flockslam_records::RobotId;
+use flockslam_registration::cloud::{MomentGrid, Placement};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// What closures between robots weigh while all is measured again: enough to hold robots together that saw little in common, too little to
+/// bend what is measured.
+const HELD: f64 = 0.1;
+/// How often closures are put on trial before robots are left apart.
+const TRIALS_MAX: usize = 8;
+/// How often what is expected is put on trial: what acts then leads one to expect more, more narrowly.
+const EXPECTED_ROUNDS: usize = 3;
+
+/// Poses of an atlas's nodes, and what holds them together.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Solved {
+    /// By node.
+    pub poses: Vec<Placement>,
+    /// By closure: whether it acts.
+    pub in_force: Vec<bool>,
+    /// How closures that act connect the strands.
+    pub strands: Strands,
+}
+
+/// A node in the layout.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlacedNode {
+    /// Sequence of its scan.
+    pub sequence: u64,
+    /// Pose of the robot there, in the frame of the flock (or, for those that are not part of it, of their own part).
+    pub flock_from_base: Pose,
+    /// The part of the layout that it belongs to: poses of different parts have nothing to do with each other.
+    pub part: u32,
+}
+
+/// Where a submap lies.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlacedRecord {
+    /// Its number.
+    pub submap: u32,
+    /// Takes the coordinates that its evidence was inserted in to the flock's frame.
+    pub flock_from_odom: Pose,
+    /// The part of the layout that it belongs to.
+    pub part: u32,
+}
+
+/// Where everything lies that a collection of records tells of.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FlockLayout {
+    /// The nodes of each log, in order.
+    pub nodes: BTreeMap<(RobotId, u64), Vec<PlacedNode>>,
+    /// The submaps of each log, in order.
+    pub submaps: BTreeMap<(RobotId, u64), Vec<PlacedRecord>>,
+    /// The part with most nodes: the flock's frame is that of the first robot in it.
+    pub main_part: u32,
+    /// Closures between robots that act, and those that do not.
+    pub across: (u64, u64),
+}
+
+impl FlockLayout {
+    /// A hash over all poses, to the bit: equal for equal layouts.
+    pub fn hash(&self) -> u64 {
+        let mut hash = 0xcbf2_9ce4_8422_2325u64;
+        let mut mix = |word: u64| {
+            hash = (hash ^ word).wrapping_mul(0x0000_0100_0000_01b3).rotate_left(23);
+        };
+        for node in self.nodes.values().flatten() {
+            let Pose { x_m, y_m, heading_rad } = node.flock_from_base;
+            [node.sequence, node.part.into()].into_iter().for_each(&mut mix);
+            [x_m, y_m, heading_rad].into_iter().for_each(|value| mix(value.to_bits()));
+        }
+        hash
+    }
+
+    /// Names of the robots that are part of the flock's frame, in order.
+    pub fn members(&self) -> Vec<&RobotId> {
+        let inside = |nodes: &[PlacedNode]| nodes.iter().any(|node| node.part == self.main_part);
+        let mut members: Vec<_> =
+            self.nodes.iter().filter(|(_, nodes)| inside(nodes)).map(|((robot, _), _)| robot).collect();
+        members.dedup();
+        members
+    }
+}
+
+impl Atlas {
+    /// Solves the graph from the chains: what ties robots together first, then with all that this leads one to expect.
+    pub(super) fn solve(&self, inspected: &mut Inspected) -> Solved {
+        let (tied, mut more) = self.tied(inspected);
+        let mut solved = tied.clone();
+        for _ in 0..EXPECTED_ROUNDS {
+            let expected = self.expected(&solved, inspected);
+            let known = more.clone();
+            expected.into_iter().for_each(|i| more[i] = true);
+            if more == known {
+                break;
+            }
+            let next = self.solve_with(&more);
+            // Nothing that ties robots together may give way to what does not.
+            let still_ties = (0..more.len())
+                .all(|i| !(tied.in_force[i] && self.is_across(&self.closures[i])) || next.in_force[i]);
+            if !still_ties {
+                break;
+            }
+            solved = next;
+        }
+        solved
+    }
+
+    /// The solution with all closures on trial that agree and that what both robots have seen confirms, and what was on trial.
+    /// What is left between two robots after that must still agree.
+    fn tied(&self, inspected: &mut Inspected) -> (Solved, Vec<bool>) {
+        let mut denied = BTreeSet::new();
+        for _ in 0..TRIALS_MAX {
+            let on_trial = self.eligible(&denied, inspected);
+            let solved = self.solve_with(&on_trial);
+            let doubtful = self.unconfirmed(&solved.in_force);
+            if doubtful.is_empty() {
+                return (solved, on_trial);
+            }
+            denied.extend(doubtful);
+        }
+        denied.extend((0..self.closures.len()).filter(|i| self.is_across(&self.closures[*i])));
+        let on_trial = self.eligible(&denied, inspected);
+        (self.solve_with(&on_trial), on_trial)
+    }
+
+    fn solve_with(&self, on_trial: &[bool]) -> Solved {
+        let mut edges: Vec<Edge> = self.edges.clone();
+        let trusted = edges.len();
+        edges.extend(self.closures.iter().zip(on_trial).filter(|(_, e)| **e).map(|(c, _)| c.edge));
+        let (mut poses, _) = start(&self.nodes, &edges[trusted..]);
+        let robust = RobustSettings { chi_squared_max: CHI_SQUARED_MAX, growth: 1.6, rounds: 25, warm_up: 6 };
+        let solved = solve(self.nodes.len(), &edges, trusted, &robust, &mut poses);
+        let mut acting = solved.weights[trusted..].iter().map(|&w| w > 0.5);
+        let in_force: Vec<bool> = on_trial.iter().map(|e| *e && acting.next() == Some(true)).collect();
+        let strands = self.strands(&in_force);
+        Solved { poses, in_force, strands }
+    }
+
+    pub(super) fn strands(&self, in_force: &[bool]) -> Strands {
+        let acting = self.closures.iter().zip(in_force).filter(|(_, acts)| **acts);
+        Strands::new(&self.nodes, acting.map(|(c, _)| (c.edge.from, c.edge.to)))
+    }
+
+    /// Measures the solved layout again, all of it: what is near each other is matched, whoever saw it.
+    fn measure_again(&self, solved: &mut Solved, grid: &mut MomentGrid) {
+        let strands = &solved.strands;
+        let held = self.held_together(&solved.in_force);
+        let pass = DensePass {
+            nodes: &self.nodes,
+            scans: &self.scans,
+            segments: &self.segments,
+            chain: &held,
+            strands,
+        };
+        pass.run(grid, &mut solved.poses);
+        let mut parts: Vec<u32> = (0..strands.count() as u32).map(|strand| strands.part(strand)).collect();
+        parts.sort_unstable();
+        parts.dedup();
+        for part in parts {
+            let in_map: Vec<bool> = self.nodes.iter().map(|node| strands.part(node.strand) == part).collect();
+            let refinement =
+                Refinement { nodes: &self.nodes, scans: &self.scans, chain: &held, in_map: &in_map };
+            refinement.run(grid, &mut solved.poses);
+        }
+    }
+
+    /// The chains, and the closures between robots that act. A chain is not enough: nothing else that is trusted connects robots, and where they
+    /// met once, what is measured again may be too little to do so.
+    fn held_together(&self, in_force: &[bool]) -> Vec<Edge> {
+        let across =
+            self.closures.iter().zip(in_force).filter(|(closure, acts)| **acts && self.is_across(closure));
+        let loosely = |edge: Edge| Edge { information: edge.information.map(|v| HELD * v), ..edge };
+        self.edges.iter().copied().chain(across.map(|(closure, _)| loosely(closure.edge))).collect()
+    }
+
+    /// Where everything lies. With `finely`, after all of it has been matched again: for the end, since it takes a multiple of the
+    /// time.
+    pub fn layout(&self, finely: bool, inspected: &mut Inspected) -> FlockLayout {
+        if self.is_empty() {
+            return FlockLayout::default();
+        }
+        let mut solved = self.solve(inspected);
+        if finely {
+            self.measure_again(&mut solved, &mut MomentGrid::default());
+        }
+        self.told(&solved)
+    }
+
+    /// A solution in the names of the records, each part in the frame of its first node.
+    fn told(&self, solved: &Solved) -> FlockLayout {
+        let strands = &solved.strands;
+        let mut gauges: BTreeMap<u32, Placement> = BTreeMap::new();
+        let mut layout = FlockLayout::default();
+        let mut sizes: BTreeMap<u32, usize> = BTreeMap::new();
+        for log in &self.logs {
+            let mut nodes = Vec::with_capacity(log.nodes.len());
+            let mut submaps: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+            for i in log.nodes.clone() {
+                let part = strands.part(self.nodes[i].strand);
+                let gauge = gauges
+                    .entry(part)
+                    .or_insert_with(|| self.nodes[i].odom.compose(solved.poses[i].inverse()));
+                *sizes.entry(part).or_default() += 1;
+                nodes.push(PlacedNode {
+                    sequence: self.scanned[i].sequence,
+                    flock_from_base: gauge.compose(solved.poses[i]).pose(),
+                    part,
+                });
+                submaps.entry(self.scanned[i].submap).or_default().push(i);
+            }
+            let place = |(submap, members): (u32, Vec<usize>)| {
+                let middle = members[members.len() / 2];
+                let part = strands.part(self.nodes[middle].strand);
+                let at = gauges[&part].compose(solved.poses[middle]);
+                let flock_from_odom = at.compose(self.nodes[middle].odom.inverse()).pose();
+                PlacedRecord { submap, flock_from_odom, part }
+            };
+            let key = (log.robot.clone(), log.epoch);
+            layout.submaps.insert(key.clone(), submaps.into_iter().map(place).collect());
+            layout.nodes.insert(key, nodes);
+        }
+        let largest = sizes.iter().max_by_key(|(part, size)| (**size, std::cmp::Reverse(**part)));
+        layout.main_part = largest.map_or(0, |(part, _)| *part);
+        let across =
+            self.closures.iter().zip(&solved.in_force).filter(|(closure, _)| self.is_across(closure));
+        let (acting, other): (Vec<_>, Vec<_>) = across.partition(|(_, acts)| **acts);
+        layout.across = (acting.len() as u64, other.len() as u64);
+        layout
+    }
+}
+
+impl Flock {
+    /// Where everything lies that this robot has heard of; with `finely`, matched again as a whole.
+    pub fn layout(&self, finely: bool) -> FlockLayout {
+        let atlas = Atlas::new(self.collection());
+        atlas.layout(finely, &mut self.inspected())
+    }
+}

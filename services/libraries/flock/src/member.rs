@@ -1,0 +1,168 @@
+//! One robot's state in the flock: its key, the records that it has, its search; messages in, messages and records out.
+
+use super::inspection::Inspected;
+use super::search::Search;
+use super::{Atlas, News};
+use flockslam_geometry::Pose;
+use flockslam_records::{
+    CONSTRAINTS_MAX, Collection, Constraint, Content, Limits, Message, NodeName, Presence, Record,
+    RecordError, RobotId, RobotKey, SubmapRecord,
+};
+use std::cell::{RefCell, RefMut};
+use std::sync::Arc;
+
+/// What one robot knows of its flock, and what it says.
+///
+/// A pure function of its calls: news of its own back end and messages of others in, records and messages out.
+///
+/// ```
+/// use flockslam_geometry::Pose;
+/// use flockslam_records::{Descriptor, Limits, RecordedNode, RobotKey, Stretch};
+/// use flockslam_flock::{Flock, News};
+///
+/// let robot = |key| Flock::new(key, 1, Limits::default());
+/// let (mut a, mut b) = (robot(RobotKey::of_replay("a")?), robot(RobotKey::of_replay("b")?));
+/// // Robot a has driven a metre.
+/// let node = |sequence: u8| RecordedNode {
+///     sequence: sequence.into(),
+///     submap: 0,
+///     odom_from_base: Pose::new(sequence.into(), 0.0, 0.0),
+///     motion: Pose::new(1.0, 0.0, 0.0),
+///     information: [400.0, 0.0, 0.0, 400.0, 0.0, 1e4],
+///     doubt_m: 0.0,
+///     points: vec![[2000, 0]],
+/// };
+/// let (descriptor, nodes) = (Descriptor::default(), vec![node(0), node(1)]);
+/// let stretch = Stretch { chain: 0, previous: None, descriptor, nodes };
+/// a.say_news(&News { stretches: vec![stretch], loops: Vec::new() })?;
+/// // Robot b says what it has, and is sent what it lacks, here at most 20 kB.
+/// for answer in a.answer(&b.have(), 20_000) {
+///     b.answer(&answer, 0);
+/// }
+/// // Who knows the same records has the same layout.
+/// assert_eq!(b.layout(false), a.layout(false));
+/// assert_eq!(b.layout(false).members(), [a.robot()]);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub struct Flock {
+    key: RobotKey,
+    epoch: u64,
+    collection: Collection,
+    search: Search,
+    inspected: RefCell<Inspected>,
+}
+
+impl Flock {
+    /// A robot that has said and heard nothing yet. An epoch is never used again after a log has been lost.
+    pub fn new(key: RobotKey, epoch: u64, limits: Limits) -> Self {
+        let search = Search::new();
+        Self { key, epoch, collection: Collection::new(limits), search, inspected: RefCell::default() }
+    }
+
+    /// Who it is.
+    pub fn robot(&self) -> &RobotId {
+        self.key.id()
+    }
+
+    /// All that it has heard of, its own records among them.
+    pub fn collection(&self) -> &Collection {
+        &self.collection
+    }
+
+    /// The same, to ban or to trust.
+    pub fn collection_mut(&mut self) -> &mut Collection {
+        &mut self.collection
+    }
+
+    /// What it remembers of groups of closures.
+    pub(super) fn inspected(&self) -> RefMut<'_, Inspected> {
+        self.inspected.borrow_mut()
+    }
+
+    /// Branch-and-bound searches so far.
+    pub fn searches(&self) -> u64 {
+        self.search.searches()
+    }
+
+    /// Says something: gives the bytes of the record, which are to be kept before anybody else hears of it.
+    ///
+    /// # Errors
+    /// When the content is too large for a record.
+    pub fn say(&mut self, content: &Content) -> Result<Arc<[u8]>, RecordError> {
+        let number = self.collection.next_number(self.key.id(), self.epoch);
+        let record = Record::new(&self.key, self.epoch, number, content)?;
+        let bytes = Arc::clone(record.bytes());
+        self.collection.insert(record);
+        Ok(bytes)
+    }
+
+    /// Says what its own back end has found out.
+    ///
+    /// # Errors
+    /// As [`Self::say`].
+    pub fn say_news(&mut self, news: &News) -> Result<Vec<Arc<[u8]>>, RecordError> {
+        let mut said = Vec::new();
+        for stretch in &news.stretches {
+            said.push(self.say(&Content::Stretch(stretch.clone()))?);
+        }
+        let node = |sequence| NodeName { robot: self.key.id().clone(), epoch: self.epoch, sequence };
+        let constraint = |own: &super::OwnLoop| Constraint {
+            from: node(own.from),
+            to: node(own.to),
+            motion: own.closure.edge.motion.pose(),
+            information: own.closure.edge.information.map(|v| v as f32),
+            reach_m: own.closure.reach_m as f32,
+            shift_m: own.closure.shift_m as f32,
+        };
+        let constraints: Vec<Constraint> = news.loops.iter().map(constraint).collect();
+        said.extend(self.say_constraints(&constraints)?);
+        Ok(said)
+    }
+
+    /// Says what it has measured, in as few records as can be.
+    ///
+    /// # Errors
+    /// As [`Self::say`].
+    pub fn say_constraints(&mut self, constraints: &[Constraint]) -> Result<Vec<Arc<[u8]>>, RecordError> {
+        let records = constraints.chunks(CONSTRAINTS_MAX);
+        records.map(|some| self.say(&Content::Constraints(some.to_vec()))).collect()
+    }
+
+    /// Says what the evidence of a closed submap is.
+    ///
+    /// # Errors
+    /// As [`Self::say`].
+    pub fn say_submap(&mut self, submap: &flockslam_evidence::Submap) -> Result<Arc<[u8]>, RecordError> {
+        self.say(&Content::Submap(SubmapRecord::of(&submap.coarsened())))
+    }
+
+    /// Takes in a message of another robot and gives what to answer, with records for at most so many bytes.
+    pub fn answer(&mut self, message: &Message, budget_bytes: usize) -> Vec<Message> {
+        self.collection.answer(message, budget_bytes)
+    }
+
+    /// What it tells others of where it is.
+    pub fn here(&self, sequence: u64, submap: u32, odom_from_base: Pose) -> Message {
+        Message::Here(Presence::sign(&self.key, self.epoch, sequence, submap, odom_from_base))
+    }
+
+    /// What it tells others that it has.
+    pub fn have(&self) -> Message {
+        Message::Have(self.collection.vector())
+    }
+
+    /// Looks for places that it shares with others, with at most about so many searches, and says what it has found.
+    ///
+    /// # Errors
+    /// As [`Self::say`].
+    pub fn search(&mut self, searches_max: u64) -> Result<Vec<Arc<[u8]>>, RecordError> {
+        let found = self.find(searches_max);
+        self.say_constraints(&found)
+    }
+
+    /// As [`Self::search`], without saying it: for who knows some of it already.
+    pub fn find(&mut self, searches_max: u64) -> Vec<Constraint> {
+        let mut atlas = Atlas::new(&self.collection);
+        self.search.run(&mut atlas, self.key.id(), searches_max, self.inspected.get_mut())
+    }
+}

@@ -1,0 +1,148 @@
+//! Other explanations of a tie between two robots: looks for places in what the first robot saw where the second robot's scans fit as well.
+
+use super::Atlas;
+use super::overlap::{Fit, Overlap};
+use flockslam_loop_closure::closure::Closure;
+use flockslam_loop_closure::segment::{cell_means, cloud, picked};
+use flockslam_pose_graph::Edge;
+use flockslam_registration::cloud::{Placement, PooledField, Searcher, Window};
+use std::f64::consts::PI;
+use std::ops::Range;
+
+/// Of a group, those count as one place whose ends lie within this along both ways, metres.
+const PLACE_M: f64 = 15.0;
+/// Ties that a place is judged by.
+const TIES_MAX: usize = 64;
+/// What the second robot has seen so much before and after these is compared, metres of its way.
+const BESIDE_M: f64 = 3.0;
+/// What the first robot has seen so much before and after these is looked through for other explanations, metres of its way.
+const AROUND_M: f64 = 20.0;
+/// A query is a node and so many before and after it.
+const QUERY_NODES: usize = 10;
+/// Points of a query.
+const POINTS: usize = 100;
+/// Where other explanations are looked for: as far away as robots see, at any heading.
+const WINDOW: Window = Window { reach_m: 14.0, turn_rad: PI };
+/// Where the explanation under test is looked for itself.
+const HERE: Window = Window { reach_m: 0.4, turn_rad: 0.1 };
+/// What is nearer than this is the same explanation.
+const APART: Window = Window { reach_m: 0.8, turn_rad: 0.25 };
+/// Least score of another explanation, as a share of that of the one under test.
+const SCORE_MIN: f64 = 0.75;
+/// Squares that a search looks at before it takes what it has found.
+const SUMS_MAX: u64 = 120_000;
+
+/// Where a closure says that a node of one robot lies to one of another.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Tie {
+    /// The first robot's node.
+    pub from: usize,
+    /// The second robot's node.
+    pub to: usize,
+    /// Pose of `to` seen from `from`.
+    pub motion: Placement,
+}
+
+impl Tie {
+    /// What a closure says.
+    pub fn of(closure: &Closure) -> Self {
+        let Edge { from, to, motion, .. } = closure.edge;
+        Self { from, to, motion }
+    }
+
+    /// The same with the other robot as the first.
+    pub fn turned(&self) -> Self {
+        Self { from: self.to, to: self.from, motion: self.motion.inverse() }
+    }
+}
+
+/// A place where closures say that two robots have both been.
+pub(super) struct Place {
+    /// The tie in its middle.
+    middle: Tie,
+    /// Ends of the closures around it in the second robot's way, in order, each with what takes the frame of the second's chain to that of the
+    /// first's.
+    pub ties: Vec<(usize, Placement)>,
+    /// Nodes of both that it is judged by.
+    pub nodes: [Range<usize>; 2],
+}
+
+impl Place {
+    /// The place around one tie of a group.
+    pub fn new(atlas: &Atlas, middle: &Tie, group: &[Tie]) -> Self {
+        let travel_m = |node: usize| atlas.nodes[node].doubt_m;
+        let is_near = |tie: &&Tie| {
+            let apart_m = |a: usize, b: usize| (travel_m(a) - travel_m(b)).abs();
+            apart_m(tie.from, middle.from) <= PLACE_M && apart_m(tie.to, middle.to) <= PLACE_M
+        };
+        // The first in order, so that what is found later changes little.
+        let near: Vec<&Tie> = group.iter().filter(is_near).take(TIES_MAX).collect();
+        let first_from_second = |tie: &&Tie| {
+            let (from, to) = (&atlas.nodes[tie.from], &atlas.nodes[tie.to]);
+            (tie.to, from.chain.compose(tie.motion).compose(to.chain.inverse()))
+        };
+        let mut ties: Vec<(usize, Placement)> = near.iter().map(first_from_second).collect();
+        ties.sort_by_key(|(to, _)| *to);
+        let stretch = |end: fn(&Tie) -> usize, beside_m: f64| {
+            let (low, high) = near
+                .iter()
+                .map(|tie| end(tie))
+                .fold((usize::MAX, 0), |(low, high), node| (low.min(node), high.max(node)));
+            let (low_m, high_m) = (travel_m(low) - beside_m, travel_m(high) + beside_m);
+            // Doubt jumps where a strand or a log ends: none is left.
+            let start = atlas.nodes[..low].partition_point(|node| node.doubt_m < low_m);
+            let end = high + atlas.nodes[high..].partition_point(|node| node.doubt_m <= high_m);
+            start..end
+        };
+        let nodes = [stretch(|tie| tie.from, AROUND_M), stretch(|tie| tie.to, BESIDE_M)];
+        Self { middle: *middle, ties, nodes }
+    }
+
+    /// How well what both have seen here fits together as the closures say, and where it fits next best, if anywhere.
+    pub fn fits(&self, atlas: &Atlas) -> (Fit, Option<Fit>) {
+        let overlap = self.overlap(atlas);
+        let other = self.elsewhere(atlas).map(|moved| overlap.fit(&moved));
+        (overlap.fit(&Placement::IDENTITY), other)
+    }
+
+    /// How well what both have seen here fits together as the closures say.
+    pub fn fit(&self, atlas: &Atlas) -> Fit {
+        self.overlap(atlas).fit(&Placement::IDENTITY)
+    }
+
+    fn overlap<'a>(&self, atlas: &'a Atlas) -> Overlap<'a> {
+        let first = self.nodes[0].clone().map(|node| (node, atlas.nodes[node].chain));
+        let second = self.nodes[1].clone().map(|node| (node, self.placed(atlas, node)));
+        Overlap::new(atlas, first, second)
+    }
+
+    /// A node of the second robot in the frame of the first's chain, by the nearest closure.
+    fn placed(&self, atlas: &Atlas, node: usize) -> Placement {
+        let nearest =
+            self.ties.iter().min_by_key(|(to, _)| to.abs_diff(node)).expect("a place has a closure");
+        nearest.1.compose(atlas.nodes[node].chain)
+    }
+
+    /// How what lies around the middle would have to be moved to lie where else it fits best to what the first robot has seen.
+    fn elsewhere(&self, atlas: &Atlas) -> Option<Placement> {
+        let query = self.middle.to;
+        let at = self.placed(atlas, query);
+        let mut points = Vec::new();
+        for node in &atlas.nodes[self.nodes[0].clone()] {
+            let from = at.to(node.chain);
+            points.extend(atlas.scans.points(node.scan).iter().map(|p| from.apply(p.x_m(), p.y_m())));
+        }
+        let field = PooledField::new(&cell_means(&points));
+        let same = |i: &usize| atlas.nodes[*i].strand == atlas.nodes[query].strand;
+        let start = (query.saturating_sub(QUERY_NODES)..=query).find(same)?;
+        let last = (query..(query + QUERY_NODES + 1).min(atlas.nodes.len())).rev().find(same)?;
+        let points = picked(&cloud(&atlas.nodes, &atlas.scans, start..last + 1, query), POINTS);
+        let mut searcher = Searcher::bounded(SUMS_MAX);
+        let mut best = |window, score_min, exclude| {
+            searcher.best(&field, &points, Placement::IDENTITY, window, score_min, exclude)
+        };
+        let here = best(HERE, 0.1, None)?;
+        let other = best(WINDOW, SCORE_MIN * here.score, Some((here.placement, APART)))?;
+        Some(at.compose(other.placement).compose(at.inverse()))
+    }
+}

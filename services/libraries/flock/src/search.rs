@@ -1,0 +1,300 @@
+//! The search for places that a robot shares with others: matches its queries to other robots' segments, first anywhere, then where the ties found
+//! so far say. Gives constraints.
+
+use super::Atlas;
+use super::inspection::Inspected;
+use super::layout::Solved;
+use super::resemblance::Resemblance;
+use flockslam_loop_closure::closure::Closure;
+use flockslam_loop_closure::finder::{ANYWHERE, ClosureFinder, QUERY_NODES, SIGHT_M, World, apart_m, window};
+use flockslam_loop_closure::finder::{EVERY_M, SEGMENTS_PER_QUERY};
+use flockslam_loop_closure::node::{BROKEN_M, Node};
+use flockslam_loop_closure::strands::Strands;
+use flockslam_records::{Constraint, RobotId};
+use flockslam_registration::cloud::{Placement, Window};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+/// Of the queries, every so many are looked for anywhere.
+const WIDE_EVERY: usize = 2;
+/// Squares that a search anywhere looks at before it gives up.
+const WIDE_SUMS_MAX: u64 = 250_000;
+/// So many queries before and after one that tied two robots together are looked for near where that says.
+const NEIGHBOURS: usize = 3;
+/// What a match would have along so much of both ways before and after it is looked for, metres, each query in so many segments.
+const FOLLOWED_M: f64 = 10.0;
+const FOLLOWED_IN: usize = 2;
+/// Closures between two logs that act from which it counts as known how they lie to each other. Until then rival explanations are looked for.
+const FIRM: usize = 6;
+/// Segments kept ready for matching.
+const FIELDS: usize = 160;
+
+/// A query and a segment to be compared anywhere.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Pair {
+    /// How different their surroundings are.
+    apart: u32,
+    /// Place of the query among those that are looked for anywhere.
+    place: usize,
+    segment: usize,
+}
+
+/// Looks for the places that a robot shares with others.
+pub struct Search {
+    finder: ClosureFinder,
+    /// Pairs of query and segment that have been compared anywhere, or near where they are expected: (query, segment, anywhere).
+    tried: BTreeSet<(u64, u64, bool)>,
+    /// The same of those that were looked for where a match would have them: query, segment, and about where, in metres and half radians.
+    followed: BTreeSet<(u64, u64, [i32; 3])>,
+    /// What has been found in this run.
+    found: Vec<Constraint>,
+}
+
+impl Search {
+    pub fn new() -> Self {
+        Self {
+            finder: ClosureFinder::thorough(WIDE_SUMS_MAX, FIELDS),
+            tried: BTreeSet::new(),
+            followed: BTreeSet::new(),
+            found: Vec::new(),
+        }
+    }
+
+    /// Searches so far.
+    pub fn searches(&self) -> u64 {
+        self.finder.counts().searches
+    }
+
+    /// Looks for the nodes of `own` in the segments of other robots, with at most about so many searches: first anywhere, until
+    /// enough closures agree on how the robots lie to each other, then near where that says. Gives what was found, which is in the atlas
+    /// as well.
+    pub fn run(
+        &mut self,
+        atlas: &mut Atlas,
+        own: &RobotId,
+        searches_max: u64,
+        inspected: &mut Inspected,
+    ) -> Vec<Constraint> {
+        if atlas.is_empty() {
+            return Vec::new();
+        }
+        let until = self.searches().saturating_add(searches_max);
+        let queries = queries(atlas, own, EVERY_M);
+        let few: Vec<usize> = queries.iter().copied().step_by(WIDE_EVERY).collect();
+        let mut solved = atlas.solve(inspected);
+        self.anywhere(atlas, &few, until, &mut solved, inspected);
+        for query in queries {
+            if self.searches() >= until {
+                break;
+            }
+            self.near(atlas, query, &solved);
+        }
+        std::mem::take(&mut self.found)
+    }
+
+    /// Looks for a query where the solution puts it.
+    fn near(&mut self, atlas: &mut Atlas, query: usize, solved: &Solved) {
+        let most = SEGMENTS_PER_QUERY;
+        let name = |node: usize| atlas.nodes[node].sequence;
+        let is_tried =
+            |k: &usize| self.tried.contains(&(name(query), name(atlas.segments[*k].anchor), false));
+        // Distances along the graph take a while.
+        if nearby(atlas, solved, query, None, most).iter().all(is_tried) {
+            return;
+        }
+        let distances_m = atlas.distances_m(solved, query);
+        let near = nearby(atlas, solved, query, Some(&distances_m), most);
+        let candidates: Vec<(usize, Window)> = near
+            .into_iter()
+            .filter(|number| self.is_new(atlas, query, *number, false))
+            .map(|number| (number, window(distances_m[atlas.segments[number].anchor])))
+            .collect();
+        self.search(atlas, &solved.poses, query, &candidates);
+    }
+
+    /// Looks for queries in all that nothing is known of, the most similar first, until it is known; the solution is kept up.
+    fn anywhere(
+        &mut self,
+        atlas: &mut Atlas,
+        queries: &[usize],
+        until: u64,
+        solved: &mut Solved,
+        inspected: &mut Inspected,
+    ) {
+        let mut known = firmly_tied(atlas, solved);
+        let mut order: VecDeque<Pair> = self.resembling(atlas, queries, &known).into();
+        while let Some(Pair { place, segment, .. }) = order.pop_front() {
+            let query = queries[place];
+            if self.searches() >= until {
+                return;
+            }
+            if !is_strange(atlas, &known, query, segment) || !self.is_new(atlas, query, segment, true) {
+                continue;
+            }
+            let matches = self.search(atlas, &solved.poses, query, &[(segment, ANYWHERE)]);
+            if matches.is_empty() {
+                continue;
+            }
+            matches.iter().for_each(|closure| self.follow(atlas, closure, queries));
+            *solved = atlas.solve(inspected);
+            if !is_strange(atlas, &solved.strands, query, segment) {
+                // Tied, if loosely: what confirms it or not lies where that says.
+                let neighbours =
+                    place.saturating_sub(NEIGHBOURS)..(place + NEIGHBOURS + 1).min(queries.len());
+                neighbours.for_each(|place| self.near(atlas, queries[place], solved));
+                *solved = atlas.solve(inspected);
+            }
+            known = firmly_tied(atlas, solved);
+        }
+    }
+
+    /// All pairs of a query and a segment of which it is not known how they lie to each other, the most similar first.
+    fn resembling(&self, atlas: &Atlas, queries: &[usize], known: &Strands) -> Vec<Pair> {
+        let resemblance = Resemblance::new(atlas);
+        let mut pairs = Vec::new();
+        for (place, &query) in queries.iter().enumerate() {
+            let strange = (0..atlas.segments.len()).filter(|k| is_strange(atlas, known, query, *k));
+            pairs.extend(strange.map(|segment| {
+                let apart = resemblance.distance(query, &atlas.segments[segment]);
+                Pair { apart, place, segment }
+            }));
+        }
+        pairs.sort_unstable();
+        pairs
+    }
+
+    /// Whether a query and a segment have not been compared like this yet; from now on they have.
+    fn is_new(&mut self, atlas: &Atlas, query: usize, segment: usize, anywhere: bool) -> bool {
+        let name = |node: usize| atlas.nodes[node].sequence;
+        self.tried.insert((name(query), name(atlas.segments[segment].anchor), anywhere))
+    }
+
+    fn search(
+        &mut self,
+        atlas: &mut Atlas,
+        poses: &[Placement],
+        query: usize,
+        candidates: &[(usize, Window)],
+    ) -> Vec<Closure> {
+        let world = World { nodes: &atlas.nodes, scans: &atlas.scans, segments: &atlas.segments, poses };
+        let closures = self.finder.find_in(&world, query, QUERY_NODES, candidates);
+        for closure in &closures {
+            let constraint = constraint(atlas, closure);
+            atlas.add_across(&constraint);
+            self.found.push(constraint);
+        }
+        closures
+    }
+
+    /// Looks for what else would have to match if a match that was found anywhere is right: near it, along both ways.
+    fn follow(&mut self, atlas: &mut Atlas, closure: &Closure, queries: &[usize]) {
+        let (from, to) = (closure.edge.from, closure.edge.to);
+        let nodes = &atlas.nodes;
+        let along_m = |a: usize, b: usize| (nodes[a].doubt_m - nodes[b].doubt_m).abs();
+        let moved = nodes[from].chain.compose(closure.edge.motion).compose(nodes[to].chain.inverse());
+        let place = |node: &Node| {
+            if node.strand == nodes[to].strand { moved.compose(node.chain) } else { node.chain }
+        };
+        let poses: Vec<Placement> = nodes.iter().map(place).collect();
+        let mut candidates: Vec<(usize, usize, Window)> = Vec::new();
+        for &query in queries.iter().filter(|query| along_m(**query, to) <= FOLLOWED_M) {
+            let world = World { nodes, scans: &atlas.scans, segments: &atlas.segments, poses: &poses };
+            let mut near: Vec<(f64, usize)> = (0..atlas.segments.len())
+                .filter(|k| along_m(atlas.segments[*k].anchor, from) <= FOLLOWED_M)
+                .map(|k| (apart_m(&world, &atlas.segments[k], query), k))
+                .filter(|(apart_m, _)| *apart_m <= SIGHT_M)
+                .collect();
+            near.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let window_of = |k: usize| window(along_m(query, to) + along_m(atlas.segments[k].anchor, from));
+            candidates.extend(near.iter().take(FOLLOWED_IN).map(|(_, k)| (query, *k, window_of(*k))));
+        }
+        for (query, segment, window) in candidates {
+            let guess = poses[atlas.segments[segment].anchor].to(poses[query]);
+            if self.is_new_there(atlas, query, segment, &guess) {
+                self.search(atlas, &poses, query, &[(segment, window)]);
+            }
+        }
+    }
+
+    /// Whether a query has not been looked for in this part of a segment yet; from now on it has.
+    fn is_new_there(&mut self, atlas: &Atlas, query: usize, segment: usize, guess: &Placement) -> bool {
+        let name = |node: usize| atlas.nodes[node].sequence;
+        let part = [guess.x_m, guess.y_m, 2.0 * guess.heading_rad].map(|value| value.round() as i32);
+        self.followed.insert((name(query), name(atlas.segments[segment].anchor), part))
+    }
+}
+
+/// Which strands are tied to each other by enough closures that act.
+fn firmly_tied(atlas: &Atlas, solved: &Solved) -> Strands {
+    let logs = |i: usize| {
+        let edge = &atlas.closures[i].edge;
+        let (a, b) = (atlas.owner(edge.from), atlas.owner(edge.to));
+        (a.min(b), a.max(b))
+    };
+    let mut ties: BTreeMap<(u32, u32), usize> = BTreeMap::new();
+    let acting: Vec<usize> = (0..atlas.closures.len()).filter(|i| solved.in_force[*i]).collect();
+    acting.iter().for_each(|i| *ties.entry(logs(*i)).or_default() += 1);
+    let firm = |i: &usize| !atlas.is_across(&atlas.closures[*i]) || ties[&logs(*i)] >= FIRM;
+    let firm: Vec<bool> = (0..atlas.closures.len()).map(|i| solved.in_force[i] && firm(&i)).collect();
+    atlas.strands(&firm)
+}
+
+/// Whether a segment is another robot's and it is not known how it lies to the query.
+fn is_strange(atlas: &Atlas, known: &Strands, query: usize, segment: usize) -> bool {
+    let anchor = atlas.segments[segment].anchor;
+    let part = |node: usize| known.part(atlas.nodes[node].strand);
+    atlas.owner(anchor) != atlas.owner(query) && part(anchor) != part(query)
+}
+
+/// Nodes of a robot at which a search is due, `every_m` metres of its way apart, away from the ends of its strands.
+fn queries(atlas: &Atlas, own: &RobotId, every_m: f64) -> Vec<usize> {
+    let mut queries = Vec::new();
+    for log in atlas.logs.iter().filter(|log| log.robot == *own) {
+        let mut next_m = f64::NEG_INFINITY;
+        for i in log.nodes.clone().skip(QUERY_NODES) {
+            if atlas.nodes[i].travel_m >= next_m && i + QUERY_NODES < log.nodes.end {
+                queries.push(i);
+                next_m = atlas.nodes[i].travel_m + every_m;
+            }
+        }
+    }
+    queries
+}
+
+/// Segments of other robots that the query may see, nearest first; without distances along the graph, as if they were well known.
+fn nearby(
+    atlas: &Atlas,
+    solved: &Solved,
+    query: usize,
+    distances_m: Option<&[f64]>,
+    most: usize,
+) -> Vec<usize> {
+    let world =
+        World { nodes: &atlas.nodes, scans: &atlas.scans, segments: &atlas.segments, poses: &solved.poses };
+    let part = |node: usize| solved.strands.part(atlas.nodes[node].strand);
+    let mut near = Vec::new();
+    for (number, segment) in atlas.segments.iter().enumerate() {
+        let distance_m = distances_m.map_or(0.0, |distances_m| distances_m[segment.anchor]);
+        let is_anothers = atlas.owner(segment.anchor) != atlas.owner(query);
+        if !is_anothers || part(segment.anchor) != part(query) || distance_m >= BROKEN_M {
+            continue;
+        }
+        let apart_m = apart_m(&world, segment, query);
+        if apart_m <= window(distance_m).reach_m + SIGHT_M {
+            near.push((apart_m, number));
+        }
+    }
+    near.sort_by(|a, b| a.0.total_cmp(&b.0));
+    near.into_iter().take(most).map(|(_, number)| number).collect()
+}
+
+/// A closure as it is told.
+fn constraint(atlas: &Atlas, closure: &Closure) -> Constraint {
+    Constraint {
+        from: atlas.name(closure.edge.from),
+        to: atlas.name(closure.edge.to),
+        motion: closure.edge.motion.pose(),
+        information: closure.edge.information.map(|v| v as f32),
+        reach_m: closure.reach_m as f32,
+        shift_m: closure.shift_m as f32,
+    }
+}

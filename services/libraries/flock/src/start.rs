@@ -1,0 +1,126 @@
+//! Start poses for the solver over many strands: a spanning tree over the pairs of strands, those with most agreeing closures first.
+
+use flockslam_loop_closure::node::Node;
+use flockslam_pose_graph::Edge;
+use flockslam_registration::cloud::Placement;
+use std::collections::BTreeMap;
+
+/// Closures that agree on how two strands lie to each other differ by less than this, metres and radians.
+const AGREEING: (f64, f64) = (1.0, 0.15);
+
+/// How one strand lies to another, and how many closures say so.
+#[derive(Clone, Copy)]
+struct Tie {
+    low: u32,
+    high: u32,
+    /// Takes the frame of `high` to that of `low`.
+    low_from_high: Placement,
+    votes: usize,
+}
+
+/// Poses to solve a graph of many strands from, and by strand the first strand that it is tied to.
+///
+/// Strands are tied together the surest first – a spanning tree of most votes – and each tree lies in the frame of its first
+/// strand. The start matters: from a heading that is quite wrong, no solver finds back.
+pub fn start(nodes: &[Node], loops: &[Edge]) -> (Vec<Placement>, Vec<u32>) {
+    let count = nodes.last().map_or(0, |node| node.strand as usize + 1);
+    let mut root: Vec<u32> = (0..count as u32).collect();
+    // By strand: takes its frame to that of its root.
+    let mut root_from: Vec<Placement> = vec![Placement::IDENTITY; count];
+    let mut ties = ties(nodes, loops);
+    ties.sort_by_key(|tie| (std::cmp::Reverse(tie.votes), tie.low, tie.high));
+    for tie in ties {
+        let (low, high) = (tie.low as usize, tie.high as usize);
+        if root[low] == root[high] {
+            continue;
+        }
+        let low_root_from_high_root =
+            root_from[low].compose(tie.low_from_high).compose(root_from[high].inverse());
+        let (kept, gone, moved) = if root[low] < root[high] {
+            (root[low], root[high], low_root_from_high_root)
+        } else {
+            (root[high], root[low], low_root_from_high_root.inverse())
+        };
+        for strand in 0..count {
+            if root[strand] == gone {
+                root[strand] = kept;
+                root_from[strand] = moved.compose(root_from[strand]);
+            }
+        }
+    }
+    let poses = nodes.iter().map(|node| root_from[node.strand as usize].compose(node.start)).collect();
+    (poses, root)
+}
+
+/// For each pair of strands with closures between them, the motion that most of them agree on.
+fn ties(nodes: &[Node], loops: &[Edge]) -> Vec<Tie> {
+    let mut pairs: BTreeMap<(u32, u32), Vec<(Placement, Placement)>> = BTreeMap::new();
+    for edge in loops {
+        let (from, to) = (&nodes[edge.from], &nodes[edge.to]);
+        if from.strand < to.strand {
+            let moved = from.start.compose(edge.motion).compose(to.start.inverse());
+            pairs.entry((from.strand, to.strand)).or_default().push((moved, to.start));
+        } else if to.strand < from.strand {
+            let moved = to.start.compose(edge.motion.inverse()).compose(from.start.inverse());
+            pairs.entry((to.strand, from.strand)).or_default().push((moved, from.start));
+        }
+    }
+    let tie = |((low, high), motions): ((u32, u32), Vec<(Placement, Placement)>)| {
+        // Compared where the strand was matched: far away a little turn moves it much.
+        let votes = |a: &(Placement, Placement)| {
+            let agrees = |b: &&(Placement, Placement)| {
+                let (here, there) = (a.0.compose(a.1), b.0.compose(a.1));
+                here.distance_m(&there) < AGREEING.0 && here.turn_rad(&there) < AGREEING.1
+            };
+            motions.iter().filter(agrees).count()
+        };
+        let counted = motions.iter().enumerate().map(|(i, motion)| (votes(motion), std::cmp::Reverse(i)));
+        let (votes, std::cmp::Reverse(best)) = counted.max().expect("a pair has a closure");
+        Tie { low, high, low_from_high: motions[best].0, votes }
+    };
+    pairs.into_iter().map(tie).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn nodes(strands: &[u32]) -> Vec<Node> {
+        let node = |(k, strand): (usize, &u32)| {
+            let at = Placement::new(k as f64, 0.3 * k as f64, 0.1 * k as f64);
+            Node {
+                scan: k,
+                sequence: k as u64,
+                odom: at,
+                chain: at,
+                start: at,
+                travel_m: k as f64,
+                doubt_m: k as f64,
+                strand: *strand,
+            }
+        };
+        strands.iter().enumerate().map(node).collect()
+    }
+
+    #[test]
+    fn strands_are_tied_over_others_and_the_surest_ties_first() {
+        let nodes = nodes(&[0, 0, 1, 1, 1, 2, 2, 2, 3]);
+        let frames = [(0.0, 0.0, 0.0), (5.0, -3.0, 2.0), (-8.0, 1.0, -1.0), (1.0, 1.0, 1.0)]
+            .map(|(x, y, turn)| Placement::new(x, y, turn));
+        let truth = |k: usize| frames[nodes[k].strand as usize].compose(nodes[k].start);
+        let right = |from: usize, to: usize| Edge {
+            from,
+            to,
+            motion: truth(from).to(truth(to)),
+            information: [1.0, 0.0, 0.0, 1.0, 0.0, 1.0],
+        };
+        // 0 and 1 know each other over 2 alone; a lone lie between them has less weight.
+        let lie = Edge { motion: Placement::IDENTITY, ..right(0, 3) };
+        let loops = [lie, right(0, 5), right(6, 1), right(7, 2), right(4, 6)];
+        let (poses, root) = start(&nodes, &loops);
+        assert_eq!(root, [0, 0, 0, 3]);
+        for (k, pose) in poses.iter().enumerate().take(8) {
+            assert!(pose.distance_m(&truth(k)) < 1e-9 && pose.turn_rad(&truth(k)) < 1e-9, "{k}");
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! Which loop closures are eligible: those found in wide windows need others that agree with them over the cycle of chain and closures.
+
+use crate::closure::Closure;
+use crate::node::Node;
+use flockslam_registration::cloud::Placement;
+
+/// Closures found in windows wider than this need others that agree, metres.
+pub const WIDE_M: f64 = 1.5;
+/// Others that a closure from a wide window needs.
+const PARTNERS_MIN: usize = 2;
+/// Travel over which closures that agree must extend for each metre that they would move the robot, and for each metre of it that
+/// the usual drift does not account for: a share of the window.
+///
+/// What looks alike over a few metres, the ends of two aisles or the doors of two rooms, differs over more; and where places that
+/// look alike lie as far apart as the chain may have drifted, the place meant may never have been seen, so that no better match
+/// speaks against a false one.
+const EXTENT_PER_SHIFT: f64 = 2.0;
+const EXTENT_PER_SURPRISE: f64 = 5.0;
+const USUAL_SHARE: f64 = 0.25;
+/// Two closures are compared when the chain between them is no longer than this, both sides together, metres.
+const COMPARED_WITHIN_M: f64 = 20.0;
+/// Two closures agree when their cycle closes within this, plus a share of the chain in it, and this turn.
+const CYCLE: (f64, f64, f64) = (0.2, 0.02, 0.05);
+
+/// Which closures may take part in a solution: those found near where they were expected, and those from wide
+/// windows that at least two others confirm, that fewer than half as many contradict, and that hold over the longer a stretch
+/// the farther they would move the robot.
+///
+/// In a long corridor with a door every few metres a single match is wrong easily, and what the chain knows
+/// after a hundred metres cannot contradict it.
+pub fn eligible(closures: &[Closure], nodes: &[Node]) -> Vec<bool> {
+    let neighbours = Neighbours::new(closures, nodes);
+    let mut groups = Groups::new(closures, nodes);
+    let is_wide = |closure: &Closure| closure.reach_m > WIDE_M;
+    let mut eligible: Vec<bool> = closures.iter().map(|closure| !is_wide(closure)).collect();
+    for (i, a) in closures.iter().enumerate().filter(|(_, a)| is_wide(a)) {
+        let (mut agreeing, mut disagreeing) = (0, 0);
+        for k in neighbours.of(a).filter(|k| closures[*k].edge != a.edge) {
+            match agree(a, &closures[k], nodes) {
+                Some(true) => {
+                    agreeing += 1;
+                    groups.join(i, k);
+                }
+                Some(false) => disagreeing += 1,
+                None => {}
+            }
+        }
+        eligible[i] = agreeing >= PARTNERS_MIN && 2 * disagreeing <= agreeing + 1;
+    }
+    for (i, closure) in closures.iter().enumerate().filter(|(_, closure)| is_wide(closure)) {
+        eligible[i] &= groups.extent_m(i) >= extent_needed_m(closure);
+    }
+    eligible
+}
+
+fn extent_needed_m(closure: &Closure) -> f64 {
+    let surprise_m = (closure.shift_m - USUAL_SHARE * closure.reach_m).max(0.0);
+    EXTENT_PER_SHIFT * closure.shift_m + EXTENT_PER_SURPRISE * surprise_m
+}
+
+/// Closures in the order of their queries: those that one is compared with lie side by side.
+struct Neighbours<'a> {
+    nodes: &'a [Node],
+    /// Doubt of the query and number of each closure.
+    order: Vec<(f64, usize)>,
+}
+
+impl<'a> Neighbours<'a> {
+    fn new(closures: &[Closure], nodes: &'a [Node]) -> Self {
+        let named = |(i, closure): (usize, &Closure)| (nodes[closure.edge.to].doubt_m, i);
+        let mut order: Vec<_> = closures.iter().enumerate().map(named).collect();
+        order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        Self { nodes, order }
+    }
+
+    /// Numbers of the closures whose queries are not too far from that of this one.
+    fn of(&self, closure: &Closure) -> impl Iterator<Item = usize> {
+        let at_m = self.nodes[closure.edge.to].doubt_m;
+        let from = self.order.partition_point(|(doubt_m, _)| *doubt_m < at_m - COMPARED_WITHIN_M);
+        let near = self.order[from..].iter();
+        near.take_while(move |(doubt_m, _)| *doubt_m <= at_m + COMPARED_WITHIN_M).map(|(_, i)| *i)
+    }
+}
+
+/// Closures that agree with each other, directly or over others, and the travel over which their queries extend.
+struct Groups {
+    /// By closure: one of the same group with a smaller number, or itself.
+    parent: Vec<usize>,
+    /// By first closure of a group: first and last travel, metres.
+    extent: Vec<(f64, f64)>,
+}
+
+impl Groups {
+    fn new(closures: &[Closure], nodes: &[Node]) -> Self {
+        let travel_m = |closure: &Closure| nodes[closure.edge.to].travel_m;
+        Self {
+            parent: (0..closures.len()).collect(),
+            extent: closures.iter().map(|closure| (travel_m(closure), travel_m(closure))).collect(),
+        }
+    }
+
+    fn first(&mut self, mut closure: usize) -> usize {
+        while self.parent[closure] != closure {
+            // Shortens the way for the next who goes it.
+            self.parent[closure] = self.parent[self.parent[closure]];
+            closure = self.parent[closure];
+        }
+        closure
+    }
+
+    fn join(&mut self, a: usize, b: usize) {
+        let (a, b) = (self.first(a), self.first(b));
+        let (kept, gone) = (a.min(b), a.max(b));
+        self.parent[gone] = kept;
+        let (low, high) = self.extent[gone];
+        self.extent[kept] = (self.extent[kept].0.min(low), self.extent[kept].1.max(high));
+    }
+
+    fn extent_m(&mut self, closure: usize) -> f64 {
+        let first = self.first(closure);
+        let (low, high) = self.extent[first];
+        high - low
+    }
+}
+
+/// Whether the cycle over two closures and the chain between their ends closes; `None` when they lie too far
+/// apart.
+pub fn agree(a: &Closure, b: &Closure, nodes: &[Node]) -> Option<bool> {
+    let between = |i: usize, k: usize| (nodes[i].doubt_m - nodes[k].doubt_m).abs();
+    let way_m = between(a.edge.from, b.edge.from) + between(a.edge.to, b.edge.to);
+    if way_m > COMPARED_WITHIN_M {
+        return None;
+    }
+    let chain = |i: usize, k: usize| nodes[i].chain.to(nodes[k].chain);
+    let around = a.edge.motion.compose(chain(a.edge.to, b.edge.to));
+    let along = chain(a.edge.from, b.edge.from).compose(b.edge.motion);
+    let gap: Placement = along.to(around);
+    let length_m = (gap.x_m * gap.x_m + gap.y_m * gap.y_m).sqrt();
+    Some(length_m <= CYCLE.0 + CYCLE.1 * way_m && gap.heading_rad.abs() <= CYCLE.2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockslam_pose_graph::Edge;
+
+    fn nodes() -> Vec<Node> {
+        let node = |k: usize| {
+            let travel_m = k as f64;
+            let pose = Placement::new(travel_m, 0.0, 0.0);
+            Node {
+                scan: k,
+                sequence: k as u64,
+                odom: pose,
+                chain: pose,
+                start: pose,
+                travel_m,
+                doubt_m: travel_m,
+                strand: 0,
+            }
+        };
+        (0..100).map(node).collect()
+    }
+
+    fn closure(from: usize, to: usize, shift_m: f64, reach_m: f64) -> Closure {
+        let motion = Placement::new(shift_m, 1.0, 0.0);
+        Closure {
+            edge: Edge { from, to, motion, information: [1.0, 0.0, 0.0, 1.0, 0.0, 1.0] },
+            reach_m,
+            shift_m: 0.0,
+        }
+    }
+
+    #[test]
+    fn a_lone_match_from_a_wide_window_waits_for_two_that_agree() {
+        let nodes = nodes();
+        let mut closures = vec![closure(10, 90, 0.0, 8.0), closure(20, 50, 0.0, 0.5)];
+        assert_eq!(eligible(&closures, &nodes), [false, true]);
+        closures.push(closure(12, 92, 0.1, 8.0));
+        assert_eq!(eligible(&closures, &nodes), [false, true, false]);
+        closures.push(closure(13, 94, 1.05, 8.0));
+        assert_eq!(eligible(&closures, &nodes), [true, true, true, true]);
+    }
+
+    #[test]
+    fn the_farther_matches_move_the_robot_the_longer_they_must_hold() {
+        let nodes = nodes();
+        let mut closures: Vec<_> = (0..8).map(|k| closure(10 + 2 * k, 80 + 2 * k, 0.0, 8.0)).collect();
+        closures.iter_mut().for_each(|closure| closure.shift_m = 3.5);
+        assert_eq!(eligible(&closures, &nodes), [false; 8]);
+        // The first and the last are too far apart to be compared: those between connect them.
+        closures.push(Closure { shift_m: 3.5, ..closure(26, 96, 0.0, 8.0) });
+        assert_eq!(eligible(&closures, &nodes), [true; 9]);
+    }
+
+    #[test]
+    fn as_many_that_disagree_keep_it_waiting() {
+        let nodes = nodes();
+        let mut closures: Vec<_> = (0..3).map(|k| closure(10 + k, 90 + k, 0.0, 8.0)).collect();
+        closures.extend((3..6).map(|k| closure(10 + k, 90 + k, 3.0, 8.0)));
+        assert_eq!(eligible(&closures, &nodes), [false; 6]);
+    }
+}

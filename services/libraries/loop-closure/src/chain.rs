@@ -1,0 +1,247 @@
+//! The chain of nodes: each inserted scan, some decimetres apart, is matched to the nodes before it. Gives nodes with poses that drift smoothly, and an
+//! edge with its information from each node to the next.
+
+use crate::node::{BROKEN_M, NewNode, Node, POINT_INFORMATION};
+use crate::scans::ScanStore;
+use crate::segment::{cloud, picked, scan_cloud};
+use flockslam_pose_graph::Edge;
+use flockslam_pose_graph::{Symmetric, in_frame, loosened};
+use flockslam_registration::cloud::{
+    AlignSettings, Aligner, Alignment, MomentGrid, Placement, PooledField, Searcher, Window,
+};
+use std::ops::Range;
+
+/// A match that moves farther from the front end's prediction than this is not believed, metres and radians.
+const MOVE_MAX: (f64, f64) = (0.2, 0.12);
+/// Scans with fewer points are not matched.
+const POINTS_MIN: usize = 20;
+/// Least share of points on lines for a match to be believed.
+const INLIERS_MIN: f64 = 0.5;
+/// Largest root mean square distance of those from their lines; points spread evenly over the gate have 0.087
+/// m.
+const SPREAD_MAX_M: f64 = 0.055;
+/// Where a scan is looked for when its match is not believed.
+const RESCUE: Window = Window { reach_m: 1.5, turn_rad: 1.0 };
+/// Least score of a match in a rescue, and least share of points on lines after its refinement.
+const RESCUE_MIN: (f64, f64) = (0.55, 0.65);
+/// A runner-up in a rescue lies at least this far away …
+const APART: Window = Window { reach_m: 0.4, turn_rad: 0.2 };
+/// … and makes the rescue ambiguous when its score reaches this share of the best.
+const RUNNER_UP: f64 = 0.9;
+/// Points of a scan in a rescue.
+const RESCUE_POINTS: usize = 150;
+/// A node without a match is as doubtful as this much travel, metres.
+const DOUBT_M: f64 = 8.0;
+/// Each node is matched again to this many before it: enough for a stable map around the robot, few enough that the front end's
+/// errors stay small within.
+const WINDOW_NODES: usize = 20;
+/// The nodes that are matched to must lie within this of each other, metres, so that all points fit on the
+/// grid's torus.
+const WINDOW_MAX_M: f64 = 10.0;
+
+/// How a new node was connected to the ones before it.
+#[derive(Clone, Copy)]
+enum Link {
+    Matched(Alignment),
+    Rescued(Alignment),
+    Predicted,
+    Broken,
+}
+
+/// The nodes in order, each matched again to the few before it.
+///
+/// A front end that matches to a large map snaps to old parts of it, and each snap is an error in its
+/// relative poses. Matching again to a short window gives edges that drift smoothly, which a graph can
+/// correct.
+pub struct Chain {
+    nodes: Vec<Node>,
+    edges: Vec<Edge>,
+    grid: MomentGrid,
+    /// First node whose points are in the grid.
+    first: usize,
+    /// Takes chain poses to where the solver starts.
+    start_from_chain: Placement,
+    aligner: Aligner,
+    searcher: Searcher,
+    unmatched: usize,
+}
+
+impl Chain {
+    /// An empty chain.
+    pub fn new() -> Self {
+        Self {
+            nodes: Vec::new(),
+            edges: Vec::new(),
+            grid: MomentGrid::default(),
+            first: 0,
+            start_from_chain: Placement::IDENTITY,
+            aligner: Aligner::new(AlignSettings::default()),
+            searcher: Searcher::default(),
+            unmatched: 0,
+        }
+    }
+
+    /// The nodes.
+    pub fn nodes(&self) -> &[Node] {
+        &self.nodes
+    }
+
+    /// The edges: number k leads from node k to k + 1.
+    pub fn edges(&self) -> &[Edge] {
+        &self.edges
+    }
+
+    /// Nodes whose match was not believed.
+    pub fn unmatched(&self) -> usize {
+        self.unmatched
+    }
+
+    /// Adds a node: the next in time, with the points of its scan.
+    pub fn extend(&mut self, new: NewNode, scans: &ScanStore) {
+        let node = match self.nodes.last() {
+            None => new.at(new.odom, self.start_from_chain),
+            Some(&last) => self.matched(last, new, scans),
+        };
+        self.nodes.push(node);
+        self.slide(scans);
+    }
+
+    /// Takes out the nodes of `range`, which must lie behind the first node and before the window that new nodes are matched
+    /// to, and connects those around them as they lie in the solution `poses`, known so well. Solvers start from this solution
+    /// from now on.
+    pub fn take_out(&mut self, range: Range<usize>, poses: &[Placement], known: Symmetric) {
+        assert!(range.start > 0 && range.end < self.first, "nodes in use stay");
+        let (before, after) = (range.start - 1, range.end);
+        let bridge = poses[before].to(poses[after]);
+        self.start_from_chain = poses[after].compose(self.nodes[after].chain.inverse());
+        for (node, pose) in self.nodes.iter_mut().zip(poses).take(range.start) {
+            node.start = *pose;
+        }
+        for node in &mut self.nodes[after..] {
+            node.start = self.start_from_chain.compose(node.chain);
+        }
+        self.nodes.drain(range.clone());
+        self.edges.drain(range.clone());
+        let edge = &mut self.edges[before];
+        (edge.motion, edge.information) = (bridge, known);
+        for (number, edge) in self.edges.iter_mut().enumerate().skip(before) {
+            (edge.from, edge.to) = (number, number + 1);
+        }
+        self.first -= range.len();
+    }
+
+    /// Renames the scans of all nodes.
+    pub fn rename_scans(&mut self, renamed: &[usize]) {
+        self.nodes.iter_mut().for_each(|node| node.scan = renamed[node.scan]);
+    }
+
+    fn matched(&mut self, last: Node, new: NewNode, scans: &ScanStore) -> Node {
+        let motion = last.odom.to(new.odom);
+        let guess = last.chain.compose(motion);
+        let link = if new.strand == last.strand {
+            self.link(&guess, new.scan, scans)
+        } else {
+            self.withdraw_all(scans);
+            Link::Broken
+        };
+        let (chain, doubt_m) = match link {
+            Link::Matched(found) | Link::Rescued(found) => (found.placement, 0.0),
+            Link::Predicted => (guess, DOUBT_M),
+            Link::Broken => (guess, BROKEN_M),
+        };
+        self.unmatched += usize::from(matches!(link, Link::Predicted));
+        let to = self.nodes.len();
+        let information = in_frame(&information(&link, &motion), &last.chain);
+        self.edges.push(Edge { from: to - 1, to, motion: last.chain.to(chain), information });
+        let way_m = chain.distance_m(&last.chain);
+        let (travel_m, doubt_m) = (last.travel_m + way_m, last.doubt_m + way_m + doubt_m);
+        Node { travel_m, doubt_m, ..new.at(chain, self.start_from_chain) }
+    }
+
+    /// Empties the window: nothing before here is to be matched to.
+    fn withdraw_all(&mut self, scans: &ScanStore) {
+        for node in &self.nodes[self.first..] {
+            self.grid.withdraw(&node.chain, scans.points(node.scan));
+        }
+        self.first = self.nodes.len();
+    }
+
+    fn link(&mut self, guess: &Placement, scan: usize, scans: &ScanStore) -> Link {
+        if scans.points(scan).len() < POINTS_MIN {
+            return Link::Predicted;
+        }
+        let found = self.aligner.align(&mut self.grid, scans.points(scan), *guess);
+        let believed = found.filter(|found| {
+            found.inliers >= INLIERS_MIN
+                && found.spread_m <= SPREAD_MAX_M
+                && found.placement.distance_m(guess) <= MOVE_MAX.0
+                && found.placement.turn_rad(guess) <= MOVE_MAX.1
+        });
+        match believed {
+            Some(found) => Link::Matched(found),
+            None => self.rescue(guess, scan, scans).map_or(Link::Predicted, Link::Rescued),
+        }
+    }
+
+    /// Looks for a scan widely among the nodes in the window: the front end has jumped, or something moves.
+    fn rescue(&mut self, guess: &Placement, scan: usize, scans: &ScanStore) -> Option<Alignment> {
+        let origin = self.nodes.len() - 1;
+        let field = PooledField::new(&cloud(&self.nodes, scans, self.first..self.nodes.len(), origin));
+        let points = picked(&scan_cloud(scans.points(scan)), RESCUE_POINTS);
+        let root = self.nodes[origin].chain;
+        let local = root.to(*guess);
+        let found = self.searcher.best(&field, &points, local, RESCUE, RESCUE_MIN.0, None)?;
+        let exclude = Some((found.placement, APART));
+        if self.searcher.best(&field, &points, local, RESCUE, RUNNER_UP * found.score, exclude).is_some() {
+            return None;
+        }
+        let start = root.compose(found.placement);
+        let refined = self.aligner.align(&mut self.grid, scans.points(scan), start)?;
+        let stays = refined.placement.distance_m(&start) <= MOVE_MAX.0
+            && refined.placement.turn_rad(&start) <= MOVE_MAX.1;
+        (stays && refined.inliers >= RESCUE_MIN.1 && refined.spread_m <= SPREAD_MAX_M).then_some(refined)
+    }
+
+    /// Brings the newest node's points into the grid and takes out those that fall out of the window.
+    fn slide(&mut self, scans: &ScanStore) {
+        let newest = self.nodes.len() - 1;
+        let at = self.nodes[newest].chain;
+        while self.first < newest
+            && (newest - self.first >= WINDOW_NODES
+                || self.nodes[self.first].chain.distance_m(&at) > WINDOW_MAX_M)
+        {
+            let old = &self.nodes[self.first];
+            self.grid.withdraw(&old.chain, scans.points(old.scan));
+            self.first += 1;
+        }
+        self.grid.add(&at, scans.points(self.nodes[newest].scan));
+    }
+}
+
+/// Information of a chain edge, in the grid's axes.
+fn information(link: &Link, motion: &Placement) -> Symmetric {
+    let way = (motion.x_m * motion.x_m + motion.y_m * motion.y_m).sqrt();
+    let turn = motion.heading_rad.abs();
+    match link {
+        // What the points leave open, the front end's own motion holds.
+        Link::Matched(found) => {
+            let mut sum = diagonal(0.05 + 0.1 * way, 0.02 + 0.1 * turn);
+            (0..6).for_each(|i| sum[i] += POINT_INFORMATION * found.information[i]);
+            sum
+        }
+        Link::Rescued(found) => {
+            let mut sum = diagonal(0.5, 0.3);
+            (0..6).for_each(|i| sum[i] += POINT_INFORMATION * found.information[i]);
+            loosened(&sum, 0.03, 0.01).unwrap_or(diagonal(0.5, 0.3))
+        }
+        Link::Predicted => diagonal(0.3 + 0.5 * way, 0.2 + 0.5 * turn),
+        // Just enough that the graph hangs together.
+        Link::Broken => diagonal(1e3, 1e2),
+    }
+}
+
+/// Information of independent errors with these standard deviations.
+fn diagonal(sigma_m: f64, sigma_rad: f64) -> Symmetric {
+    let (t, r) = (1.0 / (sigma_m * sigma_m), 1.0 / (sigma_rad * sigma_rad));
+    [t, 0.0, 0.0, t, 0.0, r]
+}

@@ -1,0 +1,378 @@
+//! The search for loop closures: takes a query (a node and its neighbours) and segments, matches by branch and bound, refines, checks. Gives closures with
+//! their information.
+
+use crate::agreement::WIDE_M;
+use crate::closure::Closure;
+use crate::fields::{FIELDS_MAX, FieldCache};
+use crate::node::{BROKEN_M, Node, POINT_INFORMATION};
+use crate::polar::Polar;
+use crate::scans::ScanStore;
+use crate::segment::{Segment, cloud, load, packed, picked, unload};
+use flockslam_pose_graph::Edge;
+use flockslam_pose_graph::{in_frame, loosened};
+use flockslam_registration::cloud::{
+    AlignSettings, Aligner, Alignment, Found, MomentGrid, PackedPoint, Placement, PooledField, Searcher,
+    Window,
+};
+
+/// A search starts after this much travel, metres.
+pub const EVERY_M: f64 = 1.5;
+/// Only segments that lie back at least this much travel are searched: nearer ones are what the node was matched to anyway, metres.
+pub const LEAST_TRAVEL_M: f64 = 15.0;
+/// Most segments tried for one query.
+pub const SEGMENTS_PER_QUERY: usize = 6;
+/// Least score of a match, 0 … 1.
+const SCORE_MIN: f64 = 0.55;
+/// Least share of the query's points on the segment's lines after refinement.
+const INLIERS_MIN: f64 = 0.6;
+/// A query is its node and this many before and after it.
+pub const QUERY_NODES: usize = 3;
+/// A query of fewer points is not looked for.
+const POINTS_MIN: usize = 30;
+/// Points of a query in a search.
+const SEARCH_POINTS: usize = 150;
+/// Points of a query in the refinement.
+const REFINE_POINTS: usize = 600;
+/// A segment may lie this much farther away than the window and still be searched: both see the same place,
+/// metres.
+pub const SIGHT_M: f64 = 4.0;
+/// Where to look in a segment when nothing is known: wherever both see the same place, at any heading.
+pub const ANYWHERE: Window = Window { reach_m: 14.0, turn_rad: std::f64::consts::PI };
+/// Squares that such a search looks at before it takes what it has found.
+const ANYWHERE_SUMS_MAX: u64 = 150_000;
+/// Most segments that one query is looked for in so.
+const ANYWHERE_MAX: usize = 50;
+/// Where to look first: a robot that was lost for moments only is about where it believes to be.
+const NEARBY: Window = Window { reach_m: 4.0, turn_rad: 0.7 };
+/// A runner-up must lie at least this far away from the best match to count.
+const APART: Window = Window { reach_m: 0.6, turn_rad: 0.2 };
+/// Score of a runner-up, as a share of the best, at which a match is ambiguous.
+const RUNNER_UP: f64 = 0.9;
+/// Farthest that the refinement may move, metres and radians.
+const REFINED_MAX: (f64, f64) = (0.4, 0.15);
+/// Largest share of the query's points in space that the segment saw free.
+const INTRUDING_MAX: f64 = 0.12;
+/// Largest share of the segment's points in space that the query saw free.
+const INTRUDED_MAX: f64 = 0.15;
+/// Least ratio of the information along the weakest and the strongest direction of translation.
+const DEGENERATE: f64 = 0.02;
+/// Errors of a closure beyond those of its points: the segment's own bending.
+const SLACK: (f64, f64) = (0.04, 0.01);
+
+/// What has been looked at so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SearchCounts {
+    /// Branch-and-bound searches.
+    pub searches: u64,
+    /// Matches with enough score.
+    pub matches: u64,
+}
+
+/// Looks for loops.
+pub struct ClosureFinder {
+    fields: FieldCache,
+    searcher: Searcher,
+    searcher_anywhere: Searcher,
+    aligner: Aligner,
+    grid: MomentGrid,
+    counts: SearchCounts,
+}
+
+/// What a search needs to know of the graph.
+pub struct World<'a> {
+    /// The nodes.
+    pub nodes: &'a [Node],
+    /// Their points.
+    pub scans: &'a ScanStore,
+    /// The segments so far.
+    pub segments: &'a [Segment],
+    /// Poses in force.
+    pub poses: &'a [Placement],
+}
+
+impl ClosureFinder {
+    /// A finder that has found nothing yet.
+    pub fn new() -> Self {
+        let align = AlignSettings { iterations: 12, gate_wide_m: 0.4, ..AlignSettings::default() };
+        Self {
+            fields: FieldCache::new(FIELDS_MAX),
+            searcher: Searcher::default(),
+            searcher_anywhere: Searcher::bounded(ANYWHERE_SUMS_MAX),
+            aligner: Aligner::new(align),
+            grid: MomentGrid::default(),
+            counts: SearchCounts::default(),
+        }
+    }
+
+    /// A finder that looks at so many squares in a search anywhere before it gives up, and that keeps so many segments ready.
+    pub fn thorough(sums_max: u64, fields: usize) -> Self {
+        let searcher_anywhere = Searcher::bounded(sums_max);
+        Self { searcher_anywhere, fields: FieldCache::new(fields), ..Self::new() }
+    }
+
+    /// An empty grid to work with, lent between searches: it must be given back empty.
+    pub fn scratch(&mut self) -> &mut MomentGrid {
+        &mut self.grid
+    }
+
+    /// What has been looked at so far.
+    pub fn counts(&self) -> SearchCounts {
+        self.counts
+    }
+
+    /// Looks for the surroundings of node `query` in older segments; `distances_m` are its distances along
+    /// the graph to all nodes.
+    pub fn find(&mut self, world: &World<'_>, query: usize, distances_m: &[f64]) -> Vec<Closure> {
+        let candidates = self.candidates(world, query, distances_m);
+        self.find_in(world, query, QUERY_NODES, &candidates)
+    }
+
+    /// Looks for the surroundings of node `query`, so many nodes before and after it, in these segments.
+    pub fn find_in(
+        &mut self,
+        world: &World<'_>,
+        query: usize,
+        reach: usize,
+        candidates: &[(usize, Window)],
+    ) -> Vec<Closure> {
+        let points = cloud(world.nodes, world.scans, surroundings(world.nodes, query, reach), query);
+        if points.len() < POINTS_MIN {
+            return Vec::new();
+        }
+        candidates
+            .iter()
+            .filter_map(|(segment, window)| self.try_segment(world, query, &points, *segment, *window))
+            .collect()
+    }
+
+    /// The segments that the query may see, nearest first, and where to look in each.
+    fn candidates(&self, world: &World<'_>, query: usize, distances_m: &[f64]) -> Vec<(usize, Window)> {
+        let old = |s: &Segment| {
+            world.nodes[query].travel_m - world.nodes[s.nodes.end - 1].travel_m >= LEAST_TRAVEL_M
+        };
+        let mut near = Vec::new();
+        for (number, segment) in world.segments.iter().enumerate().filter(|(_, s)| old(s)) {
+            if distances_m[segment.anchor] >= BROKEN_M {
+                continue;
+            }
+            let window = window(distances_m[segment.anchor]);
+            let apart_m = apart_m(world, segment, query);
+            if apart_m <= window.reach_m + SIGHT_M {
+                near.push((apart_m, number, window));
+            }
+        }
+        near.sort_by(|a, b| a.0.total_cmp(&b.0));
+        near.truncate(SEGMENTS_PER_QUERY);
+        let mut candidates: Vec<_> = near.into_iter().map(|(_, number, window)| (number, window)).collect();
+        candidates.extend(self.anywhere(world, query, distances_m));
+        candidates
+    }
+
+    /// Segments that only closures could connect with the query, each to be searched all over. The next query begins with
+    /// those that this one has no budget for.
+    fn anywhere(&self, world: &World<'_>, query: usize, distances_m: &[f64]) -> Vec<(usize, Window)> {
+        let strand = world.nodes[query].strand;
+        let broken =
+            |s: &Segment| distances_m[s.anchor] >= BROKEN_M && world.nodes[s.anchor].strand != strand;
+        let mut far: Vec<usize> =
+            (0..world.segments.len()).filter(|&number| broken(&world.segments[number])).collect();
+        let mut near: Vec<(f64, usize)> = Vec::new();
+        for &number in &far {
+            let apart_m = apart_m(world, &world.segments[number], query);
+            if apart_m <= NEARBY.reach_m + SIGHT_M {
+                near.push((apart_m, number));
+            }
+        }
+        near.sort_by(|a, b| a.0.total_cmp(&b.0));
+        near.truncate(SEGMENTS_PER_QUERY);
+        if !far.is_empty() {
+            let first = (self.counts.searches % far.len() as u64) as usize;
+            far.rotate_left(first);
+            far.truncate(ANYWHERE_MAX);
+        }
+        let near = near.into_iter().map(|(_, number)| (number, NEARBY));
+        near.chain(far.into_iter().map(|number| (number, ANYWHERE))).collect()
+    }
+
+    fn try_segment(
+        &mut self,
+        world: &World<'_>,
+        query: usize,
+        points: &[(f64, f64)],
+        number: usize,
+        window: Window,
+    ) -> Option<Closure> {
+        let segment = &world.segments[number];
+        let guess = if window == ANYWHERE {
+            Placement::IDENTITY
+        } else {
+            world.poses[segment.anchor].to(world.poses[query])
+        };
+        let found = self.search(world, points, number, guess, window)?;
+        let (nodes, scans) = (world.nodes, world.scans);
+        let anchor = nodes[segment.anchor].chain;
+        let at = |i: usize| anchor.to(nodes[i].chain);
+        load(&mut self.grid, nodes, scans, segment.nodes.clone(), at);
+        let refined =
+            self.aligner.align(&mut self.grid, &packed(&picked(points, REFINE_POINTS)), found.placement);
+        unload(&mut self.grid, nodes, scans, segment.nodes.clone(), at);
+        let refined = refined.filter(|refined| self.holds(refined, &found))?;
+        let nearest = nearest_node(segment, &refined.placement, at);
+        if !free_space_agrees(world, query, points, segment, nearest, &refined.placement, at) {
+            return None;
+        }
+        let edge = edge(query, nearest, &at(nearest), &refined)?;
+        let shift_m = if window == ANYWHERE { 0.0 } else { refined.placement.distance_m(&guess) };
+        Some(Closure { edge, reach_m: window.reach_m, shift_m })
+    }
+
+    fn search(
+        &mut self,
+        world: &World<'_>,
+        points: &[(f64, f64)],
+        number: usize,
+        guess: Placement,
+        window: Window,
+    ) -> Option<Found> {
+        let segment = &world.segments[number];
+        let make = || PooledField::new(&segment.cloud(world.nodes, world.scans));
+        let field = self.fields.get(world.nodes[segment.anchor].sequence, make);
+        let anywhere = window == ANYWHERE;
+        let few = picked(points, if anywhere { SEARCH_POINTS / 2 } else { SEARCH_POINTS });
+        let searcher = if anywhere { &mut self.searcher_anywhere } else { &mut self.searcher };
+        self.counts.searches += 1;
+        let found = searcher.best(field, &few, guess, window, SCORE_MIN, None)?;
+        self.counts.matches += 1;
+        if window.reach_m > WIDE_M {
+            let exclude = Some((found.placement, APART));
+            let second = searcher.best(field, &few, guess, window, RUNNER_UP * found.score, exclude);
+            if second.is_some() || searcher.gave_up() {
+                return None;
+            }
+        }
+        Some(found)
+    }
+
+    /// Whether a refined match is good enough by itself.
+    fn holds(&self, refined: &Alignment, found: &Found) -> bool {
+        let [xx, xy, _, yy, ..] = refined.information;
+        let (middle, gap) = (0.5 * (xx + yy), (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt());
+        refined.inliers >= INLIERS_MIN
+            && refined.placement.distance_m(&found.placement) <= REFINED_MAX.0
+            && refined.placement.turn_rad(&found.placement) <= REFINED_MAX.1
+            && middle - gap >= DEGENERATE * (middle + gap)
+    }
+}
+
+/// A query's node and its neighbours on the strand, so many before and after it.
+fn surroundings(nodes: &[Node], query: usize, reach: usize) -> std::ops::Range<usize> {
+    let same = |i: &usize| nodes[*i].strand == nodes[query].strand;
+    let start = (query.saturating_sub(reach)..=query).find(same).unwrap_or(query);
+    let last = (query..(query + reach + 1).min(nodes.len())).rev().find(same).unwrap_or(query);
+    start..last + 1
+}
+
+/// From a query to the nearest node of a segment, metres.
+pub fn apart_m(world: &World<'_>, segment: &Segment, query: usize) -> f64 {
+    let at = world.poses[query];
+    segment.nodes.clone().map(|i| world.poses[i].distance_m(&at)).fold(f64::INFINITY, f64::min)
+}
+
+/// Where to look after `distance_m` along the graph.
+pub fn window(distance_m: f64) -> Window {
+    Window { reach_m: (0.3 + 0.06 * distance_m).min(25.0), turn_rad: (0.06 + 0.002 * distance_m).min(0.7) }
+}
+
+fn nearest_node(segment: &Segment, to: &Placement, at: impl Fn(usize) -> Placement) -> usize {
+    let nodes = segment.nodes.clone();
+    nodes.min_by(|&a, &b| at(a).distance_m(to).total_cmp(&at(b).distance_m(to))).expect("a segment has nodes")
+}
+
+/// Whether what one side saw free stays free of the other side's points, both ways.
+fn free_space_agrees(
+    world: &World<'_>,
+    query: usize,
+    points: &[(f64, f64)],
+    segment: &Segment,
+    nearest: usize,
+    placement: &Placement,
+    at: impl Fn(usize) -> Placement,
+) -> bool {
+    let (intruding, intruded) = intrusions(world, query, points, segment, nearest, placement, at);
+    intruding <= INTRUDING_MAX && intruded <= INTRUDED_MAX
+}
+
+/// Shares of the points of either side that lie in space that the other saw free: the query's at most, and the segment's.
+fn intrusions(
+    world: &World<'_>,
+    query: usize,
+    points: &[(f64, f64)],
+    segment: &Segment,
+    nearest: usize,
+    placement: &Placement,
+    at: impl Fn(usize) -> Placement,
+) -> (f64, f64) {
+    let scan_of = |i: usize| world.scans.points(world.nodes[i].scan);
+    let around = nearest.saturating_sub(3).max(segment.nodes.start)..(nearest + 4).min(segment.nodes.end);
+    let placed: Vec<(f64, f64)> = points.iter().map(|&(x, y)| placement.apply(x, y)).collect();
+    let seen_by = |node: usize| intruding(&Polar::new(scan_of(node)), &at(node), placed.iter().copied());
+    let most = around.step_by(3).map(seen_by).fold(0.0, f64::max);
+    let own = at(nearest);
+    let theirs = scan_of(nearest).iter().map(|p: &PackedPoint| own.apply(p.x_m(), p.y_m()));
+    (most, intruding(&Polar::new(scan_of(query)), placement, theirs))
+}
+
+/// Share of the points that lie where a scan looked through, of those where it looked at all.
+fn intruding(polar: &Polar, at: &Placement, points: impl Iterator<Item = (f64, f64)>) -> f64 {
+    let (mut looked, mut through) = (0u32, 0u32);
+    for (x, y) in points {
+        if let Some(free) = polar.looked_through(at, x, y) {
+            looked += 1;
+            through += u32::from(free);
+        }
+    }
+    f64::from(through) / f64::from(looked.max(1))
+}
+
+fn edge(query: usize, nearest: usize, at: &Placement, refined: &Alignment) -> Option<Edge> {
+    let information = loosened(&refined.information.map(|v| v * POINT_INFORMATION), SLACK.0, SLACK.1)?;
+    let motion = at.to(refined.placement);
+    Some(Edge { from: nearest, to: query, motion, information: in_frame(&information, at) })
+}
+
+/// Distances along the graph from `from` to every node, metres: along the chain, and across loops in force.
+pub fn graph_distances(nodes: &[Node], loops: &[(usize, usize)], from: usize) -> Vec<f64> {
+    let mut across = vec![Vec::new(); nodes.len()];
+    for &(a, b) in loops {
+        across[a].push(b);
+        across[b].push(a);
+    }
+    let mut distances = vec![f64::INFINITY; nodes.len()];
+    let mut queue = std::collections::BinaryHeap::new();
+    distances[from] = 0.0;
+    // Whole micrometres order the queue: floats have no total order.
+    queue.push((std::cmp::Reverse(0u64), from));
+    while let Some((std::cmp::Reverse(key), node)) = queue.pop() {
+        if key > (distances[node] * 1e6) as u64 {
+            continue;
+        }
+        let mut relax = |next: usize, step_m: f64| {
+            let distance = distances[node] + step_m;
+            if distance < distances[next] {
+                distances[next] = distance;
+                queue.push((std::cmp::Reverse((distance * 1e6) as u64), next));
+            }
+        };
+        let step = |a: usize, b: usize| (nodes[a].doubt_m - nodes[b].doubt_m).abs();
+        if node > 0 {
+            relax(node - 1, step(node, node - 1));
+        }
+        if node + 1 < nodes.len() {
+            relax(node + 1, step(node, node + 1));
+        }
+        for &next in &across[node] {
+            relax(next, 1.0);
+        }
+    }
+    distances
+}

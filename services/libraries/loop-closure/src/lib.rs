@@ -1,0 +1,16 @@
+//! Loop closure: scans of a trajectory become nodes and segments, a node is looked for in older segments, and what is found becomes a
+//! constraint when enough others agree with it.
+
+pub mod agreement;
+pub mod chain;
+pub mod closure;
+pub mod dense;
+mod fields;
+pub mod finder;
+pub mod node;
+pub mod place;
+pub mod polar;
+pub mod refine;
+pub mod scans;
+pub mod segment;
+pub mod strands;

@@ -1,0 +1,53 @@
+//! Nodes of the graph: scans that were inserted, some decimetres apart.
+
+use flockslam_registration::cloud::Placement;
+
+/// Information that one unit of an alignment's normalised sum is worth, 1/m²: a wall seen by all points fixes
+/// its distance to about 7 mm.
+pub const POINT_INFORMATION: f64 = 4e4;
+/// The doubt where another strand begins, metres: more than any path is long.
+pub const BROKEN_M: f64 = 1e6;
+
+/// A scan in the graph.
+#[derive(Clone, Copy, Debug)]
+pub struct Node {
+    /// Its number in the store of scans.
+    pub scan: usize,
+    /// Sequence of its scan: its name, which it keeps when other nodes are taken out.
+    pub sequence: u64,
+    /// Pose from the front end, continuous.
+    pub odom: Placement,
+    /// Pose from matching each node to the ones before it; never corrected by a loop.
+    pub chain: Placement,
+    /// Where a solver starts from: the chain, or, where the layout has settled, the solution.
+    pub start: Placement,
+    /// Length of the path up to here, metres.
+    pub travel_m: f64,
+    /// The same, and more where a node could not be matched: what the size of a search window grows with,
+    /// metres.
+    pub doubt_m: f64,
+    /// Chain of submaps that it belongs to, counted from 0: how strands lie to each other is known from closures alone.
+    pub strand: u32,
+}
+
+/// A scan that becomes a node.
+#[derive(Clone, Copy, Debug)]
+pub struct NewNode {
+    /// Sequence of the scan.
+    pub sequence: u64,
+    /// Its number in the store of scans.
+    pub scan: usize,
+    /// Pose from the front end.
+    pub odom: Placement,
+    /// Its chain of submaps.
+    pub strand: u32,
+}
+
+impl NewNode {
+    /// The node at its place in the chain, at the beginning of the path.
+    pub(crate) fn at(self, chain: Placement, start_from_chain: Placement) -> Node {
+        let NewNode { sequence, scan, odom, strand } = self;
+        let start = start_from_chain.compose(chain);
+        Node { scan, sequence, odom, chain, start, travel_m: 0.0, doubt_m: 0.0, strand }
+    }
+}

@@ -1,0 +1,99 @@
+//! The last step for single scans: each kept scan is matched to the nodes around it, whose poses are final. Takes guesses, gives poses.
+
+use crate::node::Node;
+use crate::scans::ScanStore;
+use flockslam_registration::cloud::{AlignSettings, Aligner, Alignment, MomentGrid, PackedPoint, Placement};
+use std::ops::Range;
+
+/// Share of points on lines that a match needs.
+const INLIERS_MIN: f64 = 0.5;
+/// Largest root mean square distance of those from their lines, metres.
+const SPREAD_MAX_M: f64 = 0.055;
+/// Farthest that a match may move, metres and radians.
+const MOVE_MAX: (f64, f64) = (0.15, 0.06);
+
+/// A scan to be placed.
+#[derive(Clone, Copy, Debug)]
+pub struct KeptScan {
+    /// Its number in the store.
+    pub scan: usize,
+    /// Where it is expected, the likelier first.
+    pub guesses: [Placement; 2],
+    /// The last node at or before it.
+    pub node: usize,
+    /// Whether it is that node itself.
+    pub is_node: bool,
+}
+
+/// Places scans one after the other in a finished layout.
+pub struct Placer<'a> {
+    /// The nodes.
+    pub nodes: &'a [Node],
+    /// Their points.
+    pub scans: &'a ScanStore,
+    /// Poses of the nodes.
+    pub poses: &'a [Placement],
+    /// A scan is matched to the nodes up to this many before and after it.
+    pub reach: usize,
+}
+
+impl Placer<'_> {
+    /// Places `kept`, which are in order. `grid` is lent empty and given back so.
+    pub fn place_all(&self, kept: &[KeptScan], grid: &mut MomentGrid) -> Vec<Placement> {
+        let aligner = Aligner::new(AlignSettings { iterations: 6, ..AlignSettings::default() });
+        let Some(first) = kept.first().map(|scan| self.around(scan.node).start) else { return Vec::new() };
+        let mut held = first..first;
+        let mut placed = Vec::with_capacity(kept.len());
+        for scan in kept {
+            self.slide(&mut held, self.around(scan.node), grid);
+            // A node must not be matched to itself: it would stay where it is.
+            if scan.is_node {
+                grid.withdraw(&self.poses[scan.node], self.scans.points(scan.scan));
+            }
+            placed.push(place(&aligner, grid, self.scans.points(scan.scan), &scan.guesses));
+            if scan.is_node {
+                grid.add(&self.poses[scan.node], self.scans.points(scan.scan));
+            }
+        }
+        let end = held.end;
+        self.slide(&mut held, end..end, grid);
+        placed
+    }
+
+    /// The nodes that a scan behind `node` is matched to: none of another strand.
+    fn around(&self, node: usize) -> Range<usize> {
+        let strand = self.nodes[node].strand;
+        let first = self.nodes.partition_point(|node| node.strand < strand);
+        let end = self.nodes.partition_point(|node| node.strand <= strand);
+        node.saturating_sub(self.reach).max(first)..(node + self.reach + 1).min(end)
+    }
+
+    /// Moves the range of nodes in the grid forward.
+    fn slide(&self, held: &mut Range<usize>, wanted: Range<usize>, grid: &mut MomentGrid) {
+        let points = |i: usize| self.scans.points(self.nodes[i].scan);
+        (held.end..wanted.end).for_each(|i| grid.add(&self.poses[i], points(i)));
+        (held.start..wanted.start).for_each(|i| grid.withdraw(&self.poses[i], points(i)));
+        *held = wanted;
+    }
+}
+
+/// The first match that is believed, else the first guess.
+fn place(
+    aligner: &Aligner,
+    grid: &mut MomentGrid,
+    points: &[PackedPoint],
+    guesses: &[Placement; 2],
+) -> Placement {
+    let mut attempts = guesses.iter().filter_map(|guess| {
+        let found = aligner.align(grid, points, *guess)?;
+        is_believed(&found, guess).then_some(found.placement)
+    });
+    attempts.next().unwrap_or(guesses[0])
+}
+
+fn is_believed(found: &Alignment, guess: &Placement) -> bool {
+    found.inliers >= INLIERS_MIN
+        && found.spread_m <= SPREAD_MAX_M
+        && found.placement.distance_m(guess) <= MOVE_MAX.0
+        && found.placement.turn_rad(guess) <= MOVE_MAX.1
+}

@@ -1,0 +1,116 @@
+//! The refinement of all poses against the map that all nodes make together: matches each node to it, solves the graph, and repeats.
+
+use crate::node::{Node, POINT_INFORMATION};
+use crate::scans::ScanStore;
+use flockslam_pose_graph::Edge;
+use flockslam_pose_graph::{RobustSettings, solve};
+use flockslam_pose_graph::{in_frame, loosened};
+use flockslam_registration::cloud::{AlignSettings, Aligner, Alignment, MomentGrid, PackedPoint, Placement};
+use std::collections::BTreeMap;
+
+/// Side of the squares that scans are matched in together, metres: around each, all points within reach fit on a grid's torus.
+const BLOCK_M: f64 = 8.0;
+/// Points are in reach of a block within this of its centre along both axes, metres.
+const REACH_M: f64 = 0.5 * MomentGrid::SPAN_M - 2.0 * MomentGrid::CELL_M;
+/// Share of points on lines that a match needs.
+const INLIERS_MIN: f64 = 0.5;
+/// Largest root mean square distance of those from their lines, metres.
+const SPREAD_MAX_M: f64 = 0.055;
+/// Farthest that a match may move, metres and radians.
+const MOVE_MAX: (f64, f64) = (0.15, 0.06);
+/// Errors of a match beyond those of its points: the map that it is matched to is itself a little wrong.
+const SLACK: (f64, f64) = (0.02, 0.005);
+/// Squared Mahalanobis error from which a match does not act.
+const CHI_SQUARED_MAX: f64 = 25.0;
+
+/// Matches scans to the map that all of them make together, in place of the few around each.
+///
+/// Alternates between the map as the points of all nodes at their poses, and the poses as what fits this map best, held together
+/// by the chain.
+pub struct Refinement<'a> {
+    /// The nodes.
+    pub nodes: &'a [Node],
+    /// Their points.
+    pub scans: &'a ScanStore,
+    /// The edges of the chain.
+    pub chain: &'a [Edge],
+    /// By node: whether it is part of the map.
+    pub in_map: &'a [bool],
+}
+
+/// Points of the map around a block, by node.
+type Around = Vec<(usize, Vec<PackedPoint>)>;
+
+impl Refinement<'_> {
+    /// Matches every node to the map of the present poses, and solves all poses anew. `grid` is lent empty and given back so.
+    pub fn run(&self, grid: &mut MomentGrid, poses: &mut [Placement]) {
+        let aligner = Aligner::new(AlignSettings { iterations: 6, ..AlignSettings::default() });
+        let mut edges = self.chain.to_vec();
+        self.for_each_node(grid, poses, |grid, around, node| {
+            let points = self.scans.points(self.nodes[node].scan);
+            let place = around.binary_search_by_key(&node, |(i, _)| *i);
+            let own = place.map_or(&[][..], |place| &around[place].1);
+            // It must not be matched to itself: it would stay where it is.
+            grid.withdraw(&poses[node], own);
+            let found = aligner.align(grid, points, poses[node]);
+            grid.add(&poses[node], own);
+            let believed = found.filter(|found| is_believed(found, &poses[node]));
+            edges.extend(believed.and_then(|found| held(&found, &poses[0], node)));
+        });
+        let settings =
+            RobustSettings { chi_squared_max: CHI_SQUARED_MAX, growth: 2.0, rounds: 12, warm_up: 2 };
+        solve(self.nodes.len(), &edges, self.chain.len(), &settings, poses);
+    }
+
+    /// Calls `visit` for each node of the map but the first, which is held, with the map around it in the grid.
+    fn for_each_node(
+        &self,
+        grid: &mut MomentGrid,
+        poses: &[Placement],
+        mut visit: impl FnMut(&mut MomentGrid, &Around, usize),
+    ) {
+        let block = |metres: f64| (metres / BLOCK_M).floor() as i32;
+        let mut blocks: BTreeMap<(i32, i32), Vec<usize>> = BTreeMap::new();
+        for i in (1..self.nodes.len()).filter(|i| self.in_map[*i]) {
+            blocks.entry((block(poses[i].y_m), block(poses[i].x_m))).or_default().push(i);
+        }
+        for ((row, column), members) in blocks {
+            let centre = ((f64::from(column) + 0.5) * BLOCK_M, (f64::from(row) + 0.5) * BLOCK_M);
+            let around = self.around(poses, centre);
+            around.iter().for_each(|(i, points)| grid.add(&poses[*i], points));
+            members.into_iter().for_each(|i| visit(grid, &around, i));
+            around.iter().for_each(|(i, points)| grid.withdraw(&poses[*i], points));
+        }
+    }
+
+    /// The map's points in reach of a block, by node in ascending order.
+    fn around(&self, poses: &[Placement], (x_m, y_m): (f64, f64)) -> Around {
+        let in_reach = |i: usize| {
+            let at = poses[i];
+            let near = |p: &&PackedPoint| {
+                let (x, y) = at.apply(p.x_m(), p.y_m());
+                (x - x_m).abs() < REACH_M && (y - y_m).abs() < REACH_M
+            };
+            self.scans.points(self.nodes[i].scan).iter().filter(near).copied().collect::<Vec<_>>()
+        };
+        let nodes = (0..self.nodes.len()).filter(|i| self.in_map[*i]);
+        nodes.map(|i| (i, in_reach(i))).filter(|(_, points)| !points.is_empty()).collect()
+    }
+}
+
+/// A match as an edge from node 0, whose pose is held.
+fn held(found: &Alignment, origin: &Placement, node: usize) -> Option<Edge> {
+    let mut information = found.information.map(|v| POINT_INFORMATION * v);
+    // A direction that the points leave open must not make the matrix singular.
+    [0, 3, 5].into_iter().for_each(|i| information[i] += 1.0);
+    let information = loosened(&information, SLACK.0, SLACK.1)?;
+    let motion = origin.to(found.placement);
+    Some(Edge { from: 0, to: node, motion, information: in_frame(&information, origin) })
+}
+
+fn is_believed(found: &Alignment, guess: &Placement) -> bool {
+    found.inliers >= INLIERS_MIN
+        && found.spread_m <= SPREAD_MAX_M
+        && found.placement.distance_m(guess) <= MOVE_MAX.0
+        && found.placement.turn_rad(guess) <= MOVE_MAX.1
+}

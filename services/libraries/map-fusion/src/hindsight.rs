@@ -1,0 +1,278 @@
+//! Which cells of the finished map stand occupied although scans have looked through them since: what is known at the end, when
+//! all scans have their final poses, and was not when they were taken.
+
+use crate::rays::Rays;
+use flockslam_evidence::{CellIndex, FusedMap, TILE_SIDE, TileKey, floor};
+use flockslam_geometry::{Point, Pose};
+use flockslam_messages::{Deskew, ScanView};
+use flockslam_visibility::{Finding, Margins, Sight, View};
+use std::collections::BTreeMap;
+
+/// Cells farther from the lidar are not judged, metres: beams are too far apart there.
+const REACH_M: f64 = 12.0;
+/// What stands this near to a cell that beams pass may be what was seen in it, cells.
+const NEAR_CELLS: i32 = 2;
+/// A beam passes a cell if it ends so far behind it, metres.
+const PASSED_BEHIND_M: f64 = 0.3;
+/// So many views through a cell, since it was last seen to stand, say that it is free …
+pub const VIEWS: u8 = 3;
+/// … or as many of beams through it alone, while none ends near, in so many scans that entered the map …
+const SCANS: u8 = 2;
+/// … or so many of them from anywhere, when something else stands near: then no wall gets a hole …
+const PASSES: u8 = 2;
+/// … each at least so long after the one before, nanoseconds.
+pub const APART_NS: u64 = 300_000_000;
+/// Scans that look through more than this share of what they judge lie in the wrong place.
+const CONTRADICTED_MAX: f64 = 0.2;
+/// Final poses of scans are known this well among each other.
+const MARGINS: Margins = Margins { behind_m: 0.15, behind_share: 0.015, beside_m: 0.06, beside_rad: 0.005 };
+
+/// The occupied cells of a map, and what scans, one after the other, say of them.
+///
+/// Memory is bounded by the number of these cells; each scan costs as much as there are within its reach.
+#[derive(Debug)]
+pub struct Hindsight {
+    cell_size_m: f64,
+    tiles: BTreeMap<TileKey, Vec<Watched>>,
+    sight: Sight,
+    /// Beams of the present scan.
+    rays: Rays,
+    /// Cells that a beam of the present scan passes, and whether all beams near do.
+    through: Vec<(TileKey, usize, bool)>,
+}
+
+/// An occupied cell, and how often it was looked through since it was last seen to stand.
+#[derive(Clone, Copy, Debug)]
+struct Watched {
+    cell: CellIndex,
+    /// By scans of which all beams near it passed too.
+    views: u8,
+    /// By any scans.
+    passes: u8,
+    /// By so many scans, however many views each of them counts as.
+    scans: u8,
+    last_ns: i64,
+}
+
+impl Hindsight {
+    /// Before the first scan.
+    pub fn new(map: &FusedMap) -> Self {
+        let occupied = |key: TileKey, cells: &[flockslam_evidence::Cell]| {
+            let occupied = cells.iter().enumerate().filter(|(_, cell)| cell.occupied > cell.free);
+            let watch = |(offset, _)| Watched {
+                cell: key.cell(offset),
+                views: 0,
+                passes: 0,
+                scans: 0,
+                last_ns: i64::MIN,
+            };
+            occupied.map(watch).collect::<Vec<_>>()
+        };
+        let tiles = map.tiles().map(|(key, cells)| (key, occupied(key, cells)));
+        Self {
+            cell_size_m: map.cell_size_m(),
+            tiles: tiles.filter(|(_, watched)| !watched.is_empty()).collect(),
+            sight: Sight::new(),
+            rays: Rays::new(map.cell_size_m(), REACH_M, PASSED_BEHIND_M, NEAR_CELLS),
+            through: Vec::new(),
+        }
+    }
+
+    /// Takes in a scan at its final pose, which counts as so many views; in the order in which they were taken.
+    pub fn look(&mut self, scan: ScanView<'_>, deskew: &Deskew, map_from_base: Pose, views: u8) {
+        let map_from_laser = map_from_base * scan.header().base_from_laser;
+        self.sight.look(scan, deskew);
+        self.rays.look(scan, deskew, map_from_base, map_from_laser.position());
+        let view = View::new(&self.sight, map_from_laser, self.cell_size_m, MARGINS);
+        let (at, size_m) = (map_from_laser.position(), self.cell_size_m);
+        let tile = |metres: f64| floor(metres / (size_m * TILE_SIDE as f64));
+        let rows = tile(at.y_m - REACH_M)..=tile(at.y_m + REACH_M);
+        let (left, right) = (tile(at.x_m - REACH_M), tile(at.x_m + REACH_M));
+        self.through.clear();
+        let (mut supported, mut seen_through) = (0, 0);
+        for key in rows.flat_map(|y| (left..=right).map(move |x| TileKey { x, y })) {
+            let Some(tile) = self.tiles.get_mut(&key) else { continue };
+            for (place, watched) in tile.iter_mut().enumerate() {
+                let center = center(watched.cell, size_m);
+                if center.distance_m(at) > REACH_M {
+                    continue;
+                }
+                let is_end_near = self.rays.is_end_near(watched.cell);
+                if is_end_near {
+                    (watched.passes, watched.scans) = (0, 0);
+                }
+                match view.judge(center) {
+                    Finding::SeenThrough => {
+                        seen_through += 1;
+                        self.through.push((key, place, true));
+                        continue;
+                    }
+                    Finding::Supported | Finding::Touched => {
+                        supported += 1;
+                        watched.views = 0;
+                    }
+                    Finding::Passed | Finding::Open => (),
+                }
+                if !is_end_near && self.rays.is_crossed(watched.cell) {
+                    self.through.push((key, place, false));
+                }
+            }
+        }
+        let judged = f64::from(seen_through + supported);
+        if f64::from(seen_through) <= CONTRADICTED_MAX * judged {
+            self.count(scan.header().times.sensor_ns, views);
+        }
+    }
+
+    fn count(&mut self, now_ns: i64, views: u8) {
+        for (key, place, is_clear) in &self.through {
+            let watched = self.tiles.get_mut(key).map(|tile| &mut tile[*place]);
+            if let Some(watched) = watched.filter(|watched| now_ns.abs_diff(watched.last_ns) >= APART_NS) {
+                watched.views = watched.views.saturating_add(views * u8::from(*is_clear));
+                watched.passes = watched.passes.saturating_add(views);
+                watched.scans = watched.scans.saturating_add(1);
+                watched.last_ns = now_ns;
+            }
+        }
+    }
+
+    /// The cells that are free by now, in a fixed order: those that were seen through clearly, and those that were passed so often
+    /// if something else stands near, so that no wall gets a hole.
+    pub fn free(&self) -> Vec<CellIndex> {
+        let is_free = |watched: &&Watched| {
+            watched.views >= VIEWS
+                || (watched.passes >= VIEWS && watched.scans >= SCANS)
+                || (watched.passes >= PASSES && self.something_stands_near(watched.cell))
+        };
+        self.tiles.values().flatten().filter(is_free).map(|watched| watched.cell).collect()
+    }
+
+    /// Whether another cell beside this one is not looked through.
+    fn something_stands_near(&self, cell: CellIndex) -> bool {
+        let around = -NEAR_CELLS..=NEAR_CELLS;
+        around.clone().flat_map(|dy| around.clone().map(move |dx| (dx, dy))).any(|(dx, dy)| {
+            let near = CellIndex::new(cell.x.saturating_add(dx), cell.y.saturating_add(dy));
+            self.watched(near).is_some_and(|watched| watched.passes < PASSES)
+        })
+    }
+
+    fn watched(&self, cell: CellIndex) -> Option<&Watched> {
+        let tile = self.tiles.get(&cell.tile())?;
+        // They are in the order of their offsets.
+        let place = tile.binary_search_by_key(&cell.offset(), |watched| watched.cell.offset());
+        place.ok().map(|place| &tile[place])
+    }
+}
+
+fn center(cell: CellIndex, cell_size_m: f64) -> Point {
+    let middle = |index: i32| (f64::from(index) + 0.5) * cell_size_m;
+    Point::new(middle(cell.x), middle(cell.y))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockslam_evidence::{PackedCell, Submap, SubmapTile, TILE_CELLS};
+    use flockslam_geometry::Twist;
+    use flockslam_messages::ScanBuffer;
+
+    const CELL_M: f64 = 0.05;
+    /// The inner side of the walls around the room, cells from the middle.
+    const WALL: i32 = 59;
+    /// What stands in it: cells along x and y.
+    const COLUMN: std::ops::Range<i32> = 24..28;
+
+    fn is_column(cell: CellIndex) -> bool {
+        COLUMN.contains(&cell.x) && COLUMN.contains(&cell.y)
+    }
+
+    /// A room of 6 × 6 m with a column in it.
+    fn room() -> FusedMap {
+        let tile = |(x, y): (i32, i32)| {
+            let key = TileKey { x, y };
+            let cell = |offset| {
+                let cell = key.cell(offset);
+                let far = [cell.x, cell.y].map(|index| index.max(-1 - index)).into_iter().max();
+                match far.map_or(0, |far| far.cmp(&WALL) as i32) {
+                    0 => PackedCell { occupied: 9000, free: 0 },
+                    _ if is_column(cell) => PackedCell { occupied: 9000, free: 3000 },
+                    -1 => PackedCell { occupied: 0, free: 5000 },
+                    _ => PackedCell::UNKNOWN,
+                }
+            };
+            SubmapTile::new(key, Box::new(std::array::from_fn::<_, TILE_CELLS, _>(cell)))
+        };
+        let submap = Submap {
+            number: 0,
+            chain: 0,
+            insertions: 1,
+            first: 0,
+            last: 0,
+            odom_from_submap: Pose::IDENTITY,
+            cell_size_m: CELL_M,
+            tiles: [(-1, -1), (0, -1), (-1, 0), (0, 0)].map(tile).into_iter().collect(),
+        };
+        let mut map = FusedMap::new(CELL_M);
+        map.add(&submap, Pose::IDENTITY).unwrap();
+        map
+    }
+
+    /// Distance to the walls, and to the column if it is there, from `pose` in each of 360 directions.
+    fn scan(number: i64, pose: Pose, column: bool) -> ScanBuffer {
+        let solid = |x: f64, y: f64| {
+            let index = |metres: f64| floor(metres / CELL_M);
+            let cell = CellIndex::new(index(x), index(y));
+            x.abs().max(y.abs()) >= f64::from(WALL) * CELL_M || (column && is_column(cell))
+        };
+        let range = |beam: i32| {
+            let (sin, cos) = (pose.heading_rad + f64::from(beam).to_radians()).sin_cos();
+            let ahead = |step: i32| 0.005 * f64::from(step);
+            let hit =
+                (0..2000).find(|step| solid(pose.x_m + ahead(*step) * cos, pose.y_m + ahead(*step) * sin));
+            ahead(hit.unwrap()) as f32
+        };
+        let mut scan =
+            ScanBuffer::from_ranges(&(0..360).map(range).collect::<Vec<_>>(), 0.0, 1f64.to_radians());
+        scan.header.times.sensor_ns = number * 400_000_000;
+        scan
+    }
+
+    fn pose(number: i64) -> Pose {
+        Pose::new(0.1 * number as f64 - 0.6, -0.7, 0.3 * number as f64)
+    }
+
+    fn look(hindsight: &mut Hindsight, number: i64, column: bool, displaced: Pose) {
+        let scan = scan(number, pose(number), column);
+        let view = scan.view().unwrap();
+        hindsight.look(view, &Deskew::new(view, Twist::default()), displaced * pose(number), 1);
+    }
+
+    #[test]
+    fn what_scans_have_looked_through_since_is_free_and_the_walls_stand() {
+        let map = room();
+        let mut hindsight = Hindsight::new(&map);
+        (0..5).for_each(|number| look(&mut hindsight, number, true, Pose::IDENTITY));
+        assert_eq!(hindsight.free(), []);
+        (5..7).for_each(|number| look(&mut hindsight, number, false, Pose::IDENTITY));
+        assert_eq!(hindsight.free(), [], "two views are too few");
+        look(&mut hindsight, 7, false, Pose::IDENTITY);
+        let column = COLUMN.flat_map(|y| COLUMN.map(move |x| CellIndex::new(x, y)));
+        let mut free = hindsight.free();
+        free.sort_by_key(|cell| (cell.y, cell.x));
+        assert_eq!(free, column.collect::<Vec<_>>());
+        // It is back.
+        look(&mut hindsight, 8, true, Pose::IDENTITY);
+        assert!(hindsight.free().len() < 12, "what is seen again stands: {:?}", hindsight.free());
+    }
+
+    #[test]
+    fn scans_in_the_wrong_place_and_scans_at_one_time_free_nothing() {
+        let map = room();
+        let mut displaced = Hindsight::new(&map);
+        (0..9).for_each(|number| look(&mut displaced, number, false, Pose::new(0.5, 0.5, 0.0)));
+        assert_eq!(displaced.free(), []);
+        let mut at_once = Hindsight::new(&map);
+        (0..9).for_each(|_| look(&mut at_once, 4, false, Pose::IDENTITY));
+        assert_eq!(at_once.free(), []);
+    }
+}

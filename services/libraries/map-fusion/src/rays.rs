@@ -1,0 +1,125 @@
+//! What the beams of a scan cross, and near what they end, cell by cell.
+
+use flockslam_evidence::{CellIndex, Ray, floor};
+use flockslam_geometry::{Point, Pose};
+use flockslam_messages::{Deskew, ScanView};
+
+/// Cells around the lidar, to each side.
+const REACH_CELLS: i32 = 512;
+const SIDE: usize = 2 * REACH_CELLS as usize;
+
+/// The cells of a square around the lidar; those farther away nothing crosses, and nothing ends near them.
+#[derive(Debug)]
+pub struct Rays {
+    cell_size_m: f64,
+    /// Beams are followed so far, metres …
+    reach_m: f64,
+    /// … and up to so far before their ends.
+    before_m: f64,
+    /// So many cells around an end are near it.
+    near: i32,
+    /// Cell of the lidar.
+    middle: CellIndex,
+    /// The number of the last scan of which a beam ended near, and of the last of which one went through.
+    ended: Vec<u32>,
+    crossed: Vec<u32>,
+    scan: u32,
+}
+
+impl Rays {
+    /// Of no scan.
+    pub fn new(cell_size_m: f64, reach_m: f64, before_m: f64, near: i32) -> Self {
+        let (middle, none) = (CellIndex::new(0, 0), vec![0; SIDE * SIDE]);
+        Self { cell_size_m, reach_m, before_m, near, middle, ended: none.clone(), crossed: none, scan: 0 }
+    }
+
+    /// Those of a scan from `at`, in place of those before.
+    pub fn look(&mut self, scan: ScanView<'_>, deskew: &Deskew, map_from_base: Pose, at: Point) {
+        if self.scan == u32::MAX {
+            self.ended.fill(0);
+            self.crossed.fill(0);
+            self.scan = 0;
+        }
+        self.scan += 1;
+        self.middle = self.cell(at);
+        for beam in 0..scan.len() {
+            let Some(range_m) = scan.valid_range_m(beam) else { continue };
+            let end = |range_m: f64| map_from_base.apply(deskew.end_in_base(scan, beam, range_m));
+            self.cross(at, end((range_m - self.before_m).clamp(0.0, self.reach_m)));
+            if range_m <= self.reach_m {
+                self.end(self.cell(end(range_m)));
+            }
+        }
+    }
+
+    fn cross(&mut self, from: Point, to: Point) {
+        let in_cells = |at: Point| Point::new(at.x_m / self.cell_size_m, at.y_m / self.cell_size_m);
+        for cell in Ray::new(in_cells(from), in_cells(to)) {
+            if let Some(place) = self.place(cell) {
+                self.crossed[place] = self.scan;
+            }
+        }
+    }
+
+    fn end(&mut self, end: CellIndex) {
+        let around = -self.near..=self.near;
+        for (dx, dy) in around.clone().flat_map(|dy| around.clone().map(move |dx| (dx, dy))) {
+            let cell = CellIndex::new(end.x.saturating_add(dx), end.y.saturating_add(dy));
+            if let Some(place) = self.place(cell) {
+                self.ended[place] = self.scan;
+            }
+        }
+    }
+
+    /// Whether a beam goes through a cell, and ends well behind it.
+    pub fn is_crossed(&self, cell: CellIndex) -> bool {
+        self.place(cell).is_some_and(|place| self.crossed[place] == self.scan)
+    }
+
+    /// Whether a beam ends near a cell.
+    pub fn is_end_near(&self, cell: CellIndex) -> bool {
+        self.place(cell).is_some_and(|place| self.ended[place] == self.scan)
+    }
+
+    fn cell(&self, at: Point) -> CellIndex {
+        CellIndex::new(floor(at.x_m / self.cell_size_m), floor(at.y_m / self.cell_size_m))
+    }
+
+    fn place(&self, cell: CellIndex) -> Option<usize> {
+        let place = |index: i32, middle: i32| {
+            let away = i64::from(index) - i64::from(middle) + i64::from(REACH_CELLS);
+            usize::try_from(away).ok().filter(|away| *away < SIDE)
+        };
+        Some(place(cell.y, self.middle.y)? * SIDE + place(cell.x, self.middle.x)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockslam_geometry::Twist;
+    use flockslam_messages::ScanBuffer;
+
+    #[test]
+    fn cells_are_crossed_or_near_the_ends_of_the_last_scan() {
+        let mut rays = Rays::new(0.05, 12.0, 0.3, 2);
+        let mut look = |range_m: f32, at: Pose| {
+            let scan = ScanBuffer::from_ranges(&[range_m, f32::INFINITY], 0.0, 0.1);
+            let view = scan.view().unwrap();
+            rays.look(view, &Deskew::new(view, Twist::default()), at, at.position());
+            [34, 35, 38, 39, 43, 44].map(|x| {
+                let is =
+                    |y: i32| (rays.is_crossed(CellIndex::new(x, y)), rays.is_end_near(CellIndex::new(x, y)));
+                assert!(!is(1).0 && !is(3).1, "the beam goes along the lowest row");
+                is(0)
+            })
+        };
+        let at = Pose::new(0.01, 0.01, 0.0);
+        let (none, crossed, near) = ((false, false), (true, false), (false, true));
+        // The cell in which the way through ends is not crossed.
+        assert_eq!(look(2.07, at), [crossed, none, none, near, near, none]);
+        assert_eq!(look(4.0, at), [crossed; 6], "ends of the scan before are forgotten");
+        assert_eq!(look(1000.0, at), [crossed; 6]);
+        assert_eq!(look(1002.06, Pose::new(-1000.0, 0.01, 0.0)), [none; 6], "too far from the lidar");
+    }
+}

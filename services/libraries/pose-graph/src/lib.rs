@@ -1,0 +1,14 @@
+//! Pose graphs: nodes are numbered from 0, edges are measured motions between them with their information, and of the edges that may
+//! be wrong the robust solver says which are outliers.
+
+mod cholesky;
+mod edge;
+mod graph;
+mod ordering;
+mod robust;
+mod symmetric;
+
+pub use edge::Edge;
+pub use graph::PoseGraph;
+pub use robust::{RobustSettings, Solved, solve};
+pub use symmetric::{Symmetric, in_frame, loosened};
