@@ -5,7 +5,7 @@ use crate::support::share;
 use crate::support::slow_link::SlowLink;
 use crate::support::{Drive, LiveSet, flockslam, free_port, of, send, stderr, wait_for};
 use flockslam_messages::Stage;
-use flockslam_stage::FlockStatus;
+use flockslam_results::FlockStatus;
 use rustix::process::Signal;
 use serde_json::Value;
 use std::process::Command;

@@ -9,7 +9,7 @@ use flockslam::outputs::TrajectoryPoint;
 use flockslam_flock::{Flock, FlockLayout};
 use flockslam_geometry::Pose;
 use flockslam_records::{Content, Limits, Record, RobotKey};
-use flockslam_stage::flock_files::{OWN_SCANS, RecordLog, read_named};
+use flockslam_results::flock_files::{OWN_SCANS, RecordLog, read_named};
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::{Path, PathBuf};

@@ -2,7 +2,7 @@
 
 use crate::support::{Drive, LiveSet, flockslam, free_port, not_tested, send, wait_for};
 use flockslam_records::{Content, MESSAGE_BYTES_MAX, Message, Record, RobotKey, Vector, Withdrawal};
-use flockslam_stage::FlockStatus;
+use flockslam_results::FlockStatus;
 use rustix::process::Signal;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};

@@ -15,8 +15,9 @@ use flockslam_messages::{
     Control, ControlKind, Deskew, FlockRobot, FlockRobots, PoseEstimate, Quality, ScanView, Stage,
     TileMessage, TracksHeader,
 };
-use flockslam_stage::results::{self, LiveLayout};
-use flockslam_stage::{JournalReader, StageError, SubmapStore};
+use flockslam_results::SubmapStore;
+use flockslam_results::{self as results, LiveLayout};
+use flockslam_stage::{JournalReader, StageError};
 use flockslam_telemetry::monotonic_ns;
 use std::collections::{BTreeMap, VecDeque};
 use std::os::unix::fs::MetadataExt;

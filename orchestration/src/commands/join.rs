@@ -12,9 +12,10 @@ use flockslam_journal::{Durability, replace_file};
 use flockslam_records::{Limits, Message, RobotKey};
 
 use flockslam_flock::{Carried, Flock, FlockLayout, carried};
-use flockslam_stage::flock_files::{NamedPose, OWN_NODES, OWN_SCANS, RecordLog, read_named};
-use flockslam_stage::results::StoredMap;
-use flockslam_stage::{FlockStatus, StageError};
+use flockslam_results::FlockStatus;
+use flockslam_results::StoredMap;
+use flockslam_results::flock_files::{NamedPose, OWN_NODES, OWN_SCANS, RecordLog, read_named};
+use flockslam_stage::StageError;
 use serde::Serialize;
 use std::ffi::OsStr;
 use std::path::Path;

@@ -15,10 +15,11 @@ use crate::supervisor::{MetricsService, ProcessSet, SetEvent, SetFile, Supervisi
 use flockslam_bus::RuntimeDir;
 use flockslam_lidar_ingest::process::Source;
 use flockslam_messages::Stage;
+use flockslam_results::FlockStatus;
+use flockslam_results::flock_files;
+use flockslam_results::{self as results, StampedPose, StoredMap, Summary};
 use flockslam_scan_matcher::process::LOST;
-use flockslam_stage::flock_files;
-use flockslam_stage::results::{self, StampedPose, StoredMap, Summary};
-use flockslam_stage::{FlockStatus, MemoryUse, Mode, read_reports};
+use flockslam_stage::{MemoryUse, Mode, read_reports};
 use flockslam_telemetry::LatencyHistogram;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -1,6 +1,6 @@
 //! A hash of a fused map: equal for maps that are equal to the bit.
 
-use flockslam_stage::results::StoredMap;
+use flockslam_results::StoredMap;
 
 /// Names a fused map: blake3 over its place, its size and every cell, hexadecimal.
 pub fn map_hash(map: &StoredMap) -> String {

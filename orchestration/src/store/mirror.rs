@@ -2,8 +2,9 @@
 
 use super::{MapHead, SavedMap, StoreError};
 use flockslam_journal::{Durability, RecordReader, RecordWriter, replace_file};
-use flockslam_stage::flock_files::records_file;
-use flockslam_stage::{SubmapStore, journal_file};
+use flockslam_results::SubmapStore;
+use flockslam_results::flock_files::records_file;
+use flockslam_stage::journal_file;
 use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};

@@ -3,8 +3,9 @@
 use super::{MapHead, StoreError};
 use flockslam_bus::RuntimeDir;
 use flockslam_journal::{Durability, Ending, RecordReader, RecordWriter, replace_file};
-use flockslam_stage::flock_files::records_file;
-use flockslam_stage::{JournalReader, SubmapStore, journal_file};
+use flockslam_results::SubmapStore;
+use flockslam_results::flock_files::records_file;
+use flockslam_stage::{JournalReader, journal_file};
 use std::fs;
 use std::path::{Path, PathBuf};
 

@@ -5,8 +5,9 @@ use flockslam_bus::RuntimeDir;
 use flockslam_evidence::{PackedCell, Submap, SubmapTile, TILE_CELLS, TileKey};
 use flockslam_geometry::Pose;
 use flockslam_messages::{PoseEstimate, PoseFlags, ScanBuffer};
-use flockslam_stage::flock_files::RecordLog;
-use flockslam_stage::{JournalReader, JournalWriter, SubmapStore, journal_file};
+use flockslam_results::SubmapStore;
+use flockslam_results::flock_files::RecordLog;
+use flockslam_stage::{JournalReader, JournalWriter, journal_file};
 use std::fs;
 use std::path::Path;
 

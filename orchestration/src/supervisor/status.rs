@@ -1,7 +1,7 @@
 //! The state of a set and of its processes: as JSON for programs and as text for people.
 
 use super::child::StageChild;
-use flockslam_stage::FlockStatus;
+use flockslam_results::FlockStatus;
 use flockslam_telemetry::{Beat, monotonic_ns};
 use serde::{Deserialize, Serialize};
 use std::fmt;

@@ -13,9 +13,10 @@ use flockslam_messages::{
     ClearedCell, Commit, Control, ControlKind, DropReason, MarksHeader, PoseEstimate, PoseFlags, ScanView,
     Stage, SubmapClosed,
 };
+use flockslam_results::SubmapStore;
 use flockslam_stage::{
     Acknowledger, Actor, JournalReader, Mode, PendingScans, PoseQueue, StageContext, StageError, StreamEnd,
-    SubmapStore, run,
+    run,
 };
 use flockslam_telemetry::{is_sabotaged, monotonic_ns};
 use metrics::MapMetrics;
@@ -244,7 +245,7 @@ impl MapperProcess {
             self.store.save(&submap)?;
             self.output.tell_submap(&self.store.notice(&submap)?)?;
         }
-        self.logic.take_cleared().iter().try_for_each(|submap| self.store.save(submap))
+        Ok(self.logic.take_cleared().iter().try_for_each(|submap| self.store.save(submap))?)
     }
 
     /// Sends all live tiles and the last commit again: a reader has started and holds none.

@@ -5,8 +5,9 @@ use flockslam_evidence::{CellIndex, FusedMap};
 use flockslam_map_fusion::PlacedSubmap;
 use flockslam_map_fusion::stale_cells;
 use flockslam_map_fusion::{Fusion, Step};
-use flockslam_stage::results::{StoredMap, Summary};
-use flockslam_stage::{StageError, SubmapStore};
+use flockslam_results::SubmapStore;
+use flockslam_results::{StoredMap, Summary};
+use flockslam_stage::StageError;
 
 /// Hands stored submaps to the fusion as it asks for them.
 pub struct Fuser {

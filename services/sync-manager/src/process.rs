@@ -14,10 +14,11 @@ use flockslam_messages::{
     BeamRange, Control, ControlKind, DropReason, FlockFrame, FlockRobots, LayoutHeader, MovingBeamsHeader,
     PoseEstimate, PoseFlags, ScanView, Stage, SubmapClosed,
 };
-use flockslam_stage::results::{self, LayoutRow, LiveLayout, Summary};
+use flockslam_results::SubmapStore;
+use flockslam_results::{self as results, LayoutRow, LiveLayout, Summary};
 use flockslam_stage::{
     Acknowledger, Actor, JournalReader, Mode, PendingScans, PoseQueue, StageContext, StageError, StreamEnd,
-    SubmapStore, Turn, run,
+    Turn, run,
 };
 use flockslam_telemetry::monotonic_ns;
 use look_back::look_back;

@@ -15,6 +15,9 @@ pub enum StageError {
     /// The journal or a store failed.
     #[error(transparent)]
     Journal(#[from] flockslam_journal::JournalError),
+    /// A file of the results failed.
+    #[error(transparent)]
+    Results(#[from] flockslam_results::ResultsError),
     /// Telemetry could not be set up.
     #[error("{0}")]
     Telemetry(String),

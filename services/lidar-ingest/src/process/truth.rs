@@ -1,8 +1,8 @@
 //! Writes the exact trajectory of a simulated drive beside the results.
 
 use flockslam_geometry::Pose;
+use flockslam_results::{StampedPose, TRUE_TRAJECTORY};
 use flockslam_stage::StageError;
-use flockslam_stage::results::{StampedPose, TRUE_TRAJECTORY};
 use std::fs::{File, rename};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -41,7 +41,7 @@ impl TruthWriter {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flockslam_stage::results::read_trajectory;
+    use flockslam_results::read_trajectory;
 
     #[test]
     fn a_trajectory_has_its_name_once_it_is_whole() {

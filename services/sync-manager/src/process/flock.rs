@@ -3,8 +3,9 @@
 use crate::{Settings, Solution, SyncManager};
 use flockslam_geometry::Pose;
 use flockslam_messages::{FlockFrame, FlockRobots, PoseEstimate};
-use flockslam_stage::flock_files::{NamedPose, OWN_NODES, OWN_SCANS, write_named};
-use flockslam_stage::{StageContext, StageError, SubmapStore};
+use flockslam_results::SubmapStore;
+use flockslam_results::flock_files::{NamedPose, OWN_NODES, OWN_SCANS, write_named};
+use flockslam_stage::{StageContext, StageError};
 use std::path::Path;
 use teller::Teller;
 use thread::{FlockThread, Task};
@@ -78,7 +79,7 @@ impl Voice {
             }
             Self::Talking(thread) => {
                 thread.give(Task::News(logic.take_news()));
-                thread.tell_submap(number, || store.load(number))?;
+                thread.tell_submap(number, || Ok(store.load(number)?))?;
                 thread.give(Task::Clearances(store.clone(), number.saturating_sub(WATCHED)..number));
                 thread.give(Task::Layout(places(logic)));
                 Ok(())

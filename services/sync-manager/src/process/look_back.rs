@@ -4,7 +4,7 @@ use crate::fuse::Fuser;
 use flockslam_map_fusion::PlacedSubmap;
 use flockslam_map_fusion::{APART_NS, Hindsight, VIEWS};
 use flockslam_messages::Deskew;
-use flockslam_stage::flock_files::NamedPose;
+use flockslam_results::flock_files::NamedPose;
 use flockslam_stage::{JournalReader, Journaled, StageContext, StageError};
 
 /// Of more accepted scans than this only some are looked at, evenly spread: the work is bounded.

@@ -3,9 +3,9 @@
 use crate::{SettledScan, Solution};
 use flockslam_geometry::Pose;
 use flockslam_messages::{PoseEstimate, ScanId};
+use flockslam_results::flock_files::NamedPose;
+use flockslam_results::{self as results, StampedPose};
 use flockslam_stage::StageError;
-use flockslam_stage::flock_files::NamedPose;
-use flockslam_stage::results::{self, StampedPose};
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};

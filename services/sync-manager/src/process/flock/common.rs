@@ -5,7 +5,7 @@ use flockslam_flock::Flock;
 use flockslam_geometry::Pose;
 use flockslam_messages::FlockFrame;
 use flockslam_records::{Presence, RobotId};
-use flockslam_stage::results::StoredMap;
+use flockslam_results::StoredMap;
 use std::collections::BTreeMap;
 
 /// What a robot concludes of all records that it knows: how the robots lie to each other. A function of the records alone.

@@ -2,7 +2,7 @@
 
 use super::drops::Dropped;
 use super::link::OTHERS;
-use flockslam_stage::FlockStatus;
+use flockslam_results::FlockStatus;
 use flockslam_telemetry::{Counter, CountersByLabels, Gauge, LabelledCounters, StageMetrics, names};
 use std::collections::BTreeMap;
 

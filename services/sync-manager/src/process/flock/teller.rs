@@ -10,8 +10,8 @@ use flockslam_records::{
     Clearance, Constraint, Content, Limits, Message, NodeName, Outcome, Record, RecordError, RobotId,
     RobotKey,
 };
+use flockslam_results::flock_files::RecordLog;
 use flockslam_stage::StageError;
-use flockslam_stage::flock_files::RecordLog;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
@@ -183,7 +183,7 @@ impl Teller {
     }
 
     fn keep(&mut self, said: &[Arc<[u8]>]) -> Result<(), StageError> {
-        said.iter().try_for_each(|record| self.log.append(record))
+        Ok(said.iter().try_for_each(|record| self.log.append(record))?)
     }
 }
 

@@ -4,7 +4,8 @@ use super::super::link::hexadecimal;
 use super::super::thread::locked;
 use super::{Talk, kept};
 use flockslam_geometry::Pose;
-use flockslam_stage::FlockStatus;
+use flockslam_stage::StageError;
+use flockslam_results::FlockStatus;
 use std::time::{Duration, Instant};
 
 /// What others can see is brought up to date this often.
@@ -18,7 +19,7 @@ impl Talk {
         self.shown = Some(Instant::now());
         let status = self.status();
         self.metrics.show(&status, self.drops.counts());
-        kept(status.write(&self.status_dir));
+        kept(status.write(&self.status_dir).map_err(StageError::from));
     }
 
     fn status(&self) -> FlockStatus {

@@ -1,6 +1,6 @@
 //! What sync-manager leaves at the end of a run, as files in the set's directory.
 
-use crate::StageError;
+use crate::ResultsError;
 use flockslam_evidence::{Cell, FusedMap, TILE_SIDE};
 use flockslam_geometry::{Point, Pose};
 use flockslam_journal::{Durability, replace_file, replace_file_by_parts};
@@ -27,8 +27,6 @@ pub const ONLINE_TRAJECTORY: &str = "online.poses";
 pub const TRUE_TRAJECTORY: &str = "truth.poses";
 /// The fused map.
 pub const FUSED_MAP: &str = "fused.map";
-/// Where the submaps lie, as JSON.
-pub const LAYOUT: &str = "layout.json";
 /// What happened, as JSON.
 pub const SUMMARY: &str = "summary.json";
 
@@ -155,7 +153,7 @@ struct MapHead {
 ///
 /// # Errors
 /// When the disk refuses.
-pub fn write_trajectory(directory: &Path, name: &str, rows: &[StampedPose]) -> Result<(), StageError> {
+pub fn write_trajectory(directory: &Path, name: &str, rows: &[StampedPose]) -> Result<(), ResultsError> {
     Ok(replace_file(&directory.join(name), rows.as_bytes(), Durability::Process)?)
 }
 
@@ -163,18 +161,18 @@ pub fn write_trajectory(directory: &Path, name: &str, rows: &[StampedPose]) -> R
 ///
 /// # Errors
 /// When there is none, or it is cut off.
-pub fn read_trajectory(directory: &Path, name: &str) -> Result<Vec<StampedPose>, StageError> {
+pub fn read_trajectory(directory: &Path, name: &str) -> Result<Vec<StampedPose>, ResultsError> {
     let path = directory.join(name);
-    let bytes = fs::read(&path).map_err(|e| StageError::file(&path, e))?;
+    let bytes = fs::read(&path).map_err(|e| ResultsError::file(&path, e))?;
     let rows = bytes.chunks(size_of::<StampedPose>()).map(StampedPose::read_from_bytes);
-    rows.collect::<Result<_, _>>().map_err(|_| StageError::file(&path, "cut off in the middle of a pose"))
+    rows.collect::<Result<_, _>>().map_err(|_| ResultsError::file(&path, "cut off in the middle of a pose"))
 }
 
 /// Writes the fused map into a set's results.
 ///
 /// # Errors
 /// When the disk refuses.
-pub fn write_map(directory: &Path, map: &StoredMap) -> Result<(), StageError> {
+pub fn write_map(directory: &Path, map: &StoredMap) -> Result<(), ResultsError> {
     assert_eq!(map.cells.len(), map.width * map.height);
     let head = MapHead {
         width: map.width as u64,
@@ -190,10 +188,10 @@ pub fn write_map(directory: &Path, map: &StoredMap) -> Result<(), StageError> {
 ///
 /// # Errors
 /// When there is none, or it is not whole.
-pub fn read_map(directory: &Path) -> Result<StoredMap, StageError> {
+pub fn read_map(directory: &Path) -> Result<StoredMap, ResultsError> {
     let path = directory.join(FUSED_MAP);
-    let broken = || StageError::file(&path, "is not a whole map");
-    let mut file = fs::File::open(&path).map_err(|e| StageError::file(&path, e))?;
+    let broken = || ResultsError::file(&path, "is not a whole map");
+    let mut file = fs::File::open(&path).map_err(|e| ResultsError::file(&path, e))?;
     let mut head = [0; size_of::<MapHead>()];
     file.read_exact(&mut head).map_err(|_| broken())?;
     let head = MapHead::read_from_bytes(&head).map_err(|_| broken())?;
@@ -218,9 +216,9 @@ pub fn read_map(directory: &Path) -> Result<StoredMap, StageError> {
 ///
 /// # Errors
 /// When the disk refuses.
-pub fn write_summary(directory: &Path, summary: &Summary) -> Result<(), StageError> {
+pub fn write_summary(directory: &Path, summary: &Summary) -> Result<(), ResultsError> {
     let path = directory.join(SUMMARY);
-    let json = serde_json::to_vec_pretty(summary).map_err(|e| StageError::file(&path, e))?;
+    let json = serde_json::to_vec_pretty(summary).map_err(|e| ResultsError::file(&path, e))?;
     Ok(replace_file(&path, &json, Durability::Process)?)
 }
 
@@ -233,9 +231,9 @@ pub fn live_layout_file(directory: &Path) -> PathBuf {
 ///
 /// # Errors
 /// When the disk refuses.
-pub fn write_live_layout(directory: &Path, layout: &LiveLayout) -> Result<(), StageError> {
+pub fn write_live_layout(directory: &Path, layout: &LiveLayout) -> Result<(), ResultsError> {
     let path = live_layout_file(directory);
-    let json = serde_json::to_vec(layout).map_err(|e| StageError::file(&path, e))?;
+    let json = serde_json::to_vec(layout).map_err(|e| ResultsError::file(&path, e))?;
     Ok(replace_file(&path, &json, Durability::Process)?)
 }
 
@@ -243,20 +241,20 @@ pub fn write_live_layout(directory: &Path, layout: &LiveLayout) -> Result<(), St
 ///
 /// # Errors
 /// When nothing was.
-pub fn read_live_layout(directory: &Path) -> Result<LiveLayout, StageError> {
+pub fn read_live_layout(directory: &Path) -> Result<LiveLayout, ResultsError> {
     let path = live_layout_file(directory);
-    let json = fs::read(&path).map_err(|e| StageError::file(&path, e))?;
-    serde_json::from_slice(&json).map_err(|e| StageError::file(&path, e))
+    let json = fs::read(&path).map_err(|e| ResultsError::file(&path, e))?;
+    serde_json::from_slice(&json).map_err(|e| ResultsError::file(&path, e))
 }
 
 /// Reads the summary from a set's results.
 ///
 /// # Errors
 /// When there is none.
-pub fn read_summary(directory: &Path) -> Result<Summary, StageError> {
+pub fn read_summary(directory: &Path) -> Result<Summary, ResultsError> {
     let path = directory.join(SUMMARY);
-    let json = fs::read(&path).map_err(|e| StageError::file(&path, e))?;
-    serde_json::from_slice(&json).map_err(|e| StageError::file(&path, e))
+    let json = fs::read(&path).map_err(|e| ResultsError::file(&path, e))?;
+    serde_json::from_slice(&json).map_err(|e| ResultsError::file(&path, e))
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! The state of the flock, as a file that the command line and the live page read.
 
-use crate::StageError;
+use crate::ResultsError;
 use flockslam_journal::{Durability, replace_file};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -60,9 +60,9 @@ impl FlockStatus {
     ///
     /// # Errors
     /// When the disk refuses.
-    pub fn write(&self, status_dir: &Path) -> Result<(), StageError> {
+    pub fn write(&self, status_dir: &Path) -> Result<(), ResultsError> {
         let path = flock_status_file(status_dir);
-        let json = serde_json::to_vec(self).map_err(|e| StageError::file(&path, e))?;
+        let json = serde_json::to_vec(self).map_err(|e| ResultsError::file(&path, e))?;
         Ok(replace_file(&path, &json, Durability::Process)?)
     }
 

@@ -1,6 +1,6 @@
 //! What a robot of a flock leaves beside its results: its records, and its own trajectory by names of scans.
 
-use crate::StageError;
+use crate::ResultsError;
 use flockslam_geometry::Pose;
 use flockslam_journal::{Durability, RecordReader, RecordWriter, replace_file};
 use std::fs;
@@ -30,10 +30,10 @@ pub struct NamedPose {
 ///
 /// # Errors
 /// When something is missing or the disk refuses.
-pub fn keep(results: &Path, out: &Path) -> Result<(), StageError> {
+pub fn keep(results: &Path, out: &Path) -> Result<(), ResultsError> {
     for name in [RECORDS, OWN_SCANS, OWN_NODES] {
         let from = results.join(name);
-        let bytes = fs::read(&from).map_err(|e| StageError::file(&from, e))?;
+        let bytes = fs::read(&from).map_err(|e| ResultsError::file(&from, e))?;
         replace_file(&out.join(name), &bytes, Durability::Process)?;
     }
     Ok(())
@@ -43,7 +43,7 @@ pub fn keep(results: &Path, out: &Path) -> Result<(), StageError> {
 ///
 /// # Errors
 /// When the disk refuses.
-pub fn write_named(directory: &Path, name: &str, rows: &[NamedPose]) -> Result<(), StageError> {
+pub fn write_named(directory: &Path, name: &str, rows: &[NamedPose]) -> Result<(), ResultsError> {
     Ok(replace_file(&directory.join(name), rows.as_bytes(), Durability::Process)?)
 }
 
@@ -51,11 +51,11 @@ pub fn write_named(directory: &Path, name: &str, rows: &[NamedPose]) -> Result<(
 ///
 /// # Errors
 /// When there are none, or the file is cut off.
-pub fn read_named(directory: &Path, name: &str) -> Result<Vec<NamedPose>, StageError> {
+pub fn read_named(directory: &Path, name: &str) -> Result<Vec<NamedPose>, ResultsError> {
     let path = directory.join(name);
-    let bytes = fs::read(&path).map_err(|e| StageError::file(&path, e))?;
+    let bytes = fs::read(&path).map_err(|e| ResultsError::file(&path, e))?;
     let rows = bytes.chunks(size_of::<NamedPose>()).map(NamedPose::read_from_bytes);
-    rows.collect::<Result<_, _>>().map_err(|_| StageError::file(&path, "cut off in the middle of a pose"))
+    rows.collect::<Result<_, _>>().map_err(|_| ResultsError::file(&path, "cut off in the middle of a pose"))
 }
 
 /// Where the records lie in a directory.
@@ -73,7 +73,7 @@ impl RecordLog {
     ///
     /// # Errors
     /// When the disk refuses.
-    pub fn open(directory: &Path) -> Result<(Self, Vec<Vec<u8>>), StageError> {
+    pub fn open(directory: &Path) -> Result<(Self, Vec<Vec<u8>>), ResultsError> {
         let path = records_file(directory);
         let writer = RecordWriter::open(&path)?;
         Ok((Self { writer }, Self::read(directory)?))
@@ -83,7 +83,7 @@ impl RecordLog {
     ///
     /// # Errors
     /// When the disk refuses.
-    pub fn append(&mut self, record: &[u8]) -> Result<(), StageError> {
+    pub fn append(&mut self, record: &[u8]) -> Result<(), ResultsError> {
         Ok(self.writer.append(RECORD, &[record])?)
     }
 
@@ -91,7 +91,7 @@ impl RecordLog {
     ///
     /// # Errors
     /// When it cannot be read.
-    pub fn read(directory: &Path) -> Result<Vec<Vec<u8>>, StageError> {
+    pub fn read(directory: &Path) -> Result<Vec<Vec<u8>>, ResultsError> {
         let mut reader = RecordReader::open(&directory.join(RECORDS))?;
         let mut records = Vec::new();
         while let Some(record) = reader.next_record()? {

@@ -1,6 +1,6 @@
 //! The store of closed submaps: the mapper writes it, sync-manager and a restarted mapper read it.
 
-use crate::StageError;
+use crate::ResultsError;
 use flockslam_evidence::Submap;
 use flockslam_journal::{Durability, replace_file};
 use flockslam_messages::{ScanId, SubmapClosed};
@@ -25,7 +25,7 @@ impl SubmapStore {
     ///
     /// # Errors
     /// When the disk refuses.
-    pub fn save(&self, submap: &Submap) -> Result<(), StageError> {
+    pub fn save(&self, submap: &Submap) -> Result<(), ResultsError> {
         Ok(replace_file(&self.file(submap.number), &submap.encode(), Durability::Process)?)
     }
 
@@ -33,19 +33,19 @@ impl SubmapStore {
     ///
     /// # Errors
     /// When there is none, or its file is damaged.
-    pub fn load(&self, number: u32) -> Result<Submap, StageError> {
+    pub fn load(&self, number: u32) -> Result<Submap, ResultsError> {
         let path = self.file(number);
-        let bytes = fs::read(&path).map_err(|e| StageError::file(&path, e))?;
-        Submap::decode(&bytes).map_err(|e| StageError::file(&path, e))
+        let bytes = fs::read(&path).map_err(|e| ResultsError::file(&path, e))?;
+        Submap::decode(&bytes).map_err(|e| ResultsError::file(&path, e))
     }
 
     /// What is told about a stored submap.
     ///
     /// # Errors
     /// When it is not stored.
-    pub fn notice(&self, submap: &Submap) -> Result<SubmapClosed, StageError> {
+    pub fn notice(&self, submap: &Submap) -> Result<SubmapClosed, ResultsError> {
         let path = self.file(submap.number);
-        let bytes = fs::read(&path).map_err(|e| StageError::file(&path, e))?;
+        let bytes = fs::read(&path).map_err(|e| ResultsError::file(&path, e))?;
         let id = |sequence| ScanId { epoch: 1, lidar: 0, sequence };
         Ok(SubmapClosed {
             first: id(submap.first),

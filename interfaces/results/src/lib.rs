@@ -1,0 +1,16 @@
+//! What a run leaves as files, and what others read of it: trajectories, the fused map, the summary, closed submaps, and what a robot of a flock keeps.
+
+mod error;
+pub mod flock_files;
+mod flock_status;
+mod run_results;
+mod submap_store;
+
+pub use error::ResultsError;
+pub use flock_status::FlockStatus;
+pub use run_results::{
+    FINAL_TRAJECTORY, FUSED_MAP, LayoutRow, LiveLayout, ONLINE_TRAJECTORY, SUMMARY, StampedPose, StoredMap,
+    Summary, TRUE_TRAJECTORY, live_layout_file, read_live_layout, read_map, read_summary, read_trajectory,
+    write_live_layout, write_map, write_summary, write_trajectory,
+};
+pub use submap_store::SubmapStore;
