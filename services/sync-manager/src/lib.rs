@@ -14,5 +14,5 @@ mod solution;
 mod trajectory;
 
 pub use manager::SyncManager;
-pub use settings::{FlockSettings, ProximitySource, Settings};
+pub use settings::Settings;
 pub use solution::{ClosureCounts, PlacedScan, SettledScan, Solution};

@@ -6,8 +6,9 @@
 
 use crate::fuse::Fuser;
 use crate::{Settings, SyncManager};
-use flock::{FlockMetrics, Voice};
+use flock::Voice;
 use flockslam_bus::{BellRinger, Publisher, ScanSample, SliceSubscriber, Subscriber};
+use flockslam_flock_network::FlockMetrics;
 use flockslam_geometry::Pose;
 use flockslam_map_fusion::PlacedSubmap;
 use flockslam_messages::{
@@ -168,7 +169,8 @@ impl SyncProcess {
     /// From now on this process speaks to the flock.
     fn speak(&mut self, context: &StageContext) -> Result<(), StageError> {
         if let Some(metrics) = self.flock_metrics.take() {
-            self.voice = Voice::open(&self.settings, &context.result_dir, &context.status_dir, metrics)?;
+            self.voice =
+                Voice::open(&self.settings.flock, &context.result_dir, &context.status_dir, metrics)?;
         }
         Ok(())
     }

@@ -1,29 +1,13 @@
 //! The robot's side of the flock: what it says is kept, and, when it is asked to, others hear of it over the network.
 
-use crate::{Settings, Solution, SyncManager};
+use crate::{Solution, SyncManager};
+use flockslam_flock_network::{FlockMetrics, FlockSettings, FlockThread, Task, Teller};
 use flockslam_geometry::Pose;
 use flockslam_messages::{FlockFrame, FlockRobots, PoseEstimate};
 use flockslam_results::SubmapStore;
 use flockslam_results::flock_files::{NamedPose, OWN_NODES, OWN_SCANS, write_named};
 use flockslam_stage::{StageContext, StageError};
 use std::path::Path;
-use teller::Teller;
-use thread::{FlockThread, Task};
-
-mod common;
-mod companions;
-mod drops;
-mod identity;
-mod link;
-mod metrics;
-mod pace;
-mod proximity;
-mod relay;
-mod talk;
-mod teller;
-mod thread;
-
-pub use metrics::FlockMetrics;
 
 /// After each closed submap so many before it are looked at for stale cells: in older ones nothing is cleared while the robot drives.
 const WATCHED: u32 = 8;
@@ -44,15 +28,15 @@ impl Voice {
     /// # Errors
     /// When the robot's key cannot be had, or the system refuses.
     pub fn open(
-        settings: &Settings,
+        settings: &FlockSettings,
         directory: &Path,
         status_dir: &Path,
         metrics: FlockMetrics,
     ) -> Result<Self, StageError> {
         Ok(match Teller::open(settings, directory)? {
             None => Self::Silent,
-            Some(teller) if settings.flock.enabled => {
-                Self::Talking(FlockThread::start(&settings.flock, teller, status_dir, metrics)?)
+            Some(teller) if settings.enabled => {
+                Self::Talking(FlockThread::start(settings, teller, status_dir, metrics)?)
             }
             Some(teller) => Self::Recording(Box::new(teller)),
         })

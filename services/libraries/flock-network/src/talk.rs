@@ -10,7 +10,7 @@ use super::proximity::Proximity;
 use super::relay::Relay;
 use super::teller::Teller;
 use super::thread::{Shared, Task, locked};
-use crate::FlockSettings;
+use crate::settings::FlockSettings;
 use flockslam_flock::Flock;
 use flockslam_geometry::Pose;
 use flockslam_records::{Message, RecordError};

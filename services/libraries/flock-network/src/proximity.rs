@@ -1,6 +1,6 @@
 //! Which robots are near: all that are connected, or those that an outside program reports on a socket.
 
-use crate::{FlockSettings, ProximitySource};
+use crate::settings::{FlockSettings, ProximitySource};
 use flockslam_stage::StageError;
 use std::collections::BTreeMap;
 use std::os::unix::net::UnixDatagram;

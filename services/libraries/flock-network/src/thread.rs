@@ -4,7 +4,7 @@ use super::metrics::FlockMetrics;
 use super::proximity::proximity;
 use super::talk::Talk;
 use super::teller::Teller;
-use crate::FlockSettings;
+use crate::settings::FlockSettings;
 use flockslam_evidence::Submap;
 use flockslam_flock::News;
 use flockslam_geometry::Pose;

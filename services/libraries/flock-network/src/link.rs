@@ -2,7 +2,7 @@
 
 use super::drops::{Dropped, Drops};
 use super::thread::locked;
-use crate::FlockSettings;
+use crate::settings::FlockSettings;
 use flockslam_records::{MESSAGE_BYTES_MAX, Message, RobotId};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};

@@ -3,7 +3,7 @@
 
 use super::drops::{Dropped, Drops};
 use super::identity::Identity;
-use crate::Settings;
+use crate::settings::FlockSettings;
 use flockslam_evidence::{Submap, TILE_SIDE, TileKey};
 use flockslam_flock::{Flock, News, OwnLoop};
 use flockslam_records::{
@@ -49,8 +49,8 @@ impl Teller {
     ///
     /// # Errors
     /// When the name is not one of a robot, the key cannot be had, or the disk refuses.
-    pub fn open(settings: &Settings, directory: &Path) -> Result<Option<Self>, StageError> {
-        let flock = &settings.flock;
+    pub fn open(settings: &FlockSettings, directory: &Path) -> Result<Option<Self>, StageError> {
+        let flock = settings;
         if flock.name.is_empty() {
             return Ok(None);
         }
@@ -238,15 +238,15 @@ impl Told {
 }
 
 /// Whom the robot believes.
-fn restrict(flock: &mut Flock, settings: &Settings) {
+fn restrict(flock: &mut Flock, settings: &FlockSettings) {
     let own = flock.robot().clone();
     let keys = |listed: &[String]| crate::FlockSettings::keys(listed).unwrap_or_default();
     let collection = flock.collection_mut();
     collection.never_refuse(own);
-    if !settings.flock.trusted.is_empty() {
-        collection.trust_only(keys(&settings.flock.trusted));
+    if !settings.trusted.is_empty() {
+        collection.trust_only(keys(&settings.trusted));
     }
-    keys(&settings.flock.banned).into_iter().for_each(|key| collection.ban(key));
+    keys(&settings.banned).into_iter().for_each(|key| collection.ban(key));
 }
 
 fn is_of(bytes: &[u8], key: &RobotKey, epoch: u64) -> bool {
@@ -291,9 +291,9 @@ mod tests {
         news
     }
 
-    fn settings(enabled: bool) -> Settings {
-        let mut settings = Settings::default();
-        (settings.flock.name, settings.flock.enabled) = ("a".to_owned(), enabled);
+    fn settings(enabled: bool) -> FlockSettings {
+        let mut settings = FlockSettings::default();
+        (settings.name, settings.enabled) = ("a".to_owned(), enabled);
         settings
     }
 
@@ -341,7 +341,7 @@ mod tests {
         let (keys, first, second) =
             (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let mut settings = settings(true);
-        settings.flock.key_file = keys.path().join("a.key");
+        settings.key_file = keys.path().join("a.key");
         let open =
             |directory: &tempfile::TempDir| Teller::open(&settings, directory.path()).unwrap().unwrap();
         let mut before = open(&first);
@@ -386,7 +386,7 @@ mod tests {
         let again = Teller::open(&settings(true), directory.path()).unwrap().unwrap();
         assert_eq!(again.flock().collection().hash(), known);
         let mut strict = settings(true);
-        strict.flock.banned = vec![super::super::link::hexadecimal(other.id().public_key())];
+        strict.banned = vec![crate::link::hexadecimal(other.id().public_key())];
         drop(again);
         let strict = Teller::open(&strict, directory.path()).unwrap().unwrap();
         assert_eq!(strict.flock().collection().robots().count(), 0);

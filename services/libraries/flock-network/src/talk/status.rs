@@ -1,11 +1,11 @@
 //! The state of the flock as others see it: the status file and the metrics.
 
-use super::super::link::hexadecimal;
-use super::super::thread::locked;
 use super::{Talk, kept};
+use crate::link::hexadecimal;
+use crate::thread::locked;
 use flockslam_geometry::Pose;
-use flockslam_stage::StageError;
 use flockslam_results::FlockStatus;
+use flockslam_stage::StageError;
 use std::time::{Duration, Instant};
 
 /// What others can see is brought up to date this often.

@@ -1,9 +1,9 @@
 //! Presences: takes in where neighbours say that they are, and tells them where this robot is.
 
-use super::super::drops::Dropped;
-use super::super::link::address;
-use super::super::thread::locked;
 use super::Talk;
+use crate::drops::Dropped;
+use crate::link::address;
+use crate::thread::locked;
 use flockslam_messages::{PoseEstimate, Quality};
 use flockslam_records::Presence;
 use flockslam_telemetry::monotonic_ns;

@@ -1,6 +1,6 @@
 //! The file with a robot's secret key and the number of its last epoch.
 
-use crate::FlockSettings;
+use crate::settings::FlockSettings;
 use flockslam_records::{RecordError, RobotKey};
 use flockslam_stage::StageError;
 use std::fs::{File, OpenOptions};

@@ -1,0 +1,21 @@
+//! A robot's side of the flock: a thread that publishes the robot's records, takes in those of others, looks for places that both have
+//! seen, and works out the common layout. The only crate that knows zenoh.
+
+mod common;
+mod companions;
+mod drops;
+mod identity;
+mod link;
+mod metrics;
+mod pace;
+mod proximity;
+mod relay;
+mod settings;
+mod talk;
+mod teller;
+mod thread;
+
+pub use metrics::FlockMetrics;
+pub use settings::{FlockSettings, ProximitySource};
+pub use teller::Teller;
+pub use thread::{FlockThread, Task};
