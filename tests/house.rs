@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Crates that others may import, lowest layer first; an import goes to a lower layer only.
-const LIBRARIES: [(&str, u32); 20] = [
+const LIBRARIES: [(&str, u32); 21] = [
     ("geometry", 0),
     ("random", 0),
     ("evidence", 1),
@@ -28,6 +28,7 @@ const LIBRARIES: [(&str, u32); 20] = [
     ("loop-closure", 6),
     ("flock", 7),
     ("flock-network", 8),
+    ("published-methods", 8),
     ("page", 9),
     // For tests alone.
     ("drives", 11),

@@ -4,8 +4,8 @@ use super::CommandError;
 use super::join::{Member, alone, stored_or_empty, track, write};
 use crate::cli::FusionArg;
 use crate::outputs::{TrajectoryPoint, map_hash};
-use flockslam_flock::{MeetingCounts, Meetings, Snapshot};
 use flockslam_geometry::Pose;
+use flockslam_published_methods::{MeetingCounts, Meetings, Snapshot};
 use serde::Serialize;
 use std::path::Path;
 

@@ -6,7 +6,6 @@ mod description;
 mod filter;
 mod lidar;
 pub mod process;
-mod seed_exact;
 mod settings;
 mod tally;
 

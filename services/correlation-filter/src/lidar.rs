@@ -3,9 +3,9 @@
 use crate::Settings;
 use crate::correlation::correlation;
 use crate::description::Description;
-use crate::seed_exact::PublishedFilter;
 use flockslam_geometry::Pose;
 use flockslam_messages::{DropReason, KeepReason};
+use flockslam_published_methods::PublishedFilter;
 
 /// A robot at rest changes four of five sectors by less than this, metres …
 const REST_CHANGE_M: f32 = 0.02;

@@ -5,7 +5,6 @@ use crate::cells::{Reach, for_each_occupied};
 use crate::fairness::Share;
 use crate::moving::find_moving;
 use crate::sector::Sector;
-use crate::sector_scan::{Ray, SectorScan};
 use crate::settings::Method;
 use crate::tracking::Tracker;
 use crate::votes::{Counts, Votes};
@@ -14,6 +13,7 @@ use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{
     ClearedCell, Deskew, JudgedCell, MarksHeader, PoseEstimate, PoseFlags, Quality, ScanId, ScanView, Track,
 };
+use flockslam_published_methods::{Ray, SectorScan};
 use flockslam_visibility::{Finding, Margins, Sight, View};
 use std::ops::Deref;
 

@@ -10,7 +10,6 @@ pub mod process;
 #[cfg(test)]
 mod scenarios;
 mod sector;
-mod sector_scan;
 mod settings;
 mod tracking;
 mod votes;

@@ -208,6 +208,11 @@ impl Atlas {
         (0..self.closures.len()).filter(|i| across[*i] && !consistent[*i]).collect()
     }
 
+    /// Points of a node's scan, in its robot's frame.
+    pub fn points(&self, node: usize) -> &[PackedPoint] {
+        self.scans.points(self.nodes[node].scan)
+    }
+
     /// Whether a closure connects two robots.
     pub(super) fn is_across(&self, closure: &Closure) -> bool {
         self.owner(closure.edge.from) != self.owner(closure.edge.to)

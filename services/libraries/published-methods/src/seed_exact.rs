@@ -17,7 +17,7 @@ type Histogram = [f64; COLUMNS + 1];
 /// multiplied, the first two scans are dropped, dropped scans are remembered as well, columns follow from the index among
 /// the valid points, an empty column is compared too, and the last beam is not looked at.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct PublishedFilter {
+pub struct PublishedFilter {
     remembered: Vec<Histogram>,
     drops_in_a_row: u32,
 }

@@ -1,10 +1,10 @@
 //! The protocol of meetings (Filatov 2021), for comparison with the layout of records: two robots match each other's current scan and exchange their
 //! maps. Takes snapshots, gives one map in layers.
 
-use super::{Atlas, Flock};
 use flockslam_evidence::{
     Cell, CellIndex, FusedMap, Masses, PackedCell, Submap, SubmapTile, TILE_CELLS, TileKey,
 };
+use flockslam_flock::{Atlas, Flock};
 use flockslam_geometry::Pose;
 use flockslam_records::RobotId;
 use flockslam_registration::cloud::{
@@ -325,7 +325,7 @@ impl Snapshot {
         let nodes =
             layout.nodes.iter().find(|((robot, _), _)| robot == flock.robot()).map(|(_, nodes)| nodes)?;
         let last = nodes.iter().rposition(|node| node.part == layout.main_part)?;
-        let scan = atlas.scans.points(atlas.nodes[last].scan).to_vec();
+        let scan = atlas.points(last).to_vec();
         Some(Self {
             robot: flock.robot().clone(),
             version: nodes[last].sequence + 1,

@@ -13,7 +13,7 @@ const SECTORS: usize = 1024;
 ///
 /// Points are in the laser frame at the scan's stamp, metres.
 #[derive(Clone, Debug)]
-pub(crate) struct SectorScan {
+pub struct SectorScan {
     segments: Vec<Segment>,
     /// Where the segments of each sector begin in `listed`, and one more.
     starts: Box<[u32; SECTORS + 1]>,
@@ -35,7 +35,7 @@ struct Segment {
 
 /// What lies on the way to a point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Ray {
+pub enum Ray {
     /// A segment before it: the point is in the shadow.
     Shadowed,
     /// A segment at it.
@@ -47,6 +47,7 @@ pub(crate) enum Ray {
 }
 
 impl SectorScan {
+    /// Sectors that nothing was seen in.
     pub fn new() -> Self {
         Self {
             segments: Vec::new(),

@@ -1,0 +1,10 @@
+//! What exists to reproduce the two source works step by step. By default something better does the same work; the configuration selects
+//! these (the profiles `vinyslam` and `ndt`, `correlation_filter.mode`, `dynamic_cleaner.method`, `flockslam swarm --protocol`).
+
+mod meeting;
+mod sector_scan;
+mod seed_exact;
+
+pub use meeting::{CellFusion, Layer, MeetingCounts, Meetings, Snapshot};
+pub use sector_scan::{Ray, SectorScan};
+pub use seed_exact::PublishedFilter;
