@@ -9,11 +9,12 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Crates that others may import, lowest layer first; an import goes to a lower layer only.
-const LIBRARIES: [(&str, u32); 21] = [
+const LIBRARIES: [(&str, u32); 22] = [
     ("geometry", 0),
     ("random", 0),
     ("evidence", 1),
     ("messages", 2),
+    ("ray-insertion", 2),
     ("records", 2),
     ("bus", 3),
     ("journal", 3),

@@ -3,11 +3,12 @@
 
 use super::Outputs;
 use super::moved_map::{Map, Share, around};
-use flockslam_evidence::{CellIndex, Ray};
+use flockslam_evidence::CellIndex;
 use flockslam_geometry::{Point, Pose};
 use flockslam_lidar_ingest::Settings;
 use flockslam_lidar_ingest::carmen::CarmenReader;
 use flockslam_messages::{ScanBuffer, ScanView};
+use flockslam_ray_insertion::Ray;
 use std::collections::BTreeMap;
 use std::path::Path;
 

@@ -1,7 +1,8 @@
 //! The map of closed submaps on the page. It follows the layout one submap at a time.
 
-use flockslam_evidence::{Footprint, FusedMap, Submap, TILE_SIDE, TileKey, TooFar};
+use flockslam_evidence::{Submap, TILE_SIDE, TileKey, TooFar};
 use flockslam_geometry::{Point, Pose};
+use flockslam_map_fusion::{Footprint, FusedMap};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A submap is moved on the page once one of its corners lies this many cells away from where the layout has it.

@@ -1,7 +1,7 @@
 //! What sync-manager leaves at the end of a run, as files in the set's directory.
 
 use crate::ResultsError;
-use flockslam_evidence::{Cell, FusedMap, TILE_SIDE};
+use flockslam_evidence::Cell;
 use flockslam_geometry::{Point, Pose};
 use flockslam_journal::{Durability, replace_file, replace_file_by_parts};
 use std::fs;
@@ -115,28 +115,6 @@ impl StoredMap {
     /// A map without cells.
     pub fn empty() -> Self {
         Self { width: 0, height: 0, cell_size_m: 1.0, origin: Point::default(), cells: Vec::new() }
-    }
-
-    /// The rectangle of a map that has evidence.
-    pub fn of(map: &FusedMap) -> Self {
-        let Some((low, high)) = map.bounds() else { return Self::empty() };
-        let cell_size_m = map.cell_size_m();
-        let (width, height) = ((high.x - low.x + 1) as usize, (high.y - low.y + 1) as usize);
-        let mut cells = vec![Cell::UNKNOWN; width * height];
-        let side = TILE_SIDE as i32;
-        for (key, tile) in map.tiles() {
-            let corner = key.cell(0);
-            let (left, right) = ((low.x - corner.x).max(0), (high.x - corner.x + 1).clamp(0, side));
-            let (bottom, top) = ((low.y - corner.y).max(0), (high.y - corner.y + 1).clamp(0, side));
-            for y in bottom..top {
-                let from = (y * side + left) as usize;
-                let to = (corner.y + y - low.y) as usize * width + (corner.x + left - low.x) as usize;
-                let count = (right - left).max(0) as usize;
-                cells[to..to + count].copy_from_slice(&tile[from..from + count]);
-            }
-        }
-        let origin = Point::new(f64::from(low.x) * cell_size_m, f64::from(low.y) * cell_size_m);
-        Self { width, height, cell_size_m, origin, cells }
     }
 }
 

@@ -6,9 +6,10 @@ use super::run::occupancy;
 use crate::cli::ConfigurationArgs;
 use crate::outputs::{TrajectoryPoint, map_hash, write_flock_picture, write_map, write_trajectory};
 use clap::ValueEnum;
-use flockslam_evidence::FusedMap;
 use flockslam_geometry::Pose;
 use flockslam_journal::{Durability, replace_file};
+use flockslam_map_fusion::FusedMap;
+use flockslam_map_fusion::stored_map;
 use flockslam_records::{Limits, Message, RobotKey};
 
 use flockslam_flock::{Carried, Flock, FlockLayout, carried};
@@ -307,7 +308,7 @@ fn stored(flock: &Flock, layout: &FlockLayout) -> StoredMap {
 
 /// A fused map as it is written; an empty one when there is none.
 pub fn stored_or_empty(map: Option<&FusedMap>) -> StoredMap {
-    map.map_or_else(StoredMap::empty, StoredMap::of)
+    map.map_or_else(StoredMap::empty, stored_map)
 }
 
 /// A robot's way in the frame of the flock; nothing when it is not part of it.

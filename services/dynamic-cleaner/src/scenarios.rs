@@ -1,9 +1,10 @@
 //! The cleaner in small worlds of straight walls, mapped and seen with simulated scans.
 
 use crate::{DynamicCleaner, Sector, Settings};
-use flockslam_evidence::{Cell, CellIndex, ObservedCells, SensorModel, Tile, TileGrid, TileKey};
+use flockslam_evidence::{Cell, CellIndex, Tile, TileGrid, TileKey};
 use flockslam_geometry::{Covariance, Point, Pose};
 use flockslam_messages::{ClearedCell, PoseEstimate, PoseFlags, ScanBuffer};
+use flockslam_ray_insertion::{ObservedCells, SensorModel};
 use std::collections::{BTreeMap, BTreeSet};
 
 type Wall = (f64, f64, f64, f64);

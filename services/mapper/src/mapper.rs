@@ -4,9 +4,10 @@ use crate::newcomers::Newcomers;
 use crate::settings::Settings;
 use crate::share::TileShare;
 use crate::window::Window;
-use flockslam_evidence::{CellIndex, SensorModel, Submap, Tile, TileKey, floor};
+use flockslam_evidence::{CellIndex, Submap, Tile, TileKey, floor};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{ClearedCell, Deskew, PoseEstimate, ScanView};
+use flockslam_ray_insertion::SensorModel;
 use std::collections::VecDeque;
 
 /// Turns scans with poses into evidence, tiles and submaps. A pure function of its calls.

@@ -1,6 +1,7 @@
 //! Settings of the stage, section `[mapper]` of the configuration: sensor model, read-out, submaps and window.
 
-use flockslam_evidence::{Cell, Masses, SensorModel};
+use flockslam_evidence::{Cell, Masses};
+use flockslam_ray_insertion::SensorModel;
 use serde::{Deserialize, Serialize};
 
 /// Settings of the mapper.

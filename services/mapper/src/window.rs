@@ -5,9 +5,9 @@ use crate::settings::Settings;
 use crate::share::TileShare;
 use crate::window_tile::WindowTile;
 use flockslam_evidence::{
-    Cell, CellIndex, CrossedCells, ObservedCells, PackedCell, Ray, Submap, SubmapTile, TILE_CELLS, Tile,
-    TileDirectory, TileKey, WEIGHT_SCALE,
+    Cell, CellIndex, PackedCell, Submap, SubmapTile, TILE_CELLS, Tile, TileDirectory, TileKey, WEIGHT_SCALE,
 };
+use flockslam_ray_insertion::{CrossedCells, ObservedCells, Ray};
 
 /// A cell with this much evidence for "free", nat, was looked through by several scans.
 const CLEAR_NAT: f64 = 1.5;

@@ -1,7 +1,8 @@
 //! One tile of the window: the evidence of the active submap, the sum with the closed ones, and its published form.
 
 use crate::score::Scores;
-use flockslam_evidence::{Cell, CrossedCells, PackedCell, TILE_CELLS, TILE_SIDE, Tile};
+use flockslam_evidence::{Cell, PackedCell, TILE_CELLS, TILE_SIDE, Tile};
+use flockslam_ray_insertion::CrossedCells;
 
 /// Cells whose sums are changed together.
 const GROUP: usize = 8;

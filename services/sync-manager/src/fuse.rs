@@ -1,9 +1,11 @@
 //! The fused map's way to and from the store of submaps.
 
 use crate::Settings;
-use flockslam_evidence::{CellIndex, FusedMap};
+use flockslam_evidence::CellIndex;
+use flockslam_map_fusion::FusedMap;
 use flockslam_map_fusion::PlacedSubmap;
 use flockslam_map_fusion::stale_cells;
+use flockslam_map_fusion::stored_map;
 use flockslam_map_fusion::{Fusion, Step};
 use flockslam_results::SubmapStore;
 use flockslam_results::{StoredMap, Summary};
@@ -64,7 +66,7 @@ impl Fuser {
 
     /// The fused map as it is now, on the rectangle that has evidence.
     pub fn stored_map(&self) -> StoredMap {
-        self.map().map_or_else(StoredMap::empty, StoredMap::of)
+        self.map().map_or_else(StoredMap::empty, stored_map)
     }
 
     /// Masks what says "occupied" of these cells of the map in all submaps of the final layout.

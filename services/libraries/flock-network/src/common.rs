@@ -3,6 +3,7 @@
 
 use flockslam_flock::Flock;
 use flockslam_geometry::Pose;
+use flockslam_map_fusion::stored_map;
 use flockslam_messages::FlockFrame;
 use flockslam_records::{Presence, RobotId};
 use flockslam_results::StoredMap;
@@ -35,7 +36,7 @@ impl Common {
     pub fn of(flock: &Flock, epoch: u64) -> Self {
         let layout = flock.layout(false);
         let fused = flock.map(&layout);
-        let stored = fused.map.as_ref().map_or_else(StoredMap::empty, StoredMap::of);
+        let stored = fused.map.as_ref().map_or_else(StoredMap::empty, stored_map);
         let members = layout.members();
         let own = (flock.robot().clone(), epoch);
         let mut submaps: BTreeMap<Log, Vec<(u32, Pose)>> = BTreeMap::new();

@@ -1,7 +1,8 @@
 //! The fused map of the flock: the evidence of all recorded submaps at their places in a layout, without the cells that were found stale.
 
 use super::{Flock, FlockLayout};
-use flockslam_evidence::{FusedMap, Submap};
+use flockslam_evidence::Submap;
+use flockslam_map_fusion::FusedMap;
 use flockslam_records::{Clearance, Content, RobotId};
 use std::collections::BTreeMap;
 

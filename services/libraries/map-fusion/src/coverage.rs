@@ -1,6 +1,7 @@
 //! Which submaps know something in which blocks of the fused map: from this follows which submap newer ones cover.
 
-use flockslam_evidence::{Footprint, TileKey};
+use crate::Footprint;
+use flockslam_evidence::TileKey;
 use std::collections::BTreeMap;
 
 /// Which submaps know something where, in blocks of 8 × 8 cells of the fused map.

@@ -1,7 +1,8 @@
 //! The fused map, kept up step by step with a layout that changes: takes submaps and where they belong, says which submaps it needs next.
 
+use crate::FusedMap;
 use crate::coverage::Coverage;
-use flockslam_evidence::{ClearedCells, FusedMap, Submap, TILE_SIDE, TooFar};
+use flockslam_evidence::{ClearedCells, Submap, TILE_SIDE, TooFar};
 use flockslam_geometry::{Point, Pose};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -47,7 +48,7 @@ struct Fused {
     map_from_odom: Pose,
     /// The cells that were masked when it was brought in: others may be by now.
     cleared: ClearedCells,
-    footprint: flockslam_evidence::Footprint,
+    footprint: crate::Footprint,
     /// Corners of the box around it, in odom.
     corners: [Point; 4],
     cell_size_m: f64,

@@ -1,8 +1,9 @@
 //! Which cells of the finished map stand occupied although scans have looked through them since: what is known at the end, when
 //! all scans have their final poses, and was not when they were taken.
 
+use crate::FusedMap;
 use crate::rays::Rays;
-use flockslam_evidence::{CellIndex, FusedMap, TILE_SIDE, TileKey, floor};
+use flockslam_evidence::{CellIndex, TILE_SIDE, TileKey, floor};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{Deskew, ScanView};
 use flockslam_visibility::{Finding, Margins, Sight, View};

@@ -1,8 +1,9 @@
 //! What the beams of a scan cross, and near what they end, cell by cell.
 
-use flockslam_evidence::{CellIndex, Ray, floor};
+use flockslam_evidence::{CellIndex, floor};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{Deskew, ScanView};
+use flockslam_ray_insertion::Ray;
 
 /// Cells around the lidar, to each side.
 const REACH_CELLS: i32 = 512;

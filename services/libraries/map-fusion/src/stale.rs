@@ -1,6 +1,7 @@
 //! Which cells of a closed submap newer ones have found free: what the world changed long after the submap was closed.
 
-use flockslam_evidence::{Cell, CellIndex, FusedMap, Submap, WEIGHT_SCALE, floor};
+use crate::FusedMap;
+use flockslam_evidence::{Cell, CellIndex, Submap, WEIGHT_SCALE, floor};
 use flockslam_geometry::{Point, Pose};
 
 /// Newer evidence for "free" that a stale cell and its neighbours have, nat: three scans have looked through them.

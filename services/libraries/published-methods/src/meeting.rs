@@ -1,11 +1,10 @@
 //! The protocol of meetings (Filatov 2021), for comparison with the layout of records: two robots match each other's current scan and exchange their
 //! maps. Takes snapshots, gives one map in layers.
 
-use flockslam_evidence::{
-    Cell, CellIndex, FusedMap, Masses, PackedCell, Submap, SubmapTile, TILE_CELLS, TileKey,
-};
+use flockslam_evidence::{Cell, CellIndex, Masses, PackedCell, Submap, SubmapTile, TILE_CELLS, TileKey};
 use flockslam_flock::{Atlas, Flock};
 use flockslam_geometry::Pose;
+use flockslam_map_fusion::FusedMap;
 use flockslam_records::RobotId;
 use flockslam_registration::cloud::{
     AlignSettings, Aligner, MomentGrid, PackedPoint, Placement, PooledField, Searcher, Window,

@@ -3,8 +3,9 @@
 //!
 //! Run it with `cargo run --release -p flockslam-registration --example register_scan`.
 
-use flockslam_evidence::{Cell, CellIndex, ObservedCells, SensorModel, Tile, TileGrid, TileKey};
+use flockslam_evidence::{Cell, CellIndex, Tile, TileGrid, TileKey};
 use flockslam_geometry::{Point, Pose};
+use flockslam_ray_insertion::{ObservedCells, SensorModel};
 use flockslam_registration::{Correlative, CorrelativeSettings, GaussNewton, GridField};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;

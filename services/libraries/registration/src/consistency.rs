@@ -2,8 +2,9 @@
 
 use crate::field::GridField;
 use crate::gauss_newton::{Fit, GaussNewton};
-use flockslam_evidence::{Cell, CellIndex, ObservedCells, SensorModel, Tile, TileGrid, TileKey};
+use flockslam_evidence::{Cell, CellIndex, Tile, TileGrid, TileKey};
 use flockslam_geometry::{Point, Pose, wrap_angle};
+use flockslam_ray_insertion::{ObservedCells, SensorModel};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::BTreeSet;
 

@@ -1,9 +1,10 @@
 //! Exact labels of the cells of a simulated world after a drive, for measurements.
 
 use super::{BeamLabel, Settings, Simulation, SimulationError, World};
-use flockslam_evidence::{Cell, CellIndex, Ray, TILE_CELLS, TileDirectory, floor};
+use flockslam_evidence::{Cell, CellIndex, TILE_CELLS, TileDirectory, floor};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{ScanBuffer, ScanView};
+use flockslam_ray_insertion::Ray;
 
 /// A scan counts towards the evidence after this much travel, metres, or turning, radians: as often as scans enter maps.
 const EVIDENCE_EVERY: (f64, f64) = (0.2, 0.35);

@@ -1,7 +1,8 @@
 //! Tests of the mapper: evidence, submaps, windows, chains, shares and newcomers.
 
 use super::*;
-use flockslam_evidence::{Cell, FusedMap};
+use flockslam_evidence::Cell;
+use flockslam_map_fusion::FusedMap;
 use flockslam_messages::{PoseFlags, ScanBuffer};
 use proptest::prelude::*;
 

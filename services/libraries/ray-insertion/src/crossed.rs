@@ -1,6 +1,6 @@
 //! A bit map of one tile: which of its cells are crossed by the rays of a scan.
 
-use crate::TILE_SIDE;
+use flockslam_evidence::TILE_SIDE;
 
 /// The cells of a tile that rays cross, one bit each: flat rays mark columns and steep ones rows, so that neighbouring
 /// cells of a ray lie in different words.

@@ -3,10 +3,10 @@
 //!
 //! `cargo run -p flockslam-evidence --example fuse_maps`
 
-use flockslam_evidence::{
-    Cell, CellIndex, FusedMap, Masses, ObservedCells, PackedCell, SensorModel, Submap, SubmapTile, TILE_CELLS,
-};
+use flockslam_evidence::{Cell, CellIndex, Masses, PackedCell, Submap, SubmapTile, TILE_CELLS};
 use flockslam_geometry::{Point, Pose};
+use flockslam_map_fusion::FusedMap;
+use flockslam_ray_insertion::{ObservedCells, SensorModel};
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 

@@ -1,6 +1,6 @@
 //! The area that a submap covers in the fused map.
 
-use crate::TileKey;
+use flockslam_evidence::TileKey;
 
 /// Where a submap knows something, in blocks of 8 × 8 cells of the fused map.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

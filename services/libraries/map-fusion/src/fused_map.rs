@@ -1,9 +1,13 @@
 //! The fused map: submaps and their poses go in, the sum of their evidence in one lattice comes out. A submap can be taken
 //! out again.
 
+use crate::Footprint;
 use crate::resampling::Resampling;
-use crate::{Cell, CellIndex, Footprint, PackedCell, Submap, TILE_CELLS, TileDirectory, TileKey, TooFar};
-use flockslam_geometry::Pose;
+use flockslam_evidence::{
+    Cell, CellIndex, PackedCell, Submap, TILE_CELLS, TILE_SIDE, TileDirectory, TileKey, TooFar,
+};
+use flockslam_geometry::{Point, Pose};
+use flockslam_results::StoredMap;
 
 /// The sum of submaps at the poses of a layout, in a lattice of its own.
 ///
@@ -11,7 +15,8 @@ use flockslam_geometry::Pose;
 /// taken out again exactly. Fusing the same submap twice counts its evidence twice: keys are the caller's duty.
 ///
 /// ```
-/// # use flockslam_evidence::{CellIndex, FusedMap, PackedCell, Submap, SubmapTile, TILE_CELLS};
+/// # use flockslam_map_fusion::FusedMap;
+/// # use flockslam_evidence::{CellIndex, PackedCell, Submap, SubmapTile, TILE_CELLS};
 /// # use flockslam_geometry::Pose;
 /// let wall = CellIndex::new(3, 5);
 /// let mut cells = Box::new([PackedCell::UNKNOWN; TILE_CELLS]);
@@ -221,12 +226,64 @@ impl PartialEq for FusedMap {
     }
 }
 
+/// The rectangle of a map that has evidence, as it is stored.
+pub fn stored_map(map: &FusedMap) -> StoredMap {
+    let Some((low, high)) = map.bounds() else { return StoredMap::empty() };
+    let cell_size_m = map.cell_size_m();
+    let (width, height) = ((high.x - low.x + 1) as usize, (high.y - low.y + 1) as usize);
+    let mut cells = vec![Cell::UNKNOWN; width * height];
+    let side = TILE_SIDE as i32;
+    for (key, tile) in map.tiles() {
+        let corner = key.cell(0);
+        let (left, right) = ((low.x - corner.x).max(0), (high.x - corner.x + 1).clamp(0, side));
+        let (bottom, top) = ((low.y - corner.y).max(0), (high.y - corner.y + 1).clamp(0, side));
+        for y in bottom..top {
+            let from = (y * side + left) as usize;
+            let to = (corner.y + y - low.y) as usize * width + (corner.x + left - low.x) as usize;
+            let count = (right - left).max(0) as usize;
+            cells[to..to + count].copy_from_slice(&tile[from..from + count]);
+        }
+    }
+    let origin = Point::new(f64::from(low.x) * cell_size_m, f64::from(low.y) * cell_size_m);
+    StoredMap { width, height, cell_size_m, origin, cells }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::submap_bytes::tests::submap;
-    use crate::{SubmapTile, TILE_SIDE};
+    use flockslam_evidence::SubmapTile;
     use proptest::prelude::*;
+
+    /// A submap with a few cells of evidence and some of them cleared.
+    fn submap() -> impl Strategy<Value = Submap> {
+        let cell = (-90i32..90, -90i32..90, 0u16..9000, 1u16..9000, any::<bool>());
+        (proptest::collection::vec(cell, 0..60), -3.0..3.0f64, -2.0..2.0f64).prop_map(
+            |(cells, heading, x)| {
+                let mut tiles = std::collections::BTreeMap::new();
+                for (x, y, occupied, free, cleared) in cells {
+                    let index = CellIndex::new(x, y);
+                    let empty = || SubmapTile::new(index.tile(), Box::new([PackedCell::UNKNOWN; TILE_CELLS]));
+                    let tile = tiles.entry(index.tile()).or_insert_with(empty);
+                    tile.cells[index.offset()] = PackedCell { occupied, free };
+                    if cleared {
+                        tile.clear(index.offset());
+                    }
+                }
+                let odom_from_submap = Pose::new(x, 0.5, heading);
+                let tiles = tiles.into_values().collect();
+                Submap {
+                    number: 3,
+                    chain: 0,
+                    insertions: 7,
+                    first: 40,
+                    last: 61,
+                    odom_from_submap,
+                    cell_size_m: 0.05,
+                    tiles,
+                }
+            },
+        )
+    }
 
     fn pose() -> impl Strategy<Value = Pose> {
         (-5.0..5.0f64, -5.0..5.0f64, -3.0..3.0f64).prop_map(|(x, y, heading)| Pose::new(x, y, heading))

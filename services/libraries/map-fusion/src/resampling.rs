@@ -1,6 +1,6 @@
 //! Nearest-cell resampling: from a submap and its pose to the cells of the fused map that its evidence lies in.
 
-use crate::{CellIndex, PackedCell, Submap, SubmapTile, TILE_CELLS, TILE_SIDE, TileKey, floor};
+use flockslam_evidence::{CellIndex, PackedCell, Submap, SubmapTile, TILE_CELLS, TILE_SIDE, TileKey, floor};
 use flockslam_geometry::{Point, Pose};
 
 /// Binary digits behind the point of fixed-point cell coordinates.

@@ -1,7 +1,8 @@
 //! The inverse sensor model: origin and end points of a scan in, evidence for the cells along the beams out. One variant is
 //! that of vinySLAM.
 
-use crate::{Cell, CellIndex, Masses, Ray, floor};
+use crate::Ray;
+use flockslam_evidence::{Cell, CellIndex, Masses, floor};
 use flockslam_geometry::Point;
 
 /// Steps in which the blur before a hit is tabulated.
@@ -26,7 +27,8 @@ pub trait ObservedCells {
 /// Inverse sensor model: which evidence a beam leaves along its way.
 ///
 /// ```
-/// use flockslam_evidence::{Cell, CellIndex, ObservedCells, SensorModel};
+/// use flockslam_evidence::{Cell, CellIndex};
+/// use flockslam_ray_insertion::{ObservedCells, SensorModel};
 /// use flockslam_geometry::Point;
 /// use std::collections::BTreeMap;
 ///

@@ -1,7 +1,8 @@
 //! Rays through the lattice: origin and end in, the cells between them out, in fixed-point arithmetic with one cell for
 //! each step along the longer axis.
 
-use crate::{CellIndex, CrossedCells, TILE_SIDE, TileKey, floor};
+use crate::CrossedCells;
+use flockslam_evidence::{CellIndex, TILE_SIDE, TileKey, floor};
 use flockslam_geometry::Point;
 
 /// Cells that a ray may cross along its longer axis: a bound on the work that a damaged input can ask for.

@@ -1,0 +1,9 @@
+//! What a beam leaves in a grid: the cells on its way, and the evidence for each. Pure.
+
+mod crossed;
+mod ray;
+mod sensor_model;
+
+pub use crossed::CrossedCells;
+pub use ray::Ray;
+pub use sensor_model::{ObservedCells, SensorModel};
