@@ -1,5 +1,6 @@
 //! Process sets: the command line, the supervisor, outputs, and evaluation against ground truth.
 
+pub mod arguments;
 pub mod cli;
 pub mod commands;
 pub mod configuration;

@@ -73,18 +73,14 @@ impl Bus {
 
     /// The in-memory twin: it carries messages between threads of this process, see [`Bus::memory_joiner`].
     pub fn in_memory() -> Self {
-        Self::carried_by(MemoryBus::default())
-    }
-
-    fn carried_by(bus: MemoryBus) -> Self {
-        Self { transport: Box::new(bus), capacity: Capacity::default() }
+        Self { transport: Box::new(MemoryBus::default()), capacity: Capacity::default() }
     }
 
     /// What another thread needs to join the same in-memory set; `None` for shared memory, where each process joins by
     /// itself and ports stay within their thread.
     pub fn memory_joiner(&self) -> Option<impl FnOnce() -> Self + Send + 'static> {
-        let bus = self.transport.memory()?.clone();
-        Some(move || Self::carried_by(bus))
+        let (transport, capacity) = (self.transport.for_another_thread()?, self.capacity);
+        Some(move || Self { transport, capacity })
     }
 
     /// Frees what dead processes of the set hold: (cleaned, failed).

@@ -48,8 +48,8 @@ impl Transport for MemoryBus {
         Ok(BellRinger::new(Box::new(self.bell(name))))
     }
 
-    fn memory(&self) -> Option<&MemoryBus> {
-        Some(self)
+    fn for_another_thread(&self) -> Option<Box<dyn Transport + Send>> {
+        Some(Box::new(self.clone()))
     }
 }
 

@@ -1,7 +1,10 @@
 //! iceoryx2 behind the ports: services with explicit limits, created by the host and opened by everybody else.
 
-use crate::bell::{BellRinger, Listener, SharedListener, SharedRinger};
+use crate::bell::{BellRinger, Listener};
 use crate::patience::Patience;
+use crate::service::Service;
+use crate::shared_bell::{SharedListener, SharedRinger};
+use crate::shared_sample::SharedSample;
 use crate::transport::{Held, Lender, Source, TopicSpec, Transport};
 use crate::words::Words;
 use crate::{BusError, Capacity, Limits};
@@ -12,10 +15,6 @@ use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 use std::any::Any;
-use std::mem::ManuallyDrop;
-
-/// The iceoryx2 service type of the whole product: shared memory between processes, single-threaded ports.
-pub type Service = ipc::Service;
 
 type Factory = publish_subscribe::PortFactory<Service, Words, ()>;
 
@@ -164,26 +163,7 @@ struct SharedSource {
 impl Source for SharedSource {
     fn receive(&self) -> Result<Option<Held>, BusError> {
         let sample = self.patience.bear(self.topic, self.port.receive())?;
-        Ok(sample.map(|sample| Held::Shared(SharedSample(ManuallyDrop::new(sample)))))
-    }
-}
-
-/// A message in the publisher's memory. It is dropped by hand, so that iceoryx2's part of that is compiled here and not in each
-/// crate that holds messages.
-pub struct SharedSample(ManuallyDrop<iceoryx2::sample::Sample<Service, Words, ()>>);
-
-impl SharedSample {
-    /// What was sent.
-    pub fn words(&self) -> &Words {
-        self.0.payload()
-    }
-}
-
-impl Drop for SharedSample {
-    #[inline(never)]
-    fn drop(&mut self) {
-        // SAFETY: this is the only place that drops it, and nothing can use it afterwards.
-        unsafe { ManuallyDrop::drop(&mut self.0) }
+        Ok(sample.map(|sample| Held::Shared(SharedSample::new(sample))))
     }
 }
 

@@ -4,8 +4,7 @@
 //! type, so there is one type for all topics, and what is compiled for it stays in this crate, behind these traits.
 
 use crate::bell::{BellRinger, Listener};
-use crate::memory::MemoryBus;
-use crate::shared::SharedSample;
+use crate::shared_sample::SharedSample;
 use crate::words::Words;
 use crate::{BusError, Limits};
 use std::sync::Arc;
@@ -41,8 +40,8 @@ pub trait Transport {
     fn clean_dead_nodes(&self) -> (u64, u64) {
         (0, 0)
     }
-    /// The twin in memory, where this is it.
-    fn memory(&self) -> Option<&MemoryBus> {
+    /// The same for another thread, where that is possible: shared memory is joined by each process itself.
+    fn for_another_thread(&self) -> Option<Box<dyn Transport + Send>> {
         None
     }
 }

@@ -1,7 +1,8 @@
 //! What a robot knows of all logs: records go in from anybody, in any order; the records that hold, a version vector and
 //! answers to other robots come out.
 
-use crate::content::{Content, Kind};
+use crate::content::Content;
+use crate::kind::Kind;
 use crate::message::{MESSAGE_BYTES_MAX, Message};
 use crate::{LogState, Numbers, Record, RecordError, RecordName, RobotId, Vector};
 use std::collections::{BTreeMap, BTreeSet};

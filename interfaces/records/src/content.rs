@@ -1,6 +1,7 @@
 //! What a record can say, by kind, and how it becomes a payload.
 
 use crate::codec::{Reader, Writer};
+use crate::kind::Kind;
 use crate::{RecordError, RobotId};
 
 mod clearance;
@@ -16,44 +17,6 @@ pub use points::rounded as rounded_point;
 pub use stretch::{Descriptor, RecordedNode, Stretch};
 pub use submap::SubmapRecord;
 pub use withdrawal::Withdrawal;
-
-/// The kinds of records, the most urgent first: what takes little room and changes the map at once goes before what takes much.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[repr(u8)]
-pub enum Kind {
-    /// A record of the same robot does not hold any more.
-    Withdrawal = 1,
-    /// Measured motions between nodes.
-    Constraint = 2,
-    /// A stretch of the pose graph with its scans: what others match against.
-    Stretch = 3,
-    /// Cells of a submap that are stale.
-    Clearance = 4,
-    /// The evidence of a closed submap.
-    Submap = 5,
-}
-
-impl Kind {
-    /// All of them, the most urgent first.
-    pub const ALL: [Kind; 5] =
-        [Self::Withdrawal, Self::Constraint, Self::Stretch, Self::Clearance, Self::Submap];
-
-    pub(crate) fn from_number(number: u8) -> Result<Self, RecordError> {
-        let known = Self::ALL.into_iter().find(|kind| *kind as u8 == number);
-        known.ok_or(RecordError::Kind(number))
-    }
-
-    /// Its name in metrics.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Withdrawal => "withdrawal",
-            Self::Constraint => "constraint",
-            Self::Stretch => "stretch",
-            Self::Clearance => "clearance",
-            Self::Submap => "submap",
-        }
-    }
-}
 
 /// What a record says.
 #[derive(Clone, Debug, PartialEq)]

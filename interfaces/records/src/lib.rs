@@ -11,6 +11,7 @@ mod codec;
 mod collection;
 mod content;
 mod error;
+mod kind;
 mod message;
 mod numbers;
 mod presence;
@@ -21,10 +22,11 @@ mod vector;
 
 pub use collection::{Collection, Limits, Outcome, Refusal, Tally};
 pub use content::{
-    CONSTRAINTS_MAX, Clearance, Constraint, Content, Descriptor, Kind, NodeName, RecordedNode, Stretch,
+    CONSTRAINTS_MAX, Clearance, Constraint, Content, Descriptor, NodeName, RecordedNode, Stretch,
     SubmapRecord, Withdrawal, rounded_point,
 };
 pub use error::RecordError;
+pub use kind::Kind;
 pub use message::{MESSAGE_BYTES_MAX, Message};
 pub use numbers::Numbers;
 pub use presence::Presence;

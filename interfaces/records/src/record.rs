@@ -1,6 +1,7 @@
 //! Records: content and a key go in, signed and named bytes come out, and back.
 
-use crate::content::{Content, Kind};
+use crate::content::Content;
+use crate::kind::Kind;
 use crate::sealed::{Envelope, PAYLOAD_BYTES_MAX, seal};
 use crate::{RecordError, RobotId, RobotKey};
 use std::sync::Arc;

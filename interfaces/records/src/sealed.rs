@@ -1,7 +1,7 @@
 //! The envelope of a record: name, payload and signature as bytes. The payload is not looked at here.
 
 use crate::codec::{Reader, Writer};
-use crate::content::Kind;
+use crate::kind::Kind;
 use crate::{RecordError, RecordName, RobotId, RobotKey};
 
 const MAGIC: [u8; 4] = *b"FLRC";

@@ -13,6 +13,7 @@ mod logging;
 mod metrics_page;
 pub mod names;
 mod process_use;
+mod registered;
 mod sabotage;
 mod scrape;
 mod stage_metrics;

@@ -2,7 +2,7 @@
 
 use crate::names;
 use crate::names::Metric;
-use crate::stage_metrics::registered;
+use crate::registered::registered;
 use prometheus::{Counter, IntGauge, Opts, Registry};
 use std::fs;
 

@@ -3,7 +3,7 @@
 use crate::monotonic_ns;
 use crate::names::{self, Kind, Metric};
 use crate::process_use::ProcessUse;
-use prometheus::core::Collector;
+use crate::registered::registered;
 use prometheus::{
     Gauge, Histogram, HistogramOpts, IntCounter, IntCounterVec, IntGauge, Opts, Registry, TextEncoder,
 };
@@ -178,15 +178,6 @@ fn labelled(metric: Metric, stage_name: &str, replica: u32) -> Opts {
 fn histogram(registry: &Registry, opts: Opts, metric: Metric) -> Histogram {
     let Kind::Histogram(bounds) = metric.kind else { panic!("{} is no histogram", metric.name) };
     registered(registry, Histogram::with_opts(HistogramOpts::from(opts).buckets(bounds.to_vec())))
-}
-
-pub(crate) fn registered<C: Collector + Clone + 'static>(
-    registry: &Registry,
-    metric: prometheus::Result<C>,
-) -> C {
-    let metric = metric.expect("metric names and buckets are constants");
-    registry.register(Box::new(metric.clone())).expect("each metric is registered once");
-    metric
 }
 
 fn seconds(ns: u64) -> f64 {

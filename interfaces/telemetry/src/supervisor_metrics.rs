@@ -2,7 +2,7 @@
 
 use crate::names::{self, Metric};
 use crate::process_use::ProcessUse;
-use crate::stage_metrics::registered;
+use crate::registered::registered;
 use prometheus::{GaugeVec, IntCounterVec, IntGauge, IntGaugeVec, Opts, Registry, TextEncoder};
 
 /// What the supervisor says of its process set; its page is merged with those of the stages. Clones share the same

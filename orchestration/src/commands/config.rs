@@ -1,7 +1,7 @@
 //! `flockslam config`: the configuration in force.
 
 use super::{CommandError, say};
-use crate::cli::ConfigurationArgs;
+use crate::arguments::ConfigurationArgs;
 use crate::configuration::Configuration;
 
 /// Prints the configuration that the arguments lead to, as TOML.

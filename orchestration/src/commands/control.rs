@@ -1,7 +1,7 @@
 //! `flockslam down`, `status`, `restart`, `pause`, `resume` and `scale`: orders to a running set.
 
 use super::{CommandError, say};
-use crate::cli::{RobotArgs, ScaleArgs, StageOrderArgs, StatusArgs};
+use crate::arguments::{RobotArgs, ScaleArgs, StageOrderArgs, StatusArgs};
 use crate::supervisor::{Reply, Request, ask};
 use flockslam_bus::RuntimeDir;
 use std::time::{Duration, Instant};

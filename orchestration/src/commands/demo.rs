@@ -2,7 +2,7 @@
 
 use super::run::{Run, points, run as run_set, summary};
 use super::{CommandError, say};
-use crate::cli::DemoArgs;
+use crate::arguments::DemoArgs;
 use crate::evaluation::evaluate_truth;
 use crate::outputs::write_trajectory;
 use flockslam_lidar_ingest::process::Source;

@@ -1,7 +1,7 @@
 //! `flockslam evaluate`: a trajectory against ground truth.
 
 use super::{CommandError, say};
-use crate::cli::EvaluateArgs;
+use crate::arguments::EvaluateArgs;
 use crate::evaluation::{
     RelationsReport, TruthReport, evaluate_relations, evaluate_truth, parse_relations, parse_tum,
 };

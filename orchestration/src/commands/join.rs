@@ -3,7 +3,7 @@
 
 use super::CommandError;
 use super::run::occupancy;
-use crate::cli::ConfigurationArgs;
+use crate::arguments::ConfigurationArgs;
 use crate::outputs::{TrajectoryPoint, map_hash, write_flock_picture, write_map, write_trajectory};
 use clap::ValueEnum;
 use flockslam_geometry::Pose;

@@ -2,7 +2,7 @@
 
 use super::control::{choose, order};
 use super::{CommandError, say};
-use crate::cli::LogArgs;
+use crate::arguments::LogArgs;
 use crate::supervisor::Request;
 use flockslam_bus::RuntimeDir;
 use flockslam_telemetry::log_stream_file;

@@ -2,7 +2,7 @@
 
 use super::run::{Run, run as run_set, summary};
 use super::{CommandError, say};
-use crate::cli::MapArgs;
+use crate::arguments::MapArgs;
 use flockslam_lidar_ingest::process::{Source, count_scans};
 
 /// Runs the command.

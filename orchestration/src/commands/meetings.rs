@@ -2,7 +2,7 @@
 
 use super::CommandError;
 use super::join::{Member, alone, stored_or_empty, track, write};
-use crate::cli::FusionArg;
+use crate::arguments::FusionArg;
 use crate::outputs::{TrajectoryPoint, map_hash};
 use flockslam_geometry::Pose;
 use flockslam_published_methods::{MeetingCounts, Meetings, Snapshot};

@@ -3,7 +3,7 @@
 use super::CommandError;
 use super::control::choose;
 use super::stage::die_with;
-use crate::cli::PageArgs;
+use crate::arguments::PageArgs;
 use crate::supervisor::{Reply, Request, SetFile, ask};
 use flockslam_bus::RuntimeDir;
 use flockslam_page::{Health, PageError, Place, Service, SetAccess, Settings};

@@ -3,7 +3,7 @@
 use super::control::choose;
 use super::run::count_interrupts;
 use super::{CommandError, say};
-use crate::cli::RecordArgs;
+use crate::arguments::RecordArgs;
 use crate::recording::{FoxgloveServer, McapFile, RecordError, RecordTopic, Recorded, SetReader};
 use flockslam_bus::RuntimeDir;
 use std::sync::atomic::Ordering;

@@ -4,7 +4,7 @@ use super::CommandError;
 use super::accounting::{SharedMemoryPeak, sum_up};
 use super::attendants::Attendants;
 use super::progress_bar::RunProgress;
-use crate::cli::RunArgs;
+use crate::arguments::RunArgs;
 use crate::configuration::Configuration;
 use crate::outputs::{
     CellState, LatencyMicroseconds, LoopClosures, OccupancyImage, PictureTracks, Report, StageReport,

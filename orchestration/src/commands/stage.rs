@@ -1,6 +1,6 @@
 //! `flockslam stage`: one stage as a process of its own.
 
-use crate::cli::StageArgs;
+use crate::arguments::StageArgs;
 use crate::supervisor::{EXIT_BAD_SOURCE, error_file, run_stage};
 use flockslam_bus::RuntimeDir;
 use flockslam_stage::StageError;

@@ -4,7 +4,7 @@ use super::control::{choose, order};
 use super::join::{Order, join};
 use super::run::{Run, run as run_set, summary};
 use super::{CommandError, say};
-use crate::cli::{ExportArgs, MapDirArgs, MapOrderArgs, MergeArgs, RunArgs, StoreCommand};
+use crate::arguments::{ExportArgs, MapDirArgs, MapOrderArgs, MergeArgs, RunArgs, StoreCommand};
 use crate::store::{SavedMap, StoreError};
 use crate::supervisor::Request;
 use flockslam_lidar_ingest::process::Source;

@@ -5,7 +5,7 @@ use super::join::{Member, Order, join, join_met};
 use super::meetings::meet;
 use super::run::prepare_directory;
 use super::{CommandError, say};
-use crate::cli::{ConfigurationArgs, ProtocolArg, SwarmArgs};
+use crate::arguments::{ConfigurationArgs, ProtocolArg, SwarmArgs};
 use crate::configuration::Configuration;
 use flockslam_geometry::Pose;
 use flockslam_lidar_ingest::Settings;

@@ -2,7 +2,7 @@
 
 use super::CommandError;
 use super::control::choose;
-use crate::cli::RobotArgs;
+use crate::arguments::RobotArgs;
 use crate::supervisor::set_metrics_socket;
 use crate::top::{TopState, draw};
 use flockslam_bus::RuntimeDir;

@@ -3,7 +3,7 @@
 use super::CommandError;
 use super::attendants::start_page;
 use super::run::{Finished, count_interrupts, points, prepare_directory, write_outputs};
-use crate::cli::UpArgs;
+use crate::arguments::UpArgs;
 use crate::configuration::Configuration;
 use crate::outputs::write_trajectory;
 use crate::store::{Findings, MapHead, MapKeeper, Mirror, SavedMap, StoreError};

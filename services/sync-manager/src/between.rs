@@ -1,7 +1,7 @@
 //! Poses of scans between known poses, by the wheels or by a smooth curve (Catmull and Rom 1974); which of them is better is measured on known poses that are
 //! left out.
 
-use crate::trajectory::Record;
+use crate::pose_record::PoseRecord;
 use flockslam_registration::cloud::Placement;
 
 /// A curve spans at most so many scans from one known pose to the next; over more only the wheels know what happened.
@@ -36,7 +36,7 @@ pub(crate) enum Way {
 /// The records in time, as one [`Way`] sees it.
 #[derive(Debug)]
 pub(crate) struct Curve<'a> {
-    records: &'a [Record],
+    records: &'a [PoseRecord],
     known: &'a [(usize, Placement)],
     /// When each record was taken, in scans or seconds.
     times: Vec<f64>,
@@ -45,7 +45,7 @@ pub(crate) struct Curve<'a> {
 impl Way {
     /// The way that finds known poses best from the known ones around them.
     pub fn chosen(
-        records: &[Record],
+        records: &[PoseRecord],
         known: &[(usize, Placement)],
         by_wheels: impl Fn(usize) -> Placement,
     ) -> Self {
@@ -68,7 +68,7 @@ impl Way {
 
 impl<'a> Curve<'a> {
     /// The curve through the known poses in the time of a way.
-    pub fn new(records: &'a [Record], known: &'a [(usize, Placement)], way: Way) -> Self {
+    pub fn new(records: &'a [PoseRecord], known: &'a [(usize, Placement)], way: Way) -> Self {
         let times = match way {
             Way::ByStamps => stamps(records),
             _ => records.iter().map(|record| record.id.sequence as f64).collect(),
@@ -137,20 +137,20 @@ fn coordinates(pose: Placement) -> [f64; 3] {
     [pose.x_m, pose.y_m, pose.heading_rad]
 }
 
-fn spans(records: &[Record], from: usize, to: usize, most: u64) -> bool {
+fn spans(records: &[PoseRecord], from: usize, to: usize, most: u64) -> bool {
     records[from].strand == records[to].strand && records[to].id.sequence - records[from].id.sequence <= most
 }
 
 /// Whether known pose `middle` can be found from its neighbours and the robot moved there.
-fn is_rehearsal(records: &[Record], known: &[(usize, Placement)], middle: usize) -> bool {
+fn is_rehearsal(records: &[PoseRecord], known: &[(usize, Placement)], middle: usize) -> bool {
     let (before, after) = (known[middle - 1], known[middle + 1]);
     spans(records, before.0, after.0, REHEARSAL_SPAN_MAX)
         && before.1.distance_m(&after.1) + before.1.turn_rad(&after.1) >= REHEARSAL_WAY_M
 }
 
 /// Seconds from the first record on, always forward: a step that no robot's lidar makes counts as a usual one.
-fn stamps(records: &[Record]) -> Vec<f64> {
-    let step_s = |pair: &[Record]| pair[1].stamp_ns.saturating_sub(pair[0].stamp_ns) as f64 * 1e-9;
+fn stamps(records: &[PoseRecord]) -> Vec<f64> {
+    let step_s = |pair: &[PoseRecord]| pair[1].stamp_ns.saturating_sub(pair[0].stamp_ns) as f64 * 1e-9;
     let mut steps_s: Vec<f64> = records.windows(2).map(step_s).collect();
     steps_s.sort_by(f64::total_cmp);
     let usual_s = steps_s.get(steps_s.len() / 2).copied().filter(|s| *s > 0.0).unwrap_or(1.0);
@@ -181,8 +181,8 @@ mod tests {
     }
 
     /// Records of scans at these times, stamped so, whose wheels are so late.
-    fn records(times_s: &[f64], stamps_s: &[f64], late_s: f64) -> Vec<Record> {
-        let record = |(i, (time_s, stamp_s)): (usize, (&f64, &f64))| Record {
+    fn records(times_s: &[f64], stamps_s: &[f64], late_s: f64) -> Vec<PoseRecord> {
+        let record = |(i, (time_s, stamp_s)): (usize, (&f64, &f64))| PoseRecord {
             id: ScanId { sequence: i as u64, ..ScanId::default() },
             stamp_ns: (stamp_s * 1e9) as i64,
             odom: truth(*time_s),
@@ -195,7 +195,7 @@ mod tests {
     }
 
     /// The way chosen when every second record is known, and the greatest error of the others, metres.
-    fn measured(records: &[Record]) -> (Way, f64) {
+    fn measured(records: &[PoseRecord]) -> (Way, f64) {
         let known: Vec<_> = records.iter().enumerate().step_by(2).map(|(i, r)| (i, r.odom)).collect();
         let by_wheels = |middle: usize| {
             let (before, after, i) = (known[middle - 1], known[middle + 1], known[middle].0);

@@ -8,6 +8,7 @@
 mod between;
 mod fuse;
 mod manager;
+mod pose_record;
 pub mod process;
 mod settings;
 mod solution;

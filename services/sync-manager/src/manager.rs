@@ -1,8 +1,9 @@
 //! The back end of one robot as a state machine: poses, scans and closed submaps in; corrections, and at the end the solution, out.
 
+use crate::pose_record::PoseRecord;
 use crate::settings::Settings;
 use crate::solution::{ClosureCounts, SettledScan, Solution};
-use crate::trajectory::{Between, Record, filled};
+use crate::trajectory::{Between, filled};
 use flockslam_geometry::Pose;
 use flockslam_loop_closure::agreement::eligible;
 use flockslam_loop_closure::chain::Chain;
@@ -97,7 +98,7 @@ struct Kept {
 /// ```
 pub struct SyncManager {
     settings: Settings,
-    records: Vec<Record>,
+    records: Vec<PoseRecord>,
     scans: ScanStore,
     kept: Vec<Kept>,
     chain: Chain,
@@ -160,7 +161,7 @@ impl SyncManager {
 
     /// Takes the published pose of a scan. Every scan's, in order of arrival.
     pub fn pose(&mut self, pose: &PoseEstimate) {
-        let mut record = Record::new(pose);
+        let mut record = PoseRecord::new(pose);
         // Chains only follow each other. A front end that has forgotten its own says one of before.
         record.strand = self.records.last().map_or(0, |last| last.strand).max(record.strand);
         self.records.push(record);
@@ -171,7 +172,7 @@ impl SyncManager {
     /// are not matched.
     pub fn node(&mut self, scan: ScanView<'_>, pose: &PoseEstimate, moving: &[BeamRange]) {
         let Some(record) = self.records.iter().rposition(|r| r.id == pose.id) else { return };
-        let Record { odom, strand, .. } = self.records[record];
+        let PoseRecord { odom, strand, .. } = self.records[record];
         let is_node = pose.has(PoseFlags::INSERT) && self.is_due(&odom, strand);
         if !is_node && self.rests(&odom) {
             return;
@@ -445,7 +446,7 @@ impl SyncManager {
 
 /// Where each kept scan is expected in the layout: by the front end's path between the nodes around it, and, should that have
 /// jumped, straight between them. Given are a stretch of records, scans kept of it, and its nodes as (record, pose).
-fn expected(records: &[Record], kept: &[Kept], nodes: &[(usize, Placement)]) -> Vec<KeptScan> {
+fn expected(records: &[PoseRecord], kept: &[Kept], nodes: &[(usize, Placement)]) -> Vec<KeptScan> {
     let (Some(first), Some(from)) = (kept.first(), nodes.first()) else { return Vec::new() };
     // The first scan kept is the first node.
     let (first_record, first_node) = (first.record - from.0, first.node);

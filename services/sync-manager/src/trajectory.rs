@@ -1,42 +1,8 @@
 //! A pose for every scan from the poses of a few: along the front end's path, along the wheels, or on a curve, between known poses.
 
 use crate::between::{Curve, Way};
-use flockslam_messages::{PoseEstimate, PoseFlags, Quality, ScanId};
+use crate::pose_record::PoseRecord;
 use flockslam_registration::cloud::Placement;
-
-/// A published pose, as kept for the final trajectory.
-#[derive(Clone, Copy, Debug)]
-pub struct Record {
-    /// The scan.
-    pub id: ScanId,
-    /// Sensor stamp, nanoseconds.
-    pub stamp_ns: i64,
-    /// The front end's pose, continuous.
-    pub odom: Placement,
-    /// Dead reckoning of the wheels, when the robot has it.
-    pub wheels: Option<Placement>,
-    /// Submap that the scan entered, if it was inserted.
-    pub submap: u32,
-    /// Chain of submaps that it belongs to.
-    pub strand: u32,
-    /// The front end did not believe its fit.
-    pub lost: bool,
-}
-
-impl Record {
-    /// What is kept of a published pose.
-    pub fn new(pose: &PoseEstimate) -> Self {
-        Self {
-            id: pose.id,
-            stamp_ns: pose.times.sensor_ns,
-            odom: pose.odom_from_base.into(),
-            wheels: pose.has(PoseFlags::HAS_ODOMETRY).then(|| pose.odometry.into()),
-            submap: pose.submap,
-            strand: pose.chain,
-            lost: pose.quality == Quality::Lost as u32,
-        }
-    }
-}
 
 /// What is trusted between known poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,7 +15,7 @@ pub enum Between {
 }
 
 impl Between {
-    fn motion(self, from: &Record, to: &Record) -> Placement {
+    fn motion(self, from: &PoseRecord, to: &PoseRecord) -> Placement {
         match (self, from.wheels, to.wheels) {
             (Self::Measured, Some(from), Some(to)) => from.to(to),
             _ => from.odom.to(to.odom),
@@ -62,7 +28,7 @@ impl Between {
 /// Between two known records the motion that is trusted there is laid on both, and the two results are blended by the share
 /// of the way; or both are joined by a curve. Where another strand begins nothing is blended: scans that were lost before it belong to it, the others to the
 /// strand before.
-pub fn filled(records: &[Record], known: &[(usize, Placement)], between: Between) -> Vec<Placement> {
+pub fn filled(records: &[PoseRecord], known: &[(usize, Placement)], between: Between) -> Vec<Placement> {
     let Some(&(first, _)) = known.first() else {
         return records.iter().map(|r| r.odom).collect();
     };
@@ -85,7 +51,7 @@ pub fn filled(records: &[Record], known: &[(usize, Placement)], between: Between
         let (start, end) = (pair[0].0, pair[1].0);
         poses.push(pair[0].1);
         if records[start].strand != records[end].strand {
-            let after = |r: &Record| r.lost || r.strand == records[end].strand;
+            let after = |r: &PoseRecord| r.lost || r.strand == records[end].strand;
             poses.extend((start + 1..end).map(|i| carried(pair[usize::from(after(&records[i]))], i)));
         } else if let Some(curve) = curve.as_ref().filter(|curve| curve.spans(k)) {
             poses.extend((start + 1..end).map(|i| curve.at(k, i)));
@@ -100,7 +66,7 @@ pub fn filled(records: &[Record], known: &[(usize, Placement)], between: Between
 }
 
 /// Share of the way at each record from the first to the last; a turn of one radian counts as a metre.
-fn shares_of_way(records: &[Record]) -> Vec<f64> {
+fn shares_of_way(records: &[PoseRecord]) -> Vec<f64> {
     let mut way = vec![0.0; records.len()];
     for i in 1..records.len() {
         let (a, b) = (&records[i - 1].odom, &records[i].odom);
@@ -114,10 +80,11 @@ fn shares_of_way(records: &[Record]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use flockslam_messages::ScanId;
 
     #[test]
     fn corrections_are_blended_along_the_way() {
-        let record = |i: usize| Record {
+        let record = |i: usize| PoseRecord {
             id: ScanId { sequence: i as u64, ..ScanId::default() },
             stamp_ns: i as i64,
             odom: Placement::new(i as f64, 0.0, 0.0),
@@ -142,7 +109,7 @@ mod tests {
 
     #[test]
     fn lost_scans_belong_to_the_strand_that_begins_after_them() {
-        let record = |i: usize| Record {
+        let record = |i: usize| PoseRecord {
             id: ScanId { sequence: i as u64, ..ScanId::default() },
             stamp_ns: i as i64,
             odom: Placement::new(i as f64, 0.0, 0.0),

@@ -1,6 +1,6 @@
 //! What is known of one log: a record for each number, or the two that contradict each other.
 
-use crate::content::Kind;
+use crate::kind::Kind;
 use crate::{Numbers, Record};
 use std::collections::BTreeMap;
 use std::sync::Arc;

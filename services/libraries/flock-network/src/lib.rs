@@ -11,11 +11,13 @@ mod pace;
 mod proximity;
 mod relay;
 mod settings;
+mod shared;
 mod talk;
 mod teller;
 mod thread;
 
 pub use metrics::FlockMetrics;
 pub use settings::{FlockSettings, ProximitySource};
+pub use shared::Task;
 pub use teller::Teller;
-pub use thread::{FlockThread, Task};
+pub use thread::FlockThread;

@@ -2,20 +2,17 @@
 
 use super::metrics::FlockMetrics;
 use super::proximity::proximity;
+use super::shared::{Shared, Task, locked};
 use super::talk::Talk;
 use super::teller::Teller;
 use crate::settings::FlockSettings;
 use flockslam_evidence::Submap;
-use flockslam_flock::News;
-use flockslam_geometry::Pose;
 use flockslam_messages::{FlockFrame, FlockRobots, PoseEstimate};
-use flockslam_results::SubmapStore;
 use flockslam_stage::StageError;
 use std::collections::BTreeSet;
-use std::ops::Range;
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Duration;
 
@@ -24,20 +21,6 @@ const LOOK: Duration = Duration::from_millis(50);
 /// Niceness of the thread and of those of the network, which it starts: whatever others send, poses and maps go first.
 const NICENESS: i32 = 19;
 
-/// What the stage hands over.
-pub enum Task {
-    /// What the robot has found out.
-    News(News),
-    /// A closed submap.
-    Submap(Box<Submap>),
-    /// Stored submaps whose stale cells are to be told.
-    Clearances(SubmapStore, Range<u32>),
-    /// Where submaps lie in the robot's own map: number and `map_from_odom`, in order.
-    Layout(Vec<(u32, Pose)>),
-    /// The source has ended: to be answered when the robot may leave the flock.
-    Finish(Sender<()>),
-}
-
 /// The stage's end of the thread that talks to other robots, looks for places that are shared with them, and works out the common
 /// layout: all of it beside the stage's own work, which only hands over what the robot itself has found out.
 pub struct FlockThread {
@@ -45,22 +28,6 @@ pub struct FlockThread {
     tasks: Sender<Task>,
     told_submaps: BTreeSet<u32>,
     shared: Arc<Shared>,
-}
-
-/// What the stage and the thread look up of each other: the newest of each.
-#[derive(Default)]
-pub struct Shared {
-    /// How the robot's map lies in that of the flock.
-    pub frame: Mutex<Option<FlockFrame>>,
-    /// Where the others are.
-    pub robots: Mutex<FlockRobots>,
-    /// Where this robot is.
-    pub pose: Mutex<Option<PoseEstimate>>,
-}
-
-/// What a lock protects, whoever died with it: each of these values is replaced as a whole.
-pub fn locked<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
-    shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl FlockThread {

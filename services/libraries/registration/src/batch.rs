@@ -2,9 +2,8 @@
 //! batch, so that the processor's wide instructions can be used on every machine, with the same bits.
 
 use crate::field::ScoreRead;
-use crate::gauss_newton::NormalEquations;
 use flockslam_evidence::CellIndex;
-use flockslam_geometry::Point;
+use flockslam_geometry::{Point, Pose};
 use nalgebra::{Matrix3, Vector3};
 
 /// Points in a batch.
@@ -137,5 +136,34 @@ impl Sums {
             score: points as f64 - one * sum(self.r),
             squares: one * one * sum(self.rr),
         }
+    }
+}
+
+/// Sums over all points of the linearised problem, not yet divided by their number.
+pub(crate) struct NormalEquations {
+    pub(crate) hessian: Matrix3<f64>,
+    pub(crate) gradient: Vector3<f64>,
+    pub(crate) score: f64,
+    pub(crate) squares: f64,
+}
+
+impl NormalEquations {
+    pub(crate) fn of(read: &mut impl ScoreRead, points: &[Point], pose: Pose) -> Self {
+        let per_metre = 1.0 / read.cell_size_m();
+        let (sin, cos) = pose.heading_rad.sin_cos();
+        let turn = (cos * per_metre, sin * per_metre);
+        let shift = (pose.x_m * per_metre - 0.5, pose.y_m * per_metre - 0.5);
+        let (mut batch, mut sums) = (Batch::default(), Sums::default());
+        let mut rest = [Point::default(); BATCH];
+        for points in points.chunks(BATCH) {
+            let whole = points.try_into().unwrap_or_else(|_| {
+                rest[..points.len()].copy_from_slice(points);
+                &rest
+            });
+            batch.place(whole, turn, shift);
+            batch.read(read, points.len());
+            sums.add(&batch);
+        }
+        sums.in_metres(per_metre, points.len())
     }
 }

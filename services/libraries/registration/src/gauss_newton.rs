@@ -1,7 +1,7 @@
 //! Gauss–Newton on interpolated scores, from coarse to fine. Takes points, a field and a predicted pose, gives the
 //! fitted pose with its score and covariance.
 
-use crate::batch::{BATCH, Batch, Sums};
+use crate::batch::NormalEquations;
 use crate::field::{ScoreField, ScoreRead};
 use flockslam_evidence::Level;
 use flockslam_geometry::{Covariance, Point, Pose, wrap_angle};
@@ -134,35 +134,6 @@ impl GaussNewton {
             step.y * scale,
             step.z.clamp(-self.turn_max_rad, self.turn_max_rad),
         ))
-    }
-}
-
-/// Sums over all points of the linearised problem, not yet divided by their number.
-pub(crate) struct NormalEquations {
-    pub(crate) hessian: Matrix3<f64>,
-    pub(crate) gradient: Vector3<f64>,
-    pub(crate) score: f64,
-    pub(crate) squares: f64,
-}
-
-impl NormalEquations {
-    fn of(read: &mut impl ScoreRead, points: &[Point], pose: Pose) -> Self {
-        let per_metre = 1.0 / read.cell_size_m();
-        let (sin, cos) = pose.heading_rad.sin_cos();
-        let turn = (cos * per_metre, sin * per_metre);
-        let shift = (pose.x_m * per_metre - 0.5, pose.y_m * per_metre - 0.5);
-        let (mut batch, mut sums) = (Batch::default(), Sums::default());
-        let mut rest = [Point::default(); BATCH];
-        for points in points.chunks(BATCH) {
-            let whole = points.try_into().unwrap_or_else(|_| {
-                rest[..points.len()].copy_from_slice(points);
-                &rest
-            });
-            batch.place(whole, turn, shift);
-            batch.read(read, points.len());
-            sums.add(&batch);
-        }
-        sums.in_metres(per_metre, points.len())
     }
 }
 

@@ -1,8 +1,8 @@
 //! What the manager's poses make of scans and submaps.
 
 use super::SyncManager;
+use crate::pose_record::PoseRecord;
 use crate::solution::{PlacedScan, Solution};
-use crate::trajectory::Record;
 use flockslam_geometry::Pose;
 use flockslam_loop_closure::strands::Strands;
 use flockslam_map_fusion::PlacedSubmap;
@@ -19,7 +19,7 @@ impl SyncManager {
             _ => Placement::IDENTITY,
         };
         let poses: Vec<Placement> = poses.iter().map(|pose| gauge.compose(*pose)).collect();
-        let place = |(record, pose): (&Record, &Placement)| PlacedScan {
+        let place = |(record, pose): (&PoseRecord, &Placement)| PlacedScan {
             id: record.id,
             stamp_ns: record.stamp_ns,
             map_from_base: pose.pose(),
@@ -41,11 +41,12 @@ impl SyncManager {
     pub(super) fn place_submaps(&self, poses: &[Placement], strands: &Strands) -> Vec<(u32, Pose)> {
         let mut submaps = Vec::new();
         let certain =
-            |(record, _): &(&Record, &Placement)| !record.lost && strands.is_attached(record.strand);
-        let scans: Vec<(&Record, &Placement)> = self.records.iter().zip(poses).filter(certain).collect();
+            |(record, _): &(&PoseRecord, &Placement)| !record.lost && strands.is_attached(record.strand);
+        let scans: Vec<(&PoseRecord, &Placement)> = self.records.iter().zip(poses).filter(certain).collect();
         for group in scans.chunk_by(|a, b| a.0.submap == b.0.submap) {
             let middle = group[group.len() / 2].0;
-            let carried = |(record, pose): &(&Record, &Placement)| pose.compose(record.odom.to(middle.odom));
+            let carried =
+                |(record, pose): &(&PoseRecord, &Placement)| pose.compose(record.odom.to(middle.odom));
             let carried: Vec<Placement> = group.iter().map(carried).collect();
             let map_from_odom = median(&carried).compose(middle.odom.inverse()).pose();
             submaps.push((middle.submap, map_from_odom));

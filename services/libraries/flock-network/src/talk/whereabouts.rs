@@ -3,7 +3,7 @@
 use super::Talk;
 use crate::drops::Dropped;
 use crate::link::address;
-use crate::thread::locked;
+use crate::shared::locked;
 use flockslam_messages::{PoseEstimate, Quality};
 use flockslam_records::Presence;
 use flockslam_telemetry::monotonic_ns;

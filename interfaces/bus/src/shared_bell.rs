@@ -1,0 +1,64 @@
+//! Bells between processes: events of iceoryx2.
+
+use crate::BusError;
+use crate::bell::{Hear, Ring, Wake};
+use crate::service::Service;
+use iceoryx2::port::listener::{self, ListenerWaitError};
+use iceoryx2::port::notifier::{self, NotifierNotifyError};
+use iceoryx2::prelude::{EventId, FileDescriptorBased};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
+use std::os::fd::BorrowedFd;
+use std::time::Duration;
+
+/// Event of a bell that rings for what will come; the default event is for what is there.
+const ANNOUNCEMENT: usize = 1;
+
+pub(crate) struct SharedListener(pub(crate) listener::Listener<Service>);
+
+impl Hear for SharedListener {
+    fn wait(&self, limit: Duration) -> Result<Wake, BusError> {
+        sleep(&self.0, limit).map_err(|error| BusError::transfer("bell", error))?;
+        let mut wake = Wake::TimedOut;
+        let heard = self.0.try_wait(|event| {
+            let announced = event.id.as_value() == ANNOUNCEMENT && wake != Wake::Rung;
+            wake = if announced { Wake::Announced } else { Wake::Rung };
+        });
+        match heard {
+            Ok(_) => Ok(wake),
+            Err(ListenerWaitError::InterruptSignal) => Ok(Wake::TimedOut),
+            Err(error) => Err(BusError::transfer("bell", error)),
+        }
+    }
+}
+
+/// Sleeps until the bell has rung or `limit` has passed: the listener's own wait counts in ticks of the system, which are several
+/// milliseconds, and takes twice as many system calls. A signal (SIGSTOP and SIGCONT among them) only cuts it short.
+fn sleep(listener: &impl FileDescriptorBased, limit: Duration) -> Result<(), Errno> {
+    let limit = Timespec { tv_sec: limit.as_secs() as i64, tv_nsec: i64::from(limit.subsec_nanos()) };
+    // SAFETY: the descriptor is the listener's, which outlives this call, and nothing is done to it but waiting.
+    let socket = unsafe { BorrowedFd::borrow_raw(listener.file_descriptor().native_handle()) };
+    match poll(&mut [PollFd::new(&socket, PollFlags::IN)], Some(&limit)) {
+        Ok(_) | Err(Errno::INTR) => Ok(()),
+        Err(error) => Err(error),
+    }
+}
+
+pub(crate) struct SharedRinger(pub(crate) notifier::Notifier<Service>);
+
+impl Ring for SharedRinger {
+    fn ring(&self) {
+        log_undelivered(self.0.notify());
+    }
+
+    fn announce(&self) {
+        log_undelivered(self.0.notify_with_custom_event_id(EventId::new(ANNOUNCEMENT)));
+    }
+}
+
+/// A stopped stage leaves its bell full; it will find its inputs when it goes on.
+fn log_undelivered(rung: Result<usize, NotifierNotifyError>) {
+    if let Err(error) = rung {
+        tracing::debug!(?error, "bell not delivered");
+    }
+}

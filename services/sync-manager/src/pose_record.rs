@@ -1,0 +1,38 @@
+//! A published pose, as the back end keeps it.
+
+use flockslam_messages::{PoseEstimate, PoseFlags, Quality, ScanId};
+use flockslam_registration::cloud::Placement;
+
+/// A published pose, as kept for the final trajectory.
+#[derive(Clone, Copy, Debug)]
+pub struct PoseRecord {
+    /// The scan.
+    pub id: ScanId,
+    /// Sensor stamp, nanoseconds.
+    pub stamp_ns: i64,
+    /// The front end's pose, continuous.
+    pub odom: Placement,
+    /// Dead reckoning of the wheels, when the robot has it.
+    pub wheels: Option<Placement>,
+    /// Submap that the scan entered, if it was inserted.
+    pub submap: u32,
+    /// Chain of submaps that it belongs to.
+    pub strand: u32,
+    /// The front end did not believe its fit.
+    pub lost: bool,
+}
+
+impl PoseRecord {
+    /// What is kept of a published pose.
+    pub fn new(pose: &PoseEstimate) -> Self {
+        Self {
+            id: pose.id,
+            stamp_ns: pose.times.sensor_ns,
+            odom: pose.odom_from_base.into(),
+            wheels: pose.has(PoseFlags::HAS_ODOMETRY).then(|| pose.odometry.into()),
+            submap: pose.submap,
+            strand: pose.chain,
+            lost: pose.quality == Quality::Lost as u32,
+        }
+    }
+}
