@@ -9,6 +9,10 @@ use std::collections::VecDeque;
 use std::f64::consts::PI;
 use std::sync::Arc;
 
+/// Fastest driving, m/s: an easy walking pace.
+pub(super) const SPEED_M_S: f64 = 0.8;
+/// Fastest turning, rad/s: faster, a lidar of 10 Hz shears its scans by more than 6°.
+pub(super) const TURN_RAD_S: f64 = 1.0;
 /// The robot steers towards the point of its way this far ahead, metres.
 const LOOK_AHEAD_M: f64 = 0.5;
 /// Changes of speed and of turn rate, m/s² and rad/s².
@@ -159,12 +163,12 @@ fn pursue(pose: Pose, target: Point, settings: &Settings) -> Twist {
     let (dx, dy) = (target.x_m - pose.x_m, target.y_m - pose.y_m);
     let bearing_rad = wrap_angle(dy.atan2(dx) - pose.heading_rad);
     if bearing_rad.abs() > TURN_ON_SPOT_RAD {
-        let turn_rad_s = (TURN_GAIN * bearing_rad).clamp(-settings.turn_rad_s, settings.turn_rad_s);
+        let turn_rad_s = (TURN_GAIN * bearing_rad).clamp(-TURN_RAD_S, TURN_RAD_S);
         return Twist { turn_rad_s, ..Twist::default() };
     }
     let curvature = 2.0 * bearing_rad.sin() / dx.hypot(dy).max(0.1);
     let slow_down = 1.0 - 0.7 * bearing_rad.abs() / TURN_ON_SPOT_RAD;
-    let speed = (settings.speed_m_s * slow_down).min(settings.turn_rad_s / curvature.abs().max(1e-9));
+    let speed = (SPEED_M_S * slow_down).min(TURN_RAD_S / curvature.abs().max(1e-9));
     Twist { x_m_s: speed, y_m_s: 0.0, turn_rad_s: curvature * speed }
 }
 

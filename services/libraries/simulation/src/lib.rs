@@ -11,6 +11,7 @@ mod built_in;
 mod drawing;
 mod drive;
 mod dynamics;
+mod errors;
 mod floor_plan;
 mod ground_truth;
 mod image;
@@ -25,6 +26,7 @@ mod wheels;
 mod world;
 
 pub use dynamics::MoverTruth;
+pub use errors::Errors;
 pub use ground_truth::{CellTruth, GroundTruth};
 pub use image::{ImageWorld, SimulationError};
 pub use label::BeamLabel;

@@ -179,7 +179,7 @@ impl BagReader {
                     match kind {
                         Kind::Scans => {
                             let mut scan = ScanBuffer::default();
-                            laser_scan(message.data, &self.settings, &mut scan).map_err(wrong)?;
+                            laser_scan(message.data, &mut scan).map_err(wrong)?;
                             self.ready.push_back(with_wheels(scan, self.wheels));
                         }
                         Kind::Odometry => {
