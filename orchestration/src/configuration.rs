@@ -1,5 +1,7 @@
 //! The configuration of a process set: defaults, then a profile, then a TOML file, then single keys.
 
+#[cfg(test)]
+mod documented;
 mod hint;
 pub mod old_keys;
 mod range;

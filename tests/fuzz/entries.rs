@@ -44,7 +44,7 @@ pub fn carmen(bytes: &[u8]) {
 pub fn bag(bytes: &[u8]) {
     let path = scratch("bag").join("fuzz.bag");
     fs::write(&path, bytes).expect("tmpfs can be written");
-    let Ok(mut reader) = BagReader::open(&path, Settings::default()) else { return };
+    let Ok(mut reader) = BagReader::open(&path) else { return };
     let mut scan = ScanBuffer::default();
     while let Ok(true) = reader.next_scan(&mut scan) {
         scan.view().expect("a scan that is given out is whole");

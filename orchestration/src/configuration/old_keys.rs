@@ -64,6 +64,8 @@ pub const OLD_KEYS: &[(&str, Now)] = &[
     ("sync_manager.closure.segments_per_query", Fixed("6")),
     ("sync_manager.dense_passes", Fixed("1")),
     ("sync_manager.final_nodes", Fixed("3")),
+    ("sync_manager.flock.body_radius_m", Fixed("0.35")),
+    ("sync_manager.flock.bytes_per_minute", Fixed("6000000")),
     ("sync_manager.map_passes", Fixed("1")),
     ("sync_manager.node_distance_m", Fixed("0.3")),
     ("sync_manager.node_turn_rad", Fixed("0.35")),
@@ -71,6 +73,7 @@ pub const OLD_KEYS: &[(&str, Now)] = &[
     ("sync_manager.range_min_m", Fixed("0.3")),
     ("sync_manager.refine", Gone("matching all scans once more at the end improved nothing")),
     ("sync_manager.segment_length_m", Fixed("5.0")),
+    ("sync_manager.visits_kept", Fixed("4")),
 ];
 
 /// What is told of a key when it is an old one: one line.

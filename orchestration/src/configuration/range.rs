@@ -20,7 +20,6 @@ const BOUNDED: &[(&str, f64, f64)] = &[
     ("mapper.cell_size_m", 0.01, 1.0),
     ("mapper.miss_nat", 0.0, 16.0),
     ("mapper.submap_insertions", 1.0, 2000.0),
-    ("sync_manager.flock.bytes_per_minute", 10_000.0, 1e12),
 ];
 
 /// Refuses numbers that make no sense: (key, reason).

@@ -12,7 +12,9 @@ pub struct Settings {
     /// Whether loops are closed.
     pub close_loops: bool,
     /// How many stretches through the same place, in the same direction, stay in the graph: later ones are settled relative to
-    /// them, which keeps memory and work bounded in a building that is known; 0 = all stay.
+    /// them, which keeps memory and work bounded in a building that is known; 0 = all stay. Not a key: the same in every
+    /// configuration, other numbers are for tests.
+    #[serde(skip)]
     pub visits_kept: usize,
     /// A submap retires from the fused map when so many newer ones know all that it knows (98 % of it); 0 = never.
     pub retire_covered_by: usize,
@@ -30,6 +32,7 @@ impl Default for Settings {
         Self {
             enabled: true,
             close_loops: true,
+            // Enough to hold the others in place, few enough to stay cheap to solve.
             visits_kept: 4,
             retire_covered_by: 8,
             clear_at_end: true,
@@ -58,11 +61,6 @@ pub struct FlockSettings {
     /// Who is near and so talked to: `always` – Whoever is connected; `contacts` – Whom an outside program reports on the
     /// set's socket.
     pub proximity: ProximitySource,
-    /// Radius of a circle that holds the body of any robot of the flock, metres: where another robot says that it is, so much is
-    /// taken for its body and kept out of the map.
-    pub body_radius_m: f64,
-    /// Bytes that each other robot is sent in a minute at most; a minute's worth may go at once.
-    pub bytes_per_minute: u64,
     /// File with the robot's secret key and the number of its last epoch, made when it is not there; empty = `flock.key` beside
     /// the saved map, or, without one, a key that goes with the set.
     pub key_file: PathBuf,
@@ -106,8 +104,6 @@ impl Default for FlockSettings {
             connect: Vec::new(),
             multicast: false,
             proximity: ProximitySource::Always,
-            body_radius_m: 0.35,
-            bytes_per_minute: 6_000_000,
             key_file: PathBuf::new(),
             trusted: Vec::new(),
             banned: Vec::new(),
@@ -160,7 +156,6 @@ impl FlockSettings {
                 "flock",
                 "letters, digits, '-', '_' and '.', at most 32",
             ),
-            ((0.0..=5.0).contains(&self.body_radius_m), "body_radius_m", "0 … 5"),
             (Self::keys(&self.trusted).is_some(), "trusted", "a public key has 64 hexadecimal digits"),
             (Self::keys(&self.banned).is_some(), "banned", "a public key has 64 hexadecimal digits"),
             (given == 0 || given == 3, "tls_ca", "give tls_ca, tls_certificate and tls_key, or none of them"),
@@ -188,7 +183,6 @@ mod tests {
         assert_eq!(wrong(|_| ()), None);
         assert_eq!(wrong(|s| s.enabled = true), Some("name"));
         assert_eq!(wrong(|s| s.flock = "a/b".to_owned()), Some("flock"));
-        assert_eq!(wrong(|s| s.body_radius_m = f64::NAN), Some("body_radius_m"));
         assert_eq!(wrong(|s| s.banned = vec!["0f".to_owned()]), Some("banned"));
         assert_eq!(wrong(|s| s.trusted = vec!["0F".repeat(32)]), None);
         assert_eq!(wrong(|s| s.tls_ca = "ca.pem".into()), Some("tls_ca"));

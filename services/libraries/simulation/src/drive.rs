@@ -1,6 +1,5 @@
 //! The exact motion of the simulated robot along its tour: pure pursuit with bounded accelerations (Coulter 1992).
 
-use super::Settings;
 use super::room::Room;
 use super::tour::Tour;
 use flockslam_geometry::{Point, Pose, Twist, wrap_angle};
@@ -29,7 +28,6 @@ const LEGS_TO_LEAVE: usize = 1000;
 /// The robot's exact motion, one turn of the lidar after another: a constant twist within each tick.
 #[derive(Clone, Debug)]
 pub(super) struct Drive {
-    settings: Settings,
     tick_s: f64,
     tour: Tour,
     /// What is planned and not yet driven; its first point is steered towards.
@@ -50,7 +48,7 @@ pub(super) struct Turn {
 
 impl Drive {
     /// Stands at the beginning of a tour.
-    pub(super) fn new(mut tour: Tour, settings: &Settings, tick_s: f64) -> Self {
+    pub(super) fn new(mut tour: Tour, tick_s: f64) -> Self {
         let mut way = VecDeque::new();
         let mut ahead = None;
         for _ in 0..LEGS_TO_LEAVE {
@@ -64,7 +62,6 @@ impl Drive {
         let (start, ahead) = (way[0], ahead.unwrap_or(way[0]));
         let heading_rad = (ahead.y_m - start.y_m).atan2(ahead.x_m - start.x_m);
         Self {
-            settings: settings.clone(),
             tick_s,
             tour,
             way,
@@ -79,7 +76,7 @@ impl Drive {
         self.turn.tick_s = self.tick_s;
         self.turn.ticks.clear();
         for _ in 0..ticks {
-            let wanted = pursue(self.pose, self.target(), &self.settings);
+            let wanted = pursue(self.pose, self.target());
             self.twist = approach(self.twist, wanted, self.tick_s);
             self.turn.ticks.push((self.pose, self.twist));
             self.pose = self.pose * self.twist.motion_after(self.tick_s);
@@ -159,7 +156,7 @@ impl Turn {
 }
 
 /// The velocity that leads along the arc to the target, slower the more it must turn.
-fn pursue(pose: Pose, target: Point, settings: &Settings) -> Twist {
+fn pursue(pose: Pose, target: Point) -> Twist {
     let (dx, dy) = (target.x_m - pose.x_m, target.y_m - pose.y_m);
     let bearing_rad = wrap_angle(dy.atan2(dx) - pose.heading_rad);
     if bearing_rad.abs() > TURN_ON_SPOT_RAD {

@@ -84,7 +84,7 @@ impl Simulation {
         let tour = world.tour(Random::new(settings.seed, "tour"))?;
         let mut kidnaps_s = settings.kidnap_at_s.clone();
         kidnaps_s.sort_by(|a, b| b.total_cmp(a));
-        let mut drive = Drive::new(tour, settings, period_s / TICKS_PER_SCAN as f64);
+        let mut drive = Drive::new(tour, period_s / TICKS_PER_SCAN as f64);
         for _ in 0..(settings.lead_s * settings.scan_rate_hz).round() as usize {
             drive.advance(TICKS_PER_SCAN);
         }

@@ -1,8 +1,8 @@
 //! Simulated people who walk from place to place and make way for the robot.
 
 use super::body::{Body, RADIUS_M, squeezed};
+use crate::World;
 use crate::room::Room;
-use crate::{Settings, World};
 use flockslam_geometry::Point;
 use flockslam_random::Random;
 use std::collections::VecDeque;
@@ -38,7 +38,7 @@ pub(super) struct Walker {
 
 impl Walker {
     /// Stands at a random place.
-    pub(super) fn new(settings: &Settings, room: &Room, robot: Point, mut random: Random) -> Self {
+    pub(super) fn new(room: &Room, robot: Point, mut random: Random) -> Self {
         let suits = |place: Point| (2.0 * MAKE_WAY_M..HAUNT_M).contains(&place.distance_m(robot));
         let position = room.place_where(&mut random, suits);
         let speed_m_s = random.between(SPEEDS_M_S.0, SPEEDS_M_S.1);
