@@ -100,7 +100,7 @@ fn a_log_that_breaks_off_is_refused_unless_that_is_allowed() {
 #[test]
 fn a_line_without_end_or_with_too_many_beams_is_refused() {
     let huge = "FLASER ".to_owned() + &"1 ".repeat(34 << 20);
-    log_refused(huge.as_bytes(), 1, "longer than lidar_ingest.max_line_bytes", &[]);
+    log_refused(huge.as_bytes(), 1, "longer than 64 MiB", &[]);
     let announced = "FLASER 4000000000 1 2 3 0 0 0 0 0 0 1.0 robot 1.0\n".repeat(30);
     log_refused(announced.as_bytes(), 11, "number of beams", &[]);
 }
@@ -177,7 +177,7 @@ fn configurations_that_are_not_understood_are_refused() {
     ] {
         refused_at(&["demo", "--set", assignment], &format!("--set {assignment}: "), reason);
     }
-    refused_at(&["demo", "--set", "simulation.speed_m_s=-1"], "simulation", "speed_m_s");
+    refused_at(&["demo", "--set", "simulation.scan_rate_hz=-1"], "simulation", "scan_rate_hz");
     refused_at(&["demo", "--set", "simulation.wheel_slips=99999"], "simulation", "wheel_slips");
 }
 

@@ -153,9 +153,9 @@ fn a_full_disk_leaves_the_poses_alone_until_there_is_room_again() {
     assert_eq!(set.wait(), Some(0));
 }
 
-/// Maps of formats that are or were in use, by name: each stays readable. A build that writes another format adds its own beside
-/// them (`flockslam up` with a map directory, a drive of a few seconds).
-const GOLDEN: [(&str, u64, u64, u32); 1] = [("map-1", 60, 28, 3)];
+/// Maps of formats and builds that are or were in use, by name: each stays readable. A build that writes another format adds its own
+/// beside them (`flockslam up` with a map directory, a drive of a few seconds). The first has no records of a flock, the second has.
+const GOLDEN: [(&str, u64, u64, u32); 2] = [("map-1", 60, 28, 3), ("map-2", 120, 57, 3)];
 
 #[test]
 fn maps_of_all_formats_so_far_are_read() {
@@ -172,5 +172,34 @@ fn maps_of_all_formats_so_far_are_read() {
         let exported = exported.unwrap();
         assert!(exported.status.success(), "{name}: {}", stderr(&exported));
         assert_eq!(Outputs::read(out.path()).report.scans, poses);
+    }
+}
+
+#[test]
+fn maps_of_all_formats_so_far_are_continued() {
+    for (name, poses, _, submaps) in GOLDEN {
+        let directory = tempfile::tempdir().unwrap();
+        let map = directory.path().join("map");
+        copy_all(&support::repository().join("tests/golden").join(name), &map);
+        let drive = Drive { duration_s: 20.0, ..DRIVE };
+        let report = LiveSet::start(name, directory.path(), drive, &keeps(&map)).finish().report;
+        let both = SavedMap::at(&map).check().unwrap();
+        println!("{name}: {both:?}, {} chains", report.chains);
+        assert!(both.problems.is_empty() && both.submaps > submaps, "{name}: {both:?}");
+        assert!(both.poses >= poses + drive.scans() as u64 * 9 / 10, "{name}: {both:?}");
+        assert_eq!(both.poses, report.scans, "{name}");
+        assert!(report.chains >= 2, "{name}: the robot begins somewhere in a map that it knows");
+    }
+}
+
+fn copy_all(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(from).unwrap().map(Result::unwrap) {
+        let (source, copy) = (entry.path(), to.join(entry.file_name()));
+        if source.is_dir() {
+            copy_all(&source, &copy);
+        } else {
+            fs::copy(&source, &copy).unwrap();
+        }
     }
 }

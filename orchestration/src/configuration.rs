@@ -1,6 +1,9 @@
 //! The configuration of a process set: defaults, then a profile, then a TOML file, then single keys.
 
+#[cfg(test)]
+mod documented;
 mod hint;
+pub mod old_keys;
 mod range;
 
 use flockslam_messages::Stage;
@@ -9,6 +12,9 @@ use hint::with_hint;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
+
+/// Scans that may be on their way at once: 6 s of a lidar of 10 Hz, which bridges the restart of a stage.
+const WINDOW: usize = 64;
 
 /// Everything that can be set. Each section belongs to the stage of its name.
 ///
@@ -52,8 +58,6 @@ pub struct Configuration {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SetSettings {
-    /// Scans that may be on their way at once.
-    pub window: usize,
     /// Greatest number of live tiles (3.2 × 3.2 m each with cells of 5 cm).
     pub live_tiles: usize,
     /// Directory on disk for what grows with the way driven and is rarely read: closed submaps, the journal, trajectories. Each set
@@ -63,7 +67,7 @@ pub struct SetSettings {
 
 impl Default for SetSettings {
     fn default() -> Self {
-        Self { window: 64, live_tiles: 4096, spill_dir: None }
+        Self { live_tiles: 4096, spill_dir: None }
     }
 }
 
@@ -158,7 +162,11 @@ impl Configuration {
         for assignment in assignments {
             let wrong =
                 |reason: String| ConfigurationError::Assignment { assignment: assignment.clone(), reason };
-            merge(&mut table, parse_assignment(assignment).map_err(wrong)?);
+            let assigned = parse_assignment(assignment).map_err(wrong)?;
+            if let Some(told) = old_keys::in_table(&assigned) {
+                return Err(wrong(told));
+            }
+            merge(&mut table, assigned);
             let known: Result<Self, _> = table.clone().try_into();
             known.map_err(|error| wrong(with_hint(error.message())))?;
         }
@@ -171,7 +179,7 @@ impl Configuration {
     pub fn stage_options(&self, mode: Mode) -> StageOptions {
         let most = Stage::ALL.into_iter().map(|stage| self.replicas(stage)).max();
         let replicas = most.unwrap_or(1).max(2);
-        let (window, live_tiles) = (self.set.window, self.set.live_tiles);
+        let (window, live_tiles) = (WINDOW, self.set.live_tiles);
         StageOptions { mode, window, replicas, live_tiles, first_sequence: 0 }
     }
 
@@ -220,19 +228,23 @@ fn read_file(path: &Path) -> Result<Table, ConfigurationError> {
     parse_file(path)
 }
 
-/// A TOML file as a type that refuses unknown keys.
+/// A TOML file as a type that refuses unknown keys; old keys are refused with what became of them.
 ///
 /// # Errors
 /// When it cannot be read or is not of that type: with line, reason and a hint.
 pub fn parse_file<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, ConfigurationError> {
     let unreadable = |source| ConfigurationError::Unreadable { path: path.to_owned(), source };
     let text = std::fs::read_to_string(path).map_err(unreadable)?;
-    let wrong = |error: toml::de::Error| {
-        let before = &text[..error.span().map_or(0, |span| span.start).min(text.len())];
-        let line = before.matches('\n').count() + 1;
-        ConfigurationError::File { path: path.to_owned(), line, reason: with_hint(error.message()) }
+    let wrong = |place: usize, reason: String| {
+        let line = text[..place.min(text.len())].matches('\n').count() + 1;
+        ConfigurationError::File { path: path.to_owned(), line, reason }
     };
-    toml::from_str(&text).map_err(wrong)
+    if let Some((place, told)) = old_keys::in_text(&text) {
+        return Err(wrong(place, told));
+    }
+    toml::from_str(&text).map_err(|error: toml::de::Error| {
+        wrong(error.span().map_or(0, |span| span.start), with_hint(error.message()))
+    })
 }
 
 fn parse_assignment(assignment: &str) -> Result<Table, String> {

@@ -31,7 +31,7 @@ pub const ENTRIES: [Entry; 7] = [
 /// A CARMEN log, or what comes through a pipe.
 pub fn carmen(bytes: &[u8]) {
     // As a log is read when much of it may be wrong: the reader goes on behind bad lines.
-    let settings = Settings { max_bad_line_share: 1.0, max_beams: 10_000, ..Settings::default() };
+    let settings = Settings { max_bad_line_share: 1.0, ..Settings::default() };
     let mut reader = CarmenReader::new(bytes, "fuzz", settings);
     let mut scan = ScanBuffer::default();
     while let Ok(true) = reader.next_scan(&mut scan) {
@@ -44,8 +44,7 @@ pub fn carmen(bytes: &[u8]) {
 pub fn bag(bytes: &[u8]) {
     let path = scratch("bag").join("fuzz.bag");
     fs::write(&path, bytes).expect("tmpfs can be written");
-    let settings = Settings { max_beams: 10_000, ..Settings::default() };
-    let Ok(mut reader) = BagReader::open(&path, settings) else { return };
+    let Ok(mut reader) = BagReader::open(&path) else { return };
     let mut scan = ScanBuffer::default();
     while let Ok(true) = reader.next_scan(&mut scan) {
         scan.view().expect("a scan that is given out is whole");

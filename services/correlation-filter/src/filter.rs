@@ -1,7 +1,7 @@
 //! The logic of the stage: takes scans one by one, gives a verdict with its reason for each.
 
 use crate::description::Description;
-use crate::lidar::{Judgement, Lidar};
+use crate::lidar::{Judgement, Lidar, Limits};
 use crate::tally::tally;
 use crate::{Mode, Settings};
 use flockslam_messages::{DropReason, KeepReason, ScanTally, ScanView, Verdict};
@@ -31,19 +31,24 @@ const SHED_IN_A_ROW_MAX: u32 = 3;
 /// ```
 #[derive(Clone, Debug)]
 pub struct CorrelationFilter {
-    settings: Settings,
+    mode: Mode,
+    limits: Limits,
     lidars: Vec<Lidar>,
 }
 
 impl CorrelationFilter {
     /// A filter that has seen nothing.
     pub fn new(settings: Settings) -> Self {
-        Self { settings, lidars: Vec::with_capacity(LIDARS_MAX) }
+        Self::with_limits(settings.mode, Limits::default())
+    }
+
+    fn with_limits(mode: Mode, limits: Limits) -> Self {
+        Self { mode, limits, lidars: Vec::with_capacity(LIDARS_MAX) }
     }
 
     /// Whether scans are judged by what their beams add up to: a [`ScanTally`].
     pub fn wants_tallies(&self) -> bool {
-        self.settings.mode == Mode::Correlation
+        self.mode == Mode::Correlation
     }
 
     /// Keeps or drops a scan. Nothing but earlier scans of the same lidar goes into it.
@@ -81,18 +86,18 @@ impl CorrelationFilter {
             Some(tally) => tally.valid() == 0,
             None => (0..scan.len()).all(|beam| scan.valid_range_m(beam).is_none()),
         };
-        let (settings, wheels) = (&self.settings, scan.odometry());
+        let (mode, limits, wheels) = (self.mode, &self.limits, scan.odometry());
         match (lidar.map(|place| &mut self.lidars[place]), tally) {
             _ if empty => (0.0, Err(DropReason::Empty)),
-            (Some(lidar), Some(tally)) if settings.mode == Mode::Correlation => {
-                lidar.by_correlation(Description::of(tally), wheels, settings)
+            (Some(lidar), Some(tally)) if mode == Mode::Correlation => {
+                lidar.by_correlation(Description::of(tally), wheels, limits)
             }
-            (Some(lidar), _) if settings.mode == Mode::SeedExact => match lidar.published.judge(scan) {
+            (Some(lidar), _) if mode == Mode::SeedExact => match lidar.published.judge(scan) {
                 None => (0.0, Err(DropReason::Empty)),
                 Some((product, Some(keep))) => (product, Ok(keep)),
                 Some((product, None)) => (product, Err(DropReason::Correlated)),
             },
-            (Some(lidar), _) if settings.mode == Mode::Motion => lidar.by_motion(wheels, settings),
+            (Some(lidar), _) if mode == Mode::Motion => lidar.by_motion(wheels, limits),
             _ => (0.0, Ok(KeepReason::Unfiltered)),
         }
     }
@@ -100,7 +105,7 @@ impl CorrelationFilter {
     fn lidar(&mut self, number: u32) -> Option<usize> {
         let found = self.lidars.iter().position(|lidar| lidar.number == number);
         if found.is_none() && self.lidars.len() < LIDARS_MAX {
-            self.lidars.push(Lidar::new(number, &self.settings));
+            self.lidars.push(Lidar::new(number, &self.limits));
             return Some(self.lidars.len() - 1);
         }
         found

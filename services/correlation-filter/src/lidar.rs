@@ -1,16 +1,44 @@
 //! The past of one lidar, and the decision about its next scan: by correlation with the last kept scans, or by the wheels.
 
-use crate::Settings;
 use crate::correlation::correlation;
 use crate::description::Description;
 use flockslam_geometry::Pose;
 use flockslam_messages::{DropReason, KeepReason};
 use flockslam_published_methods::PublishedFilter;
 
+/// A scan is dropped when its profile by angle, turned by the wheels' heading, correlates more than this with that of each kept scan
+/// of the window, −1 … 1 …
+const PROFILE_THRESHOLD: f64 = 0.6;
+/// … and its histogram of ranges correlates more than this. Lower values drop scans that the map needs, higher ones hardly any.
+const HISTOGRAM_THRESHOLD: f64 = 0.5;
+/// A scan is kept when the wheels have moved farther than this since the last kept one, metres: by so little no fit is lost …
+const UNSEEN_TRAVEL_M: f64 = 0.12;
+/// … or turned more than this, radians.
+const UNSEEN_TURN_RAD: f64 = 0.15;
+/// A scan with a greater share of corridor pattern (0 … 1) is kept: in a corridor all scans look the same.
+const CORRIDOR_MAX: f64 = 0.6;
 /// A robot at rest changes four of five sectors by less than this, metres …
 const REST_CHANGE_M: f32 = 0.02;
 /// … and its wheels move less than this since the last kept scan, metres and radians.
 const REST_MOTION: (f64, f64) = (0.01, 0.005);
+
+/// How much is compared, and how many scans may be dropped in a row.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Limits {
+    /// Kept scans to compare with; nothing is dropped before there are so many. Fewer and fuller: more is dropped.
+    pub window: usize,
+    /// After so many drops in a row a scan is kept whatever it correlates with. This bounds how long the robot moves unseen.
+    pub consecutive_drops_max: u32,
+    /// The same bound while nothing changes: the robot stands still.
+    pub rest_drops_max: u32,
+}
+
+impl Default for Limits {
+    /// Every third scan at least is matched on the way, one in four seconds at rest (10 Hz).
+    fn default() -> Self {
+        Self { window: 3, consecutive_drops_max: 2, rest_drops_max: 40 }
+    }
+}
 
 /// What became of a scan, and the coefficient that decided (0 when none was computed).
 pub(crate) type Judgement = (f64, Result<KeepReason, DropReason>);
@@ -32,10 +60,10 @@ pub(crate) struct Lidar {
 }
 
 impl Lidar {
-    pub fn new(number: u32, settings: &Settings) -> Self {
+    pub fn new(number: u32, limits: &Limits) -> Self {
         Self {
             number,
-            kept: Vec::with_capacity(settings.window),
+            kept: Vec::with_capacity(limits.window),
             next: 0,
             wheels: None,
             any_kept: false,
@@ -46,24 +74,19 @@ impl Lidar {
     }
 
     /// By correlation. Only kept scans enter the window: a slow drift adds up until it is seen.
-    pub fn by_correlation(
-        &mut self,
-        new: Description,
-        wheels: Option<Pose>,
-        settings: &Settings,
-    ) -> Judgement {
-        let judgement = self.compared(&new, wheels, settings);
+    pub fn by_correlation(&mut self, new: Description, wheels: Option<Pose>, limits: &Limits) -> Judgement {
+        let judgement = self.compared(&new, wheels, limits);
         if judgement.1.is_ok() {
             self.keep(wheels);
-            self.remember(new, settings.window);
+            self.remember(new, limits.window);
         } else {
             self.drops_in_a_row += 1;
         }
         judgement
     }
 
-    fn compared(&self, new: &Description, wheels: Option<Pose>, settings: &Settings) -> Judgement {
-        let Some(last) = self.last().filter(|_| self.kept.len() >= settings.window) else {
+    fn compared(&self, new: &Description, wheels: Option<Pose>, limits: &Limits) -> Judgement {
+        let Some(last) = self.last().filter(|_| self.kept.len() >= limits.window) else {
             return (0.0, Ok(KeepReason::FirstScans));
         };
         let (profile, histogram) = self.smallest_correlations(new);
@@ -72,21 +95,20 @@ impl Lidar {
         // Without wheels a corridor hides every motion along it.
         let may_rest = match moved {
             Some((travel_m, turn_rad)) => travel_m < REST_MOTION.0 && turn_rad < REST_MOTION.1,
-            None => new.corridor <= settings.corridor_max,
+            None => new.corridor <= CORRIDOR_MAX,
         };
         if may_rest && new.change_m(last) <= REST_CHANGE_M {
-            let tires = self.drops_in_a_row >= settings.rest_drops_max;
+            let tires = self.drops_in_a_row >= limits.rest_drops_max;
             return (coefficient, if tires { Ok(KeepReason::InARow) } else { Err(DropReason::Unchanged) });
         }
-        let far =
-            |(travel_m, turn_rad)| travel_m > settings.unseen_travel_m || turn_rad > settings.unseen_turn_rad;
-        let verdict = if profile <= settings.profile_threshold || histogram <= settings.histogram_threshold {
+        let far = |(travel_m, turn_rad)| travel_m > UNSEEN_TRAVEL_M || turn_rad > UNSEEN_TURN_RAD;
+        let verdict = if profile <= PROFILE_THRESHOLD || histogram <= HISTOGRAM_THRESHOLD {
             Ok(KeepReason::Novel)
-        } else if new.corridor > settings.corridor_max {
+        } else if new.corridor > CORRIDOR_MAX {
             Ok(KeepReason::Corridor)
         } else if moved.is_some_and(far) {
             Ok(KeepReason::Travel)
-        } else if self.drops_in_a_row >= settings.consecutive_drops_max {
+        } else if self.drops_in_a_row >= limits.consecutive_drops_max {
             Ok(KeepReason::InARow)
         } else {
             Err(DropReason::Correlated)
@@ -95,16 +117,14 @@ impl Lidar {
     }
 
     /// By the wheels alone.
-    pub fn by_motion(&mut self, wheels: Option<Pose>, settings: &Settings) -> Judgement {
+    pub fn by_motion(&mut self, wheels: Option<Pose>, limits: &Limits) -> Judgement {
         let verdict = match self.moved(wheels) {
             None if self.any_kept => Ok(KeepReason::Unfiltered),
             None => Ok(KeepReason::FirstScans),
-            Some((travel_m, turn_rad))
-                if travel_m > settings.unseen_travel_m || turn_rad > settings.unseen_turn_rad =>
-            {
+            Some((travel_m, turn_rad)) if travel_m > UNSEEN_TRAVEL_M || turn_rad > UNSEEN_TURN_RAD => {
                 Ok(KeepReason::Travel)
             }
-            Some(_) if self.drops_in_a_row >= settings.rest_drops_max => Ok(KeepReason::InARow),
+            Some(_) if self.drops_in_a_row >= limits.rest_drops_max => Ok(KeepReason::InARow),
             Some(_) => Err(DropReason::Motion),
         };
         if verdict.is_ok() {

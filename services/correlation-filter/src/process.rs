@@ -16,6 +16,11 @@ use std::time::Duration;
 
 /// A part that another replica has not sent after this is described here: the same numbers, only later.
 const SHARE_DEADLINE_NS: u64 = 50_000_000;
+/// Threads of each process that describe a large scan, one for each 100 thousand beams at most: the other stages need processors too.
+const THREADS: usize = 2;
+/// Live: scans that the matcher may be behind before every scan is dropped but one in four, until it has caught up. A quarter of what
+/// may be on its way.
+const SHED_BEHIND_SCANS: u64 = 16;
 /// Counts parts that had to be described here.
 const SHARE_LATE: &str = "share-late";
 
@@ -34,7 +39,7 @@ pub fn run_stage(context: &mut StageContext, settings: Settings) -> Result<(), S
         verdicts: context.bus.publisher()?,
         matcher: context.bus.ringer(Stage::ScanMatcher.name())?,
         acknowledger: Acknowledger::open(context, 0)?,
-        load: if context.mode == Mode::Live { Some(Load::open(context, &settings)?) } else { None },
+        load: if context.mode == Mode::Live { Some(Load::open(context)?) } else { None },
         kept: Kept::new(context),
         logic: CorrelationFilter::new(settings),
         waiting: None,
@@ -64,7 +69,7 @@ impl Describer {
             bell: context.bus.ringer(Stage::CorrelationFilter.name())?,
             part: context.replica,
             parts: if wants_tallies { settings.replicas.max(1) as u32 } else { 1 },
-            threads: settings.threads,
+            threads: THREADS,
         })
     }
 }
@@ -102,12 +107,11 @@ impl Actor for Helper {
 struct Load {
     progress: Subscriber<Progress>,
     matched: u64,
-    behind_max: u64,
 }
 
 impl Load {
-    fn open(context: &StageContext, settings: &Settings) -> Result<Self, StageError> {
-        Ok(Self { progress: context.bus.subscriber()?, matched: 0, behind_max: settings.shed_behind_scans })
+    fn open(context: &StageContext) -> Result<Self, StageError> {
+        Ok(Self { progress: context.bus.subscriber()?, matched: 0 })
     }
 
     /// Whether this scan comes while the matcher has too many before it.
@@ -117,7 +121,7 @@ impl Load {
                 self.matched = self.matched.max(progress.done);
             }
         }
-        Ok(sequence.saturating_sub(self.matched) > self.behind_max)
+        Ok(sequence.saturating_sub(self.matched) > SHED_BEHIND_SCANS)
     }
 }
 

@@ -17,6 +17,19 @@ use flockslam_published_methods::{Ray, SectorScan};
 use flockslam_visibility::{Finding, Margins, Sight, View};
 use std::ops::Deref;
 
+/// Method `sectors`: neighbouring points of a scan nearer than this are joined (the published dR), metres; a map point this near to a
+/// segment is taken to be shown by it.
+const JOIN_M: f64 = 0.05;
+/// Two votes count as different when the lidar has moved this far between them, metres: by several cells …
+const VOTE_DISTANCE_M: f64 = 0.15;
+/// … or turned this far, radians.
+const VOTE_TURN_RAD: f64 = 0.3;
+/// A beam looks through a cell when it ends this far behind it, metres: about three cells, for the errors of range and pose …
+const MARGIN_M: f64 = 0.15;
+/// … plus this share of the cell's distance, for the error of heading; three standard deviations of the pose are added.
+const MARGIN_SHARE: f64 = 0.015;
+/// All beams that pass within this distance beside a cell must look through as well, metres: two cells.
+const LATERAL_MARGIN_M: f64 = 0.1;
 /// Cells that one scan may look through; more than these wait for the next scan.
 const SEEN_THROUGH_MAX: usize = 1 << 14;
 /// Of a robot that stands, scans so far apart vote, nanoseconds …
@@ -147,7 +160,7 @@ impl DynamicCleaner {
         self.odom_from_laser = pose.odom_from_base * scan.header().base_from_laser;
         if self.judges(pose) {
             if self.settings.method == Method::Sectors {
-                self.sectors.look(scan, &Deskew::new(scan, pose.twist), self.settings.join_m);
+                self.sectors.look(scan, &Deskew::new(scan, pose.twist), JOIN_M);
             }
             self.judged = Some((self.odom_from_laser, pose.times.sensor_ns));
         }
@@ -169,12 +182,11 @@ impl DynamicCleaner {
         let share = Share::new(grid, at, self.settings.radius_m, sector.parts());
         let sector = sector.turned(share.turned);
         if self.settings.method == Method::Beams {
-            let beside_rad =
-                margins(&self.settings, pose).beside_max_rad(grid.cell_size_m(), share.nearest_m);
+            let beside_rad = margins(pose).beside_max_rad(grid.cell_size_m(), share.nearest_m);
             let toward = sector.directions(beside_rad);
             self.sight.look_toward(scan, &Deskew::new(scan, pose.twist), toward);
         }
-        let view = View::new(&self.sight, at, grid.cell_size_m(), margins(&self.settings, pose));
+        let view = View::new(&self.sight, at, grid.cell_size_m(), margins(pose));
         let laser_from_odom = at.inverse();
         let judge = |center: Point| match self.settings.method {
             Method::Beams => view.judge(center),
@@ -217,8 +229,7 @@ impl DynamicCleaner {
         self.cleared.clear();
         let judges = self.judges(pose);
         if judges {
-            let Settings { vote_distance_m: distance_m, vote_turn_rad: turn_rad, .. } = self.settings;
-            self.weigh(Counts::FromElsewhere { distance_m, turn_rad });
+            self.weigh(Counts::FromElsewhere { distance_m: VOTE_DISTANCE_M, turn_rad: VOTE_TURN_RAD });
         }
         let header = MarksHeader {
             id: pose.id,
@@ -293,13 +304,13 @@ impl DynamicCleaner {
 }
 
 /// Margins for the errors of a pose.
-fn margins(settings: &Settings, pose: &PoseEstimate) -> Margins {
+fn margins(pose: &PoseEstimate) -> Margins {
     let position_3_sigma_m = 3.0 * pose.covariance.xx.max(pose.covariance.yy).sqrt();
     let heading_3_sigma_rad = 3.0 * pose.covariance.tt.sqrt();
     Margins {
-        behind_m: settings.margin_m + position_3_sigma_m,
-        behind_share: settings.margin_share + heading_3_sigma_rad,
-        beside_m: settings.lateral_margin_m,
+        behind_m: MARGIN_M + position_3_sigma_m,
+        behind_share: MARGIN_SHARE + heading_3_sigma_rad,
+        beside_m: LATERAL_MARGIN_M,
         beside_rad: heading_3_sigma_rad,
     }
 }

@@ -10,23 +10,11 @@ pub struct Settings {
     pub enabled: bool,
     /// How a scan looks through the map.
     pub method: Method,
-    /// Method `sectors`: neighbouring points of a scan nearer than this are joined (the published dR), metres; a map point
-    /// this near to a segment is taken to be shown by it.
-    pub join_m: f64,
     /// Only cells within this distance of the lidar are judged, metres: points thin out with range.
     pub radius_m: f64,
-    /// So many scans from different places must have looked through a cell before it is cleared.
+    /// So many scans must have looked through a cell, from places 0.15 m or 0.3 rad apart, before it is cleared; scans of a robot that
+    /// stands count up to the last vote but one when they are 0.3 s apart.
     pub votes: u8,
-    /// Two votes count as different when the lidar has moved this far between them, metres …
-    pub vote_distance_m: f64,
-    /// … or turned this far, radians; scans of a robot that stands count up to the last vote but one when they are 0.3 s apart.
-    pub vote_turn_rad: f64,
-    /// A beam looks through a cell when it ends this far behind it, metres …
-    pub margin_m: f64,
-    /// … plus this share of the cell's distance; three standard deviations of the pose are added.
-    pub margin_share: f64,
-    /// All beams that pass within this distance beside a cell must look through as well, metres.
-    pub lateral_margin_m: f64,
     /// A scan that looks through more than this share of the cells that it can judge votes for nothing: then the pose
     /// or the grid is wrong, not the world.
     pub contradiction_max: f64,
@@ -51,14 +39,8 @@ impl Default for Settings {
         Self {
             enabled: true,
             method: Method::Beams,
-            join_m: 0.05,
             radius_m: 12.0,
             votes: 3,
-            vote_distance_m: 0.15,
-            vote_turn_rad: 0.3,
-            margin_m: 0.15,
-            margin_share: 0.015,
-            lateral_margin_m: 0.1,
             contradiction_max: 0.2,
             cleared_max: 4096,
             replicas: 1,

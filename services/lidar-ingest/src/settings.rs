@@ -2,20 +2,19 @@
 
 use serde::{Deserialize, Serialize};
 
+/// Ranges below are not returns, metres: nothing is nearer to a lidar than its own housing, and sensors write 0 for "no return".
+pub(crate) const RANGE_MIN_M: f32 = 0.05;
+/// More beams than this are refused before any memory is taken for them: ten times as many as any known lidar has.
+pub(crate) const BEAMS_MAX: u32 = 10_000_000;
+
 /// Section `[lidar_ingest]`: how a log is read, and what an experiment does to it on the way.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
-    /// Ranges below are not returns, metres.
-    pub range_min_m: f32,
     /// Ranges above are not returns, metres. A FLASER line does not say what its sensor writes for "no return"; the
     /// values in use are 50.0 and about 81.9 m, real returns of such sensors lie below. ROBOTLASER1 lines say it
     /// themselves and ignore this value.
     pub range_max_m: f32,
-    /// Lines that announce more beams than this are refused before any memory is taken for them.
-    pub max_beams: u32,
-    /// Lines longer than this are skipped as bad without being stored, bytes.
-    pub max_line_bytes: u64,
     /// Reading ends with an error when more than this share of the lines so far is bad; ten bad lines are always
     /// tolerated unless the share is 0.
     pub max_bad_line_share: f64,
@@ -45,10 +44,7 @@ pub struct Settings {
 impl Default for Settings {
     fn default() -> Self {
         Self {
-            range_min_m: 0.05,
             range_max_m: 49.5,
-            max_beams: 10_000_000,
-            max_line_bytes: 64 << 20,
             max_bad_line_share: 0.01,
             accept_truncated: false,
             replicas: 1,
@@ -71,13 +67,8 @@ impl Settings {
     pub fn check(&self) -> Result<(), &'static str> {
         let share = |value: f64| (0.0..=1.0).contains(&value);
         let rules = [
-            (
-                self.range_min_m >= 0.0 && self.range_min_m < self.range_max_m,
-                "range_min_m must be below range_max_m",
-            ),
+            (self.range_max_m > RANGE_MIN_M, "range_max_m must be above 0.05"),
             (self.range_max_m.is_finite(), "range_max_m must be finite"),
-            (self.max_beams > 0, "max_beams must be at least 1"),
-            (self.max_line_bytes > 0, "max_line_bytes must be at least 1"),
             (share(self.max_bad_line_share), "max_bad_line_share must be between 0 and 1"),
             (
                 self.start_pose.is_none_or(|pose| pose.iter().all(|v| v.abs() < 1e8)),
@@ -104,10 +95,9 @@ mod tests {
         assert_eq!(Settings::default().check(), Ok(()));
         let good = Settings::default;
         let wrong = [
-            (Settings { range_min_m: 60.0, ..good() }, "range_min_m must be below range_max_m"),
+            (Settings { range_max_m: 0.05, ..good() }, "range_max_m must be above 0.05"),
+            (Settings { range_max_m: f32::NAN, ..good() }, "range_max_m must be above 0.05"),
             (Settings { range_max_m: f32::INFINITY, ..good() }, "range_max_m must be finite"),
-            (Settings { max_beams: 0, ..good() }, "max_beams must be at least 1"),
-            (Settings { max_line_bytes: 0, ..good() }, "max_line_bytes must be at least 1"),
             (
                 Settings { max_bad_line_share: f64::NAN, ..good() },
                 "max_bad_line_share must be between 0 and 1",

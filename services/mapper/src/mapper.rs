@@ -1,7 +1,7 @@
 //! The logic of the stage: takes scans with poses and cleared cells, gives changed tiles and closed submaps.
 
 use crate::newcomers::Newcomers;
-use crate::settings::Settings;
+use crate::settings::{SUBMAP_LENGTH_M, Settings};
 use crate::share::TileShare;
 use crate::window::Window;
 use flockslam_evidence::{CellIndex, Submap, Tile, TileKey, floor};
@@ -9,6 +9,9 @@ use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{ClearedCell, Deskew, PoseEstimate, ScanView};
 use flockslam_ray_insertion::SensorModel;
 use std::collections::VecDeque;
+
+/// Longer ranges are not inserted, metres: beyond, the gaps between beams are wider than what stands there.
+const RANGE_MAX_M: f64 = 30.0;
 
 /// Turns scans with poses into evidence, tiles and submaps. A pure function of its calls.
 ///
@@ -200,12 +203,12 @@ impl Mapper {
     fn take_ends(&mut self, scan: ScanView<'_>, pose: &PoseEstimate) {
         let deskew = Deskew::new(scan, pose.twist);
         let (sin, cos) = pose.odom_from_base.heading_rad.sin_cos();
-        let Settings { range_min_m, range_max_m, skip_isolated, .. } = self.settings;
+        let Settings { range_min_m, skip_isolated, .. } = self.settings;
         self.ends.clear();
         for beam in 0..scan.len() {
             let Some(range) = scan.valid_range_m(beam) else { continue };
             let skipped = skip_isolated && scan.is_isolated(beam);
-            if (range_min_m..=range_max_m).contains(&range) && !skipped {
+            if (range_min_m..=RANGE_MAX_M).contains(&range) && !skipped {
                 let end = deskew.end_in_base(scan, beam, range);
                 self.ends.push(Point::new(
                     pose.odom_from_base.x_m + cos * end.x_m - sin * end.y_m,
@@ -262,8 +265,7 @@ impl Mapper {
         active.insertions += 1;
         active.travel_m += active.last_pose.distance_m(pose);
         active.last_pose = pose;
-        active.travel_m >= self.settings.submap_length_m
-            || active.insertions >= self.settings.submap_insertions
+        active.travel_m >= SUBMAP_LENGTH_M || active.insertions >= self.settings.submap_insertions
     }
 
     fn close_active(&mut self) -> Option<Submap> {

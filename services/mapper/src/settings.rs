@@ -4,6 +4,11 @@ use flockslam_evidence::{Cell, Masses};
 use flockslam_ray_insertion::SensorModel;
 use serde::{Deserialize, Serialize};
 
+/// Weight of evidence of a hit, nat: five misses take one hit back.
+pub(crate) const HIT_NAT: f64 = 1.5;
+/// A submap is closed after this much travel, metres: short enough that drift within it does not show.
+pub(crate) const SUBMAP_LENGTH_M: f64 = 5.0;
+
 /// Settings of the mapper.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -12,14 +17,10 @@ pub struct Settings {
     pub cell_size_m: f64,
     /// Which evidence a beam leaves.
     pub sensor_model: SensorModelKind,
-    /// Weight of evidence of a hit, nat (`evidence` model).
-    pub hit_nat: f64,
     /// Weight of evidence of a miss, nat (`evidence` model).
     pub miss_nat: f64,
     /// Shorter ranges are not inserted, metres.
     pub range_min_m: f64,
-    /// Longer ranges are not inserted, metres.
-    pub range_max_m: f64,
     /// Whether returns with nothing near beside them (dust, rain, false returns; never those within 2 m) are not inserted.
     pub skip_isolated: bool,
     /// What stands where the map knows free space enters it once so many scans, at least 0.3 s apart, have seen it there: who
@@ -31,12 +32,10 @@ pub struct Settings {
     pub occupied_cap_nat: f64,
     /// Evidence for "free" counts at most this much in the score, nat.
     pub free_cap_nat: f64,
-    /// A submap is closed after this much travel, metres.
-    pub submap_length_m: f64,
-    /// A submap is closed after this many insertions, which keeps its sums far from saturation.
+    /// A submap is closed after 5 m of travel or this many insertions, which keeps its sums far from saturation.
     pub submap_insertions: u32,
     /// Travel that the closed submaps beside the active one cover in the grid that is matched, metres (rounded up to
-    /// whole submaps of `submap_length_m`); 0 = all of them.
+    /// whole submaps of 5 m); 0 = all of them.
     pub window_m: f64,
     /// Processes of this stage: each inserts every scan and publishes its share of the tiles.
     pub replicas: usize,
@@ -46,7 +45,7 @@ pub struct Settings {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SensorModelKind {
-    /// `hit_nat` at the end, `miss_nat` on the way.
+    /// 1.5 nat for "occupied" at the end, `miss_nat` for "free" on the way.
     Evidence,
     /// vinySLAM's masses and blur.
     Vinyslam,
@@ -67,16 +66,13 @@ impl Default for Settings {
         Self {
             cell_size_m: 0.045,
             sensor_model: SensorModelKind::Evidence,
-            hit_nat: 1.5,
             miss_nat: 0.3,
             range_min_m: 0.4,
-            range_max_m: 30.0,
             skip_isolated: true,
             newcomer_views: 3,
             read_out: ReadOut::Occupied,
             occupied_cap_nat: 20.0,
             free_cap_nat: 5.0,
-            submap_length_m: 5.0,
             submap_insertions: 200,
             window_m: 30.0,
             replicas: 1,
@@ -118,17 +114,15 @@ impl Settings {
 
     /// Closed submaps in the grid that is matched; `None` = all.
     pub(crate) fn window_submaps(&self) -> Option<usize> {
-        (self.window_m > 0.0)
-            .then(|| (self.window_m / self.submap_length_m.max(f64::MIN_POSITIVE)).ceil() as usize)
+        (self.window_m > 0.0).then(|| (self.window_m / SUBMAP_LENGTH_M).ceil() as usize)
     }
 
     /// The inverse sensor model that the settings name.
     pub fn model(&self) -> SensorModel {
         match self.sensor_model {
-            SensorModelKind::Evidence => SensorModel::new(
-                Cell::from_weights(self.hit_nat, 0.0),
-                Cell::from_weights(0.0, self.miss_nat),
-            ),
+            SensorModelKind::Evidence => {
+                SensorModel::new(Cell::from_weights(HIT_NAT, 0.0), Cell::from_weights(0.0, self.miss_nat))
+            }
             SensorModelKind::Vinyslam => SensorModel::vinyslam(0.9),
         }
     }

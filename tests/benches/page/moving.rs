@@ -188,8 +188,7 @@ struct Cost {
 
 /// A drive with so many beams all around, matched at the true poses, every scan judged.
 fn cost(beams: u32, scans: usize) -> Cost {
-    let settings =
-        Settings { beams, field_of_view_deg: 360.0, range_max_m: 12.0, walkers: 6, ..Settings::default() };
+    let settings = Settings { beams, range_max_m: 12.0, walkers: 6, ..Settings::default() };
     let mut simulation =
         Simulation::new(&settings, World::floor_plan()).expect("the office can be driven through");
     let mapping = flockslam_mapper::Settings::default();

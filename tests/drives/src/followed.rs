@@ -89,7 +89,7 @@ pub struct SeenFromAStand {
 
 /// Follows the people of a bag that was recorded from a stand.
 pub fn followed_from_a_stand(bag: &Path) -> SeenFromAStand {
-    let mut reader = BagReader::open(bag, flockslam_lidar_ingest::Settings::default()).unwrap();
+    let mut reader = BagReader::open(bag).unwrap();
     let (mut robot, mut scan) = (Robot::new(), ScanBuffer::default());
     let mut ways: BTreeMap<u64, Vec<Point>> = BTreeMap::new();
     let mut number = 0;

@@ -44,8 +44,9 @@ fn share(reasons: &[u32], wanted: u32) -> f64 {
 
 #[test]
 fn the_first_scans_are_kept_then_unchanged_ones_are_dropped_up_to_the_bound() {
-    let settings = Settings { window: 3, rest_drops_max: 3, ..Settings::default() };
-    let found = reasons(&mut CorrelationFilter::new(settings), (0..9).map(|_| room(3.0, 2.0, 0.3)));
+    let limits = Limits { rest_drops_max: 3, ..Limits::default() };
+    let mut filter = CorrelationFilter::with_limits(Mode::Correlation, limits);
+    let found = reasons(&mut filter, (0..9).map(|_| room(3.0, 2.0, 0.3)));
     let (first, row, same) =
         (KeepReason::FirstScans as u32, KeepReason::InARow as u32, DropReason::Unchanged as u32);
     assert_eq!(found, [first, first, first, same, same, same, row, same, same]);
@@ -71,8 +72,8 @@ fn at_rest_nearly_all_scans_are_dropped_also_with_noise() {
 
 #[test]
 fn slow_drift_is_seen_since_dropped_scans_do_not_enter_the_window() {
-    let settings = Settings { consecutive_drops_max: u32::MAX, ..Settings::default() };
-    let mut filter = CorrelationFilter::new(settings);
+    let limits = Limits { consecutive_drops_max: u32::MAX, ..Limits::default() };
+    let mut filter = CorrelationFilter::with_limits(Mode::Correlation, limits);
     let found = reasons(&mut filter, (0..600).map(|i| room(1.0 + f64::from(i) * 0.01, 2.0, 0.3)));
     let kept = found[3..].iter().filter(|reason| **reason == KeepReason::Novel as u32).count();
     assert!((2..200).contains(&kept), "{kept}");
@@ -165,7 +166,7 @@ fn each_lidar_has_its_own_past() {
         scan.header.id.lidar = lidar;
         scan
     };
-    let mut filter = CorrelationFilter::new(Settings { window: 3, ..Settings::default() });
+    let mut filter = filter(Mode::Correlation);
     let (first, same) = (KeepReason::FirstScans as u32, DropReason::Unchanged as u32);
     assert_eq!(reasons(&mut filter, (0..3).map(|_| of_lidar(0))), [first; 3]);
     assert_eq!(reasons(&mut filter, (0..4).map(|_| of_lidar(7))), [first, first, first, same]);
@@ -174,9 +175,9 @@ fn each_lidar_has_its_own_past() {
 
 #[test]
 fn settings_have_their_names_and_no_others() {
-    let text = r#"{"mode": "seed-exact", "window": 2}"#;
+    let text = r#"{"mode": "seed-exact", "replicas": 2}"#;
     let read: Settings = serde_json::from_str(text).unwrap();
-    assert_eq!(read, Settings { mode: Mode::SeedExact, window: 2, ..Settings::default() });
+    assert_eq!(read, Settings { mode: Mode::SeedExact, replicas: 2 });
     assert!(serde_json::from_str::<Settings>(r#"{"treshold": 1}"#).is_err());
 }
 
@@ -200,7 +201,7 @@ proptest! {
         scans in prop::collection::vec((any_ranges(), any::<bool>(), -1e3_f64..1e3), 1..20),
         window in 0_usize..6, mode in any_mode(),
     ) {
-        let mut filter = CorrelationFilter::new(Settings { window, mode, ..Settings::default() });
+        let mut filter = CorrelationFilter::with_limits(mode, Limits { window, ..Limits::default() });
         for (ranges, has_wheels, x_m) in scans {
             let mut scan = ScanBuffer::from_ranges(&ranges, -1.0, 0.1);
             (scan.header.odometry.x_m, scan.header.has_odometry) = (x_m, u32::from(has_wheels));

@@ -22,11 +22,6 @@ pub struct FlockSettings {
     /// Who is near and so talked to: `always` – Whoever is connected; `contacts` – Whom an outside program reports on the
     /// set's socket.
     pub proximity: ProximitySource,
-    /// Radius of a circle that holds the body of any robot of the flock, metres: where another robot says that it is, so much is
-    /// taken for its body and kept out of the map.
-    pub body_radius_m: f64,
-    /// Bytes that each other robot is sent in a minute at most; a minute's worth may go at once.
-    pub bytes_per_minute: u64,
     /// File with the robot's secret key and the number of its last epoch, made when it is not there; empty = `flock.key` beside
     /// the saved map, or, without one, a key that goes with the set.
     pub key_file: PathBuf,
@@ -70,8 +65,6 @@ impl Default for FlockSettings {
             connect: Vec::new(),
             multicast: false,
             proximity: ProximitySource::Always,
-            body_radius_m: 0.35,
-            bytes_per_minute: 6_000_000,
             key_file: PathBuf::new(),
             trusted: Vec::new(),
             banned: Vec::new(),
@@ -124,7 +117,6 @@ impl FlockSettings {
                 "flock",
                 "letters, digits, '-', '_' and '.', at most 32",
             ),
-            ((0.0..=5.0).contains(&self.body_radius_m), "body_radius_m", "0 … 5"),
             (Self::keys(&self.trusted).is_some(), "trusted", "a public key has 64 hexadecimal digits"),
             (Self::keys(&self.banned).is_some(), "banned", "a public key has 64 hexadecimal digits"),
             (given == 0 || given == 3, "tls_ca", "give tls_ca, tls_certificate and tls_key, or none of them"),
@@ -152,7 +144,6 @@ mod tests {
         assert_eq!(wrong(|_| ()), None);
         assert_eq!(wrong(|s| s.enabled = true), Some("name"));
         assert_eq!(wrong(|s| s.flock = "a/b".to_owned()), Some("flock"));
-        assert_eq!(wrong(|s| s.body_radius_m = f64::NAN), Some("body_radius_m"));
         assert_eq!(wrong(|s| s.banned = vec!["0f".to_owned()]), Some("banned"));
         assert_eq!(wrong(|s| s.trusted = vec!["0F".repeat(32)]), None);
         assert_eq!(wrong(|s| s.tls_ca = "ca.pem".into()), Some("tls_ca"));

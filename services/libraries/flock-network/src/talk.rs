@@ -36,6 +36,9 @@ const HURRY: Duration = Duration::from_millis(500);
 const ANSWER_PERIOD: Duration = Duration::from_millis(500);
 /// Records in answer to one message, bytes: what a slow radio link carries in a second.
 const ANSWER_BYTES: usize = 1 << 20;
+/// Bytes that each other robot is sent in a minute at most; a minute's worth may go at once. 100 kB/s leave room on a radio link
+/// that several robots share.
+const BYTES_PER_MINUTE: u64 = 6_000_000;
 /// Searches between two looks at the mail.
 const SEARCHES: u64 = 10;
 /// Looking for shared places takes at most half of a processor's time as long as the robot drives …
@@ -202,7 +205,7 @@ impl Talk {
         self.near.retain(|peer, _| near.contains(peer));
         for peer in near {
             if !self.near.contains_key(peer) {
-                let budget = Budget::new(self.settings.bytes_per_minute, now);
+                let budget = Budget::new(BYTES_PER_MINUTE, now);
                 self.near.insert(peer.clone(), Neighbour { told: None, answered: None, budget });
             }
         }

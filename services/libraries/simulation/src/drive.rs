@@ -1,6 +1,5 @@
 //! The exact motion of the simulated robot along its tour: pure pursuit with bounded accelerations (Coulter 1992).
 
-use super::Settings;
 use super::room::Room;
 use super::tour::Tour;
 use flockslam_geometry::{Point, Pose, Twist, wrap_angle};
@@ -9,6 +8,10 @@ use std::collections::VecDeque;
 use std::f64::consts::PI;
 use std::sync::Arc;
 
+/// Fastest driving, m/s: an easy walking pace.
+pub(super) const SPEED_M_S: f64 = 0.8;
+/// Fastest turning, rad/s: faster, a lidar of 10 Hz shears its scans by more than 6°.
+pub(super) const TURN_RAD_S: f64 = 1.0;
 /// The robot steers towards the point of its way this far ahead, metres.
 const LOOK_AHEAD_M: f64 = 0.5;
 /// Changes of speed and of turn rate, m/s² and rad/s².
@@ -25,7 +28,6 @@ const LEGS_TO_LEAVE: usize = 1000;
 /// The robot's exact motion, one turn of the lidar after another: a constant twist within each tick.
 #[derive(Clone, Debug)]
 pub(super) struct Drive {
-    settings: Settings,
     tick_s: f64,
     tour: Tour,
     /// What is planned and not yet driven; its first point is steered towards.
@@ -46,7 +48,7 @@ pub(super) struct Turn {
 
 impl Drive {
     /// Stands at the beginning of a tour.
-    pub(super) fn new(mut tour: Tour, settings: &Settings, tick_s: f64) -> Self {
+    pub(super) fn new(mut tour: Tour, tick_s: f64) -> Self {
         let mut way = VecDeque::new();
         let mut ahead = None;
         for _ in 0..LEGS_TO_LEAVE {
@@ -60,7 +62,6 @@ impl Drive {
         let (start, ahead) = (way[0], ahead.unwrap_or(way[0]));
         let heading_rad = (ahead.y_m - start.y_m).atan2(ahead.x_m - start.x_m);
         Self {
-            settings: settings.clone(),
             tick_s,
             tour,
             way,
@@ -75,7 +76,7 @@ impl Drive {
         self.turn.tick_s = self.tick_s;
         self.turn.ticks.clear();
         for _ in 0..ticks {
-            let wanted = pursue(self.pose, self.target(), &self.settings);
+            let wanted = pursue(self.pose, self.target());
             self.twist = approach(self.twist, wanted, self.tick_s);
             self.turn.ticks.push((self.pose, self.twist));
             self.pose = self.pose * self.twist.motion_after(self.tick_s);
@@ -155,16 +156,16 @@ impl Turn {
 }
 
 /// The velocity that leads along the arc to the target, slower the more it must turn.
-fn pursue(pose: Pose, target: Point, settings: &Settings) -> Twist {
+fn pursue(pose: Pose, target: Point) -> Twist {
     let (dx, dy) = (target.x_m - pose.x_m, target.y_m - pose.y_m);
     let bearing_rad = wrap_angle(dy.atan2(dx) - pose.heading_rad);
     if bearing_rad.abs() > TURN_ON_SPOT_RAD {
-        let turn_rad_s = (TURN_GAIN * bearing_rad).clamp(-settings.turn_rad_s, settings.turn_rad_s);
+        let turn_rad_s = (TURN_GAIN * bearing_rad).clamp(-TURN_RAD_S, TURN_RAD_S);
         return Twist { turn_rad_s, ..Twist::default() };
     }
     let curvature = 2.0 * bearing_rad.sin() / dx.hypot(dy).max(0.1);
     let slow_down = 1.0 - 0.7 * bearing_rad.abs() / TURN_ON_SPOT_RAD;
-    let speed = (settings.speed_m_s * slow_down).min(settings.turn_rad_s / curvature.abs().max(1e-9));
+    let speed = (SPEED_M_S * slow_down).min(TURN_RAD_S / curvature.abs().max(1e-9));
     Twist { x_m_s: speed, y_m_s: 0.0, turn_rad_s: curvature * speed }
 }
 

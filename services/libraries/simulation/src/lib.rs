@@ -11,6 +11,7 @@ mod built_in;
 mod drawing;
 mod drive;
 mod dynamics;
+mod errors;
 mod floor_plan;
 mod ground_truth;
 mod image;
@@ -25,6 +26,7 @@ mod wheels;
 mod world;
 
 pub use dynamics::MoverTruth;
+pub use errors::Errors;
 pub use ground_truth::{CellTruth, GroundTruth};
 pub use image::{ImageWorld, SimulationError};
 pub use label::BeamLabel;
@@ -82,7 +84,7 @@ impl Simulation {
         let tour = world.tour(Random::new(settings.seed, "tour"))?;
         let mut kidnaps_s = settings.kidnap_at_s.clone();
         kidnaps_s.sort_by(|a, b| b.total_cmp(a));
-        let mut drive = Drive::new(tour, settings, period_s / TICKS_PER_SCAN as f64);
+        let mut drive = Drive::new(tour, period_s / TICKS_PER_SCAN as f64);
         for _ in 0..(settings.lead_s * settings.scan_rate_hz).round() as usize {
             drive.advance(TICKS_PER_SCAN);
         }

@@ -11,7 +11,12 @@ use std::f64::consts::TAU;
 /// Neighbouring beams whose ranges differ by more than this have an edge between them, metres.
 const EDGE_M: f64 = 0.2;
 
-/// A rotating lidar with the errors of real ones.
+/// The lidar looks out so far ahead of the robot's centre, metres: on small robots it is not quite in the middle.
+const MOUNT_M: f64 = 0.1;
+/// Nothing nearer than this is measured (-Inf), metres: small lidars are blind there.
+const RANGE_MIN_M: f32 = 0.1;
+
+/// A rotating lidar with the errors of real ones. It sees the whole circle, begins behind the robot and turns counter-clockwise.
 #[derive(Clone, Debug)]
 pub(super) struct Lidar {
     settings: Settings,
@@ -30,16 +35,12 @@ pub(super) struct Lidar {
 impl Lidar {
     /// A lidar that turns once in `period_s` seconds.
     pub(super) fn new(settings: &Settings, period_s: f64) -> Self {
-        let field_rad = settings.field_of_view_deg.clamp(0.0, 360.0).to_radians();
-        let beams = f64::from(settings.beams);
-        // A full circle has no beam twice; a narrower field has one at both of its ends.
-        let steps = if settings.field_of_view_deg >= 360.0 { beams } else { (beams - 1.0).max(1.0) };
-        let angle_increment_rad = field_rad / steps;
-        let [x_m, y_m, heading_rad] = settings.laser_mount;
+        let circle_rad = 360.0_f64.to_radians();
+        let angle_increment_rad = circle_rad / f64::from(settings.beams);
         Self {
             settings: settings.clone(),
-            mount: Pose::new(x_m, y_m, heading_rad),
-            angle_min_rad: -field_rad / 2.0,
+            mount: Pose::new(MOUNT_M, 0.0, 0.0),
+            angle_min_rad: -circle_rad / 2.0,
             angle_increment_rad,
             time_increment_s: (period_s * angle_increment_rad / TAU) as f32,
             random: Random::new(settings.seed, "lidar"),
@@ -54,7 +55,7 @@ impl Lidar {
             base_from_laser: self.mount,
             angle_min_rad: self.angle_min_rad,
             angle_increment_rad: self.angle_increment_rad,
-            range_min_m: self.settings.range_min_m,
+            range_min_m: RANGE_MIN_M,
             range_max_m: self.settings.range_max_m,
             time_increment_s: self.time_increment_s,
             beam_count: self.settings.beams,
@@ -104,7 +105,7 @@ impl Lidar {
         let next = (beam + 1) % self.ranges_m.len();
         let next_m = self.ranges_m[next];
         let at_edge = next_m.is_finite() && (true_m - next_m).abs() > EDGE_M;
-        if at_edge && true_m.is_finite() && self.random.happens(self.settings.mixed_pixel_share) {
+        if at_edge && true_m.is_finite() && self.random.happens(self.settings.errors.mixed_pixel_share) {
             true_m += self.random.share() * (next_m - true_m);
             // The last beam's neighbour is the first, whose range may have been lost.
             self.labels[beam] = self.labels[beam].max(self.labels[next]);
@@ -118,13 +119,14 @@ impl Lidar {
 
     /// What the lidar makes of a true range.
     fn returned(&mut self, true_m: f64) -> f32 {
-        if self.random.happens(self.settings.dropout_share) {
+        if self.random.happens(self.settings.errors.dropout_share) {
             return f32::INFINITY;
         }
-        let noise_m = self.settings.range_sigma_m * self.random.normal() + self.settings.range_bias_m;
+        let errors = &self.settings.errors;
+        let noise_m = errors.range_sigma_m * self.random.normal() + errors.range_bias_m;
         match (true_m + noise_m) as f32 {
             range if range > self.settings.range_max_m => f32::INFINITY,
-            range if range < self.settings.range_min_m => f32::NEG_INFINITY,
+            range if range < RANGE_MIN_M => f32::NEG_INFINITY,
             range => range,
         }
     }

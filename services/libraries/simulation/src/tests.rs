@@ -1,5 +1,6 @@
 //! Tests of simulated drives: their ways, scans, wheels, errors and worlds.
 
+use super::drive::{SPEED_M_S, TURN_RAD_S};
 use super::*;
 use flockslam_geometry::{Point, Twist};
 use flockslam_messages::ScanView;
@@ -10,16 +11,8 @@ fn short() -> Settings {
 
 /// A lidar and wheels without errors.
 fn ideal(settings: Settings) -> Settings {
-    Settings {
-        range_sigma_m: 0.0,
-        range_bias_m: 0.0,
-        mixed_pixel_share: 0.0,
-        dropout_share: 0.0,
-        odometry_scale_error: 0.0,
-        odometry_walk: [0.0; 2],
-        wheel_slips: 0,
-        ..settings
-    }
+    let errors = Errors { odometry_scale_error: 0.0, odometry_walk: [0.0; 2], ..Errors::without_lidar() };
+    Settings { errors, wheel_slips: 0, ..settings }
 }
 
 fn run(settings: &Settings) -> Vec<(ScanBuffer, Pose)> {
@@ -39,9 +32,7 @@ fn the_demo_drives_through_the_whole_building() {
     assert!(nearest_m > 0.25 && driven_m > 120.0, "{driven_m:.0} m driven, nearest wall {nearest_m:.2} m");
     for pair in scans.windows(2) {
         let twist = Twist::from_motion(pair[0].1.to(pair[1].1), 0.1);
-        assert!(
-            twist.x_m_s < settings.speed_m_s + 1e-6 && twist.turn_rad_s.abs() < settings.turn_rad_s + 1e-6
-        );
+        assert!(twist.x_m_s < SPEED_M_S + 1e-6 && twist.turn_rad_s.abs() < TURN_RAD_S + 1e-6);
         assert!(twist.y_m_s.abs() < 0.05);
     }
     for (i, point) in plan.way_points().iter().enumerate() {
@@ -177,7 +168,7 @@ impl Settings {
 #[test]
 fn noise_has_the_size_that_was_asked_for() {
     let exact = run(&ideal(short()));
-    let noisy = run(&Settings { mixed_pixel_share: 0.0, ..short() });
+    let noisy = run(&Settings { errors: Errors { mixed_pixel_share: 0.0, ..Errors::default() }, ..short() });
     let (mut errors, mut lost, mut seen) = (Vec::new(), 0.0, 0.0);
     for ((exact, _), (noisy, _)) in exact.iter().zip(&noisy) {
         for (exact, noisy) in exact.numbers.iter().zip(&noisy.numbers).filter(|(exact, _)| **exact < 11.9) {
@@ -190,7 +181,10 @@ fn noise_has_the_size_that_was_asked_for() {
     let sigma = (errors.iter().map(|e| (e - mean) * (e - mean)).sum::<f64>() / errors.len() as f64).sqrt();
     assert!((mean - 0.005).abs() < 0.001 && (sigma - 0.01).abs() < 0.001, "{mean} {sigma}");
     assert!((lost / seen - 0.01f64).abs() < 0.003, "{lost} of {seen}");
-    let mixed = run(&Settings { range_sigma_m: 0.0, mixed_pixel_share: 0.2, ..ideal(short()) });
+    let mixed = run(&Settings {
+        errors: Errors { mixed_pixel_share: 0.2, ..ideal(short()).errors },
+        ..ideal(short())
+    });
     let far_off = |(a, b): (&f32, &f32)| a.is_finite() && b.is_finite() && (a - b).abs() > 0.1;
     let pixels: usize = exact
         .iter()

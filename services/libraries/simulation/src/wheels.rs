@@ -40,9 +40,16 @@ struct Slip {
 impl Wheels {
     pub(super) fn new(settings: &Settings) -> Self {
         let mut random = Random::new(settings.seed, "wheels");
-        let scale = [0; 2].map(|_| 1.0 + settings.odometry_scale_error * random.normal());
+        let scale = [0; 2].map(|_| 1.0 + settings.errors.odometry_scale_error * random.normal());
         let slips = draw_slips(settings, &mut random);
-        Self { random, scale, slips, walk: settings.odometry_walk, ticks: 0, odom_from_base: Pose::IDENTITY }
+        Self {
+            random,
+            scale,
+            slips,
+            walk: settings.errors.odometry_walk,
+            ticks: 0,
+            odom_from_base: Pose::IDENTITY,
+        }
     }
 
     /// `odom_from_base` now.

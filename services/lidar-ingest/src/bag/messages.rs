@@ -1,6 +1,6 @@
 //! Decodes serialized `sensor_msgs/LaserScan` and `nav_msgs/Odometry` messages: bytes in, a scan or a pose out.
 
-use crate::Settings;
+use crate::settings::{BEAMS_MAX, RANGE_MIN_M};
 use flockslam_geometry::Pose;
 use flockslam_messages::{ScanBuffer, ScanSections};
 
@@ -10,8 +10,8 @@ pub enum MessageProblem {
     /// It ends too early, or says that it holds more than it does.
     #[error("the message breaks off")]
     BreaksOff,
-    /// More beams than `lidar_ingest.max_beams`.
-    #[error("the scan claims to have more than lidar_ingest.max_beams beams")]
+    /// More beams than are taken.
+    #[error("the scan claims to have more than 10 million beams")]
     TooManyBeams,
     /// An angle or a pose is not finite.
     #[error("an angle, a limit or a pose is not finite")]
@@ -77,15 +77,15 @@ impl<'a> Numbers<'a> {
 /// and intensities. The rest of its header is as new.
 ///
 /// # Errors
-/// When the bytes are not such a message, or it has more than `max_beams` beams.
-pub fn laser_scan(bytes: &[u8], settings: &Settings, scan: &mut ScanBuffer) -> Result<(), MessageProblem> {
+/// When the bytes are not such a message, or it has more beams than are taken.
+pub fn laser_scan(bytes: &[u8], scan: &mut ScanBuffer) -> Result<(), MessageProblem> {
     let mut numbers = Numbers(bytes);
     let stamp_ns = numbers.header()?;
     let [angle_min, _angle_max, increment, time_increment, _scan_time, range_min, range_max] =
         [0; 7].map(|_: u8| numbers.f32()).map(|number| number.unwrap_or(f32::NAN));
     let ranges = numbers.floats()?;
     let beams = ranges.len() / 4;
-    if beams as u64 > u64::from(settings.max_beams) {
+    if beams as u64 > u64::from(BEAMS_MAX) {
         return Err(MessageProblem::TooManyBeams);
     }
     let intensities = numbers.floats()?;
@@ -97,7 +97,7 @@ pub fn laser_scan(bytes: &[u8], settings: &Settings, scan: &mut ScanBuffer) -> R
     let header = &mut scan.header;
     header.times.sensor_ns = stamp_ns;
     (header.angle_min_rad, header.angle_increment_rad) = (f64::from(angle_min), f64::from(increment));
-    header.range_min_m = range_min.max(settings.range_min_m);
+    header.range_min_m = range_min.max(RANGE_MIN_M);
     header.range_max_m = range_max;
     header.time_increment_s = if time_increment.is_finite() { time_increment } else { 0.0 };
     header.beam_count = beams as u32;
@@ -150,15 +150,17 @@ mod tests {
     #[test]
     fn a_laser_scan_becomes_a_scan() {
         let mut scan = ScanBuffer::from_ranges(&[9.0; 9], 0.0, 1.0);
-        laser_scan(&message(), &Settings::default(), &mut scan).unwrap();
+        laser_scan(&message(), &mut scan).unwrap();
         let view = scan.view().unwrap();
         assert_eq!((view.len(), scan.header.times.sensor_ns), (4, 12_000_000_500));
         assert_eq!([0, 1, 2, 3].map(|beam| view.valid_range_m(beam)), [Some(1.0), None, None, Some(2.5)]);
         assert_eq!((view.angle_rad(3), scan.header.range_max_m), (0.0, 30.0));
-        let few = Settings { max_beams: 3, ..Settings::default() };
-        assert_eq!(laser_scan(&message(), &few, &mut scan), Err(MessageProblem::TooManyBeams));
+        let shape = floats(&[-1.5, 1.5, 0.5, 1e-3, 0.1, 0.02, 30.0]);
+        let ranges = [&(BEAMS_MAX + 1).to_le_bytes()[..], &vec![0; 4 * (BEAMS_MAX as usize + 1)]].concat();
+        let huge = [header(), shape, ranges].concat();
+        assert_eq!(laser_scan(&huge, &mut scan), Err(MessageProblem::TooManyBeams));
         for cut in 0..message().len() {
-            assert!(laser_scan(&message()[..cut], &Settings::default(), &mut scan).is_err(), "{cut}");
+            assert!(laser_scan(&message()[..cut], &mut scan).is_err(), "{cut}");
         }
     }
 
@@ -182,7 +184,7 @@ mod tests {
             let place = at % bytes.len();
             bytes[place] = value;
             let mut scan = ScanBuffer::default();
-            if laser_scan(&bytes, &Settings::default(), &mut scan).is_ok() {
+            if laser_scan(&bytes, &mut scan).is_ok() {
                 prop_assert!(scan.view().is_ok());
             }
             let _ = odometry(&bytes);

@@ -2,6 +2,7 @@
 
 use super::Rejection;
 use crate::Settings;
+use crate::settings::{BEAMS_MAX, RANGE_MIN_M};
 use crate::stamp::parse_stamp_ns;
 use flockslam_geometry::Pose;
 use flockslam_messages::{ScanBuffer, ScanHeader, ScanSections, Times};
@@ -60,7 +61,7 @@ fn flaser(
     settings: &Settings,
     scan: &mut ScanBuffer,
 ) -> Result<Line, Rejection> {
-    let beams = fields.beam_count(bytes, settings)?;
+    let beams = fields.beam_count(bytes)?;
     scan.numbers.clear();
     fields.numbers(beams, &mut scan.numbers)?;
     let (odom_from_laser, odom_from_base) = (fields.pose()?, fields.pose()?);
@@ -68,7 +69,7 @@ fn flaser(
     scan.header = ScanHeader {
         angle_min_rad: -FRAC_PI_2,
         angle_increment_rad: half_turn_increment_rad(beams),
-        range_min_m: settings.range_min_m,
+        range_min_m: RANGE_MIN_M,
         range_max_m: settings.range_max_m,
         ..common_header(beams, odom_from_laser, odom_from_base, stamp_ns)
     };
@@ -89,7 +90,7 @@ fn robotlaser(
     let resolution_rad = fields.sensible()?;
     let maximum_range_m: f32 = fields.parse()?;
     fields.skip(2)?;
-    let beams = fields.beam_count(bytes, settings)?;
+    let beams = fields.beam_count(bytes)?;
     scan.numbers.clear();
     fields.numbers(beams, &mut scan.numbers)?;
     let has_intensities = fields.remissions(beams, &mut scan.numbers)?;
@@ -100,7 +101,7 @@ fn robotlaser(
     scan.header = ScanHeader {
         angle_min_rad: start_angle_rad,
         angle_increment_rad: if resolution_rad == 0.0 { even_rad } else { resolution_rad },
-        range_min_m: settings.range_min_m,
+        range_min_m: RANGE_MIN_M,
         range_max_m: last_return_m(maximum_range_m, settings),
         sections: if has_intensities { ScanSections::INTENSITIES } else { 0 },
         ..common_header(beams, odom_from_laser, odom_from_base, stamp_ns)
@@ -161,12 +162,12 @@ impl<'a> Fields<'a> {
         Ok(Pose::new(self.sensible()?, self.sensible()?, self.sensible()?))
     }
 
-    /// The number of beams, bounded by the settings and by what the line can hold: two bytes a beam.
-    fn beam_count(&mut self, bytes: usize, settings: &Settings) -> Result<usize, Rejection> {
+    /// The number of beams, bounded, also by what the line can hold: two bytes a beam.
+    fn beam_count(&mut self, bytes: usize) -> Result<usize, Rejection> {
         let count: u32 = self.text()?.parse().map_err(|_| Rejection::BeamCount)?;
         match count as usize {
             0 => Err(Rejection::BeamCount),
-            _ if count > settings.max_beams => Err(Rejection::BeamCount),
+            _ if count > BEAMS_MAX => Err(Rejection::BeamCount),
             beams if beams > bytes / 2 => Err(Rejection::TooFewFields),
             beams => Ok(beams),
         }

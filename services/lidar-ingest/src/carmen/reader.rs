@@ -10,6 +10,9 @@ use std::io::{BufRead, Read};
 /// This many bad lines are tolerated however short the log is.
 const TOLERATED_BAD_LINES: u64 = 10;
 
+/// Lines longer than this are skipped as bad without being stored, bytes: far more than a line of any lidar has.
+const LINE_BYTES_MAX: u64 = 64 << 20;
+
 /// Why a log could not be read to its end.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
@@ -96,6 +99,7 @@ pub struct CarmenReader<R> {
     tally: Tally,
     last_stamp_ns: Option<i64>,
     continuity: Continuity,
+    line_bytes_max: u64,
 }
 
 /// How a line in the reader's memory ended.
@@ -117,6 +121,7 @@ impl<R: BufRead> CarmenReader<R> {
             tally: Tally::default(),
             last_stamp_ns: None,
             continuity: Continuity::default(),
+            line_bytes_max: LINE_BYTES_MAX,
         }
     }
 
@@ -155,7 +160,7 @@ impl<R: BufRead> CarmenReader<R> {
     /// Reads a line into `self.line`, without its end; a line beyond the limit is passed over.
     fn read_line(&mut self) -> Result<Option<LineEnd>, ReadError> {
         self.line.clear();
-        let limit = self.settings.max_line_bytes.saturating_add(1);
+        let limit = self.line_bytes_max + 1;
         let read = self.input.by_ref().take(limit).read_until(b'\n', &mut self.line);
         let read = read.map_err(|error| self.io_error(error))? as u64;
         if self.line.last() == Some(&b'\n') {
@@ -312,22 +317,22 @@ mod tests {
         assert_eq!(read(SCAN.trim_end().as_bytes(), &Settings::default()).unwrap().0.len(), 1);
     }
 
+    /// A reader that takes lines of up to 100 bytes.
+    fn short_lines(bytes: &[u8]) -> CarmenReader<&[u8]> {
+        CarmenReader { line_bytes_max: 100, ..CarmenReader::new(bytes, "x.log", Settings::default()) }
+    }
+
     #[test]
     fn a_huge_line_is_passed_over_without_being_stored() {
-        let settings = Settings { max_line_bytes: 100, ..Settings::default() };
         let log = format!("{SCAN}FLASER 99 {}\n{SCAN}", "1.0 ".repeat(1000));
-        let mut reader = CarmenReader::new(log.as_bytes(), "x.log", settings.clone());
+        let mut reader = short_lines(log.as_bytes());
         let mut scan = ScanBuffer::default();
         while reader.next_scan(&mut scan).unwrap() {}
         assert_eq!((reader.tally().scans, reader.tally().rejected[&Rejection::TooLong]), (2, 1));
         assert!(reader.line.capacity() < 1000);
         let only = "1".repeat(1000);
-        assert!(
-            read(only.as_bytes(), &settings)
-                .unwrap_err()
-                .to_string()
-                .starts_with("x.log:1: the line is longer")
-        );
+        let refused = short_lines(only.as_bytes()).next_scan(&mut scan).unwrap_err().to_string();
+        assert!(refused.starts_with("x.log:1: the line is longer"), "{refused}");
     }
 
     #[test]

@@ -6,8 +6,8 @@ pub enum Rejection {
     /// The line has bytes that are no text.
     #[error("not text: is this a binary file?")]
     NotText,
-    /// The line is longer than the settings allow.
-    #[error("the line is longer than lidar_ingest.max_line_bytes")]
+    /// The line is longer than is stored.
+    #[error("the line is longer than 64 MiB")]
     TooLong,
     /// The line ends before its message does.
     #[error("the line has too few fields")]
@@ -15,8 +15,8 @@ pub enum Rejection {
     /// The number of ranges is not the announced one.
     #[error("the line has more fields than its number of beams allows")]
     TooManyFields,
-    /// The announced number of beams is none, not a number, or more than the settings allow.
-    #[error("the number of beams is not between 1 and lidar_ingest.max_beams")]
+    /// The announced number of beams is none, not a number, or too large.
+    #[error("the number of beams is not between 1 and 10 million")]
     BeamCount,
     /// A field that should be a number is none.
     #[error("a field is not a number")]

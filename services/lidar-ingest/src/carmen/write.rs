@@ -43,6 +43,7 @@ pub fn write_scan(out: &mut impl Write, scan: ScanView<'_>) -> io::Result<()> {
 mod tests {
     use crate::Settings;
     use crate::carmen::{CarmenReader, write_scan};
+    use crate::settings::RANGE_MIN_M;
     use flockslam_geometry::Pose;
     use flockslam_messages::{ScanBuffer, ScanSections};
     use proptest::prelude::*;
@@ -67,7 +68,7 @@ mod tests {
             stamp_us in -1_000_000_000_000i64..2_000_000_000_000_000,
         ) -> ScanBuffer {
             let mut scan = ScanBuffer::from_ranges(&ranges, angle_min_rad, angle_increment_rad);
-            scan.header.range_min_m = Settings::default().range_min_m;
+            scan.header.range_min_m = RANGE_MIN_M;
             (scan.header.range_max_m, scan.header.odometry, scan.header.has_odometry) = (range_max_m, odometry, 1);
             (scan.header.base_from_laser, scan.header.times.sensor_ns) = (mount, stamp_us * 1000);
             if let Some(intensities) = intensities {

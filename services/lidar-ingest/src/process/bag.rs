@@ -1,6 +1,5 @@
 //! Reads scans with their odometry from a ROS 1 bag, in the order of the file.
 
-use crate::Settings;
 use crate::bag::{BagProblem, MAGIC, MessageProblem, check_bag, laser_scan, odometry};
 use crate::carmen::Tally;
 use flockslam_geometry::Pose;
@@ -72,7 +71,6 @@ pub enum BagError {
 pub struct BagReader {
     bag: RosBag,
     name: String,
-    settings: Settings,
     /// Places of the chunks that come next.
     chunks: VecDeque<u64>,
     /// By number of the connection: its topic and type.
@@ -101,7 +99,7 @@ impl BagReader {
     ///
     /// # Errors
     /// When it is damaged or cut off.
-    pub fn open(path: &Path, settings: Settings) -> Result<Self, BagError> {
+    pub fn open(path: &Path) -> Result<Self, BagError> {
         let name = path.display().to_string();
         let unreadable = |error| BagError::Unreadable { name: name.clone(), error };
         let mut file = BufReader::new(File::open(path).map_err(unreadable)?);
@@ -109,7 +107,6 @@ impl BagReader {
         Ok(Self {
             bag: RosBag::new(path).map_err(unreadable)?,
             name,
-            settings,
             chunks: chunks.into(),
             connections: BTreeMap::new(),
             wheels: None,
@@ -179,7 +176,7 @@ impl BagReader {
                     match kind {
                         Kind::Scans => {
                             let mut scan = ScanBuffer::default();
-                            laser_scan(message.data, &self.settings, &mut scan).map_err(wrong)?;
+                            laser_scan(message.data, &mut scan).map_err(wrong)?;
                             self.ready.push_back(with_wheels(scan, self.wheels));
                         }
                         Kind::Odometry => {

@@ -4,7 +4,6 @@ use super::bag::{BagError, BagReader, is_bag};
 use super::pipe::{Pipe, Piped};
 use super::truth::TruthWriter;
 use super::{Source, Task, first_stages, world_file};
-use crate::Settings;
 use crate::carmen::{CarmenReader, Tally};
 use crate::experiment::Experiment;
 use flockslam_messages::ScanBuffer;
@@ -46,7 +45,7 @@ impl Feed {
     pub fn open(context: &StageContext, task: &Task) -> Result<Self, StageError> {
         let (kind, expected) = match &task.source {
             Source::Log(path) if is_bag(path) => {
-                let reader = BagReader::open(path, task.settings.clone()).map_err(of_bag)?;
+                let reader = BagReader::open(path).map_err(of_bag)?;
                 (Kind::Bag(Box::new(reader)), count_scans(path)?)
             }
             Source::Log(path) => {
@@ -163,7 +162,7 @@ fn of_bag(error: BagError) -> StageError {
 /// When the file cannot be read.
 pub fn count_scans(path: &Path) -> Result<u64, StageError> {
     if is_bag(path) {
-        let mut reader = BagReader::open(path, Settings::default()).map_err(of_bag)?;
+        let mut reader = BagReader::open(path).map_err(of_bag)?;
         let mut scan = ScanBuffer::default();
         while reader.next_scan(&mut scan).map_err(of_bag)? {}
         return Ok(reader.tally().scans);

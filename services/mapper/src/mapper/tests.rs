@@ -1,6 +1,7 @@
 //! Tests of the mapper: evidence, submaps, windows, chains, shares and newcomers.
 
 use super::*;
+use crate::settings::HIT_NAT;
 use flockslam_evidence::Cell;
 use flockslam_map_fusion::FusedMap;
 use flockslam_messages::{PoseFlags, ScanBuffer};
@@ -47,7 +48,7 @@ fn a_beam_leaves_free_space_a_hit_and_nothing_behind() {
     let mut tile = Tile::unknown(0);
     assert!(mapper.write_tile(TileKey { x: 0, y: 0 }, &mut tile));
     let hit = tile.cells[40].unpack();
-    assert_eq!(hit, Cell::from_weights(Settings::default().hit_nat, 0.0));
+    assert_eq!(hit, Cell::from_weights(HIT_NAT, 0.0));
     assert_eq!(tile.cells[39].unpack(), Cell::from_weights(0.0, Settings::default().miss_nat));
     assert_eq!(tile.cells.iter().filter(|cell| !cell.is_unknown()).count(), 41);
     let score = (hit.masses().occupied * 65_535.0).round() as u16;
@@ -86,7 +87,7 @@ fn every_scan_enters_exactly_one_submap_and_their_sum_is_the_window() {
 
 #[test]
 fn a_bounded_window_is_the_sum_of_its_submaps_and_retires_what_it_leaves() {
-    let settings = Settings { window_m: 5.0, submap_length_m: 2.5, ..Settings::default() };
+    let settings = Settings { window_m: 10.0, ..Settings::default() };
     let mut mapper = Mapper::new(settings.clone());
     let submaps = drive(&mut mapper, 0..80);
     let kept = mapper.closed.len();
@@ -153,7 +154,7 @@ fn a_new_chain_begins_with_an_empty_window_and_leaves_the_old_submaps_as_they_ar
 
 #[test]
 fn shares_of_several_mappers_are_together_what_one_has() {
-    let settings = Settings { window_m: 5.0, submap_length_m: 2.5, ..Settings::default() };
+    let settings = Settings { window_m: 10.0, ..Settings::default() };
     let mut alone = Mapper::new(settings.clone());
     let whole = drive(&mut alone, 0..60);
     for parts in 2..4 {

@@ -9,6 +9,9 @@ use flockslam_records::Presence;
 use flockslam_telemetry::monotonic_ns;
 use std::time::{Duration, Instant};
 
+/// Radius of a circle that holds the body of any robot of the flock, metres: where another robot says that it is, so much is taken for
+/// its body and kept out of the map. The robots are small, and the error of the common frame comes on top.
+const BODY_RADIUS_M: f64 = 0.35;
 /// Neighbours are told this often where the robot is.
 const PERIOD: Duration = Duration::from_secs(1);
 
@@ -25,8 +28,8 @@ impl Talk {
 
     pub(super) fn show_companions(&self) {
         let Some(frame) = *locked(&self.shared.frame) else { return };
-        let radius_m = self.settings.body_radius_m;
-        *locked(&self.shared.robots) = self.companions.in_map(&self.common, frame.flock_from_map, radius_m);
+        *locked(&self.shared.robots) =
+            self.companions.in_map(&self.common, frame.flock_from_map, BODY_RADIUS_M);
     }
 
     /// Tells those who are near where this robot is, when it is somewhere else than before and knows where.

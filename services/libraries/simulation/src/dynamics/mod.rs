@@ -39,9 +39,8 @@ impl Dynamics {
     /// The settings' people, doors and pallets in a world whose robot stands at `robot`. A turn of the lidar takes `turn_s`.
     pub(super) fn new(settings: &Settings, world: &World, room: Arc<Room>, robot: Pose, turn_s: f64) -> Self {
         let start = room.nearest(robot.position());
-        let walker = |i| {
-            Walker::new(settings, &room, robot.position(), Random::new(settings.seed, &format!("walker {i}")))
-        };
+        let walker =
+            |i| Walker::new(&room, robot.position(), Random::new(settings.seed, &format!("walker {i}")));
         let pallet = |i| Pallet::new(Random::new(settings.seed, &format!("pallet {i}")));
         Self {
             walkers: (0..settings.walkers).map(walker).collect(),

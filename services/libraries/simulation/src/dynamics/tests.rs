@@ -1,6 +1,6 @@
 //! Tests of simulated people, doors and pallets, and of the labels of beams that end on them.
 
-use crate::{BeamLabel, MoverTruth, Settings, Simulation, World};
+use crate::{BeamLabel, Errors, MoverTruth, Settings, Simulation, World};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::ScanBuffer;
 
@@ -8,10 +8,7 @@ use flockslam_messages::ScanBuffer;
 fn lively() -> Settings {
     Settings {
         duration_s: 120.0,
-        range_sigma_m: 0.0,
-        range_bias_m: 0.0,
-        mixed_pixel_share: 0.0,
-        dropout_share: 0.0,
+        errors: Errors::without_lidar(),
         walkers: 8,
         follower: true,
         doors: 4,

@@ -1,13 +1,16 @@
 //! Simulated people who walk from place to place and make way for the robot.
 
 use super::body::{Body, RADIUS_M, squeezed};
+use crate::World;
 use crate::room::Room;
-use crate::settings::WALKER_SPEED_MAX_M_S;
-use crate::{Settings, World};
 use flockslam_geometry::Point;
 use flockslam_random::Random;
 use std::collections::VecDeque;
 
+/// People walk at speeds between these, m/s: from strolling to hurrying.
+const SPEEDS_M_S: (f64, f64) = (0.4, 1.5);
+/// Nobody makes way faster than this, m/s.
+const SPEED_MAX_M_S: f64 = 1.8;
 /// Nobody walks to a place farther than this from where the robot is when they set out, metres: else nobody would be seen.
 const HAUNT_M: f64 = 12.0;
 /// Somebody steers towards the point of their way this far ahead, metres.
@@ -35,18 +38,17 @@ pub(super) struct Walker {
 
 impl Walker {
     /// Stands at a random place.
-    pub(super) fn new(settings: &Settings, room: &Room, robot: Point, mut random: Random) -> Self {
+    pub(super) fn new(room: &Room, robot: Point, mut random: Random) -> Self {
         let suits = |place: Point| (2.0 * MAKE_WAY_M..HAUNT_M).contains(&place.distance_m(robot));
         let position = room.place_where(&mut random, suits);
-        let [slowest, fastest] = settings.walker_speed_m_s;
-        let speed_m_s = random.between(slowest, fastest);
+        let speed_m_s = random.between(SPEEDS_M_S.0, SPEEDS_M_S.1);
         Self { position, speed_m_s, way: VecDeque::new(), destination: position, stays_s: 0.0, random }
     }
 
     /// Walks on for a turn of the lidar.
     pub(super) fn walk(&mut self, world: &World, room: &Room, robot: Point, turn_s: f64) -> Body {
         let wanted = self.wanted(room, robot, turn_s);
-        let velocity = shortened(make_way(wanted, self.position, robot), WALKER_SPEED_MAX_M_S);
+        let velocity = shortened(make_way(wanted, self.position, robot), SPEED_MAX_M_S);
         let start = self.position;
         let around = DETOURS_DEG.map(|turn_deg| turned(velocity, turn_deg));
         let step_m = turn_s * velocity.norm_m();
