@@ -12,7 +12,7 @@ const SIGNED: [&str; 5] = [
 ];
 
 /// Keys that need more than "not negative": least and greatest value.
-const BOUNDED: [(&str, f64, f64); 19] = [
+const BOUNDED: [(&str, f64, f64); 16] = [
     ("set.window", 2.0, 4096.0),
     ("set.live_tiles", 64.0, 65_536.0),
     ("lidar_ingest.replicas", 1.0, 8.0),
@@ -23,9 +23,6 @@ const BOUNDED: [(&str, f64, f64); 19] = [
     ("correlation_filter.window", 1.0, 64.0),
     ("correlation_filter.threads", 1.0, 64.0),
     ("correlation_filter.replicas", 1.0, 8.0),
-    ("scan_matcher.beams_max", 10.0, 1e7),
-    ("scan_matcher.gauss_newton.step_max_m", 1e-3, 10.0),
-    ("scan_matcher.gauss_newton.turn_max_rad", 1e-4, 3.0),
     ("mapper.cell_size_m", 0.01, 1.0),
     ("mapper.hit_nat", 1e-3, 16.0),
     ("mapper.miss_nat", 0.0, 16.0),
