@@ -22,6 +22,20 @@ const WEAK_DIRECTION: f64 = 1.0;
 const CONTRADICTED: (f64, f64) = (0.5, 0.1);
 /// A scan of which this share ends where nothing is known shows a new place.
 const NEW_PLACE: f64 = 0.7;
+/// Of scans with more beams than this only every n-th is matched: so that the cost of a fit is bounded.
+const BEAMS_MAX: usize = 1000;
+/// The first scans of a run are never dropped: with fewer the map is too thin for the running mean of the scores to say anything.
+const START_SCANS: u64 = 10;
+/// A drop is overruled when the standard deviation of the predicted position exceeds this, metres: a sixth of the reach of
+/// the wide search, so that the place is well within it.
+const SIGMA_MAX_M: f64 = 0.1;
+/// Weight of the newest score in the running mean: it follows the place within some fifty scans, and no single bad one spoils it.
+const MEAN_RATE: f64 = 0.02;
+/// A fit below this share of the running mean is not believed: low, so that a place that has changed is.
+const LOST_BELOW: f64 = 0.25;
+/// A fit farther than this from the prediction must not score badly, or it is not believed, metres and radians: wheels seldom slip
+/// so far within one scan.
+const JUMP: (f64, f64) = (0.3, 0.3);
 /// Wheels that miss a fit by more than this are slipping: metres and radians.
 const SLIPPED: (f64, f64) = (0.15, 0.08);
 
@@ -255,17 +269,16 @@ impl ScanMatcher {
 
     /// Of the scan's beams every so many-th is matched.
     fn stride(&self, scan: ScanView<'_>) -> usize {
-        scan.len().div_ceil(self.settings.beams_max.max(1)).max(1)
+        scan.len().div_ceil(BEAMS_MAX).max(1)
     }
 
     /// Whether a scan that the filter would drop is needed nevertheless.
     fn overrules(&self, prediction: &Prediction) -> bool {
-        let gate = &self.settings.gate;
-        let variance = gate.sigma_max_m * gate.sigma_max_m;
-        self.matched < gate.start_scans
+        let variance = SIGMA_MAX_M * SIGMA_MAX_M;
+        self.matched < START_SCANS
             || prediction.steady.is_some()
             || self.slips
-            || self.last_score < gate.score_share * self.mean_score
+            || self.last_score < self.settings.rescue.below * self.mean_score
             || prediction.covariance.xx.max(prediction.covariance.yy) > variance
     }
 
@@ -277,19 +290,18 @@ impl ScanMatcher {
         }
         self.lost = 0;
         self.matched += 1;
-        let rate = self.settings.rescue.mean_rate.max(1.0 / self.matched as f64);
+        let rate = MEAN_RATE.max(1.0 / self.matched as f64);
         self.mean_score += rate * (score - self.mean_score);
     }
 
     fn judge(&self, fit: &Fit, prediction: Pose) -> Quality {
         let rescue = &self.settings.rescue;
         let share = fit.score / self.mean_score.max(f64::MIN_POSITIVE);
-        let jumps = fit.pose.distance_m(prediction) > rescue.jump_m
-            || fit.pose.turn_rad(prediction) > rescue.jump_rad;
-        let believed = share >= if jumps { rescue.below } else { rescue.lost_below };
+        let jumps = fit.pose.distance_m(prediction) > JUMP.0 || fit.pose.turn_rad(prediction) > JUMP.1;
+        let believed = share >= if jumps { rescue.below } else { LOST_BELOW };
         if !believed && rescue.lost_scans_max > 0 {
             Quality::Lost
-        } else if share < self.settings.gate.score_share || fit.weakest_direction() < WEAK_DIRECTION {
+        } else if share < rescue.below || fit.weakest_direction() < WEAK_DIRECTION {
             Quality::Degraded
         } else {
             Quality::Tracking

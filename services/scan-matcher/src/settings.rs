@@ -1,6 +1,6 @@
 //! Settings of the stage, section `[scan_matcher]` of the configuration.
 
-use flockslam_registration::{CorrelativeSettings, GaussNewton, HillClimbing, MonteCarlo, NdtSettings};
+use flockslam_registration::NdtSettings;
 use serde::{Deserialize, Serialize};
 
 /// Settings of the matcher.
@@ -9,24 +9,11 @@ use serde::{Deserialize, Serialize};
 pub struct Settings {
     /// How a scan is fitted to the grid.
     pub strategy: Strategy,
-    /// Settings of `gauss-newton`.
-    pub gauss_newton: GaussNewton,
-    /// Settings of `monte-carlo`.
-    pub monte_carlo: MonteCarlo,
-    /// Settings of `hill-climbing`.
-    pub hill_climbing: HillClimbing,
-    /// Settings of `correlative`.
-    pub correlative: CorrelativeSettings,
     /// Settings of `ndt`; it needs the mapper's read-out `occupied`.
     pub ndt: NdtSettings,
-    /// Search before each fit of a scan that carries no odometry (`gauss-newton` and `ndt`).
-    pub no_odometry: CorrelativeSettings,
-    /// A direction that the surfaces of the scan face less than this (mean squared cosine, 0 … ½) is one that the scan tells nothing
-    /// about: along bare corridors and walls the wheels are followed. Noise alone makes about 0.005.
-    pub degenerate_below: f64,
     /// What happens after a bad fit.
     pub rescue: Rescue,
-    /// When a scan enters the map and when the filter is overruled.
+    /// When a scan enters the map.
     pub gate: Gate,
     /// Whether the velocity during a scan whose beams leave one after the other is fitted together with its pose (`gauss-newton`,
     /// `correlative`, `ndt`); otherwise it is that of the wheels before the scan.
@@ -41,8 +28,6 @@ pub struct Settings {
     /// fitted, unless they are more than this share of it, many lie on what is too wide to move, or the robot is lost; 0 = none ever is.
     /// What is as narrow as somebody and stands free is left out of the fit as well, as long as enough else is seen.
     pub moving_share_max: f64,
-    /// Of scans with more beams than this only every n-th is matched.
-    pub beams_max: usize,
     /// Processes of this stage: one matches, the others know what it knows and stand by to go on in its place.
     pub replicas: usize,
     /// Score (0 … 1) where the grid has no tile: what the mapper's read-out gives for an unknown cell.
@@ -71,30 +56,15 @@ pub enum Strategy {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Rescue {
-    /// Search when the score falls below this share of its running mean; 0 = never, and wheels are believed whatever they say.
+    /// A score below this share of the running mean is a bad one: a wide search begins, the pose is degraded, and the next drop is
+    /// overruled; 0 = none is, and wheels are believed whatever they say.
     pub below: f64,
-    /// Reach of the search, metres to each side; it grows up to three times while the robot is lost.
-    pub reach_m: f64,
-    /// Reach of the search, radians to each side.
-    pub reach_rad: f64,
-    /// Poses refined.
-    pub candidates: usize,
-    /// A found pose is kept when its score is at least this much better, 0 … 1.
-    pub gain: f64,
-    /// Weight of the newest score in the running mean.
-    pub mean_rate: f64,
-    /// A fit below this share of the running mean is not believed: the robot is lost and follows its wheels.
-    pub lost_below: f64,
-    /// A fit further than this from the prediction, metres, must score at least `below`, or it is not believed.
-    pub jump_m: f64,
-    /// The same for its heading, radians.
-    pub jump_rad: f64,
     /// After this many scans in a row that are not believed the robot is taken to be somewhere else: the map is left as it is and
     /// a new chain of submaps begins, which a closure may attach; 0 = every fit is believed.
     pub lost_scans_max: u32,
 }
 
-/// When a scan enters the map and when the filter is overruled.
+/// When a scan enters the map.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Gate {
@@ -102,29 +72,13 @@ pub struct Gate {
     pub travel_m: f64,
     /// … or after this much turning, radians.
     pub turn_rad: f64,
-    /// The first scans of a run are never dropped: this many.
-    pub start_scans: u64,
-    /// A drop is overruled when the last score is below this share of the running mean.
-    pub score_share: f64,
-    /// A drop is overruled when the standard deviation of the predicted position exceeds this, metres.
-    pub sigma_max_m: f64,
 }
 
 impl Default for Settings {
     fn default() -> Self {
         Self {
             strategy: Strategy::GaussNewton,
-            gauss_newton: GaussNewton::default(),
-            monte_carlo: MonteCarlo::default(),
-            hill_climbing: HillClimbing::default(),
-            correlative: CorrelativeSettings::default(),
             ndt: NdtSettings::default(),
-            no_odometry: CorrelativeSettings {
-                reach_m: 0.3,
-                reach_rad: 0.35,
-                ..CorrelativeSettings::default()
-            },
-            degenerate_below: 0.005,
             rescue: Rescue::default(),
             gate: Gate::default(),
             fits_velocity: true,
@@ -132,7 +86,6 @@ impl Default for Settings {
             range_max_m: 30.0,
             skip_isolated: true,
             moving_share_max: 0.6,
-            beams_max: 1000,
             replicas: 1,
             unknown_score: 0.0,
             seed: 1,
@@ -142,24 +95,13 @@ impl Default for Settings {
 
 impl Default for Rescue {
     fn default() -> Self {
-        Self {
-            below: 0.8,
-            reach_m: 0.6,
-            reach_rad: 0.35,
-            candidates: 3,
-            gain: 0.05,
-            mean_rate: 0.02,
-            lost_below: 0.25,
-            jump_m: 0.3,
-            jump_rad: 0.3,
-            lost_scans_max: 10,
-        }
+        Self { below: 0.8, lost_scans_max: 10 }
     }
 }
 
 impl Default for Gate {
     fn default() -> Self {
-        Self { travel_m: 0.2, turn_rad: 0.35, start_scans: 10, score_share: 0.8, sigma_max_m: 0.1 }
+        Self { travel_m: 0.2, turn_rad: 0.35 }
     }
 }
 
@@ -169,8 +111,8 @@ impl Settings {
         Self {
             strategy: Strategy::Ndt,
             // The map is updated with every scan, however well it fits.
-            gate: Gate { travel_m: 0.0, turn_rad: 0.0, score_share: 0.0, ..Gate::default() },
-            rescue: Rescue { below: 0.0, lost_scans_max: 0, ..Rescue::default() },
+            gate: Gate { travel_m: 0.0, turn_rad: 0.0 },
+            rescue: Rescue { below: 0.0, lost_scans_max: 0 },
             fits_velocity: false,
             skip_isolated: false,
             moving_share_max: 0.0,
@@ -180,7 +122,6 @@ impl Settings {
                 prior_travel: 40.0,
                 // The published lidar: one degree.
                 bearing_sigma_rad: 0.0175,
-                ..NdtSettings::default()
             },
             ..Self::default()
         }
@@ -190,7 +131,7 @@ impl Settings {
     pub fn vinyslam() -> Self {
         Self {
             strategy: Strategy::HillClimbing,
-            gate: Gate { travel_m: 0.0, turn_rad: 0.0, ..Gate::default() },
+            gate: Gate { travel_m: 0.0, turn_rad: 0.0 },
             rescue: Rescue { lost_scans_max: 0, ..Rescue::default() },
             fits_velocity: false,
             range_min_m: 0.0,

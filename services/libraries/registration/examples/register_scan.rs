@@ -6,7 +6,7 @@
 use flockslam_evidence::{Cell, CellIndex, Tile, TileGrid, TileKey};
 use flockslam_geometry::{Point, Pose};
 use flockslam_ray_insertion::{ObservedCells, SensorModel};
-use flockslam_registration::{Correlative, CorrelativeSettings, GaussNewton, GridField};
+use flockslam_registration::{Correlative, GridField, Window};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
@@ -77,9 +77,9 @@ fn main() {
     // The second scan is taken 20 cm and 5 degrees away; the prediction is that the robot has not moved.
     let truth = first * Pose::new(0.2, 0.0, 5f64.to_radians());
     let grid = grid_of_scan(first);
-    let (settings, solver) = (CorrelativeSettings::default(), GaussNewton::default());
+    let window = Window { center: first, reach_m: 0.25, reach_rad: 0.2 };
     let field = GridField::new(&grid, 0.0);
-    let fit = Correlative::default().fit(&settings, &solver, &field, &scan(truth), first);
+    let fit = Correlative::default().fit(&field, &scan(truth), window);
 
     let print = |name: &str, pose: Pose| {
         let heading_deg = pose.heading_rad.to_degrees();

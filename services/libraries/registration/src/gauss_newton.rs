@@ -6,9 +6,17 @@ use crate::field::{ScoreField, ScoreRead};
 use flockslam_evidence::Level;
 use flockslam_geometry::{Covariance, Point, Pose, wrap_angle};
 use nalgebra::{Matrix3, SMatrix, Vector2, Vector3};
-use serde::{Deserialize, Serialize};
 
-/// Gauss–Newton on the score of a field: its settings, and the fit itself.
+/// Longest step of one iteration, metres: a nearly singular system must not throw a scan far away.
+const STEP_MAX_M: f64 = 0.5;
+/// Greatest turn of one iteration, radians: a point at 10 m moves by 2 m then, farther than scores reach.
+const TURN_MAX_RAD: f64 = 0.2;
+/// Pull towards the prediction's position, per m² and point: small, so that it decides only where the scan does not.
+pub(crate) const PRIOR_XY: f64 = 0.5;
+/// Pull towards the prediction's heading, per rad² and point: weak for the same reason.
+pub(crate) const PRIOR_HEADING: f64 = 0.1;
+
+/// Gauss–Newton on the score of a field.
 ///
 /// ```
 /// # use flockslam_evidence::{TILE_CELLS, Tile, TileGrid, TileKey};
@@ -39,24 +47,16 @@ use serde::{Deserialize, Serialize};
 /// assert!(fit.pose.distance_m(truth) < 0.02 && fit.pose.turn_rad(truth) < 0.01);
 /// assert!(fit.score > 0.9);
 /// ```
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct GaussNewton {
     /// Iterations on cells four times, twice and once as wide as the grid's.
     pub iterations: [u32; 3],
-    /// Longest step of one iteration, metres.
-    pub step_max_m: f64,
-    /// Greatest turn of one iteration, radians.
-    pub turn_max_rad: f64,
-    /// Pull towards the prediction's position, per m² and point.
-    pub prior_xy: f64,
-    /// Pull towards the prediction's heading, per rad² and point.
-    pub prior_heading: f64,
 }
 
 impl Default for GaussNewton {
     fn default() -> Self {
-        Self { iterations: [4, 4, 6], step_max_m: 0.5, turn_max_rad: 0.2, prior_xy: 0.5, prior_heading: 0.1 }
+        // A bound on the work: the coarse levels only bring a pose near, and a level that has converged ends before.
+        Self { iterations: [4, 4, 6] }
     }
 }
 
@@ -100,7 +100,7 @@ impl GaussNewton {
             let mut read = field.reader(level);
             for _ in 0..iterations {
                 let system = NormalEquations::of(&mut read, points, pose);
-                let Some(step) = self.step(&system, points.len(), prediction, pose) else { break };
+                let Some(step) = newton_step(&system, points.len(), prediction, pose) else { break };
                 pose = Pose::new(pose.x_m + step.x, pose.y_m + step.y, pose.heading_rad + step.z);
                 if step.xy().amax() < STEP_MIN_CELLS * read.cell_size_m() && step.z.abs() < TURN_MIN_RAD {
                     break;
@@ -109,32 +109,28 @@ impl GaussNewton {
         }
         Fit::at(field, points, pose)
     }
+}
 
-    fn step(
-        &self,
-        system: &NormalEquations,
-        points: usize,
-        prediction: Pose,
-        pose: Pose,
-    ) -> Option<Vector3<f64>> {
-        let share = 1.0 / points as f64;
-        let prior = Vector3::new(self.prior_xy, self.prior_xy, self.prior_heading);
-        let pull = Vector3::new(
-            prediction.x_m - pose.x_m,
-            prediction.y_m - pose.y_m,
-            wrap_angle(prediction.heading_rad - pose.heading_rad),
-        );
-        let hessian = system.hessian * share + Matrix3::from_diagonal(&prior);
-        let gradient = system.gradient * share + prior.component_mul(&pull);
-        let step = hessian.cholesky()?.solve(&gradient);
-        let length = step.x.hypot(step.y);
-        let scale = if length > self.step_max_m { self.step_max_m / length } else { 1.0 };
-        Some(Vector3::new(
-            step.x * scale,
-            step.y * scale,
-            step.z.clamp(-self.turn_max_rad, self.turn_max_rad),
-        ))
-    }
+/// The next step of a pose, pulled towards the prediction and bounded in length; `None` when the system is singular.
+fn newton_step(
+    system: &NormalEquations,
+    points: usize,
+    prediction: Pose,
+    pose: Pose,
+) -> Option<Vector3<f64>> {
+    let share = 1.0 / points as f64;
+    let prior = Vector3::new(PRIOR_XY, PRIOR_XY, PRIOR_HEADING);
+    let pull = Vector3::new(
+        prediction.x_m - pose.x_m,
+        prediction.y_m - pose.y_m,
+        wrap_angle(prediction.heading_rad - pose.heading_rad),
+    );
+    let hessian = system.hessian * share + Matrix3::from_diagonal(&prior);
+    let gradient = system.gradient * share + prior.component_mul(&pull);
+    let step = hessian.cholesky()?.solve(&gradient);
+    let length = step.x.hypot(step.y);
+    let scale = if length > STEP_MAX_M { STEP_MAX_M / length } else { 1.0 };
+    Some(Vector3::new(step.x * scale, step.y * scale, step.z.clamp(-TURN_MAX_RAD, TURN_MAX_RAD)))
 }
 
 impl Fit {
@@ -204,7 +200,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn solver() -> GaussNewton {
-        GaussNewton { iterations: [8, 8, 12], ..GaussNewton::default() }
+        GaussNewton { iterations: [8, 8, 12] }
     }
 
     proptest! {

@@ -8,7 +8,6 @@ use crate::field::{ScoreField, ScoreRead};
 use crate::gauss_newton::{Fit, GaussNewton};
 use flockslam_evidence::{CellIndex, Level, floor};
 use flockslam_geometry::{Point, Pose};
-use serde::{Deserialize, Serialize};
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
@@ -16,37 +15,14 @@ use std::collections::BinaryHeap;
 const HEADINGS_MAX: i32 = 128;
 /// Nodes opened at most: a search that has not ended by then gives the best lattice pose known so far.
 const NODES_MAX: usize = 50_000;
-
-/// Settings of [`Correlative`]: exhaustive search over a lattice around the prediction, then refinement below a cell.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct CorrelativeSettings {
-    /// Half the width of the window, metres.
-    pub reach_m: f64,
-    /// Half its range of headings, radians.
-    pub reach_rad: f64,
-    /// Points used at most in the search; the refinement uses all.
-    pub points_max: usize,
-    /// Score that a pose loses per m² between it and the prediction.
-    pub prior_xy: f64,
-    /// Score that it loses per rad².
-    pub prior_heading: f64,
-    /// Gauss–Newton steps on the finest level behind the search.
-    pub refinements: u32,
-}
-
-impl Default for CorrelativeSettings {
-    fn default() -> Self {
-        Self {
-            reach_m: 0.25,
-            reach_rad: 0.2,
-            points_max: 100,
-            prior_xy: 5.0,
-            prior_heading: 1.0,
-            refinements: 8,
-        }
-    }
-}
+/// Points used at most in the search, whose cost grows with them; the refinement uses all.
+const POINTS_MAX: usize = 100;
+/// Score that a pose loses per m² between it and the window's centre: of poses that fit about as well the nearest is taken.
+const PRIOR_XY: f64 = 5.0;
+/// Score that it loses per rad², for the same reason.
+const PRIOR_HEADING: f64 = 1.0;
+/// Gauss–Newton steps on the finest level behind the search: they begin within half a cell.
+const REFINEMENTS: u32 = 8;
 
 /// Correlative matching in several resolutions (Olson 2009) by branch and bound over the max-pooled pyramid (Hess et al.
 /// 2016, section V): exact on a lattice of the grid's own cells.
@@ -106,8 +82,6 @@ struct Lattice {
     step_rad: f64,
     /// Headings on either side of the middle.
     headings: i32,
-    prior_xy: f64,
-    prior_heading: f64,
 }
 
 impl Lattice {
@@ -124,7 +98,7 @@ impl Lattice {
     fn pull(&self, heading: i32, x: i32, y: i32, side: i32) -> f64 {
         let near = |from: i32| f64::from(0.clamp(from, from + side - 1)) * self.step_m;
         let turn = f64::from(heading) * self.step_rad;
-        self.prior_xy * (near(x).powi(2) + near(y).powi(2)) + self.prior_heading * turn * turn
+        PRIOR_XY * (near(x).powi(2) + near(y).powi(2)) + PRIOR_HEADING * turn * turn
     }
 }
 
@@ -133,44 +107,35 @@ fn side(level: Level) -> i32 {
 }
 
 impl Correlative {
-    /// Fits `points` (metres, frame of the robot) to a field inside a window around `prediction`, and refines the best
-    /// lattice pose with `solver` on the finest level. Needs at least one point.
-    pub fn fit<F: ScoreField>(
-        &mut self,
-        settings: &CorrelativeSettings,
-        solver: &GaussNewton,
-        field: &F,
-        points: &[Point],
-        prediction: Pose,
-    ) -> Fit {
-        let start = self.search(settings, field, points, prediction).map_or(prediction, |(_, pose)| pose);
-        let solver = GaussNewton { iterations: [0, 0, settings.refinements], ..solver.clone() };
+    /// Fits `points` (metres, frame of the robot) to a field inside a window around the prediction, and refines the best
+    /// lattice pose by Gauss–Newton on the finest level. Needs at least one point.
+    pub fn fit<F: ScoreField>(&mut self, field: &F, points: &[Point], window: Window) -> Fit {
+        let prediction = window.center;
+        let start = self.search(field, points, window).map_or(prediction, |(_, pose)| pose);
+        let solver = GaussNewton { iterations: [0, 0, REFINEMENTS] };
         solver.fit(field, points, prediction, start)
     }
 
     /// The best pose of the lattice and its mean score less the prediction's pull; `None` when no pose of the window
-    /// scores better than `prediction`.
+    /// scores better than its centre, the prediction.
     pub fn search<F: ScoreField>(
         &mut self,
-        settings: &CorrelativeSettings,
         field: &F,
         points: &[Point],
-        prediction: Pose,
+        window: Window,
     ) -> Option<(f64, Pose)> {
         let step_m = field.reader(Level::Full).cell_size_m();
-        sample(points, settings.points_max, f64::from(side(Level::Quarter)) * step_m, &mut self.sample);
+        sample(points, POINTS_MAX, f64::from(side(Level::Quarter)) * step_m, &mut self.sample);
         self.open.clear();
         if self.sample.is_empty() {
             return None;
         }
         let step_rad = self.heading_step(step_m);
         let lattice = Lattice {
-            window: Window { center: prediction, reach_m: settings.reach_m, reach_rad: settings.reach_rad },
+            window,
             step_m,
             step_rad,
-            headings: ((settings.reach_rad / step_rad).ceil() as i32).clamp(0, HEADINGS_MAX),
-            prior_xy: settings.prior_xy,
-            prior_heading: settings.prior_heading,
+            headings: ((window.reach_rad / step_rad).ceil() as i32).clamp(0, HEADINGS_MAX),
         };
         self.ends.clear();
         for heading in -lattice.headings..=lattice.headings {
@@ -264,6 +229,10 @@ mod tests {
     use super::*;
     use crate::{nearest, room};
 
+    fn window(center: Pose) -> Window {
+        Window { center, reach_m: 0.25, reach_rad: 0.2 }
+    }
+
     fn score_at(points: &[Point], field: &impl ScoreField, pose: Pose) -> f64 {
         let mut read = field.reader(Level::Full);
         let per_metre = 1.0 / read.cell_size_m();
@@ -278,7 +247,6 @@ mod tests {
     fn no_pose_of_the_lattice_is_better_than_the_one_found() {
         let grid = room::grid(&room::ROOM);
         let field = room::field(&grid);
-        let settings = CorrelativeSettings::default();
         for (truth, off) in [
             (Pose::new(0.4, -0.3, 0.7), Pose::new(0.2, 0.13, 0.11)),
             (Pose::new(1.0, 0.2, -2.0), Pose::new(-0.18, 0.1, -0.15)),
@@ -287,22 +255,22 @@ mod tests {
             let center =
                 Pose::new(truth.x_m + off.x_m, truth.y_m + off.y_m, truth.heading_rad + off.heading_rad);
             let mut matcher = Correlative::default();
-            let (score, pose) = matcher.search(&settings, &field, &points, center).unwrap();
+            let (score, pose) = matcher.search(&field, &points, window(center)).unwrap();
             let step_rad = matcher.heading_step(0.05);
             let mut best = f64::NEG_INFINITY;
-            let headings = (settings.reach_rad / step_rad).ceil() as i32;
+            let headings = (window(center).reach_rad / step_rad).ceil() as i32;
             for heading in -headings..=headings {
                 for (x, y) in (-8..8).flat_map(|x| (-8..8).map(move |y| (x, y))) {
                     let (dx, dy) = (0.05 * f64::from(x), 0.05 * f64::from(y));
                     let turn = step_rad * f64::from(heading);
                     let at = Pose::new(center.x_m + dx, center.y_m + dy, center.heading_rad + turn);
-                    let pull = settings.prior_xy * (dx * dx + dy * dy) + settings.prior_heading * turn * turn;
+                    let pull = PRIOR_XY * (dx * dx + dy * dy) + PRIOR_HEADING * turn * turn;
                     best = best.max(score_at(&points, &field, at) - pull);
                 }
             }
             assert!((score - best).abs() < 1e-9, "{score} for {best}");
             assert!(pose.distance_m(truth) < 0.08 && pose.turn_rad(truth) < 0.03);
-            let fit = matcher.fit(&settings, &GaussNewton::default(), &field, &points, center);
+            let fit = matcher.fit(&field, &points, window(center));
             assert!(fit.pose.distance_m(truth) < 0.01 && fit.pose.turn_rad(truth) < 0.005, "{:?}", fit.pose);
         }
     }
@@ -313,10 +281,9 @@ mod tests {
         let start = Pose::new(0.3, 0.2, 0.1);
         let points = room::scan(start);
         let mut matcher = Correlative::default();
-        let settings = CorrelativeSettings::default();
-        assert!(matcher.search(&settings, &room::field(&grid), &points, start).is_none());
-        assert!(matcher.search(&settings, &room::field(&grid), &[], start).is_none());
-        let fit = matcher.fit(&settings, &GaussNewton::default(), &room::field(&grid), &points, start);
+        assert!(matcher.search(&room::field(&grid), &points, window(start)).is_none());
+        assert!(matcher.search(&room::field(&grid), &[], window(start)).is_none());
+        let fit = matcher.fit(&room::field(&grid), &points, window(start));
         assert_eq!(fit.pose, start);
     }
 }

@@ -18,16 +18,6 @@ use terms::{Terms, add_derivatives, newton_step};
 pub struct NdtSettings {
     /// Side of an NDT cell, metres (rounded to a whole number of eight grid cells).
     pub cell_size_m: f64,
-    /// Newton steps at most.
-    pub iterations: u32,
-    /// An NDT cell counts with at least this much occupied mass in it, grid cells.
-    pub points_min: f64,
-    /// Floor of the smaller eigenvalue of a covariance, share of the larger one.
-    pub flatness_min: f64,
-    /// Pull towards the prediction's position, per m² and point.
-    pub prior_xy: f64,
-    /// Pull towards the prediction's heading, per rad² and point.
-    pub prior_heading: f64,
     /// Pull towards the distance from the pose before that the prediction has, whatever the direction, per m² and point: wheels
     /// measure how far better than whither.
     pub prior_travel: f64,
@@ -38,16 +28,7 @@ pub struct NdtSettings {
 
 impl Default for NdtSettings {
     fn default() -> Self {
-        Self {
-            cell_size_m: 0.36,
-            iterations: 20,
-            points_min: 3.0,
-            flatness_min: 0.001,
-            prior_xy: 0.1,
-            prior_heading: 0.02,
-            prior_travel: 0.0,
-            bearing_sigma_rad: 0.0,
-        }
+        Self { cell_size_m: 0.36, prior_travel: 0.0, bearing_sigma_rad: 0.0 }
     }
 }
 
@@ -69,6 +50,8 @@ pub struct Ndt {
 
 /// Side of the tables that blocks and cells are kept in; a place that is taken is made anew, so any size is right.
 const TABLE_SIDE: i32 = 128;
+/// Newton steps at most: a bound on the work, a fit that has converged ends before.
+const ITERATIONS: u32 = 20;
 /// Halvings of a step that does not lower the cost.
 const HALVINGS_MAX: u32 = 6;
 /// A point so many standard deviations away, squared, says nothing: less than 1e-9.
@@ -147,7 +130,7 @@ impl Ndt {
         if terms.hits == 0 {
             return None;
         }
-        for _ in 0..settings.iterations {
+        for _ in 0..ITERATIONS {
             let Some(step) = newton_step(&terms, scale) else { break };
             let Some((next, next_terms)) =
                 self.line_search(settings, field, points, expected, (pose, &terms), step)
@@ -247,7 +230,8 @@ impl Ndt {
         let share = 1.0 / (4 * points.len().max(1)) as f64;
         let mut terms =
             Terms { cost: cost * share, gradient: gradient * share, hessian: hessian * share, hits };
-        terms.pull(settings, expected, pose);
+        terms.pull(expected.pose, pose);
+        terms.pull_to_distance(settings.prior_travel, expected, pose);
         terms
     }
 
@@ -404,13 +388,11 @@ mod tests {
 
     #[test]
     fn wheels_say_how_far_and_not_whither() {
-        let settings =
-            NdtSettings { prior_xy: 0.0, prior_heading: 0.0, prior_travel: 2.0, ..NdtSettings::default() };
         let expected = Expected { pose: Pose::new(3.0, 0.0, 0.0), from: Some(Point::new(1.0, 0.0)) };
         let cost = |pose: Pose| {
             let (gradient, hessian) = (Vector3::zeros(), Matrix3::zeros());
             let mut terms = Terms { cost: 0.0, gradient, hessian, hits: 0 };
-            terms.pull(&settings, expected, pose);
+            terms.pull_to_distance(2.0, expected, pose);
             terms.cost
         };
         assert!(cost(Pose::new(1.0, 2.0, 0.0)) < 1e-12, "as far, elsewhere");

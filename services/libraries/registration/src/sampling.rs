@@ -4,46 +4,17 @@ use crate::field::{ScoreField, ScoreRead, nearest};
 use flockslam_evidence::Level;
 use flockslam_geometry::{Point, Pose};
 use flockslam_random::Random;
-use serde::{Deserialize, Serialize};
 
-/// Settings of the random search [Filatov, "Monte Carlo method in scan matching"].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct MonteCarlo {
-    /// Standard deviation of the first samples' position, metres.
-    pub sigma_xy_m: f64,
-    /// Standard deviation of the first samples' heading, radians.
-    pub sigma_heading_rad: f64,
-    /// Failures since the last shrink after which the search stops.
-    pub failures_max: u32,
-    /// Poses tried at most.
-    pub poses_max: u32,
-}
-
-impl Default for MonteCarlo {
-    fn default() -> Self {
-        Self { sigma_xy_m: 0.2, sigma_heading_rad: 0.1, failures_max: 20, poses_max: 100 }
-    }
-}
-
-/// Settings of the deterministic search by steps along each axis, halved after a round without success.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct HillClimbing {
-    /// First step of the position, metres.
-    pub step_xy_m: f64,
-    /// First step of the heading, radians.
-    pub step_heading_rad: f64,
-    /// Rounds without success after which the search stops.
-    pub failed_rounds_max: u32,
-}
-
-impl Default for HillClimbing {
-    fn default() -> Self {
-        Self { step_xy_m: 0.1, step_heading_rad: 0.1, failed_rounds_max: 6 }
-    }
-}
-
+/// Standard deviations of the random search's first samples, as vinySLAM has them: metres and radians.
+const SAMPLE_SIGMA: (f64, f64) = (0.2, 0.1);
+/// Failures since the last shrink after which the random search stops, as in vinySLAM.
+const SAMPLE_FAILURES_MAX: u32 = 20;
+/// Poses that the random search tries at most, as in vinySLAM.
+const SAMPLE_POSES_MAX: u32 = 100;
+/// First steps of hill climbing, as in vinySLAM: metres and radians.
+const CLIMB_STEP: (f64, f64) = (0.1, 0.1);
+/// Rounds without success after which hill climbing stops, as in vinySLAM: its steps are a sixty-fourth by then.
+const CLIMB_FAILED_ROUNDS_MAX: u32 = 6;
 /// Rounds of hill climbing at most, whatever the field looks like.
 const ROUNDS_MAX: u32 = 1000;
 
@@ -80,81 +51,77 @@ fn weighted_score<F: ScoreField>(field: &F, points: &[Point], weights: &[f64], p
     if total > 0.0 { sum / total } else { 0.0 }
 }
 
-impl MonteCarlo {
-    /// Searches around `start`; `seed` fixes the samples. Gives the best pose and its score.
-    pub fn search<F: ScoreField>(
-        &self,
-        field: &F,
-        points: &[Point],
-        weights: &[f64],
-        start: Pose,
-        seed: u64,
-    ) -> (Pose, f64) {
-        let mut random = Random::seeded(seed);
-        let (mut best, mut best_score) = (start, weighted_score(field, points, weights, start));
-        let (mut sigma_xy, mut sigma_heading) = (self.sigma_xy_m, self.sigma_heading_rad);
-        let mut failures = 0;
-        for _ in 0..self.poses_max {
-            let (dx, dy) = random.normal_pair();
-            let (turn, _) = random.normal_pair();
-            let pose = Pose::new(
-                best.x_m + sigma_xy * dx,
-                best.y_m + sigma_xy * dy,
-                best.heading_rad + sigma_heading * turn,
-            );
+/// The random search [Filatov, "Monte Carlo method in scan matching"] around `start`; `seed` fixes the samples. Gives the best pose and
+/// its score.
+pub fn monte_carlo<F: ScoreField>(
+    field: &F,
+    points: &[Point],
+    weights: &[f64],
+    start: Pose,
+    seed: u64,
+) -> (Pose, f64) {
+    let mut random = Random::seeded(seed);
+    let (mut best, mut best_score) = (start, weighted_score(field, points, weights, start));
+    let (mut sigma_xy, mut sigma_heading) = SAMPLE_SIGMA;
+    let mut failures = 0;
+    for _ in 0..SAMPLE_POSES_MAX {
+        let (dx, dy) = random.normal_pair();
+        let (turn, _) = random.normal_pair();
+        let pose = Pose::new(
+            best.x_m + sigma_xy * dx,
+            best.y_m + sigma_xy * dy,
+            best.heading_rad + sigma_heading * turn,
+        );
+        let score = weighted_score(field, points, weights, pose);
+        if score > best_score {
+            (best, best_score) = (pose, score);
+            if failures > SAMPLE_FAILURES_MAX / 3 {
+                (sigma_xy, sigma_heading, failures) = (0.5 * sigma_xy, 0.5 * sigma_heading, 0);
+            }
+        } else {
+            failures += 1;
+            if failures >= SAMPLE_FAILURES_MAX {
+                break;
+            }
+        }
+    }
+    (best, best_score)
+}
+
+/// The deterministic search by steps along each axis, halved after a round without success. Climbs from `start`; gives the best pose and
+/// its score.
+pub fn hill_climbing<F: ScoreField>(
+    field: &F,
+    points: &[Point],
+    weights: &[f64],
+    start: Pose,
+) -> (Pose, f64) {
+    let (mut best, mut best_score) = (start, weighted_score(field, points, weights, start));
+    let ((mut step, mut turn), mut failed) = (CLIMB_STEP, 0);
+    for _ in 0..ROUNDS_MAX {
+        if failed >= CLIMB_FAILED_ROUNDS_MAX {
+            break;
+        }
+        let before = best_score;
+        for (dx, dy, dt) in [
+            (step, 0.0, 0.0),
+            (-step, 0.0, 0.0),
+            (0.0, step, 0.0),
+            (0.0, -step, 0.0),
+            (0.0, 0.0, turn),
+            (0.0, 0.0, -turn),
+        ] {
+            let pose = Pose::new(best.x_m + dx, best.y_m + dy, best.heading_rad + dt);
             let score = weighted_score(field, points, weights, pose);
             if score > best_score {
                 (best, best_score) = (pose, score);
-                if failures > self.failures_max / 3 {
-                    (sigma_xy, sigma_heading, failures) = (0.5 * sigma_xy, 0.5 * sigma_heading, 0);
-                }
-            } else {
-                failures += 1;
-                if failures >= self.failures_max {
-                    break;
-                }
             }
         }
-        (best, best_score)
-    }
-}
-
-impl HillClimbing {
-    /// Climbs from `start`. Gives the best pose and its score.
-    pub fn search<F: ScoreField>(
-        &self,
-        field: &F,
-        points: &[Point],
-        weights: &[f64],
-        start: Pose,
-    ) -> (Pose, f64) {
-        let (mut best, mut best_score) = (start, weighted_score(field, points, weights, start));
-        let (mut step, mut turn, mut failed) = (self.step_xy_m, self.step_heading_rad, 0);
-        for _ in 0..ROUNDS_MAX {
-            if failed >= self.failed_rounds_max {
-                break;
-            }
-            let before = best_score;
-            for (dx, dy, dt) in [
-                (step, 0.0, 0.0),
-                (-step, 0.0, 0.0),
-                (0.0, step, 0.0),
-                (0.0, -step, 0.0),
-                (0.0, 0.0, turn),
-                (0.0, 0.0, -turn),
-            ] {
-                let pose = Pose::new(best.x_m + dx, best.y_m + dy, best.heading_rad + dt);
-                let score = weighted_score(field, points, weights, pose);
-                if score > best_score {
-                    (best, best_score) = (pose, score);
-                }
-            }
-            if best_score <= before {
-                (step, turn, failed) = (0.5 * step, 0.5 * turn, failed + 1);
-            }
+        if best_score <= before {
+            (step, turn, failed) = (0.5 * step, 0.5 * turn, failed + 1);
         }
-        (best, best_score)
     }
+    (best, best_score)
 }
 
 #[cfg(test)]
@@ -170,8 +137,8 @@ mod tests {
         let weights: Vec<f64> = points.iter().map(|point| beam_weight(*point)).collect();
         let start = Pose::new(0.5, -0.35, 0.75);
         let before = weighted_score(&room::field(&grid), &points, &weights, start);
-        let climb = || HillClimbing::default().search(&room::field(&grid), &points, &weights, start);
-        let sample = |seed| MonteCarlo::default().search(&room::field(&grid), &points, &weights, start, seed);
+        let climb = || hill_climbing(&room::field(&grid), &points, &weights, start);
+        let sample = |seed| monte_carlo(&room::field(&grid), &points, &weights, start, seed);
         assert!(climb().1 > 2.0 * before && climb().0.distance_m(truth) < 0.05);
         let mut improved = 0;
         for seed in 0..16 {

@@ -2,7 +2,7 @@
 //! CT-ICP, Dellenbach et al. 2022, with a constant velocity within the scan).
 
 use crate::field::{ScoreField, ScoreRead, bilinear};
-use crate::gauss_newton::{GaussNewton, of_pose, shared_variance};
+use crate::gauss_newton::{PRIOR_HEADING, PRIOR_XY, of_pose, shared_variance};
 use flockslam_evidence::Level;
 use flockslam_geometry::{Covariance, Point, Pose, Twist, wrap_angle};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
@@ -57,18 +57,18 @@ struct System {
 }
 
 impl Sweep<'_> {
-    /// One step of Gauss–Newton on pose and velocity from `now`, pulled towards `predicted` as `solver` and `sigma` weigh it.
+    /// One step of Gauss–Newton on pose and velocity from `now`, pulled towards `predicted`: the velocity as `sigma` weighs it, the
+    /// pose as in a fit of the pose alone.
     /// The scan is to be straightened anew with the velocity that comes back.
     pub fn step<F: ScoreField>(
         &self,
         field: &F,
-        solver: &GaussNewton,
         now: Moving,
         predicted: Moving,
         sigma: TwistSigma,
     ) -> Moving {
         let mut system = System::of(field, *self, now.pose);
-        let (pull_xy, pull_heading) = (system.points * solver.prior_xy, system.points * solver.prior_heading);
+        let (pull_xy, pull_heading) = (system.points * PRIOR_XY, system.points * PRIOR_HEADING);
         let variance = shared_variance(system.noise);
         let pull_twist = variance * sigma.precision(now.pose);
         let [vx, vy] = in_field(now.pose, predicted.twist, now.twist);
@@ -207,7 +207,7 @@ mod tests {
             for _ in 0..12 {
                 let (points, times_s) = sweep(truth, now.twist);
                 let sweep = Sweep { points: &points, times_s: &times_s };
-                now = sweep.step(&field, &GaussNewton::default(), now, predicted, SIGMA);
+                now = sweep.step(&field, now, predicted, SIGMA);
             }
             // Scores of whole cells place a wall to about a centimetre.
             assert!(now.pose.distance_m(truth.pose) < 0.02, "{now:?}");

@@ -2,16 +2,29 @@
 
 use super::{Match, ScanMatcher, TELLING_POINTS};
 use crate::motion::Prediction;
-use crate::settings::{Settings, Strategy};
+use crate::settings::Strategy;
 use flockslam_evidence::Level;
 use flockslam_geometry::{Covariance, Pose};
 use flockslam_messages::{Quality, ScanView};
 use flockslam_registration::{
-    Expected, Fit, Moving, ScoreField, ScoreRead, Sweep, TwistSigma, Window, beam_weight, least_held,
-    roughened, widened,
+    Expected, Fit, GaussNewton, Moving, ScoreField, ScoreRead, Sweep, TwistSigma, Window, beam_weight,
+    hill_climbing, least_held, monte_carlo, roughened, widened,
 };
 use nalgebra::Vector2;
 
+/// Window of `correlative` around a prediction: what wheels miss between two scans, metres and radians.
+const NEAR_REACH: (f64, f64) = (0.25, 0.2);
+/// Window around the prediction of a scan without odometry: a robot that speeds up or turns in between two scans, metres and radians.
+const BLIND_REACH: (f64, f64) = (0.3, 0.35);
+/// Window of the wide search after a bad fit, metres and radians; it grows up to three times while the robot is lost.
+const RESCUE_REACH: (f64, f64) = (0.6, 0.35);
+/// Poses of a wide search that are refined: in alike corners the best on the lattice is not always the best.
+const RESCUE_CANDIDATES: usize = 3;
+/// A pose of a wide search is kept when its score is better by this, 0 … 1: by less, noise would make a robot jump.
+const RESCUE_GAIN: f64 = 0.05;
+/// A direction that the surfaces of the scan face less than this (mean squared cosine, 0 … ½) is one that the scan tells nothing about:
+/// along bare corridors and walls the wheels are followed. Noise alone makes about as much.
+const DEGENERATE_BELOW: f64 = 0.005;
 /// A wide search that found nothing is repeated only after this much motion, metres and radians.
 const SEARCH_AGAIN: (f64, f64) = (0.1, 0.1);
 /// Wheels are not believed when the velocity so far leads to a fit that scores better by this, 0 … 1.
@@ -98,7 +111,7 @@ impl ScanMatcher {
         let mut now = Moving { pose: fit.pose, twist: prediction.twist };
         for _ in 0..SWEEP_STEPS {
             let sweep = Sweep { points: &self.points, times_s: &self.times_s };
-            let next = sweep.step(field, &self.settings.gauss_newton, now, predicted, TWIST_SIGMA);
+            let next = sweep.step(field, now, predicted, TWIST_SIGMA);
             self.take_points(scan, next.twist);
             let settled = next.is_near(now);
             now = next;
@@ -121,7 +134,7 @@ impl ScanMatcher {
             axis.x * axis.x * xx + 2.0 * axis.x * axis.y * xy + axis.y * axis.y * yy
         };
         let across = along(Vector2::new(-axis.y, axis.x));
-        let seen = (held - self.settings.degenerate_below).max(HELD_MIN);
+        let seen = (held - DEGENERATE_BELOW).max(HELD_MIN);
         let missing = across * (1.0 - held) / seen - along(axis);
         if missing > 0.0 { widened(covariance, axis, missing.sqrt()) } else { covariance }
     }
@@ -135,14 +148,13 @@ impl ScanMatcher {
         has_odometry: bool,
     ) -> Fit {
         if self.settings.strategy == Strategy::Correlative {
-            let Settings { correlative, gauss_newton, .. } = &self.settings;
-            return self.correlative.fit(correlative, gauss_newton, field, &self.points, prediction);
+            return self.correlative.fit(field, &self.points, window(prediction, NEAR_REACH));
         }
         let fit = fit.unwrap_or_else(|| self.refine(field, prediction, prediction));
         if has_odometry {
             return fit;
         }
-        let found = self.correlative.search(&self.settings.no_odometry, field, &self.points, prediction);
+        let found = self.correlative.search(field, &self.points, window(prediction, BLIND_REACH));
         let other = found.map(|(_, start)| self.refine(field, start, start));
         other.filter(|other| other.score > fit.score).unwrap_or(fit)
     }
@@ -155,13 +167,12 @@ impl ScanMatcher {
             let pose = self.ndt.fit(&self.settings.ndt, field, points, expected, start);
             return Fit::at(field, points, pose.unwrap_or(start));
         }
-        self.settings.gauss_newton.fit(field, points, prediction, start)
+        GaussNewton::default().fit(field, points, prediction, start)
     }
 
     /// A wide search when the fit scores badly; true beside its result when that is better.
     fn rescue<F: ScoreField>(&mut self, field: &F, prediction: Pose, fit: Fit) -> (Fit, bool) {
-        let rescue = self.settings.rescue.clone();
-        if fit.score >= rescue.below * self.mean_score || self.points.len() < TELLING_POINTS {
+        if fit.score >= self.settings.rescue.below * self.mean_score || self.points.len() < TELLING_POINTS {
             self.searched = None;
             return (fit, false);
         }
@@ -172,16 +183,15 @@ impl ScanMatcher {
         }
         self.searched = Some(prediction);
         let wider = f64::from(1 + self.lost.min(2));
-        let (reach_m, reach_rad) = (wider * rescue.reach_m, wider * rescue.reach_rad);
-        let window = Window { center: prediction, reach_m, reach_rad };
+        let window = window(prediction, (wider * RESCUE_REACH.0, wider * RESCUE_REACH.1));
         let mut search = std::mem::take(&mut self.search);
         let found =
-            search.search(field, &self.points, window, (fit.pose, 0.5 * rescue.gain), rescue.candidates);
+            search.search(field, &self.points, window, (fit.pose, 0.5 * RESCUE_GAIN), RESCUE_CANDIDATES);
         let refined = found.iter().map(|(_, pose)| self.refine(field, *pose, *pose));
         let best = refined.max_by(|a, b| a.score.total_cmp(&b.score));
         self.search = search;
         match best {
-            Some(best) if best.score > fit.score + rescue.gain => (best, true),
+            Some(best) if best.score > fit.score + RESCUE_GAIN => (best, true),
             _ => (fit, false),
         }
     }
@@ -195,10 +205,14 @@ impl ScanMatcher {
         let (pose, _) = match self.settings.strategy {
             Strategy::MonteCarlo => {
                 let seed = self.settings.seed ^ scan.header().id.sequence.rotate_left(20);
-                self.settings.monte_carlo.search(field, points, weights, prediction, seed)
+                monte_carlo(field, points, weights, prediction, seed)
             }
-            _ => self.settings.hill_climbing.search(field, points, weights, prediction),
+            _ => hill_climbing(field, points, weights, prediction),
         };
         Fit::at(field, points, pose)
     }
+}
+
+fn window(center: Pose, (reach_m, reach_rad): (f64, f64)) -> Window {
+    Window { center, reach_m, reach_rad }
 }

@@ -50,7 +50,7 @@ impl ScanMatcher {
             && !self.slips
             && prediction.steady.is_none()
             && scan.odometry().is_some()
-            && self.matched >= self.settings.gate.start_scans;
+            && self.matched >= super::START_SCANS;
         if !knows_its_place || self.points.len() < TELLING_POINTS {
             return;
         }

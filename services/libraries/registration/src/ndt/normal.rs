@@ -4,6 +4,13 @@ use super::NdtSettings;
 use flockslam_geometry::Point;
 use nalgebra::{Matrix2, Vector2};
 
+/// A cell counts with at least this much occupied mass in it, grid cells: of fewer than three points (Biber and Straßer 2003)
+/// no distribution can be made.
+const MASS_MIN: f64 = 3.0;
+/// Floor of the smaller eigenvalue of a covariance, share of the larger one (Biber and Straßer 2003): the covariance of a straight wall
+/// would have no inverse.
+const FLATNESS_MIN: f64 = 0.001;
+
 /// Sums over occupied cells, relative to the centre of their block: mass, first and second moments (metres).
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Moments {
@@ -57,7 +64,7 @@ impl Moments {
         settings: &NdtSettings,
         cell_m: f64,
     ) -> Option<Normal> {
-        if self.mass < settings.points_min {
+        if self.mass < MASS_MIN {
             return None;
         }
         let (mx, my) = (self.x / self.mass, self.y / self.mass);
@@ -71,7 +78,7 @@ impl Moments {
         );
         let crowd = if settings.bearing_sigma_rad > 0.0 { (points / self.mass).max(1.0) } else { 1.0 };
         let eigen = (covariance * crowd).symmetric_eigen();
-        let floor = settings.flatness_min * eigen.eigenvalues.max();
+        let floor = FLATNESS_MIN * eigen.eigenvalues.max();
         let inverted = eigen.eigenvalues.map(|value| 1.0 / value.max(floor).max(f64::MIN_POSITIVE));
         let inverse = eigen.eigenvectors * Matrix2::from_diagonal(&inverted) * eigen.eigenvectors.transpose();
         Some(Normal { mean: Vector2::new(center.x_m + mx, center.y_m + my), inverse })

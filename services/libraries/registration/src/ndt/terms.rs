@@ -1,6 +1,6 @@
 //! Cost, gradient and Hessian of a pose in point-to-distribution matching, and Newton's step from them.
 
-use super::{Expected, NdtSettings};
+use super::Expected;
 use flockslam_geometry::{Pose, wrap_angle};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
@@ -8,6 +8,10 @@ use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 const EIGENVALUE_MIN: f64 = 1e-3;
 /// Longest step, metres and (scaled) radians.
 const STEP_MAX: f64 = 0.3;
+/// Pull towards the prediction's position, per m² and point: it decides only where the scan does not.
+const PRIOR_XY: f64 = 0.1;
+/// Pull towards the prediction's heading, per rad² and point, for the same reason.
+const PRIOR_HEADING: f64 = 0.02;
 /// A shorter way has no direction, metres.
 const TRAVEL_MIN_M: f64 = 0.05;
 
@@ -20,19 +24,23 @@ pub(super) struct Terms {
 }
 
 impl Terms {
-    /// Adds what a pose costs that is not as expected.
-    pub(super) fn pull(&mut self, settings: &NdtSettings, expected: Expected, pose: Pose) {
-        let Expected { pose: prediction, from } = expected;
+    /// Adds what a pose costs that is not the predicted one.
+    pub(super) fn pull(&mut self, prediction: Pose, pose: Pose) {
         let missed = Vector3::new(
             pose.x_m - prediction.x_m,
             pose.y_m - prediction.y_m,
             wrap_angle(pose.heading_rad - prediction.heading_rad),
         );
-        let prior = Vector3::new(settings.prior_xy, settings.prior_xy, settings.prior_heading);
+        let prior = Vector3::new(PRIOR_XY, PRIOR_XY, PRIOR_HEADING);
         let pulled = prior.component_mul(&missed);
         self.cost += 0.5 * pulled.dot(&missed);
         self.gradient += pulled;
         self.hessian += Matrix3::from_diagonal(&prior);
+    }
+
+    /// Adds what a pose costs that is not as far from the one before as was expected; `weight` per m² and point.
+    pub(super) fn pull_to_distance(&mut self, weight: f64, expected: Expected, pose: Pose) {
+        let Expected { pose: prediction, from } = expected;
         let Some(from) = from else { return };
         let (travelled, expected_m) =
             (pose.position().distance_m(from), prediction.position().distance_m(from));
@@ -40,7 +48,7 @@ impl Terms {
             return;
         }
         let along = Vector3::new(pose.x_m - from.x_m, pose.y_m - from.y_m, 0.0) / travelled;
-        let (too_far, weight) = (travelled - expected_m, settings.prior_travel);
+        let too_far = travelled - expected_m;
         self.cost += 0.5 * weight * too_far * too_far;
         self.gradient += along * (weight * too_far);
         self.hessian += along * along.transpose() * weight;
