@@ -2,10 +2,8 @@
 //! long as enough else is seen. Whoever walks ahead of the robot into a corridor that is new, or stands still and goes on, would
 //! hold it back: nothing else there says how far it went.
 
-use super::ScanMatcher;
-use super::movers::add_beams;
+use super::points::{MoverMask, ScanPoints, add_beams};
 use flockslam_geometry::Point;
-use flockslam_messages::ScanView;
 
 /// Points of neighbouring beams belong together when they are nearer to each other than this, metres, …
 const JOIN_M: f64 = 0.08;
@@ -24,28 +22,23 @@ const PASSES: usize = 2;
 /// A scan with more than this share of its points on bodies is fitted as it is: there may be nothing but posts and trees.
 const SHARE_MAX: f64 = 0.5;
 
-impl ScanMatcher {
-    /// Leaves out the points on bodies. They are not said to move: the map shows them. A robot that is lost needs all that it sees to
-    /// tell one place from another.
-    pub(super) fn leave_out_bodies(&mut self, scan: ScanView<'_>) {
-        if self.settings.moving_share_max == 0.0 || self.lost > 0 || self.points.is_empty() {
-            return;
-        }
-        let stride = self.stride(scan) as u32;
-        self.set_aside.clear();
-        self.set_aside.resize(self.points.len(), false);
-        let mut left_out = 0;
-        for _ in 0..PASSES {
-            left_out += mark_bodies(&self.points, &mut self.set_aside);
-        }
-        if left_out as f64 > SHARE_MAX * self.points.len() as f64 {
-            return;
-        }
-        for i in (0..self.points.len()).filter(|i| self.set_aside[*i]) {
-            add_beams(&mut self.bodies, 0, self.beams[i], stride);
-        }
-        self.leave_out_what_is_aside();
+/// Leaves out the points on bodies. They are not said to move: the map shows them.
+pub(super) fn without_bodies(points: ScanPoints, mut mask: MoverMask) -> (ScanPoints, MoverMask) {
+    if points.len() == 0 {
+        return (points, mask);
     }
+    mask.unmark(points.len());
+    let mut left_out = 0;
+    for _ in 0..PASSES {
+        left_out += mark_bodies(&points.ends, &mut mask.marks);
+    }
+    if left_out as f64 > SHARE_MAX * points.len() as f64 {
+        return (points, mask);
+    }
+    for i in (0..points.len()).filter(|i| mask.marks[*i]) {
+        add_beams(&mut mask.bodies, 0, points.beams[i], points.stride);
+    }
+    (points.without(&mask.marks), mask)
 }
 
 /// Marks the points of bodies, of points in the order of their beams; gives how many were not marked yet.

@@ -1,14 +1,16 @@
 //! How a scan is fitted: strategy, velocity, and what the fit is worth.
 
-use super::{Match, ScanMatcher, TELLING_POINTS};
+use super::TELLING_POINTS;
+use super::points::{MoverMask, ScanPoints};
+use super::state::Confidence;
 use crate::motion::Prediction;
-use crate::settings::Strategy;
+use crate::settings::{Settings, Strategy};
 use flockslam_evidence::Level;
-use flockslam_geometry::{Covariance, Pose};
-use flockslam_messages::{Quality, ScanView};
+use flockslam_geometry::{Covariance, Point, Pose, Twist};
+use flockslam_messages::ScanView;
 use flockslam_registration::{
-    Expected, Fit, GaussNewton, Moving, ScoreField, ScoreRead, Sweep, TwistSigma, Window, beam_weight,
-    hill_climbing, least_held, monte_carlo, roughened, widened,
+    Correlative, CorrelativeSearch, Expected, Fit, GaussNewton, Moving, Ndt, ScoreField, ScoreRead, Sweep,
+    TwistSigma, Window, beam_weight, hill_climbing, least_held, monte_carlo, roughened, widened,
 };
 use nalgebra::Vector2;
 
@@ -42,177 +44,231 @@ const HELD_MIN: f64 = 1e-5;
 /// Standard deviations assumed of the prediction where the scan determines nothing.
 const PRIOR_SIGMA: (f64, f64) = (0.3, 0.15);
 
-impl ScanMatcher {
+/// A scan fitted to the grid.
+#[derive(Debug)]
+pub(super) struct Fitted {
+    /// Where the fit began: by the wheels, or by the velocity so far where the wheels have jumped.
+    pub(super) prediction: Prediction,
+    /// The points that were fitted, straightened by `twist`.
+    pub(super) points: ScanPoints,
+    /// Pose in odom, with its score.
+    pub(super) fit: Fit,
+    /// Velocity during the scan, in the robot's own frame.
+    pub(super) twist: Twist,
+    /// Of the pose.
+    pub(super) covariance: Covariance,
+    /// Whether a wide search found it.
+    pub(super) is_rescued: bool,
+    /// Whether it tells less than the prediction in some direction, and was brought together with it.
+    pub(super) is_fused: bool,
+    /// Around where the last wide search looked, if no fit was good since.
+    pub(super) searched: Option<Pose>,
+}
+
+/// Memory of the strategies that is used again for each scan.
+#[derive(Debug, Default)]
+pub(super) struct Solvers {
+    search: CorrelativeSearch,
+    correlative: Correlative,
+    ndt: Ndt,
+    weights: Vec<f64>,
+}
+
+/// What one scan is fitted with.
+pub(super) struct Fitter<'a, F> {
+    pub(super) settings: &'a Settings,
+    pub(super) confidence: &'a Confidence,
+    /// Where the robot was at the scan before, in odom.
+    pub(super) before: Point,
+    pub(super) field: &'a F,
+    pub(super) scan: ScanView<'a>,
+    pub(super) mask: &'a MoverMask,
+    pub(super) solvers: &'a mut Solvers,
+}
+
+/// A pose found by the strategy, before the velocity during the scan is looked at.
+struct Placed {
+    fit: Fit,
+    is_rescued: bool,
+    searched: Option<Pose>,
+}
+
+impl<F: ScoreField> Fitter<'_, F> {
+    /// Fits the points of the scan, which begin straightened by the velocity of the prediction.
+    pub(super) fn fit(mut self, points: ScanPoints, prediction: Prediction) -> Fitted {
+        let (prediction, points, near) = self.settled(points, prediction);
+        let (points, placed) = if self.descends() {
+            let near = self.track(&points, prediction.pose, near);
+            let placed = self.rescue(&points, prediction.pose, near);
+            (points, placed)
+        } else {
+            self.sampled(points, prediction.pose)
+        };
+        let Placed { fit, is_rescued, searched } = placed;
+        let covariance = fit.covariance(PRIOR_SIGMA.0, PRIOR_SIGMA.1);
+        let twist = prediction.twist;
+        let fitted =
+            Fitted { prediction, points, fit, twist, covariance, is_rescued, is_fused: false, searched };
+        let fits_velocity = self.descends() && self.settings.fits_velocity && self.scan.takes_time();
+        let fitted = if fits_velocity { self.straightened(fitted) } else { fitted };
+        self.weighed(fitted)
+    }
+
     /// Decides between wheels and velocity where they contradict each other: whichever leads to the better fit, which is
     /// given along.
-    pub(super) fn settled<F: ScoreField>(
+    fn settled(
         &mut self,
-        field: &F,
+        points: ScanPoints,
         prediction: Prediction,
-        scan: ScanView<'_>,
-    ) -> (Prediction, Option<Fit>) {
-        let Some(steady) = prediction.steady else { return (prediction, None) };
-        let by_wheels = self.refine(field, prediction.pose, prediction.pose);
-        self.take_points(scan, steady.twist);
-        let by_velocity = self.refine(field, steady.pose, steady.pose);
+    ) -> (Prediction, ScanPoints, Option<Fit>) {
+        let Some(steady) = prediction.steady else { return (prediction, points, None) };
+        let by_wheels = self.refine(&points, prediction.pose, prediction.pose);
+        let points = self.retaken(points, steady.twist);
+        let by_velocity = self.refine(&points, steady.pose, steady.pose);
         if by_velocity.score > by_wheels.score + JUMPED {
             let prediction = Prediction { pose: steady.pose, twist: steady.twist, ..prediction };
-            return (prediction, Some(by_velocity));
+            return (prediction, points, Some(by_velocity));
         }
-        self.take_points(scan, prediction.twist);
-        (prediction, Some(by_wheels))
+        (prediction, self.retaken(points, prediction.twist), Some(by_wheels))
     }
 
-    /// Matches the points that were taken; `fit` is that near the prediction, when it was made already.
-    pub(super) fn match_scan<F: ScoreField>(
-        &mut self,
-        field: &F,
-        prediction: &Prediction,
-        fit: Option<Fit>,
-        scan: ScanView<'_>,
-    ) -> Match {
-        let descends = !matches!(self.settings.strategy, Strategy::MonteCarlo | Strategy::HillClimbing);
-        let (fit, rescued) = if descends {
-            let fit = self.track(field, prediction.pose, fit, scan.odometry().is_some());
-            self.rescue(field, prediction.pose, fit)
-        } else {
-            (self.sampled(field, prediction.pose, scan), false)
-        };
-        let fits_velocity = descends && self.settings.fits_velocity && scan.takes_time();
-        let (mut fit, twist, mut covariance) = if fits_velocity {
-            let (now, covariance) = self.straighten(field, prediction, fit, scan);
-            (Fit::at(field, &self.points, now.pose), now.twist, covariance)
-        } else {
-            (fit, prediction.twist, fit.covariance(PRIOR_SIGMA.0, PRIOR_SIGMA.1))
-        };
-        covariance = roughened(covariance, CELL_ERROR * field.reader(Level::Full).cell_size_m());
-        covariance = self.loosened(covariance, fit.pose);
-        let fused = (!rescued).then(|| prediction.fused(fit.pose, covariance)).flatten();
-        if let Some((pose, posterior)) = fused {
-            (fit, covariance) = (Fit::at(field, &self.points, pose), posterior);
-        }
-        let quality = match self.judge(&fit, prediction.pose) {
-            Quality::Tracking if fused.is_some() => Quality::Degraded,
-            quality => quality,
-        };
-        Match { pose: fit.pose, twist, covariance, score: fit.score, quality, rescued }
+    /// The same points straightened by another velocity.
+    fn retaken(&self, points: ScanPoints, twist: Twist) -> ScanPoints {
+        points.retaken(self.scan, twist, self.mask, self.settings)
     }
 
-    /// Fits pose and velocity of a scan that takes time together, starting at a fit of its pose alone; leaves the points
-    /// straightened by the velocity that was found.
-    fn straighten<F: ScoreField>(
-        &mut self,
-        field: &F,
-        prediction: &Prediction,
-        fit: Fit,
-        scan: ScanView<'_>,
-    ) -> (Moving, Covariance) {
-        let predicted = Moving { pose: prediction.pose, twist: prediction.twist };
-        let mut now = Moving { pose: fit.pose, twist: prediction.twist };
+    /// Whether the strategy goes down a slope, as opposed to trying poses.
+    fn descends(&self) -> bool {
+        !matches!(self.settings.strategy, Strategy::MonteCarlo | Strategy::HillClimbing)
+    }
+
+    /// Fits pose and velocity of a scan that takes time together, starting at a fit of its pose alone.
+    fn straightened(&self, fitted: Fitted) -> Fitted {
+        let Prediction { pose, twist, .. } = fitted.prediction;
+        let predicted = Moving { pose, twist };
+        let mut now = Moving { pose: fitted.fit.pose, twist };
+        let mut points = fitted.points;
         for _ in 0..SWEEP_STEPS {
-            let sweep = Sweep { points: &self.points, times_s: &self.times_s };
-            let next = sweep.step(field, now, predicted, TWIST_SIGMA);
-            self.take_points(scan, next.twist);
+            let next = sweep(&points).step(self.field, now, predicted, TWIST_SIGMA);
+            points = self.retaken(points, next.twist);
             let settled = next.is_near(now);
             now = next;
             if settled {
                 break;
             }
         }
-        let sweep = Sweep { points: &self.points, times_s: &self.times_s };
-        (now, sweep.covariance(field, now.pose, TWIST_SIGMA, PRIOR_SIGMA))
+        let covariance = sweep(&points).covariance(self.field, now.pose, TWIST_SIGMA, PRIOR_SIGMA);
+        let fit = Fit::at(self.field, &points.ends, now.pose);
+        Fitted { points, fit, twist: now.twist, covariance, ..fitted }
     }
 
-    /// A fit's covariance, widened along the direction that the scan's surfaces leave open: single cells along a bare wall
-    /// have slopes, which hold nothing.
-    fn loosened(&self, covariance: Covariance, pose: Pose) -> Covariance {
-        let Some((held, axis)) = least_held(&self.points) else { return covariance };
-        let (sin, cos) = pose.heading_rad.sin_cos();
-        let axis = Vector2::new(cos * axis.x - sin * axis.y, sin * axis.x + cos * axis.y);
-        let along = |axis: Vector2<f64>| {
-            let Covariance { xx, xy, yy, .. } = covariance;
-            axis.x * axis.x * xx + 2.0 * axis.x * axis.y * xy + axis.y * axis.y * yy
-        };
-        let across = along(Vector2::new(-axis.y, axis.x));
-        let seen = (held - DEGENERATE_BELOW).max(HELD_MIN);
-        let missing = across * (1.0 - held) / seen - along(axis);
-        if missing > 0.0 { widened(covariance, axis, missing.sqrt()) } else { covariance }
+    /// What a fit is worth: less where the scan tells little, and there the prediction has its say.
+    fn weighed(&self, fitted: Fitted) -> Fitted {
+        let cell_m = self.field.reader(Level::Full).cell_size_m();
+        let rough = roughened(fitted.covariance, CELL_ERROR * cell_m);
+        let covariance = loosened(rough, &fitted.points.ends, fitted.fit.pose);
+        let fused =
+            (!fitted.is_rescued).then(|| fitted.prediction.fused(fitted.fit.pose, covariance)).flatten();
+        let Some((pose, covariance)) = fused else { return Fitted { covariance, ..fitted } };
+        let fit = Fit::at(self.field, &fitted.points.ends, pose);
+        Fitted { fit, covariance, is_fused: true, ..fitted }
     }
 
-    /// The fit near the prediction; a scan without odometry is looked for before.
-    fn track<F: ScoreField>(
-        &mut self,
-        field: &F,
-        prediction: Pose,
-        fit: Option<Fit>,
-        has_odometry: bool,
-    ) -> Fit {
+    /// The fit near the prediction; a scan without odometry is looked for before. `near` is the strategy's descent from there, when it
+    /// was made already.
+    fn track(&mut self, points: &ScanPoints, prediction: Pose, near: Option<Fit>) -> Fit {
+        let ends = &points.ends;
         if self.settings.strategy == Strategy::Correlative {
-            return self.correlative.fit(field, &self.points, window(prediction, NEAR_REACH));
+            return self.solvers.correlative.fit(self.field, ends, window(prediction, NEAR_REACH));
         }
-        let fit = fit.unwrap_or_else(|| self.refine(field, prediction, prediction));
-        if has_odometry {
+        let fit = near.unwrap_or_else(|| self.refine(points, prediction, prediction));
+        if self.scan.odometry().is_some() {
             return fit;
         }
-        let found = self.correlative.search(field, &self.points, window(prediction, BLIND_REACH));
-        let other = found.map(|(_, start)| self.refine(field, start, start));
+        let found = self.solvers.correlative.search(self.field, ends, window(prediction, BLIND_REACH));
+        let other = found.map(|(_, start)| self.refine(points, start, start));
         other.filter(|other| other.score > fit.score).unwrap_or(fit)
     }
 
     /// The strategy's own descent from `start`.
-    fn refine<F: ScoreField>(&mut self, field: &F, prediction: Pose, start: Pose) -> Fit {
-        let points = &self.points;
+    fn refine(&mut self, points: &ScanPoints, prediction: Pose, start: Pose) -> Fit {
+        let ends = &points.ends;
         if self.settings.strategy == Strategy::Ndt {
-            let expected = Expected { pose: prediction, from: Some(self.motion.pose.position()) };
-            let pose = self.ndt.fit(&self.settings.ndt, field, points, expected, start);
-            return Fit::at(field, points, pose.unwrap_or(start));
+            let expected = Expected { pose: prediction, from: Some(self.before) };
+            let pose = self.solvers.ndt.fit(&self.settings.ndt, self.field, ends, expected, start);
+            return Fit::at(self.field, ends, pose.unwrap_or(start));
         }
-        GaussNewton::default().fit(field, points, prediction, start)
+        GaussNewton::default().fit(self.field, ends, prediction, start)
     }
 
-    /// A wide search when the fit scores badly; true beside its result when that is better.
-    fn rescue<F: ScoreField>(&mut self, field: &F, prediction: Pose, fit: Fit) -> (Fit, bool) {
-        if fit.score >= self.settings.rescue.below * self.mean_score || self.points.len() < TELLING_POINTS {
-            self.searched = None;
-            return (fit, false);
+    /// A wide search when the fit scores badly, which gives its best pose when that is better.
+    fn rescue(&mut self, points: &ScanPoints, prediction: Pose, fit: Fit) -> Placed {
+        let Confidence { mean_score, lost, searched, .. } = *self.confidence;
+        if fit.score >= self.settings.rescue.below * mean_score || points.len() < TELLING_POINTS {
+            return Placed { fit, is_rescued: false, searched: None };
         }
         let near =
             |at: Pose| at.distance_m(prediction) < SEARCH_AGAIN.0 && at.turn_rad(prediction) < SEARCH_AGAIN.1;
-        if self.lost == 0 && self.searched.is_some_and(near) {
-            return (fit, false);
+        if lost == 0 && searched.is_some_and(near) {
+            return Placed { fit, is_rescued: false, searched };
         }
-        self.searched = Some(prediction);
-        let wider = f64::from(1 + self.lost.min(2));
+        let wider = f64::from(1 + lost.min(2));
         let window = window(prediction, (wider * RESCUE_REACH.0, wider * RESCUE_REACH.1));
-        let mut search = std::mem::take(&mut self.search);
-        let found =
-            search.search(field, &self.points, window, (fit.pose, 0.5 * RESCUE_GAIN), RESCUE_CANDIDATES);
-        let refined = found.iter().map(|(_, pose)| self.refine(field, *pose, *pose));
+        let best = self.search(points, window, fit.pose);
+        let better = best.filter(|best| best.score > fit.score + RESCUE_GAIN);
+        Placed { fit: better.unwrap_or(fit), is_rescued: better.is_some(), searched: Some(prediction) }
+    }
+
+    /// The best of the poses in a window, each refined, that promise more than `rival`.
+    fn search(&mut self, points: &ScanPoints, window: Window, rival: Pose) -> Option<Fit> {
+        let mut search = std::mem::take(&mut self.solvers.search);
+        let floor = (rival, 0.5 * RESCUE_GAIN);
+        let found = search.search(self.field, &points.ends, window, floor, RESCUE_CANDIDATES);
+        let refined = found.iter().map(|(_, pose)| self.refine(points, *pose, *pose));
         let best = refined.max_by(|a, b| a.score.total_cmp(&b.score));
-        self.search = search;
-        match best {
-            Some(best) if best.score > fit.score + RESCUE_GAIN => (best, true),
-            _ => (fit, false),
-        }
+        self.solvers.search = search;
+        best
     }
 
     /// vinySLAM's matchers; beams that end outside the map at the first pose are left out.
-    fn sampled<F: ScoreField>(&mut self, field: &F, prediction: Pose, scan: ScanView<'_>) -> Fit {
-        self.points.retain(|point| field.covers(prediction.apply(*point)));
-        self.weights.clear();
-        self.weights.extend(self.points.iter().map(|point| beam_weight(*point)));
-        let (points, weights) = (&self.points, &self.weights);
+    fn sampled(&mut self, points: ScanPoints, prediction: Pose) -> (ScanPoints, Placed) {
+        let field = self.field;
+        let points = points.kept(|_, end| field.covers(prediction.apply(end)));
+        let (ends, weights) = (&points.ends, &mut self.solvers.weights);
+        weights.clear();
+        weights.extend(ends.iter().map(|end| beam_weight(*end)));
         let (pose, _) = match self.settings.strategy {
             Strategy::MonteCarlo => {
-                let seed = self.settings.seed ^ scan.header().id.sequence.rotate_left(20);
-                monte_carlo(field, points, weights, prediction, seed)
+                let seed = self.settings.seed ^ self.scan.header().id.sequence.rotate_left(20);
+                monte_carlo(field, ends, weights, prediction, seed)
             }
-            _ => hill_climbing(field, points, weights, prediction),
+            _ => hill_climbing(field, ends, weights, prediction),
         };
-        Fit::at(field, points, pose)
+        let fit = Fit::at(field, ends, pose);
+        (points, Placed { fit, is_rescued: false, searched: self.confidence.searched })
     }
+}
+
+fn sweep(points: &ScanPoints) -> Sweep<'_> {
+    Sweep { points: &points.ends, times_s: &points.times_s }
 }
 
 fn window(center: Pose, (reach_m, reach_rad): (f64, f64)) -> Window {
     Window { center, reach_m, reach_rad }
+}
+
+/// A fit's covariance, widened along the direction that the scan's surfaces leave open: single cells along a bare wall
+/// have slopes, which hold nothing.
+fn loosened(covariance: Covariance, points: &[Point], pose: Pose) -> Covariance {
+    let Some((held, axis)) = least_held(points) else { return covariance };
+    let (sin, cos) = pose.heading_rad.sin_cos();
+    let axis = Vector2::new(cos * axis.x - sin * axis.y, sin * axis.x + cos * axis.y);
+    let along = |axis: Vector2<f64>| {
+        let Covariance { xx, xy, yy, .. } = covariance;
+        axis.x * axis.x * xx + 2.0 * axis.x * axis.y * xy + axis.y * axis.y * yy
+    };
+    let across = along(Vector2::new(-axis.y, axis.x));
+    let seen = (held - DEGENERATE_BELOW).max(HELD_MIN);
+    let missing = across * (1.0 - held) / seen - along(axis);
+    if missing > 0.0 { widened(covariance, axis, missing.sqrt()) } else { covariance }
 }

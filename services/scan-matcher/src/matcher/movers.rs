@@ -1,11 +1,13 @@
 //! Beams that lie on what moves are set aside before a scan is fitted.
 
-use super::{ScanMatcher, TELLING_POINTS};
+use super::bodies::without_bodies;
+use super::points::add_beams;
+use super::{MoverMask, ScanMatcher, ScanPoints, TELLING_POINTS};
 use crate::motion::Prediction;
 use flockslam_evidence::{CellIndex, PackedCell, TILE_SIDE, Tile, TileGrid, WEIGHT_SCALE};
 use flockslam_geometry::{Point, Pose};
-use flockslam_messages::{BeamRange, ScanView};
-use std::ops::Deref;
+use flockslam_messages::ScanView;
+use std::ops::{Deref, Range};
 
 /// A cell with this much evidence for "free", nat, was looked through by several scans.
 const FREE_NAT: f64 = 1.5;
@@ -33,84 +35,90 @@ const WIDE_MAX: f64 = 0.08;
 const BODY_ESTABLISHED_MAX: f64 = 0.2;
 
 impl ScanMatcher {
-    /// The beams of the last scan that were not matched since they lie on what moves, in order.
-    pub fn moving_beams(&self) -> &[BeamRange] {
-        &self.moving
-    }
-
-    /// Sets aside the beams that, where the robot should be, end in space known to be free with nothing near. A robot that does
-    /// not know its place takes walls for movers: then, and when there are suspiciously many, nothing is set aside.
-    pub(super) fn set_movers_aside<H: Deref<Target = Tile>>(
+    /// Sets aside the beams on other robots and on what moves, then leaves out what is as narrow as somebody: the points that are left, and
+    /// the beams that are not matched. A robot that does not know its place takes walls for movers, and one that is lost needs all that
+    /// it sees to tell one place from another.
+    pub(super) fn mask_movers<H: Deref<Target = Tile>>(
         &mut self,
         scan: ScanView<'_>,
+        points: ScanPoints,
         prediction: &Prediction,
         grid: &TileGrid<H>,
-    ) {
-        let knows_its_place = self.lost == 0
-            && !self.slips
-            && prediction.steady.is_none()
-            && scan.odometry().is_some()
-            && self.matched >= super::START_SCANS;
-        if !knows_its_place || self.points.len() < TELLING_POINTS {
-            return;
+    ) -> (ScanPoints, MoverMask) {
+        let (mut points, mut mask) = (points, std::mem::take(&mut self.buffers.mask));
+        let share_max = self.settings.moving_share_max;
+        if self.knows_its_place(scan, prediction) && points.len() >= TELLING_POINTS {
+            (points, mask) = self.without_companions(scan, points, mask, prediction.pose);
+            (points, mask) = without_movers(points, mask, prediction.pose, grid, share_max);
         }
-        self.set_companions_aside(scan, prediction);
-        let companions = self.moving.len();
-        let stride = self.stride(scan) as u32;
-        self.set_aside.clear();
-        self.set_aside.resize(self.points.len(), false);
-        let (mut first, mut wide) = (0, 0);
-        for end in 1..=self.points.len() {
-            let joined =
-                self.points.get(end).is_some_and(|next| next.distance_m(self.points[end - 1]) < JOIN_M);
-            if joined {
-                continue;
-            }
-            let body = is_new_body(grid, prediction.pose, &self.points[first..end]);
-            let before = self.aside;
-            for i in first..end {
-                if body || ends_where_nothing_stood(grid, prediction.pose.apply(self.points[i])) {
-                    self.aside += 1;
-                    self.set_aside[i] = true;
-                    add_beams(&mut self.moving, companions, self.beams[i], stride);
-                }
-            }
-            if self.points[first].distance_m(self.points[end - 1]) > WIDE_M {
-                wide += self.aside - before;
-            }
-            first = end;
+        if share_max > 0.0 && self.confidence.lost == 0 {
+            (points, mask) = without_bodies(points, mask);
         }
-        let share = |count: usize| count as f64 / self.points.len() as f64;
-        if share(self.aside) > self.settings.moving_share_max || share(wide) > WIDE_MAX {
-            self.moving.truncate(companions);
-            self.aside = 0;
-        } else if self.aside > 0 {
-            self.leave_out_what_is_aside();
-        }
-        // Several companions are not in the order of their beams; no beam is told twice.
-        self.moving.sort_unstable_by_key(|range| range.first);
+        (points, mask)
     }
 
-    pub(super) fn leave_out_what_is_aside(&mut self) {
-        let mut kept = 0;
-        for i in (0..self.points.len()).filter(|i| !self.set_aside[*i]) {
-            self.points[kept] = self.points[i];
-            self.beams[kept] = self.beams[i];
-            self.times_s[kept] = self.times_s[i];
-            kept += 1;
-        }
-        self.points.truncate(kept);
-        self.beams.truncate(kept);
-        self.times_s.truncate(kept);
+    fn knows_its_place(&self, scan: ScanView<'_>, prediction: &Prediction) -> bool {
+        self.confidence.lost == 0
+            && !self.confidence.slips
+            && prediction.steady.is_none()
+            && scan.odometry().is_some()
+            && self.confidence.has_started()
     }
 }
 
-/// Adds beams to the ranges behind the first `apart`, which stay as they are: what was added can be taken back by cutting it off.
-pub(super) fn add_beams(ranges: &mut Vec<BeamRange>, apart: usize, first: u32, count: u32) {
-    match ranges[apart..].last_mut().filter(|range| range.end == first) {
-        Some(range) => range.end += count,
-        None => ranges.push(BeamRange { first, end: first + count }),
+/// Sets aside the beams that, seen from `pose`, end in space known to be free with nothing near, unless there are suspiciously many.
+fn without_movers<H: Deref<Target = Tile>>(
+    points: ScanPoints,
+    mut mask: MoverMask,
+    pose: Pose,
+    grid: &TileGrid<H>,
+    share_max: f64,
+) -> (ScanPoints, MoverMask) {
+    let companions = mask.moving.len();
+    mask.unmark(points.len());
+    let (mut first, mut wide) = (0, 0);
+    for end in 1..=points.len() {
+        if points.ends.get(end).is_some_and(|next| next.distance_m(points.ends[end - 1]) < JOIN_M) {
+            continue;
+        }
+        let aside = mark_piece(&points, first..end, &mut mask, companions, pose, grid);
+        if points.ends[first].distance_m(points.ends[end - 1]) > WIDE_M {
+            wide += aside;
+        }
+        mask.aside += aside;
+        first = end;
     }
+    let share = |count: usize| count as f64 / points.len() as f64;
+    if share(mask.aside) > share_max || share(wide) > WIDE_MAX {
+        mask.moving.truncate(companions);
+        mask.unmark(points.len());
+        mask.aside = 0;
+    }
+    // Several companions are not in the order of their beams; no beam is told twice.
+    mask.moving.sort_unstable_by_key(|range| range.first);
+    (points.without(&mask.marks), mask)
+}
+
+/// Marks those of a piece of points beside each other that lie on what moves; gives how many. Their beams are told behind the first
+/// `companions` ranges.
+fn mark_piece<H: Deref<Target = Tile>>(
+    points: &ScanPoints,
+    piece: Range<usize>,
+    mask: &mut MoverMask,
+    companions: usize,
+    pose: Pose,
+    grid: &TileGrid<H>,
+) -> usize {
+    let body = is_new_body(grid, pose, &points.ends[piece.clone()]);
+    let mut marked = 0;
+    for i in piece {
+        if body || ends_where_nothing_stood(grid, pose.apply(points.ends[i])) {
+            marked += 1;
+            mask.marks[i] = true;
+            add_beams(&mut mask.moving, companions, points.beams[i], points.stride);
+        }
+    }
+    marked
 }
 
 /// Whether points beside each other, in the robot's frame, are as wide as somebody who stands free, where nothing is established.

@@ -1,0 +1,82 @@
+//! Whether a fit is believed.
+
+use super::{Fitted, MoverMask, ScanMatcher};
+use crate::contradiction::{contradicted, in_the_unknown};
+use crate::motion::Prediction;
+use flockslam_evidence::{Tile, TileGrid};
+use flockslam_geometry::{Covariance, Pose, Twist};
+use flockslam_messages::Quality;
+use std::ops::Deref;
+
+/// A fit below this share of the running mean is not believed: low, so that a place that has changed is.
+const LOST_BELOW: f64 = 0.25;
+/// A fit farther than this from the prediction must not score badly, or it is not believed, metres and radians: wheels seldom slip
+/// so far within one scan.
+const JUMP: (f64, f64) = (0.3, 0.3);
+/// A fit whose weakest direction is below this (per m² and point) slides along it.
+const WEAK_DIRECTION: f64 = 1.0;
+/// A fit below this share of the running mean, with at least this share of its points in free space, is in the wrong place.
+const CONTRADICTED: (f64, f64) = (0.5, 0.1);
+/// A scan of which this share ends where nothing is known shows a new place.
+const NEW_PLACE: f64 = 0.7;
+
+/// What is made of a fit.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Judgement {
+    /// Pose in odom: that of the fit, or the prediction where the fit says nothing. Of a fit that is `Lost` it is not taken over.
+    pub(super) pose: Pose,
+    /// Velocity during the scan, in the robot's own frame.
+    pub(super) twist: Twist,
+    pub(super) covariance: Covariance,
+    pub(super) quality: Quality,
+}
+
+impl ScanMatcher {
+    /// A poor fit whose points end in free space is not believed: there the robot is somewhere else. One whose points end
+    /// where nothing is known is a new place, and the wheels say where it is.
+    pub(super) fn judge<H: Deref<Target = Tile>>(
+        &self,
+        fitted: &Fitted,
+        mask: &MoverMask,
+        grid: &TileGrid<H>,
+    ) -> Judgement {
+        let Fitted { twist, covariance, .. } = *fitted;
+        let as_fitted = Judgement { pose: fitted.fit.pose, twist, covariance, quality: self.quality(fitted) };
+        let is_poor = fitted.fit.score < CONTRADICTED.0 * self.confidence.mean_score;
+        if self.settings.rescue.lost_scans_max == 0 || !is_poor {
+            return as_fitted;
+        }
+        if is_contradicted(fitted, mask, grid) {
+            return Judgement { quality: Quality::Lost, ..as_fitted };
+        }
+        let Prediction { pose, twist, covariance, .. } = fitted.prediction;
+        let is_new = as_fitted.quality == Quality::Lost
+            && in_the_unknown(grid, &fitted.points.ends, pose) >= NEW_PLACE;
+        if is_new { Judgement { pose, twist, covariance, quality: Quality::Degraded } } else { as_fitted }
+    }
+
+    /// What the score says.
+    fn quality(&self, fitted: &Fitted) -> Quality {
+        let (fit, prediction) = (&fitted.fit, fitted.prediction.pose);
+        let rescue = &self.settings.rescue;
+        let share = fit.score / self.confidence.mean_score.max(f64::MIN_POSITIVE);
+        let jumps = fit.pose.distance_m(prediction) > JUMP.0 || fit.pose.turn_rad(prediction) > JUMP.1;
+        let believed = share >= if jumps { rescue.below } else { LOST_BELOW };
+        if !believed && rescue.lost_scans_max > 0 {
+            Quality::Lost
+        } else if share < rescue.below || fit.weakest_direction() < WEAK_DIRECTION || fitted.is_fused {
+            Quality::Degraded
+        } else {
+            Quality::Tracking
+        }
+    }
+}
+
+/// Whether too many points of a poor fit end in space known to be free; those that were set aside do.
+fn is_contradicted<H: Deref<Target = Tile>>(fitted: &Fitted, mask: &MoverMask, grid: &TileGrid<H>) -> bool {
+    // Where the wheels have the robot, a good part of a scan may be new or have changed; anywhere else it must fit.
+    let share_max = if fitted.is_rescued { CONTRADICTED.1 } else { CONTRADICTED.1.max(fitted.fit.score) };
+    let (matched, aside) = (fitted.points.len() as f64, mask.aside as f64);
+    let contradicting = matched * contradicted(grid, &fitted.points.ends, fitted.fit.pose) + aside;
+    contradicting >= share_max * (matched + aside)
+}

@@ -1,0 +1,123 @@
+//! The points of a scan that are matched, and the beams that are not.
+
+use super::BEAMS_MAX;
+use crate::settings::Settings;
+use flockslam_geometry::{Point, Twist};
+use flockslam_messages::{BeamRange, Deskew, ScanView};
+use std::iter::Peekable;
+
+/// Where the matched beams of a scan end, in the order of the beams. All lists are of the same length.
+#[derive(Debug, Default)]
+pub(super) struct ScanPoints {
+    /// Ends of the beams in the robot's frame at the scan's stamp, metres.
+    pub(super) ends: Vec<Point>,
+    /// The beam of each point.
+    pub(super) beams: Vec<u32>,
+    /// Seconds after the stamp at which each point was measured.
+    pub(super) times_s: Vec<f64>,
+    /// Beams that each point stands for: of a scan with many beams only every so many-th is matched.
+    pub(super) stride: u32,
+}
+
+/// Beams of a scan that are not matched.
+#[derive(Debug, Default)]
+pub(super) struct MoverMask {
+    /// Beams on what moves, in order.
+    pub(super) moving: Vec<BeamRange>,
+    /// Points that were set aside for them, without those on other robots.
+    pub(super) aside: usize,
+    /// Beams on something narrow that stands free, in order. They are not said to move.
+    pub(super) bodies: Vec<BeamRange>,
+    /// For each point at hand, whether it is to be left out.
+    pub(super) marks: Vec<bool>,
+}
+
+impl ScanPoints {
+    pub(super) fn len(&self) -> usize {
+        self.ends.len()
+    }
+
+    /// The points of a scan without those that are masked, straightened by `twist`, in this memory.
+    pub(super) fn retaken(
+        mut self,
+        scan: ScanView<'_>,
+        twist: Twist,
+        mask: &MoverMask,
+        settings: &Settings,
+    ) -> Self {
+        let deskew = Deskew::new(scan, twist);
+        let limits = settings.range_min_m..=settings.range_max_m;
+        let stride = scan.len().div_ceil(BEAMS_MAX).max(1);
+        self.stride = stride as u32;
+        self.truncate(0);
+        let [mut moving, mut bodies] = [&mask.moving, &mask.bodies].map(|ranges| ranges.iter().peekable());
+        for beam in (0..scan.len()).step_by(stride) {
+            let number = beam as u32;
+            if holds(&mut moving, number) || holds(&mut bodies, number) {
+                continue;
+            }
+            let Some(range) = scan.valid_range_m(beam) else { continue };
+            if limits.contains(&range) && !(settings.skip_isolated && scan.is_isolated(beam)) {
+                self.ends.push(deskew.end_in_base(scan, beam, range));
+                self.beams.push(number);
+                self.times_s.push(scan.time_s(beam));
+            }
+        }
+        self
+    }
+
+    /// The points that are not marked.
+    pub(super) fn without(self, marks: &[bool]) -> Self {
+        self.kept(|i, _| !marks[i])
+    }
+
+    /// The points of which this is true, by number and end.
+    pub(super) fn kept(mut self, keeps: impl Fn(usize, Point) -> bool) -> Self {
+        let mut kept = 0;
+        for i in 0..self.len() {
+            if keeps(i, self.ends[i]) {
+                self.ends[kept] = self.ends[i];
+                self.beams[kept] = self.beams[i];
+                self.times_s[kept] = self.times_s[i];
+                kept += 1;
+            }
+        }
+        self.truncate(kept);
+        self
+    }
+
+    fn truncate(&mut self, count: usize) {
+        self.ends.truncate(count);
+        self.beams.truncate(count);
+        self.times_s.truncate(count);
+    }
+}
+
+impl MoverMask {
+    /// Forgets the beams of the scan before.
+    pub(super) fn clear(&mut self) {
+        self.moving.clear();
+        self.bodies.clear();
+        self.aside = 0;
+    }
+
+    /// Begins to mark `count` points: none is.
+    pub(super) fn unmark(&mut self, count: usize) {
+        self.marks.clear();
+        self.marks.resize(count, false);
+    }
+}
+
+/// Adds beams to the ranges behind the first `apart`, which stay as they are: what was added can be taken back by cutting it off.
+pub(super) fn add_beams(ranges: &mut Vec<BeamRange>, apart: usize, first: u32, count: u32) {
+    match ranges[apart..].last_mut().filter(|range| range.end == first) {
+        Some(range) => range.end += count,
+        None => ranges.push(BeamRange { first, end: first + count }),
+    }
+}
+
+/// Whether ranges in order, asked for numbers in order, hold this one.
+fn holds<'a>(ranges: &mut Peekable<impl Iterator<Item = &'a BeamRange>>, number: u32) -> bool {
+    while ranges.next_if(|range| range.end <= number).is_some() {}
+    ranges.peek().is_some_and(|range| range.first <= number)
+}

@@ -1,0 +1,96 @@
+//! What the matcher knows from scan to scan: how the map lies, and how well the robot knows its place in it.
+
+use super::{Fitted, Judgement, MEAN_RATE, SLIPPED, START_SCANS, TELLING_POINTS};
+use flockslam_geometry::Pose;
+use flockslam_messages::{PoseEstimate, Quality};
+
+/// The map that scans are matched to and enter.
+#[derive(Debug)]
+pub(super) struct MapState {
+    /// Generation of the grid.
+    pub(super) generation: u64,
+    pub(super) active_submap: u32,
+    /// The last correction by sync-manager.
+    pub(super) map_from_odom: Pose,
+    pub(super) layout_revision: u32,
+    /// Number of the chain of submaps.
+    pub(super) chain: u32,
+    /// Nothing but driving connects the chain with the map.
+    pub(super) detached: bool,
+    /// The grid belongs to a chain before this one: it is not matched.
+    pub(super) begins_elsewhere: bool,
+    /// Pose in odom of the last scan that entered the map.
+    pub(super) inserted: Option<Pose>,
+}
+
+/// How well the robot knows its place, by the fits so far.
+#[derive(Debug, Default)]
+pub(super) struct Confidence {
+    /// Running mean of the scores of the fits that were believed.
+    pub(super) mean_score: f64,
+    pub(super) last_score: f64,
+    /// Fits that were believed.
+    pub(super) matched: u64,
+    /// Scans in a row whose fit was not believed.
+    pub(super) lost: u32,
+    /// Whether the last fit was far from where the wheels had it.
+    pub(super) slips: bool,
+    /// Around where the last wide search looked; it is forgotten after a good fit.
+    pub(super) searched: Option<Pose>,
+}
+
+impl MapState {
+    /// An empty map, where odom is.
+    pub(super) fn new() -> Self {
+        Self {
+            generation: 0,
+            active_submap: 0,
+            map_from_odom: Pose::IDENTITY,
+            layout_revision: 0,
+            chain: 0,
+            detached: false,
+            begins_elsewhere: false,
+            inserted: None,
+        }
+    }
+
+    /// The map as it was when this pose was published.
+    pub(super) fn resume(&mut self, last: &PoseEstimate) {
+        self.map_from_odom = last.map_from_odom;
+        self.layout_revision = last.layout_revision;
+        self.generation = last.generation;
+        self.active_submap = last.submap;
+        self.inserted = Some(last.odom_from_base);
+        self.chain = last.chain;
+    }
+}
+
+impl Confidence {
+    /// Counts a fit and what was made of it.
+    pub(super) fn count(&mut self, fitted: &Fitted, judgement: &Judgement) {
+        let Judgement { pose, quality, .. } = *judgement;
+        let wheels = fitted.prediction.pose;
+        self.slips = pose.distance_m(wheels) > SLIPPED.0 || pose.turn_rad(wheels) > SLIPPED.1;
+        self.searched = fitted.searched;
+        self.last_score = fitted.fit.score;
+        if quality == Quality::Lost {
+            self.lost += u32::from(fitted.points.len() >= TELLING_POINTS);
+            return;
+        }
+        self.lost = 0;
+        self.matched += 1;
+        let rate = MEAN_RATE.max(1.0 / self.matched as f64);
+        self.mean_score += rate * (fitted.fit.score - self.mean_score);
+    }
+
+    /// Whether this many fits were believed that the robot knows its place if nothing else speaks against it.
+    pub(super) fn has_started(&self) -> bool {
+        self.matched >= START_SCANS
+    }
+
+    /// Begins with an empty map: no fit says anything about the next.
+    pub(super) fn begin_anew(&mut self) {
+        (self.matched, self.lost, self.mean_score, self.last_score) = (0, 0, 0.0, 0.0);
+        self.searched = None;
+    }
+}
