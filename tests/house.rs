@@ -282,7 +282,8 @@ fn asserts(text: &str, name: &str) -> bool {
 fn the_architecture_is_described_briefly_and_names_files_that_exist() {
     let text = fs::read_to_string(repository().join("ARCHITECTURE.md")).expect("ARCHITECTURE.md is there");
     assert!(text.lines().count() <= 200, "{} lines", text.lines().count());
-    let more = ["decisions", "seeing", "flock", "front-end", "processes"].map(|name| repository().join(format!("docs/{name}.md")));
+    let more = ["decisions", "seeing", "flock", "front-end", "processes"]
+        .map(|name| repository().join(format!("docs/{name}.md")));
     let more = more.map(|path| fs::read_to_string(path).expect("a page of its own"));
     let named = [text, more.join("\n")].join("\n");
     let named = named

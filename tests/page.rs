@@ -21,7 +21,7 @@ fn start(test: &str, directory: &Path, port: u16, more: &[&str]) -> LiveSet {
     let settings = ["page.enabled=true", &format!("page.listen=127.0.0.1:{port}"), "simulation.walkers=8"];
     let settings = settings.iter().copied().chain(more.iter().copied());
     let arguments: Vec<String> = settings.flat_map(|set| ["--set".to_owned(), set.to_owned()]).collect();
-    LiveSet::start_sabotaged(test, directory, DRIVE, "", &arguments, "")
+    LiveSet::start_with_failpoints(test, directory, DRIVE, "", &arguments, "")
 }
 
 /// The process that serves the page.

@@ -1,4 +1,6 @@
 //! Scans and tiles are read in place: their addresses in the readers lie in the very memory of their publisher.
+//! A release build does not tell where it reads.
+#![cfg(debug_assertions)]
 
 use crate::support;
 use crate::support::{RunningSet, live_building};

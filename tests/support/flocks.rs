@@ -61,7 +61,7 @@ impl FlockRobot {
                 let arguments: Vec<String> =
                     page.into_iter().flat_map(|setting| ["--set".to_owned(), setting]).collect();
                 let arguments = if number == 0 { &arguments[..] } else { &[] };
-                LiveSet::start_sabotaged(set, description, drive, more, arguments, "")
+                LiveSet::start_with_failpoints(set, description, drive, more, arguments, "")
             })
         };
         (0..count).map(start).collect()

@@ -20,7 +20,7 @@ pub struct LiveSet {
     robot: String,
     directory: PathBuf,
     arguments: Vec<String>,
-    sabotage: String,
+    failpoints: String,
 }
 
 /// A simulated drive: scans a second, seconds, and simulated seconds a second.
@@ -57,17 +57,17 @@ impl LiveSet {
     }
 
     /// As [`LiveSet::start`], with protections taken away from it.
-    pub fn start_sabotaged(
+    pub fn start_with_failpoints(
         test: &str,
         directory: &Path,
         drive: Drive,
         more: &str,
         arguments: &[String],
-        sabotage: &str,
+        failpoints: &str,
     ) -> Self {
         let robot = robot(test);
         std::fs::write(directory.join("set.toml"), drive.description(&robot, more)).unwrap();
-        Self::spawn(robot, directory, arguments, sabotage)
+        Self::spawn(robot, directory, arguments, failpoints)
     }
 
     /// Starts the set that is described in `directory`.
@@ -81,17 +81,23 @@ impl LiveSet {
         std::fs::write(directory.join("set.toml"), drive.description(&robot, more)).unwrap();
         command.arg("up").arg(directory.join("set.toml")).arg("--out").arg(directory.join("out"));
         let child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
-        Self { child, robot, directory: directory.to_owned(), arguments: Vec::new(), sabotage: String::new() }
+        Self {
+            child,
+            robot,
+            directory: directory.to_owned(),
+            arguments: Vec::new(),
+            failpoints: String::new(),
+        }
     }
 
-    fn spawn(robot: String, directory: &Path, arguments: &[String], sabotage: &str) -> Self {
+    fn spawn(robot: String, directory: &Path, arguments: &[String], failpoints: &str) -> Self {
         let mut command = flockslam();
-        command.env("FLOCKSLAM_SABOTAGE", sabotage);
+        command.env("FLOCKSLAM_FAILPOINTS", failpoints);
         command.arg("up").arg(directory.join("set.toml")).arg("--out").arg(directory.join("out"));
         command.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
         let child = command.spawn().unwrap();
-        let (directory, sabotage) = (directory.to_owned(), sabotage.to_owned());
-        Self { child, robot, directory, arguments: arguments.to_owned(), sabotage }
+        let (directory, failpoints) = (directory.to_owned(), failpoints.to_owned());
+        Self { child, robot, directory, arguments: arguments.to_owned(), failpoints }
     }
 
     /// The name of the set.
@@ -158,7 +164,7 @@ impl LiveSet {
 
     /// Starts a set that is dead again.
     pub fn start_once_more(self) -> Self {
-        let again = Self::spawn(self.robot.clone(), &self.directory, &self.arguments, &self.sabotage);
+        let again = Self::spawn(self.robot.clone(), &self.directory, &self.arguments, &self.failpoints);
         // What is dropped here is dead already.
         std::mem::forget(self);
         again

@@ -1,6 +1,6 @@
 //! The clocks of a process: monotonic time for latency and deadlines, wall time for export.
 
-use crate::is_sabotaged;
+use crate::failpoint;
 use rustix::time::{ClockId, Timespec, clock_gettime};
 
 /// CLOCK_MONOTONIC, nanoseconds since boot: latency and deadlines, comparable between processes of one machine.
@@ -11,7 +11,7 @@ pub fn monotonic_ns() -> u64 {
 /// Wall clock, nanoseconds since 1970 UTC: for export only, it may jump.
 pub fn utc_ns() -> i64 {
     let utc_ns = nanoseconds(clock_gettime(ClockId::Realtime));
-    if is_sabotaged("wall-clock") { jumping(utc_ns, monotonic_ns()) } else { utc_ns }
+    if failpoint("wall-clock") { jumping(utc_ns, monotonic_ns()) } else { utc_ns }
 }
 
 /// When a log line is written, for people and exports.

@@ -9,10 +9,9 @@ pub use shares::tally_part;
 use crate::{CorrelationFilter, Settings};
 use flockslam_bus::{BellRinger, Publisher, ScanSample, ScanSubscriber, Subscriber};
 use flockslam_messages::{DropReason, KeepReason, Progress, ScanTally, Stage, Verdict};
-use flockslam_stage::{Acknowledger, Actor, Mode, StageContext, StageError, run};
-use flockslam_telemetry::{LabelledCounters, monotonic_ns, names};
-use shares::{Shares, is_shared};
-use std::time::Duration;
+use flockslam_stage::{Acknowledger, Actor, Mode, Shares, StageContext, StageError, run};
+use flockslam_telemetry::{LabelledCounters, names};
+use shares::is_shared;
 
 /// A part that another replica has not sent after this is described here: the same numbers, only later.
 const SHARE_DEADLINE_NS: u64 = 50_000_000;
@@ -21,6 +20,8 @@ const THREADS: usize = 2;
 /// Live: scans that the matcher may be behind before every scan is dropped but one in four, until it has caught up. A quarter of what
 /// may be on its way.
 const SHED_BEHIND_SCANS: u64 = 16;
+/// Parts of later scans that are remembered.
+const SHARES_HELD_MAX: usize = 16;
 /// Counts parts that had to be described here.
 const SHARE_LATE: &str = "share-late";
 
@@ -32,18 +33,19 @@ pub fn run_stage(context: &mut StageContext, settings: Settings) -> Result<(), S
     let bell = context.bus.listener(Stage::CorrelationFilter.name())?;
     let describer = Describer::open(context, &settings)?;
     if context.replica > 0 {
-        return run(context, &mut Helper { describer }, &bell);
+        let first = context.bus.ringer(Stage::CorrelationFilter.name())?;
+        let mut helper = Helper { describer, tallies: context.bus.publisher()?, first };
+        return run(context, &mut helper, &bell);
     }
     let mut actor = Filter {
-        describer,
         verdicts: context.bus.publisher()?,
         matcher: context.bus.ringer(Stage::ScanMatcher.name())?,
         acknowledger: Acknowledger::open(context, 0)?,
         load: if context.mode == Mode::Live { Some(Load::open(context)?) } else { None },
         kept: Kept::new(context),
+        shares: Shares::new(context.bus.subscriber()?, describer.parts, SHARES_HELD_MAX, SHARE_DEADLINE_NS),
+        describer,
         logic: CorrelationFilter::new(settings),
-        waiting: None,
-        shares: Shares::default(),
     };
     run(context, &mut actor, &bell)
 }
@@ -51,9 +53,6 @@ pub fn run_stage(context: &mut StageContext, settings: Settings) -> Result<(), S
 /// What describes scans, alone or together with other replicas.
 struct Describer {
     scans: ScanSubscriber,
-    tallies: Publisher<ScanTally>,
-    others: Subscriber<ScanTally>,
-    bell: BellRinger,
     part: u32,
     parts: u32,
     threads: usize,
@@ -64,9 +63,6 @@ impl Describer {
         let wants_tallies = CorrelationFilter::new(settings.clone()).wants_tallies();
         Ok(Self {
             scans: context.bus.scan_subscriber()?,
-            tallies: context.bus.publisher()?,
-            others: context.bus.subscriber()?,
-            bell: context.bus.ringer(Stage::CorrelationFilter.name())?,
             part: context.replica,
             parts: if wants_tallies { settings.replicas.max(1) as u32 } else { 1 },
             threads: THREADS,
@@ -77,19 +73,21 @@ impl Describer {
 /// Another replica than the first.
 struct Helper {
     describer: Describer,
+    tallies: Publisher<ScanTally>,
+    first: BellRinger,
 }
 
 impl Actor for Helper {
     fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
-        let Describer { scans, tallies, bell, part, parts, threads, .. } = &self.describer;
+        let Describer { scans, part, parts, threads } = &self.describer;
         let mut any = false;
         while let Some(sample) = scans.receive()? {
             any = true;
-            let started_ns = monotonic_ns();
+            let started_ns = context.now_ns();
             let Ok(scan) = sample.view() else { continue };
             if is_shared(scan, *parts) && part < parts {
-                tallies.send(&tally_part(scan, *part, *parts, *threads))?;
-                bell.ring();
+                self.tallies.send(&tally_part(scan, *part, *parts, *threads))?;
+                self.first.ring();
                 let times = scan.header().times;
                 context.handled(scan.header().id.sequence, started_ns, times.monotonic_ns);
             }
@@ -98,7 +96,7 @@ impl Actor for Helper {
     }
 
     fn refresh(&mut self, _context: &mut StageContext) -> Result<(), StageError> {
-        self.describer.tallies.refresh();
+        self.tallies.refresh();
         Ok(())
     }
 }
@@ -161,23 +159,21 @@ struct Filter {
     acknowledger: Acknowledger,
     load: Option<Load>,
     kept: Kept,
-    waiting: Option<Waiting>,
-    /// Other replicas may be ahead: their parts of later scans are kept.
-    shares: Shares,
+    shares: Shares<Subscriber<ScanTally>, Shared>,
 }
 
 /// A large scan whose parts are being described.
-struct Waiting {
+struct Shared {
     sample: ScanSample,
     started_ns: u64,
     overloaded: bool,
-    own: ScanTally,
+    sum: ScanTally,
 }
 
 impl Filter {
     /// Begins with a scan; a shared one waits for the other replicas.
     fn begin(&mut self, sample: ScanSample, context: &mut StageContext) -> Result<(), StageError> {
-        let (header, started_ns) = (*sample.header(), monotonic_ns());
+        let (header, started_ns) = (*sample.header(), context.now_ns());
         let overloaded = match &mut self.load {
             Some(load) => load.is_too_much(header.id.sequence)?,
             None => false,
@@ -185,10 +181,11 @@ impl Filter {
         let Describer { part, parts, threads, .. } = self.describer;
         let verdict = match sample.view() {
             Ok(scan) => {
-                context.report.report.scan_address = scan.ranges().as_ptr() as u64;
+                context.probe_scan(scan);
                 if is_shared(scan, parts) {
-                    let own = tally_part(scan, part, parts, threads);
-                    self.waiting = Some(Waiting { sample, started_ns, overloaded, own });
+                    let sum = tally_part(scan, part, parts, threads);
+                    let shared = Shared { sample, started_ns, overloaded, sum };
+                    self.shares.begin(header.id, shared, started_ns);
                     return Ok(());
                 }
                 let whole = self.logic.wants_tallies().then(|| tally_part(scan, 0, 1, threads));
@@ -205,24 +202,20 @@ impl Filter {
 
     /// Ends with a shared scan when all parts are there; true when it did.
     fn finish_shared(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
-        let Some(waiting) = &self.waiting else { return Ok(false) };
-        while let Some(tally) = self.describer.others.receive()? {
-            self.shares.take(*tally);
-        }
-        let (mut whole, missing) = self.shares.merged(&waiting.own);
-        let late = monotonic_ns().saturating_sub(waiting.started_ns) > SHARE_DEADLINE_NS;
-        if !missing.is_empty() && !late {
+        let add = |shared: &mut Shared, tally: &ScanTally| {
+            shared.sum.add(tally);
+            true
+        };
+        let Some((mut shared, missing)) = self.shares.finish(context.now_ns(), add)? else {
             return Ok(false);
-        }
-        let Some(waiting) = self.waiting.take() else { return Ok(false) };
-        let Ok(scan) = waiting.sample.view() else { return Ok(false) };
+        };
+        let Ok(scan) = shared.sample.view() else { return Ok(false) };
         for part in missing {
             context.dropped(SHARE_LATE);
-            whole.add(&tally_part(scan, part, self.describer.parts, self.describer.threads));
+            shared.sum.add(&tally_part(scan, part, self.describer.parts, self.describer.threads));
         }
-        self.shares.forget(whole.id.sequence);
-        let verdict = self.logic.judge(scan, Some(&whole), waiting.overloaded);
-        self.publish(&verdict, waiting.started_ns, context)?;
+        let verdict = self.logic.judge(scan, Some(&shared.sum), shared.overloaded);
+        self.publish(&verdict, shared.started_ns, context)?;
         Ok(true)
     }
 
@@ -248,7 +241,7 @@ impl Filter {
 impl Actor for Filter {
     fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
         let mut any = self.finish_shared(context)?;
-        while self.waiting.is_none() {
+        while !self.shares.waits() {
             let Some(sample) = self.describer.scans.receive()? else { break };
             any = true;
             // A source that was restarted may send its last scan twice.
@@ -266,12 +259,12 @@ impl Actor for Filter {
         self.acknowledger.send()
     }
 
-    fn patience(&self) -> Duration {
-        Duration::from_millis(if self.waiting.is_none() { 100 } else { 5 })
+    fn waits(&self) -> bool {
+        self.shares.waits()
     }
 
     fn waiting(&self) -> usize {
-        usize::from(self.waiting.is_some())
+        usize::from(self.shares.waits())
     }
 
     fn close(&mut self, context: &mut StageContext) -> Result<(), StageError> {

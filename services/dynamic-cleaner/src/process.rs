@@ -5,19 +5,20 @@
 mod sectors;
 
 use crate::{DynamicCleaner, Sector, Settings};
-use flockslam_bus::{BellRinger, ScanSample, SlicePublisher};
-use flockslam_messages::{DropReason, MarksHeader, PoseEstimate, PoseFlags, ScanView, Stage, TracksHeader};
-use flockslam_stage::{
-    Acknowledger, Actor, GridReader, Mode, PendingScans, PoseQueue, StageContext, StageError, run,
+use flockslam_bus::{BellRinger, ScanSample, SlicePublisher, SliceSample, SliceSubscriber};
+use flockslam_messages::{
+    DropReason, MarksHeader, PoseEstimate, PoseFlags, ScanView, SectorHeader, Stage, TracksHeader,
 };
-use flockslam_telemetry::{Counter, monotonic_ns, names};
-use sectors::{Helper, Sectors};
-use std::time::Duration;
+use flockslam_stage::{Actor, GridReader, Join, Mode, Shares, StageContext, StageError, Waited, run};
+use flockslam_telemetry::{Counter, names};
+use sectors::Helper;
 
 /// Live: a grid that is not there by then is not waited for; the scan clears nothing.
 const GRID_DEADLINE_NS: u64 = 50_000_000;
 /// A sector that another replica has not sent after this is judged here: the same cells, only later.
 const SECTOR_DEADLINE_NS: u64 = 20_000_000;
+/// Findings about later scans that are held.
+const SECTORS_HELD_MAX: usize = 4;
 /// Counts sectors that had to be judged here.
 const SECTOR_LATE: &str = "sector-late";
 
@@ -28,20 +29,19 @@ const SECTOR_LATE: &str = "sector-late";
 pub fn run_stage(context: &mut StageContext, settings: Settings, cell_size_m: f64) -> Result<(), StageError> {
     let bell = context.bus.listener(Stage::DynamicCleaner.name())?;
     let parts = settings.replicas.max(1) as u32;
-    let inputs = Inputs::open(context, settings, cell_size_m)?;
+    let mut inputs = Inputs::open(context, settings, cell_size_m)?;
     if context.replica > 0 {
+        inputs.join.speak(false);
         // A number beyond the shares has none; it only waits to be told to end.
         let sector = (context.replica < parts).then(|| Sector::new(context.replica, parts));
         return run(context, &mut Helper::open(context, inputs, sector, parts)?, &bell);
     }
     let mut actor = Cleaner {
         inputs,
-        sectors: Sectors::open(context, parts)?,
-        waiting: None,
+        sectors: Shares::new(context.bus.slice_subscriber()?, parts, SECTORS_HELD_MAX, SECTOR_DEADLINE_NS),
         marks: context.bus.slice_publisher()?,
         tracks: context.bus.slice_publisher()?,
         mapper: context.bus.ringer(Stage::Mapper.name())?,
-        acknowledger: Acknowledger::open(context, 0)?,
         cleared: 0,
         cleared_cells: context.metrics.counter(names::CLEARED_CELLS),
         moving_beams: context.metrics.counter(names::MOVING_BEAMS),
@@ -52,68 +52,50 @@ pub fn run_stage(context: &mut StageContext, settings: Settings, cell_size_m: f6
 /// What every replica joins.
 struct Inputs {
     logic: DynamicCleaner,
-    scans: PendingScans,
-    poses: PoseQueue,
+    join: Join<PoseEstimate>,
     grid: GridReader,
-    waiting_since_ns: Option<u64>,
 }
 
 impl Inputs {
     fn open(context: &StageContext, settings: Settings, cell_size_m: f64) -> Result<Self, StageError> {
         let grid = GridReader::open(context, cell_size_m)?;
         grid.ask_for_tiles()?;
-        Ok(Self {
-            logic: DynamicCleaner::new(settings),
-            scans: PendingScans::new(context.bus.scan_subscriber()?, context.capacity.window, 0),
-            poses: PoseQueue::new(context.bus.subscriber()?, 0),
-            grid,
-            waiting_since_ns: None,
-        })
+        let join = Join::open(context, GRID_DEADLINE_NS)?;
+        Ok(Self { logic: DynamicCleaner::new(settings), join, grid })
     }
 
-    fn drain(&mut self) -> Result<(), StageError> {
-        self.scans.drain()?;
-        self.poses.drain()?;
+    /// Takes in what has arrived; the oldest pose.
+    fn next(&mut self) -> Result<Option<PoseEstimate>, StageError> {
+        let pose = self.join.next()?;
         self.grid.drain()?;
-        Ok(())
+        Ok(pose)
     }
+}
 
-    /// Whether the grid that the pose was found in is the present one; `None` when it is still waited for.
-    fn grid_is_ready(&mut self, pose: &PoseEstimate, mode: Mode) -> Option<bool> {
-        let ready = self.generation() >= pose.generation;
-        if !ready {
-            let since_ns = *self.waiting_since_ns.get_or_insert_with(monotonic_ns);
-            let late = monotonic_ns().saturating_sub(since_ns) > GRID_DEADLINE_NS;
-            if mode == Mode::Exact || !late {
-                return None;
-            }
-        }
-        self.waiting_since_ns = None;
-        Some(ready)
-    }
+/// Generation of the present grid.
+fn generation(grid: &GridReader) -> u64 {
+    grid.committed().map_or(0, |commit| commit.generation)
+}
 
-    /// Generation of the present grid.
-    fn generation(&self) -> u64 {
-        self.grid.committed().map_or(0, |commit| commit.generation)
-    }
+/// Whether the grid that the pose was found in is there.
+fn has_grid_of(grid: &GridReader, pose: &PoseEstimate) -> Option<()> {
+    (generation(grid) >= pose.generation).then_some(())
 }
 
 /// The replica that concludes.
 struct Cleaner {
     inputs: Inputs,
-    sectors: Sectors,
-    waiting: Option<Waiting>,
+    sectors: Shares<SliceSubscriber<SectorHeader>, Shared>,
     marks: SlicePublisher<MarksHeader>,
     tracks: SlicePublisher<TracksHeader>,
     mapper: BellRinger,
-    acknowledger: Acknowledger,
     cleared: u64,
     cleared_cells: Counter,
     moving_beams: Counter,
 }
 
 /// A scan of which others judge their sectors.
-struct Waiting {
+struct Shared {
     pose: PoseEstimate,
     sample: Option<ScanSample>,
     generation: u64,
@@ -121,58 +103,58 @@ struct Waiting {
 }
 
 impl Cleaner {
+    /// Cleans with an accepted scan, in the grid that its pose was found in; without it nothing is cleared.
     fn clean(
         &mut self,
         pose: &PoseEstimate,
         fresh: bool,
         context: &mut StageContext,
     ) -> Result<(), StageError> {
-        let started_ns = monotonic_ns();
-        let sample = self.inputs.scans.take(pose.id.sequence);
-        let generation = self.inputs.generation();
-        let scan = sample.as_ref().and_then(|sample| sample.view().ok());
-        match scan.filter(|_| fresh) {
-            Some(scan) => {
-                context.report.report.scan_address = scan.ranges().as_ptr() as u64;
-                self.watch(scan, pose)?;
-                let logic = &mut self.inputs.logic;
-                logic.begin(scan, pose);
-                logic.look(scan, pose, self.inputs.grid.grid(), self.sectors.own());
-                if self.sectors.parts() > 1 && logic.judges(pose) {
-                    self.waiting = Some(Waiting { pose: *pose, sample, generation, started_ns });
-                    return Ok(());
-                }
-                self.conclude(pose)?;
-            }
-            None => {
-                context.dropped(DropReason::Deadline.name());
-                let (id, times, generation) = (pose.id, pose.times, pose.generation);
-                let nothing = MarksHeader { id, times, generation, ..MarksHeader::default() };
-                self.marks.send_with(&nothing, 0, |_| {})?;
-            }
+        let started_ns = context.now_ns();
+        let sample = self.inputs.join.scans.take(pose.id.sequence).filter(|_| fresh);
+        let generation = generation(&self.inputs.grid);
+        let Some(scan) = sample.as_ref().and_then(|sample| sample.view().ok()) else {
+            context.dropped(DropReason::Deadline.name());
+            let (id, times) = (pose.id, pose.times);
+            let nothing = MarksHeader { id, times, generation, ..MarksHeader::default() };
+            self.marks.send_with(&nothing, 0, |_| {})?;
+            return self.end(pose, started_ns, context);
+        };
+        context.probe_scan(scan);
+        self.watch(scan, pose)?;
+        let Inputs { logic, grid, .. } = &mut self.inputs;
+        logic.begin(scan, pose);
+        logic.look(scan, pose, grid.grid(), Sector::new(0, self.sectors.parts()));
+        if self.sectors.parts() > 1 && logic.judges(pose) {
+            let shared = Shared { pose: *pose, sample, generation, started_ns };
+            self.sectors.begin(pose.id, shared, started_ns);
+            return Ok(());
         }
+        self.conclude(pose)?;
         self.end(pose, started_ns, context)
     }
 
     /// Ends with a shared scan when all sectors are judged; true when none waits.
     fn finish_shared(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
-        let Some(waiting) = &self.waiting else { return Ok(true) };
-        let missing = self.sectors.collect(&waiting.pose, waiting.generation, &mut self.inputs.logic)?;
-        let late = monotonic_ns().saturating_sub(waiting.started_ns) > SECTOR_DEADLINE_NS;
-        if !missing.is_empty() && !late {
-            return Ok(false);
-        }
-        let Some(waiting) = self.waiting.take() else { return Ok(true) };
-        let pose = &waiting.pose;
-        let scan = waiting.sample.as_ref().and_then(|sample| sample.view().ok());
+        let Inputs { logic, grid, .. } = &mut self.inputs;
+        let take = |shared: &mut Shared, found: &SliceSample<SectorHeader>| {
+            let fits = found.header().generation == shared.generation;
+            if fits {
+                logic.take(found.elements());
+            }
+            fits
+        };
+        let Some((shared, missing)) = self.sectors.finish(context.now_ns(), take)? else {
+            return Ok(!self.sectors.waits());
+        };
+        let (pose, sample) = (&shared.pose, shared.sample.as_ref());
+        let scan = sample.and_then(|sample| sample.view().ok());
         for (sector, scan) in missing.into_iter().zip(scan.into_iter().cycle()) {
             context.dropped(SECTOR_LATE);
-            self.inputs.logic.look(scan, pose, self.inputs.grid.grid(), sector);
+            logic.look(scan, pose, grid.grid(), Sector::new(sector, self.sectors.parts()));
         }
-        drop(waiting.sample);
-        self.sectors.forget();
         self.conclude(pose)?;
-        self.end(pose, waiting.started_ns, context)?;
+        self.end(pose, shared.started_ns, context)?;
         Ok(true)
     }
 
@@ -194,8 +176,7 @@ impl Cleaner {
         self.mapper.ring();
         tracing::debug!(scan = pose.id.sequence, cleared_so_far = self.cleared, "cleaned");
         context.handled(pose.id.sequence, started_ns, pose.times.monotonic_ns);
-        self.inputs.poses.pop();
-        self.acknowledger.finished(pose.id.sequence + 1)
+        self.inputs.join.finished(pose.id.sequence + 1)
     }
 
     /// Publishes who moves at a scan.
@@ -208,25 +189,25 @@ impl Cleaner {
 
     /// Handles the oldest pose; false when its join is not complete.
     fn step(&mut self, pose: &PoseEstimate, context: &mut StageContext) -> Result<bool, StageError> {
+        let ready = has_grid_of(&self.inputs.grid, pose);
         if pose.has(PoseFlags::INSERT) {
-            let Some(fresh) = self.inputs.grid_is_ready(pose, context.mode) else { return Ok(false) };
-            self.clean(pose, fresh, context)?;
+            match self.inputs.join.wait(ready, context.now_ns()) {
+                Waited::NotYet => return Ok(false),
+                waited => self.clean(pose, waited == Waited::For(()), context)?,
+            }
             return Ok(true);
         }
-        let fresh = self.inputs.generation() >= pose.generation;
-        if !fresh && context.mode == Mode::Exact {
+        if ready.is_none() && context.mode == Mode::Exact {
             return Ok(false);
         }
-        let sample = self.inputs.scans.take(pose.id.sequence);
+        let sample = self.inputs.join.scans.take(pose.id.sequence);
         if let Some(scan) = sample.as_ref().and_then(|sample| sample.view().ok()) {
             self.watch(scan, pose)?;
-            if fresh {
+            if ready.is_some() {
                 self.inputs.logic.look_on(scan, pose, self.inputs.grid.grid());
             }
         }
-        self.inputs.scans.release_before(pose.id.sequence + 1);
-        self.inputs.poses.pop();
-        self.acknowledger.finished(pose.id.sequence + 1)?;
+        self.inputs.join.finished(pose.id.sequence + 1)?;
         Ok(true)
     }
 }
@@ -235,8 +216,7 @@ impl Actor for Cleaner {
     fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
         let mut any = false;
         while self.finish_shared(context)? {
-            self.inputs.drain()?;
-            let Some(pose) = self.inputs.poses.front().copied() else { break };
+            let Some(pose) = self.inputs.next()? else { break };
             if !self.step(&pose, context)? {
                 break;
             }
@@ -249,18 +229,15 @@ impl Actor for Cleaner {
         self.marks.refresh();
         self.tracks.refresh();
         context.report.count("cleared_cells", self.cleared);
-        if let Some(address) = self.inputs.grid.a_tile_address() {
-            context.report.report.tile_address = address as u64;
-        }
-        self.acknowledger.send()
+        context.probe_tile(&self.inputs.grid);
+        self.inputs.join.refresh()
     }
 
     fn waiting(&self) -> usize {
-        self.inputs.scans.len()
+        self.inputs.join.scans.len()
     }
 
-    fn patience(&self) -> Duration {
-        let waits = self.inputs.waiting_since_ns.is_some() || self.waiting.is_some();
-        Duration::from_millis(if waits { 5 } else { 100 })
+    fn waits(&self) -> bool {
+        self.inputs.join.waits() || self.sectors.waits()
     }
 }

@@ -15,12 +15,12 @@ use feed::{Fed, Feed};
 
 pub use bag::{BagError, BagReader};
 pub use feed::count_scans;
-use flockslam_bus::{BellRinger, Publisher, ScanPublisher, Subscriber};
-use flockslam_messages::{
-    Control, ControlKind, DropReason, LARGE_SCAN_BEAMS, Progress, ScanBuffer, ScanId, Stage,
+use flockslam_bus::{ScanPublisher, Subscriber};
+use flockslam_messages::{ControlKind, DropReason, LARGE_SCAN_BEAMS, Progress, ScanBuffer, ScanId, Stage};
+use flockslam_stage::{
+    Actor, Bells, LastWord, Mode, Pause, StageContext, StageError, StreamEnd, Turn, run, step_aside,
 };
-use flockslam_stage::{Actor, Mode, Pause, StageContext, StageError, StreamEnd, Turn, run, step_aside};
-use flockslam_telemetry::{is_sabotaged, monotonic_ns, utc_ns};
+use flockslam_telemetry::{failpoint, monotonic_ns, utc_ns};
 use pacer::Pacer;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -104,11 +104,11 @@ struct Ingest {
     pacer: Option<Pacer>,
     cursor: Option<Cursor>,
     scans: ScanPublisher,
-    control: Publisher<Control>,
+    /// Tells how many scans there were.
+    end: LastWord,
     progress: Subscriber<Progress>,
-    bells: Vec<BellRinger>,
     /// Who looks at a scan first.
-    first: Vec<BellRinger>,
+    first: Bells,
     done: [u64; CONSUMERS.len()],
     scan: ScanBuffer,
     /// A scan is in `scan` and not yet sent.
@@ -116,7 +116,6 @@ struct Ingest {
     /// It has been announced.
     announced: bool,
     sequence: u64,
-    ended: bool,
     pause: Pause,
     /// It rested at the last look.
     rests: bool,
@@ -130,31 +129,28 @@ impl Ingest {
             Mode::Live => Some(Cursor::open(&context.status_dir, first)?),
             Mode::Exact => None,
         };
-        let resumed = cursor.as_ref().filter(|_| !is_sabotaged("no-cursor"));
+        let resumed = cursor.as_ref().filter(|_| !failpoint("no-cursor"));
         let resumed = resumed.map_or(first, Cursor::next_sequence);
         let pacer = task.rate.map(|rate| Pacer::new(rate, cursor.as_ref().and_then(Cursor::anchor)));
         let mut feed = Feed::open(context, &task)?;
         feed.skip(resumed.saturating_sub(first))?;
-        let bells =
-            CONSUMERS.iter().map(|stage| context.bus.ringer(stage.name())).collect::<Result<_, _>>()?;
+        let bells = |stages: &[Stage]| {
+            let names: Vec<_> = stages.iter().map(|stage| stage.name()).collect();
+            Bells::open(context, &names)
+        };
         Ok(Self {
             feed,
             pacer,
             cursor,
             scans: context.bus.scan_publisher()?,
-            control: context.bus.publisher()?,
+            end: LastWord::open(context, ControlKind::StreamEnd, EPOCH, bells(&CONSUMERS)?)?,
             progress: context.bus.subscriber()?,
-            bells,
-            first: first_stages(context.mode)
-                .iter()
-                .map(|stage| context.bus.ringer(stage.name()))
-                .collect::<Result<_, _>>()?,
+            first: bells(first_stages(context.mode))?,
             done: [0; CONSUMERS.len()],
             scan: ScanBuffer::default(),
             loaded: false,
             announced: false,
             sequence: resumed,
-            ended: false,
             pause: Pause::of(&context.status_dir),
             rests: false,
             stream: StreamEnd::open(context)?,
@@ -180,7 +176,7 @@ impl Ingest {
     fn is_due(&mut self, context: &StageContext) -> bool {
         match (context.mode, &mut self.pacer) {
             (Mode::Exact, _) => self.has_credit(context),
-            (Mode::Live, Some(pacer)) => pacer.is_due(self.scan.header.times.sensor_ns, monotonic_ns()),
+            (Mode::Live, Some(pacer)) => pacer.is_due(self.scan.header.times.sensor_ns, context.now_ns()),
             (Mode::Live, None) => true,
         }
     }
@@ -209,12 +205,12 @@ impl Ingest {
     fn announce(&mut self) {
         if !self.announced && self.ahead().is_some_and(|ahead| ahead <= ANNOUNCED_AHEAD) {
             self.announced = true;
-            self.first.iter().for_each(BellRinger::announce);
+            self.first.announce();
         }
     }
 
     fn publish(&mut self, context: &mut StageContext) -> Result<(), StageError> {
-        let now_ns = monotonic_ns();
+        let now_ns = context.now_ns();
         let header = &mut self.scan.header;
         header.id = ScanId { epoch: EPOCH, sequence: self.sequence, lidar: header.id.lidar };
         header.times.monotonic_ns = now_ns;
@@ -223,14 +219,14 @@ impl Ingest {
         self.scans.send(view)?;
         // Whoever waits for it awake needs the processor rather than the bell.
         if !self.announced {
-            self.ring_first();
+            self.first.ring();
         }
         if context.mode == Mode::Live {
             // Whoever was woken may wait for this very processor: reading the next scan has time.
             step_aside();
         }
         if self.announced {
-            self.ring_first();
+            self.first.ring();
         }
         (self.loaded, self.announced) = (false, false);
         self.sequence += 1;
@@ -242,15 +238,10 @@ impl Ingest {
         Ok(())
     }
 
-    fn ring_first(&self) {
-        self.first.iter().for_each(BellRinger::ring);
-    }
-
     fn tell_the_end(&mut self, context: &mut StageContext) -> Result<(), StageError> {
-        self.ended = true;
         self.report(context);
         self.feed.store_truth()?;
-        self.repeat_the_end()
+        self.end.say(self.sequence)
     }
 
     fn report(&self, context: &mut StageContext) {
@@ -262,27 +253,17 @@ impl Ingest {
         context.report.count("invalid_beams", tally.invalid_beams);
         context.report.count("stamps_backward", tally.steps_backward);
     }
-
-    fn repeat_the_end(&self) -> Result<(), StageError> {
-        self.control.send(&Control {
-            kind: ControlKind::StreamEnd as u32,
-            epoch: EPOCH,
-            value: self.sequence,
-        })?;
-        self.bells.iter().for_each(BellRinger::ring);
-        Ok(())
-    }
 }
 
 impl Actor for Ingest {
     fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
         self.hear_progress()?;
         self.stream.drain()?;
-        if self.stream.end_wanted && !self.ended {
+        if self.stream.end_wanted && !self.end.is_said() {
             self.tell_the_end(context)?;
         }
         let mut any = false;
-        while !self.ended && !context.stop.is_set() {
+        while !self.end.is_said() && !context.stop.is_set() {
             if !self.loaded {
                 match self.feed.next(&mut self.scan)? {
                     Fed::Scan => self.loaded = true,
@@ -312,9 +293,7 @@ impl Actor for Ingest {
 
     fn refresh(&mut self, _context: &mut StageContext) -> Result<(), StageError> {
         self.scans.refresh();
-        self.control.refresh();
-        // Whoever has just started needs to hear it too.
-        if self.ended { self.repeat_the_end() } else { Ok(()) }
+        self.end.repeat()
     }
 
     fn patience(&self) -> Duration {

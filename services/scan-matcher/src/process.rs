@@ -4,19 +4,18 @@
 //! goes on with the next scan when it dies.
 
 use crate::{ScanMatcher, Settings};
-use flockslam_bus::{BellRinger, Publisher, ScanSample, SlicePublisher, Subscriber};
+use flockslam_bus::{Publisher, ScanSample, SlicePublisher, Subscriber};
 use flockslam_messages::{
     DropReason, FlockRobots, KeepReason, LayoutHeader, MovingBeamsHeader, PoseEstimate, PoseFlags, Stage,
     Verdict,
 };
 use flockslam_stage::{
-    Acknowledger, Actor, GridReader, JournalReader, JournalWriter, Mode, PendingScans, StageContext,
-    StageError, StreamEnd, Turn, run, step_aside,
+    Actor, Bells, Deadline, GridReader, Join, JournalReader, JournalWriter, Mode, StageContext, StageError,
+    Turn, run, step_aside,
 };
-use flockslam_telemetry::{is_sabotaged, monotonic_ns};
+use flockslam_telemetry::failpoint;
 use metrics::PoseMetrics;
 use std::collections::VecDeque;
-use std::time::Duration;
 
 mod metrics;
 mod stand_in;
@@ -56,9 +55,7 @@ pub fn run_stage(context: &mut StageContext, settings: Settings, cell_size_m: f6
 
 struct Matcher {
     logic: ScanMatcher,
-    scans: PendingScans,
-    verdicts: Subscriber<Verdict>,
-    waiting_verdicts: VecDeque<Verdict>,
+    join: Join<Verdict>,
     layouts: Subscriber<LayoutHeader>,
     waiting_layouts: VecDeque<LayoutHeader>,
     /// The one in force.
@@ -69,6 +66,7 @@ struct Matcher {
     grid: GridReader,
     /// Sequences of the accepted scans whose commits are awaited, and since when, oldest first.
     awaited: VecDeque<(u64, u64)>,
+    commit_deadline: Deadline,
     poses: Publisher<PoseEstimate>,
     moving_beams: SlicePublisher<MovingBeamsHeader>,
     /// What a predecessor has written, up to its last pose.
@@ -78,16 +76,12 @@ struct Matcher {
     accepted: Option<u64>,
     /// Open as soon as this process acts.
     journal: Option<JournalWriter>,
-    bells: [BellRinger; 3],
+    bells: Bells,
     /// The chain of submaps, and the sequence of the accepted scan that it began with.
     chain: u32,
     chain_began: u64,
-    /// Sequence of the scan that comes next when none is lost.
-    expected: u64,
     /// The others are woken once in so many poses that they only have to count.
     quiet_scans: u64,
-    acknowledger: Acknowledger,
-    stream: StreamEnd,
     metrics: PoseMetrics,
 }
 
@@ -96,9 +90,7 @@ impl Matcher {
         let bus = &context.bus;
         Ok(Self {
             logic: ScanMatcher::new(settings),
-            scans: PendingScans::new(bus.scan_subscriber()?, context.capacity.window, 0),
-            verdicts: bus.subscriber()?,
-            waiting_verdicts: VecDeque::with_capacity(2 * context.capacity.window),
+            join: Join::open(context, VERDICT_DEADLINE_NS)?,
             layouts: bus.subscriber()?,
             waiting_layouts: VecDeque::new(),
             layout: None,
@@ -106,23 +98,20 @@ impl Matcher {
             companions: bus.subscriber()?,
             grid: GridReader::open(context, cell_size_m)?,
             awaited: VecDeque::with_capacity(2 + LAG_LIVE),
+            commit_deadline: Deadline::live(context.mode, COMMIT_DEADLINE_NS),
             poses: bus.publisher()?,
             moving_beams: bus.slice_publisher()?,
             past: JournalReader::open(&context.journal_dir)?,
             last: None,
             accepted: None,
             journal: None,
-            bells: [
-                bus.ringer(Stage::Mapper.name())?,
-                bus.ringer(Stage::DynamicCleaner.name())?,
-                bus.ringer(Stage::SyncManager.name())?,
-            ],
+            bells: Bells::open(
+                context,
+                &[Stage::Mapper, Stage::DynamicCleaner, Stage::SyncManager].map(Stage::name),
+            )?,
             chain: 0,
             chain_began: 0,
-            expected: 0,
             quiet_scans: (context.capacity.window as u64 / 8).max(1),
-            acknowledger: Acknowledger::open(context, 0)?,
-            stream: StreamEnd::open(context)?,
             metrics: PoseMetrics::new(&context.metrics),
         })
     }
@@ -131,11 +120,7 @@ impl Matcher {
     fn follow(&mut self, context: &mut StageContext) -> Result<u64, StageError> {
         self.drain(context)?;
         let poses = self.read_journal(context)?;
-        let done = self.last.map_or(0, |last| last.id.sequence + 1);
-        self.scans.release_before(done);
-        while self.waiting_verdicts.front().is_some_and(|verdict| verdict.id.sequence < done) {
-            self.waiting_verdicts.pop_front();
-        }
+        self.join.release_before(self.last.map_or(0, |last| last.id.sequence + 1));
         Ok(poses)
     }
 
@@ -160,7 +145,7 @@ impl Matcher {
     fn begin(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.read_journal(context)?;
         self.journal = Some(JournalWriter::open_behind(&context.journal_dir, &self.past)?);
-        if is_sabotaged("no-resume") {
+        if failpoint("no-resume") {
             return Ok(());
         }
         let Some(last) = self.last else { return Ok(()) };
@@ -181,21 +166,16 @@ impl Matcher {
             self.logic.corrected(&layout);
         }
         // Without it the grid is that of a moment ago, or empty.
-        self.awaited.extend(self.accepted.map(|sequence| (sequence, monotonic_ns())));
+        self.awaited.extend(self.accepted.map(|sequence| (sequence, context.now_ns())));
         // The predecessor may have died between the journal and this.
         self.poses.send(&last)?;
-        self.ring();
+        self.bells.ring();
         self.chain = last.chain;
-        self.expected = next;
-        self.scans.release_before(next);
-        self.acknowledger.finished(next)
+        self.join.finished(next)
     }
 
     fn drain(&mut self, context: &StageContext) -> Result<(), StageError> {
-        self.scans.drain()?;
-        while let Some(verdict) = self.verdicts.receive()? {
-            self.waiting_verdicts.push_back(*verdict);
-        }
+        self.join.drain()?;
         if let Some(commit) = self.grid.drain()? {
             self.logic.committed(&commit);
         }
@@ -234,8 +214,7 @@ impl Matcher {
         let lag = if may_lag { LAG_LIVE } else { 0 };
         let oldest = self.awaited.front().filter(|_| self.awaited.len() > lag);
         let Some((_, since_ns)) = oldest else { return self.layouts_are_ready(context.mode) };
-        let late =
-            context.mode == Mode::Live && monotonic_ns().saturating_sub(*since_ns) > COMMIT_DEADLINE_NS;
+        let late = self.commit_deadline.is_over(*since_ns, context.now_ns());
         if late {
             self.awaited.pop_front();
             context.dropped(DropReason::Deadline.name());
@@ -250,36 +229,28 @@ impl Matcher {
 
     /// The verdict on the oldest scan, when there is one or it is not waited for any longer.
     fn verdict(&mut self, context: &mut StageContext) -> Option<Verdict> {
-        let header = *self.scans.front()?.header();
-        while self.waiting_verdicts.front().is_some_and(|verdict| verdict.id.sequence < header.id.sequence) {
-            self.waiting_verdicts.pop_front();
-        }
+        let header = *self.join.scans.front()?.header();
         let made =
             |keep, reason| Verdict { id: header.id, times: header.times, coefficient: 0.0, keep, reason };
         // Live and far behind: predicting costs next to nothing, so the newest scans are reached at once.
-        if context.mode == Mode::Live && self.scans.len() > context.capacity.window / 2 {
+        if context.mode == Mode::Live && self.join.scans.len() > context.capacity.window / 2 {
             context.dropped(DropReason::Overload.name());
             return Some(made(0, DropReason::Overload as u32));
         }
-        match self.waiting_verdicts.front() {
-            Some(verdict) if verdict.id.sequence == header.id.sequence => self.waiting_verdicts.pop_front(),
-            _ => {
-                let age_ns = monotonic_ns().saturating_sub(header.times.monotonic_ns);
-                let late = context.mode == Mode::Live && age_ns > VERDICT_DEADLINE_NS;
-                if late {
-                    context.dropped(DropReason::Deadline.name());
-                }
-                late.then(|| made(1, KeepReason::Late as u32))
+        self.join.told.take(header.id.sequence).or_else(|| {
+            let late = self.join.is_over(header.times.monotonic_ns, context.now_ns());
+            if late {
+                context.dropped(DropReason::Deadline.name());
             }
-        }
+            late.then(|| made(1, KeepReason::Late as u32))
+        })
     }
 
     /// Whether the verdict on the oldest scan should come any moment.
-    fn verdict_is_near(&self, mode: Mode) -> bool {
-        let young = |scan: &ScanSample| {
-            monotonic_ns().saturating_sub(scan.header().times.monotonic_ns) < VERDICT_POLL_NS
-        };
-        mode == Mode::Live && self.scans.front().is_some_and(young)
+    fn verdict_is_near(&self, context: &StageContext) -> bool {
+        let age_ns = |scan: &ScanSample| context.now_ns().saturating_sub(scan.header().times.monotonic_ns);
+        let is_young = |scan| age_ns(scan) < VERDICT_POLL_NS;
+        context.mode == Mode::Live && self.join.scans.front().is_some_and(is_young)
     }
 
     fn process(
@@ -288,19 +259,18 @@ impl Matcher {
         verdict: &Verdict,
         context: &mut StageContext,
     ) -> Result<(), StageError> {
-        let (header, started_ns) = (*sample.header(), monotonic_ns());
+        let (header, started_ns) = (*sample.header(), context.now_ns());
         // Live, a queue that overflows while this process waits for a processor loses its oldest scans.
-        for _ in self.expected..header.id.sequence {
+        for _ in self.join.expected..header.id.sequence {
             context.dropped(LOST);
         }
-        self.expected = header.id.sequence + 1;
         let Ok(scan) = sample.view() else {
             context.dropped("unreadable");
-            return self.acknowledger.finished(header.id.sequence + 1);
+            return self.join.finished(header.id.sequence + 1);
         };
         let pose = self.logic.handle(scan, verdict, self.grid.grid());
         // Before anybody hears of an accepted scan it lies outside of this process.
-        let journal = self.journal.as_mut().filter(|_| !is_sabotaged("no-journal"));
+        let journal = self.journal.as_mut().filter(|_| !failpoint("no-journal"));
         let journaled = journal.map(|journal| journal.append(&pose, scan));
         if let Some(Err(error)) = journaled {
             tracing::error!(scan = header.id.sequence, %error, "not durable");
@@ -312,16 +282,16 @@ impl Matcher {
         self.metrics.published(&pose);
         let accepted = pose.has(PoseFlags::INSERT);
         if accepted {
-            self.awaited.push_back((header.id.sequence, monotonic_ns()));
+            self.awaited.push_back((header.id.sequence, context.now_ns()));
             if pose.chain != self.chain {
                 (self.chain, self.chain_began) = (pose.chain, header.id.sequence);
             }
         }
         if accepted || header.id.sequence.is_multiple_of(self.quiet_scans) {
-            self.ring();
+            self.bells.ring();
         }
-        context.report.report.scan_address = scan.ranges().as_ptr() as u64;
-        self.acknowledger.finished(header.id.sequence + 1)
+        context.probe_scan(scan);
+        self.join.finished(header.id.sequence + 1)
     }
 
     /// Who hears of a pose has heard of its moving beams.
@@ -338,30 +308,25 @@ impl Matcher {
             context.dropped("moving-beams-unsent");
         }
     }
-
-    fn ring(&self) {
-        self.bells.iter().for_each(BellRinger::ring);
-    }
 }
 
 impl Actor for Matcher {
     fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
         self.drain(context)?;
         let (mut any, mut expects_verdict) = (false, false);
-        while !self.scans.is_empty() && self.grid_is_ready(context) {
+        while !self.join.scans.is_empty() && self.grid_is_ready(context) {
             let Some(verdict) = self.verdict(context) else {
-                expects_verdict = self.verdict_is_near(context.mode);
+                expects_verdict = self.verdict_is_near(context);
                 break;
             };
-            let Some(sample) = self.scans.pop() else { break };
+            let Some(sample) = self.join.scans.take(verdict.id.sequence) else { break };
             self.process(&sample, &verdict, context)?;
             any = true;
             drop(sample);
             self.drain(context)?;
         }
-        self.stream.drain()?;
-        if !any && self.stream.reached(self.acknowledger.done(), context.mode) {
-            self.ring();
+        if self.join.has_ended()? && !any {
+            self.bells.ring();
         }
         if expects_verdict {
             // The filter may wait for this very processor.
@@ -373,19 +338,17 @@ impl Actor for Matcher {
     fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.poses.refresh();
         self.moving_beams.refresh();
-        if let Some(address) = self.grid.a_tile_address() {
-            context.report.report.tile_address = address as u64;
-        }
-        self.acknowledger.send()
+        context.probe_tile(&self.grid);
+        self.join.refresh()
     }
 
     fn waiting(&self) -> usize {
-        self.scans.len()
+        self.join.scans.len()
     }
 
-    fn patience(&self) -> Duration {
-        // A scan waits for something: look again soon, in case a deadline passes.
-        Duration::from_millis(if self.scans.is_empty() { 100 } else { 5 })
+    /// A scan waits for something: its verdict or the grid.
+    fn waits(&self) -> bool {
+        !self.join.scans.is_empty()
     }
 }
 

@@ -7,24 +7,23 @@
 use crate::fuse::Fuser;
 use crate::{Settings, SyncManager};
 use flock::Voice;
-use flockslam_bus::{BellRinger, Publisher, ScanSample, SliceSubscriber, Subscriber};
+use flockslam_bus::{BellRinger, Publisher, SUPERVISOR_BELL, Subscriber};
 use flockslam_flock_network::FlockMetrics;
 use flockslam_geometry::Pose;
 use flockslam_map_fusion::PlacedSubmap;
 use flockslam_messages::{
-    BeamRange, Control, ControlKind, DropReason, FlockFrame, FlockRobots, LayoutHeader, MovingBeamsHeader,
+    BeamRange, ControlKind, DropReason, FlockFrame, FlockRobots, LayoutHeader, MovingBeamsHeader,
     PoseEstimate, PoseFlags, ScanView, Stage, SubmapClosed,
 };
 use flockslam_results::SubmapStore;
 use flockslam_results::{self as results, LayoutRow, LiveLayout, Summary};
 use flockslam_stage::{
-    Acknowledger, Actor, JournalReader, Mode, PendingScans, PoseQueue, StageContext, StageError, StreamEnd,
-    Turn, run,
+    Actor, Bells, Copies, Inbox, Join, JournalReader, LastWord, Mode, StageContext, StageError, Turn, run,
 };
 use flockslam_telemetry::monotonic_ns;
 use look_back::look_back;
 use metrics::LayoutMetrics;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use trajectories::Trajectories;
 
@@ -56,19 +55,13 @@ struct SyncProcess {
     layout: Option<LayoutHeader>,
     /// Scans are handed to the logic, which places them anew.
     optimises: bool,
-    /// All scans are matched once more at the end.
     /// Others may watch: what was concluded is left for them in the results.
     is_watched: bool,
     result_dir: PathBuf,
     store: SubmapStore,
     fuser: Fuser,
-    scans: PendingScans,
-    poses: PoseQueue,
-    moving_beams: SliceSubscriber<MovingBeamsHeader>,
-    /// Of scans whose poses wait, by sequence.
-    waiting_moving_beams: VecDeque<(u64, Vec<BeamRange>)>,
-    /// The scan whose pose comes next when none is missed.
-    expected: u64,
+    join: Join<PoseEstimate>,
+    moving_beams: Inbox<Copies<MovingBeamsHeader>>,
     journal: JournalReader,
     submaps: Subscriber<SubmapClosed>,
     /// Closed submaps that the logic has not seen, by number.
@@ -76,11 +69,8 @@ struct SyncProcess {
     /// The logic has seen all submaps below this.
     next_submap: u32,
     layouts: Publisher<LayoutHeader>,
-    control: Publisher<Control>,
     matcher: BellRinger,
-    supervisor: BellRinger,
-    acknowledger: Acknowledger,
-    stream: StreamEnd,
+    finished: LastWord,
     trajectories: Trajectories,
     settings: Settings,
     /// Says to the flock what this robot finds out.
@@ -95,7 +85,6 @@ struct SyncProcess {
     /// The last one taken in.
     pose: Option<PoseEstimate>,
     summary: Summary,
-    finished: bool,
     /// What a predecessor knew is taken in.
     recovered: bool,
     metrics: LayoutMetrics,
@@ -108,6 +97,7 @@ impl SyncProcess {
         let result_dir = if acts { context.result_dir.clone() } else { own };
         std::fs::create_dir_all(&result_dir).map_err(|e| StageError::file(&result_dir, e))?;
         let bus = &context.bus;
+        let supervisor = Bells::open(context, &[SUPERVISOR_BELL])?;
         let mut process = Self {
             optimises: settings.enabled,
             is_watched: context.mode == Mode::Live,
@@ -118,21 +108,15 @@ impl SyncProcess {
             acts,
             layout: None,
             store: SubmapStore::new(&context.submap_dir),
-            scans: PendingScans::new(bus.scan_subscriber()?, context.capacity.window, 0),
-            poses: PoseQueue::new(bus.subscriber()?, 0),
-            moving_beams: bus.slice_subscriber()?,
-            waiting_moving_beams: VecDeque::new(),
-            expected: 0,
+            join: Join::open(context, 0)?,
+            moving_beams: Inbox::unlimited(Copies(bus.slice_subscriber()?)),
             journal: JournalReader::open(&context.journal_dir)?,
             submaps: bus.subscriber()?,
             waiting_submaps: BTreeMap::new(),
             next_submap: 0,
             layouts: bus.publisher()?,
-            control: bus.publisher()?,
             matcher: bus.ringer(Stage::ScanMatcher.name())?,
-            supervisor: bus.ringer(flockslam_bus::SUPERVISOR_BELL)?,
-            acknowledger: Acknowledger::open(context, 0)?,
-            stream: StreamEnd::open(context)?,
+            finished: LastWord::open(context, ControlKind::Finished, 0, supervisor)?,
             trajectories: Trajectories::create(&result_dir)?,
             settings,
             voice: Voice::Silent,
@@ -143,10 +127,10 @@ impl SyncProcess {
             told_robots: FlockRobots::default(),
             pose: None,
             summary: Summary::default(),
-            finished: false,
             recovered: false,
             metrics: LayoutMetrics::new(&context.metrics),
         };
+        process.join.speak(acts);
         if !process.settings.flock.name.is_empty() {
             process.logic.tell_the_flock();
         }
@@ -160,10 +144,8 @@ impl SyncProcess {
     /// Takes in again what a predecessor had seen: the journal has every pose and every accepted scan.
     fn recover(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.catch_up(u64::MAX, context)?;
-        self.poses = PoseQueue::new(context.bus.subscriber()?, self.expected);
-        self.scans.release_before(self.expected);
         self.recovered = true;
-        self.done(self.expected)
+        self.join.finished(self.join.expected)
     }
 
     /// From now on this process speaks to the flock.
@@ -180,6 +162,7 @@ impl SyncProcess {
         tracing::info!(stage = context.stage.name(), replica = context.replica, "takes over");
         self.trajectories.move_to(&context.result_dir)?;
         self.acts = true;
+        self.join.speak(true);
         self.speak(context)?;
         for number in 0..self.next_submap {
             self.voice.tell(&mut self.logic, number, &self.store)?;
@@ -188,23 +171,14 @@ impl SyncProcess {
             self.layouts.send(layout)?;
             self.matcher.ring();
         }
-        self.acknowledger.send()
-    }
-
-    /// Scans below this sequence are taken in.
-    fn done(&mut self, sequence: u64) -> Result<(), StageError> {
-        if self.acts {
-            return self.acknowledger.finished(sequence);
-        }
-        self.acknowledger.note(sequence);
-        Ok(())
+        self.join.refresh()
     }
 
     /// Takes in what the journal has of scans before this sequence.
     fn catch_up(&mut self, before: u64, context: &mut StageContext) -> Result<(), StageError> {
         while let Some(record) = self.journal.read_before(before)? {
             context.alive();
-            if record.pose.id.sequence < self.expected {
+            if record.pose.id.sequence < self.join.expected {
                 continue;
             }
             for number in self.next_submap..record.pose.submap.min(self.store.count()) {
@@ -214,7 +188,7 @@ impl SyncProcess {
             }
             let scan = record.scan.as_ref().and_then(|scan| scan.view().ok());
             self.take_in(&record.pose, scan, &[])?;
-            self.expected = record.pose.id.sequence + 1;
+            self.join.expected = record.pose.id.sequence + 1;
         }
         Ok(())
     }
@@ -269,7 +243,7 @@ impl SyncProcess {
 
     fn tell(&mut self, took_ns: u64) {
         let counts = self.logic.closure_counts();
-        let (scan, submap) = (self.expected, self.next_submap.saturating_sub(1));
+        let (scan, submap) = (self.join.expected, self.next_submap.saturating_sub(1));
         tracing::debug!(
             scan,
             submap,
@@ -302,13 +276,7 @@ impl SyncProcess {
         }
     }
 
-    fn drain(&mut self) -> Result<(), StageError> {
-        self.scans.drain()?;
-        self.poses.drain()?;
-        // They were sent before their poses, so those of all poses at hand are there.
-        while let Some(beams) = self.moving_beams.receive()? {
-            self.waiting_moving_beams.push_back((beams.header().id.sequence, beams.elements().to_vec()));
-        }
+    fn drain_submaps(&mut self) -> Result<(), StageError> {
         while let Some(notice) = self.submaps.receive()? {
             if notice.number >= self.next_submap {
                 self.waiting_submaps.insert(notice.number, *notice);
@@ -320,9 +288,10 @@ impl SyncProcess {
     /// Handles the oldest pose; false when its join is not complete. A submap is concluded at a fixed place: before the first
     /// scan that enters a later one.
     fn step(&mut self, pose: &PoseEstimate, context: &mut StageContext) -> Result<bool, StageError> {
-        if context.mode == Mode::Live && pose.id.sequence > self.expected {
+        let sequence = pose.id.sequence;
+        if self.join.has_missed(sequence) {
             // Poses were missed while this process was held up; the journal has them.
-            self.catch_up(pose.id.sequence, context)?;
+            self.catch_up(sequence, context)?;
         }
         while self.next_submap < pose.submap && pose.has(PoseFlags::INSERT) {
             match self.waiting_submaps.remove(&self.next_submap) {
@@ -331,34 +300,21 @@ impl SyncProcess {
                 None => break,
             }
         }
-        let started_ns = monotonic_ns();
-        let sample: Option<ScanSample> = self.scans.take(pose.id.sequence);
+        let started_ns = context.now_ns();
+        let sample = self.join.scans.take(sequence);
         let scan = sample.as_ref().and_then(|sample| sample.view().ok());
-        if let Some(scan) = &scan {
-            context.report.report.scan_address = scan.ranges().as_ptr() as u64;
-        }
-        let moving = self.take_moving_beams(pose.id.sequence);
+        scan.into_iter().for_each(|scan| context.probe_scan(scan));
+        // They were sent before their pose, so they are there.
+        self.moving_beams.drain()?;
+        let moving = self.moving_beams.take(sequence).map_or_else(Vec::new, |(_, beams)| beams);
         self.take_in(pose, scan, &moving)?;
-        self.expected = self.expected.max(pose.id.sequence + 1);
         if self.acts {
-            context.handled(pose.id.sequence, started_ns, pose.times.monotonic_ns);
+            context.handled(sequence, started_ns, pose.times.monotonic_ns);
         } else {
             context.followed(1);
         }
-        self.done(pose.id.sequence + 1)?;
+        self.join.finished(sequence + 1)?;
         Ok(true)
-    }
-
-    fn take_moving_beams(&mut self, sequence: u64) -> Vec<BeamRange> {
-        while self.waiting_moving_beams.front().is_some_and(|(of, _)| *of < sequence) {
-            self.waiting_moving_beams.pop_front();
-        }
-        match self.waiting_moving_beams.front() {
-            Some((of, _)) if *of == sequence => {
-                self.waiting_moving_beams.pop_front().map_or_else(Vec::new, |(_, beams)| beams)
-            }
-            _ => Vec::new(),
-        }
     }
 
     /// Tells the other stages where the other robots are, and them where this one is.
@@ -397,18 +353,7 @@ impl SyncProcess {
         self.summary.closures_revoked = solution.closures.revoked;
         results::write_summary(directory, &self.summary)?;
         self.voice.finish(&mut self.logic, &solution, &self.store, &scans, context)?;
-        self.finished = true;
-        self.repeat_the_end()
-    }
-
-    fn repeat_the_end(&self) -> Result<(), StageError> {
-        self.control.send(&Control {
-            kind: ControlKind::Finished as u32,
-            epoch: 0,
-            value: self.summary.scans,
-        })?;
-        self.supervisor.ring();
-        Ok(())
+        self.finished.say(self.summary.scans)
     }
 }
 
@@ -427,33 +372,26 @@ impl Actor for SyncProcess {
             self.take_over(context)?;
         }
         let mut any = false;
-        loop {
-            self.drain()?;
-            let Some(pose) = self.poses.front().copied() else { break };
+        while let Some(pose) = self.join.next()? {
+            self.drain_submaps()?;
             if !self.step(&pose, context)? {
                 break;
             }
-            self.poses.pop();
             any = true;
         }
-        self.stream.drain()?;
-        if self.acts
-            && !self.finished
-            && self.stream.reached(self.acknowledger.done(), context.mode)
-            && self.stream.submaps.is_some()
-        {
+        let ended = self.join.has_ended()? && self.join.stream.submaps.is_some();
+        if ended && self.acts && !self.finished.is_said() {
             self.finish(context)?;
         }
         Ok(any)
     }
 
     fn waiting(&self) -> usize {
-        self.scans.len()
+        self.join.scans.len()
     }
 
     fn refresh(&mut self, _context: &mut StageContext) -> Result<(), StageError> {
         self.layouts.refresh();
-        self.control.refresh();
         if !self.acts {
             return Ok(());
         }
@@ -464,7 +402,7 @@ impl Actor for SyncProcess {
         }
         self.flock_frames.refresh();
         self.tell_robots()?;
-        self.acknowledger.send()?;
-        if self.finished { self.repeat_the_end() } else { Ok(()) }
+        self.join.refresh()?;
+        self.finished.repeat()
     }
 }

@@ -14,7 +14,7 @@ pub struct JournalCost {
 impl JournalCost {
     pub fn measure(pairs: usize) -> Self {
         let directory = tempfile::tempdir().unwrap();
-        let pair = |_| ["", "no-journal"].map(|sabotage| drive(directory.path(), sabotage));
+        let pair = |_| ["", "no-journal"].map(|failpoints| drive(directory.path(), failpoints));
         Self { pairs: (0..pairs).map(pair).collect() }
     }
 
@@ -34,12 +34,12 @@ impl JournalCost {
     }
 }
 
-fn drive(directory: &Path, sabotage: &str) -> (f64, f64) {
+fn drive(directory: &Path, failpoints: &str) -> (f64, f64) {
     let mut args = live_building(7, 1);
     args.extend(["--set".to_owned(), "simulation.scan_rate_hz=40".to_owned()]);
     let mut command = flockslam();
     command.args(args).args(["--robot", &robot("cost"), "--out"]).arg(directory);
-    let output = command.env("FLOCKSLAM_SABOTAGE", sabotage).output().unwrap();
+    let output = command.env("FLOCKSLAM_FAILPOINTS", failpoints).output().unwrap();
     assert!(output.status.success(), "{output:?}");
     let latency = Outputs::read(directory).report.scan_to_pose_us;
     (latency.p50, latency.p99)

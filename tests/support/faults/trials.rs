@@ -113,12 +113,12 @@ struct Subject {
 
 impl Subject {
     fn start(test: &str, directory: &Path, duration_s: f64) -> Self {
-        Self::start_sabotaged(test, directory, duration_s, "")
+        Self::start_with_failpoints(test, directory, duration_s, "")
     }
 
     /// As [`Subject::start`], with protections taken away from it.
-    fn start_sabotaged(test: &str, directory: &Path, duration_s: f64, sabotage: &str) -> Self {
-        Self::start_with(test, directory, duration_s, "", &[], sabotage)
+    fn start_with_failpoints(test: &str, directory: &Path, duration_s: f64, failpoints: &str) -> Self {
+        Self::start_with(test, directory, duration_s, "", &[], failpoints)
     }
 
     fn start_with(
@@ -127,12 +127,12 @@ impl Subject {
         duration_s: f64,
         more: &str,
         arguments: &[String],
-        sabotage: &str,
+        failpoints: &str,
     ) -> Self {
         let drive = Drive { scan_rate_hz: SCAN_RATE_HZ, duration_s, rate: 1.0 };
         let map = directory.join("map");
         let more = format!("map = {map:?}\n{more}");
-        let mut set = LiveSet::start_sabotaged(test, directory, drive, &more, arguments, sabotage);
+        let mut set = LiveSet::start_with_failpoints(test, directory, drive, &more, arguments, failpoints);
         set.wait_until("a first map", |status| {
             let working = |stage| of(status, stage).handled > 0;
             Stage::ALL.into_iter().all(working)
@@ -245,11 +245,11 @@ pub fn restarted_beside(stage: Stage, before: &SetStatus, after: &SetStatus) -> 
 }
 
 /// Kills these stages at once, in a set that protections were taken away from. How that is noticed shows that the checks are some.
-pub fn sabotaged(sabotage: &str, stages: &[Stage], settings: &[&str]) -> Trial {
+pub fn with_failpoint(failpoints: &str, stages: &[Stage], settings: &[&str]) -> Trial {
     let directory = tempfile::tempdir().unwrap();
-    let mut trial = Trial { fault: format!("sabotage: {sabotage}"), ..Trial::default() };
+    let mut trial = Trial { fault: format!("failpoints: {failpoints}"), ..Trial::default() };
     let arguments: Vec<String> = settings.iter().flat_map(|set| ["--set", set]).map(str::to_owned).collect();
-    let mut subject = Subject::start_with("sabotage", directory.path(), 20.0, "", &arguments, sabotage);
+    let mut subject = Subject::start_with("failpoints", directory.path(), 20.0, "", &arguments, failpoints);
     let closed = subject.set.runtime_dir().join("submaps/000000.submap");
     wait_for("a closed submap", || closed.exists().then_some(()));
     let before = subject.calm_down();
@@ -268,8 +268,8 @@ pub fn sabotaged(sabotage: &str, stages: &[Stage], settings: &[&str]) -> Trial {
 pub fn endless_loop(stage: Stage) -> Trial {
     let directory = tempfile::tempdir().unwrap();
     let mut trial = Trial { fault: format!("endless loop of {}", stage.name()), ..Trial::default() };
-    let sabotage = format!("endless-loop:{}@30", stage.name());
-    let mut subject = Subject::start_sabotaged("loop", directory.path(), 20.0, &sabotage);
+    let failpoints = format!("endless-loop:{}@30", stage.name());
+    let mut subject = Subject::start_with_failpoints("loop", directory.path(), 20.0, &failpoints);
     let before = subject.set.status().unwrap();
     let after = subject.set.wait_until("a hang and a successor", |status| {
         of(status, stage).hangs > 0 && of(status, stage).state == StageState::Running
@@ -288,7 +288,7 @@ pub fn endless_loop(stage: Stage) -> Trial {
 pub fn jumping_clock(duration_s: f64) -> Trial {
     let directory = tempfile::tempdir().unwrap();
     let mut trial = Trial { fault: "the wall clock jumps".to_owned(), ..Trial::default() };
-    let mut subject = Subject::start_sabotaged("clock", directory.path(), duration_s, "wall-clock");
+    let mut subject = Subject::start_with_failpoints("clock", directory.path(), duration_s, "wall-clock");
     let status = subject.calm_down();
     let restarted = status.stages.iter().filter(|stage| stage.restarts > 0);
     trial.violations.extend(restarted.map(|stage| format!("{} was restarted", stage.stage)));

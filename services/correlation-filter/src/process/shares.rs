@@ -6,8 +6,6 @@ use std::ops::Range;
 
 /// A thread takes at least so many beams: starting one takes as long as describing about as many.
 const BEAMS_PER_THREAD: usize = 100_000;
-/// Tallies of others that are remembered while their scan has not come up.
-const REMEMBERED_MAX: usize = 16;
 
 /// Whether the replicas share the beams of this scan.
 pub(super) fn is_shared(scan: ScanView<'_>, replicas: u32) -> bool {
@@ -46,50 +44,6 @@ fn together(threads: u32, slice: impl Fn(u32) -> ScanTally + Sync) -> ScanTally 
     })
 }
 
-/// Collects what the replicas of the filter found in their parts of the scans.
-#[derive(Debug, Default)]
-pub(super) struct Shares {
-    received: Vec<ScanTally>,
-}
-
-impl Shares {
-    /// Takes in the tally of a part. Of those that nobody asked for the oldest is forgotten.
-    pub fn take(&mut self, tally: ScanTally) {
-        let same = |other: &ScanTally| (other.id, other.part) == (tally.id, tally.part);
-        if self.received.iter().any(same) {
-            return;
-        }
-        if self.received.len() == REMEMBERED_MAX {
-            self.received.remove(0);
-        }
-        self.received.push(tally);
-    }
-
-    /// Adds to `own`, the first part of a scan, those that have come; the numbers of the missing ones.
-    pub fn merged(&self, own: &ScanTally) -> (ScanTally, Vec<u32>) {
-        let mut sum = *own;
-        let has = |part: u32| {
-            self.received
-                .iter()
-                .find(|tally| (tally.id, tally.part, tally.parts) == (own.id, part, own.parts))
-        };
-        let missing = (1..own.parts).filter(|part| match has(*part) {
-            Some(tally) => {
-                sum.add(tally);
-                false
-            }
-            None => true,
-        });
-        let missing = missing.collect();
-        (sum, missing)
-    }
-
-    /// Forgets the parts of scans up to this one.
-    pub fn forget(&mut self, sequence: u64) {
-        self.received.retain(|tally| tally.id.sequence > sequence);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -108,28 +62,10 @@ mod tests {
         let scan = scan(450_001);
         let view = scan.view().unwrap();
         let whole = tally(view, 0..view.len());
-        let mut shares = Shares::default();
-        for part in (1..3).rev() {
-            shares.take(tally_part(view, part, 3, 2));
-            shares.take(tally_part(view, part, 3, 1));
-        }
-        let (mut sum, missing) = shares.merged(&tally_part(view, 0, 3, 4));
+        let mut sum = tally_part(view, 0, 3, 4);
+        (1..3).rev().for_each(|part| sum.add(&tally_part(view, part, 3, 2)));
         sum.parts = 1;
-        assert_eq!((sum, missing.len()), (whole, 0));
-        shares.forget(5);
-        assert_eq!(shares.merged(&tally_part(view, 0, 3, 4)).1, [1, 2]);
-    }
-
-    #[test]
-    fn of_what_nobody_asks_for_the_oldest_is_forgotten() {
-        let (scan, mut shares) = (scan(10), Shares::default());
-        for sequence in 0..100 {
-            let mut tally = tally_part(scan.view().unwrap(), 1, 2, 1);
-            tally.id.sequence = sequence;
-            shares.take(tally);
-        }
-        let kept: Vec<u64> = shares.received.iter().map(|tally| tally.id.sequence).collect();
-        assert_eq!(kept, (100 - REMEMBERED_MAX as u64..100).collect::<Vec<_>>());
+        assert_eq!(sum, whole);
     }
 
     proptest! {

@@ -20,9 +20,14 @@ pub trait Actor {
     /// When the stage cannot go on.
     fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError>;
 
+    /// Whether something is waited for, so that a deadline may pass while nothing rings.
+    fn waits(&self) -> bool {
+        false
+    }
+
     /// The longest sleep that is allowed now (a deadline, the next paced scan).
     fn patience(&self) -> Duration {
-        REFRESH
+        if self.waits() { WAITING } else { REFRESH }
     }
 
     /// Scans that the stage holds and has not handled yet.
@@ -40,6 +45,8 @@ pub trait Actor {
 }
 
 const REFRESH: Duration = Duration::from_millis(100);
+/// A stage that waits for something looks this often whether its deadline has passed.
+const WAITING: Duration = Duration::from_millis(5);
 /// After so long without work, nanoseconds …
 const RESTING_NS: u64 = 1_000_000_000;
 /// … it looks only so often.
@@ -70,7 +77,7 @@ pub fn run(context: &mut StageContext, actor: &mut impl Actor, bell: &Listener) 
             loop_once(context);
         }
         // Behind the work: a scan that has just arrived does not wait for the housekeeping.
-        let now_ns = flockslam_telemetry::monotonic_ns();
+        let now_ns = context.now_ns();
         if now_ns.saturating_sub(refreshed_ns) >= REFRESH.as_nanos() as u64 {
             refreshed_ns = now_ns;
             context.alive();
@@ -93,7 +100,7 @@ pub fn run(context: &mut StageContext, actor: &mut impl Actor, bell: &Listener) 
         // A stage that has had nothing to do for a while is called by its bell when there is.
         let rests = now_ns.saturating_sub(worked_ns) > RESTING_NS && patience >= REFRESH;
         if bell.wait(if rests { RESTING } else { patience.min(REFRESH) })? == Wake::Announced {
-            awake_until_ns = flockslam_telemetry::monotonic_ns() + AWAKE_NS;
+            awake_until_ns = context.now_ns() + AWAKE_NS;
         }
     }
     actor.close(context)?;
@@ -120,6 +127,6 @@ fn loop_once(context: &StageContext) {
 
 /// A test may want a stage to hang in an endless loop after so many scans.
 fn loops_after(stage: Stage) -> Option<u64> {
-    let (name, scans) = flockslam_telemetry::sabotage("endless-loop")?.split_once('@')?;
+    let (name, scans) = flockslam_telemetry::failpoint_value("endless-loop")?.split_once('@')?;
     scans.parse().ok().filter(|_| name == stage.name())
 }

@@ -1,9 +1,9 @@
 //! What surrounds a stage's logic: bus, directories, mode, metrics, heartbeat and report.
 
-use crate::StageError;
 use crate::report::ReportWriter;
+use crate::{GridReader, StageError};
 use flockslam_bus::{Bus, Capacity, RuntimeDir};
-use flockslam_messages::{DropReason, Stage};
+use flockslam_messages::{DropReason, ScanView, Stage};
 use flockslam_telemetry::{Heartbeat, LogLevels, MetricsEndpoint, StageMetrics, monotonic_ns};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -174,9 +174,30 @@ impl StageContext {
         move || Bus::join(&RuntimeDir::open(&runtime).ok()?, &name, capacity).ok()
     }
 
+    /// The clock of latency and deadlines, nanoseconds; comparable between the processes of a set.
+    pub fn now_ns(&self) -> u64 {
+        monotonic_ns()
+    }
+
+    /// Tests only: where the numbers of a scan lie in this process, for a look at which memory that is.
+    pub fn probe_scan(&mut self, _scan: ScanView<'_>) {
+        #[cfg(debug_assertions)]
+        {
+            self.report.report.scan_address = _scan.ranges().as_ptr() as u64;
+        }
+    }
+
+    /// Tests only: where a tile lies in this process.
+    pub fn probe_tile(&mut self, _grid: &GridReader) {
+        #[cfg(debug_assertions)]
+        if let Some((_, tile)) = _grid.grid().tiles().next() {
+            self.report.report.tile_address = std::ptr::from_ref(tile) as u64;
+        }
+    }
+
     /// Records that a scan was handled: `started_ns` is when the stage began with it, `captured_ns` when it was taken.
     pub fn handled(&mut self, sequence: u64, started_ns: u64, captured_ns: u64) {
-        let now_ns = monotonic_ns();
+        let now_ns = self.now_ns();
         let (latency_ns, since_capture_ns) =
             (now_ns.saturating_sub(started_ns), now_ns.saturating_sub(captured_ns));
         self.metrics.handled(sequence, latency_ns, since_capture_ns);
@@ -207,7 +228,7 @@ impl StageContext {
 
     /// A sign of life; cheap when called often.
     pub fn alive(&mut self) {
-        let now_ns = monotonic_ns();
+        let now_ns = self.now_ns();
         self.metrics.alive(now_ns);
         self.levels.look(now_ns);
         if let Err(error) = self.heartbeat.beat(now_ns, self.metrics.handled_count() + self.followed) {

@@ -90,9 +90,4 @@ impl GridReader {
     pub fn committed(&self) -> Option<&Commit> {
         self.committed.as_ref()
     }
-
-    /// Address of a tile in this process, for a look at which memory it lies in.
-    pub fn a_tile_address(&self) -> Option<usize> {
-        self.grid.tiles().next().map(|(_, tile)| std::ptr::from_ref(tile) as usize)
-    }
 }

@@ -3,27 +3,35 @@
 //! scans and poses, acknowledgements, and the report about itself.
 
 mod actor;
+mod bells;
 mod context;
+mod deadline;
 mod error;
 mod grid_reader;
+mod inbox;
+mod join;
+mod last_word;
 mod memory;
 mod pause;
-mod pending;
-mod pose_queue;
 mod progress;
 mod report;
 mod scan_journal;
+mod shares;
 mod turn;
 
 pub use actor::{Actor, run, step_aside};
+pub use bells::Bells;
 pub use context::{Mode, StageContext, StageOptions, StopFlag, heartbeat_file, metrics_socket};
+pub use deadline::Deadline;
 pub use error::StageError;
 pub use grid_reader::GridReader;
+pub use inbox::{Copies, Inbox, Named, Port};
+pub use join::{Join, Waited};
+pub use last_word::LastWord;
 pub use memory::MemoryUse;
 pub use pause::Pause;
-pub use pending::PendingScans;
-pub use pose_queue::PoseQueue;
 pub use progress::{Acknowledger, StreamEnd};
 pub use report::{ProcessReport, read_reports};
 pub use scan_journal::{JournalReader, JournalWriter, Journaled, journal_file};
+pub use shares::{Share, Shares};
 pub use turn::{Turn, whose_turn};

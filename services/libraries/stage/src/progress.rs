@@ -18,6 +18,8 @@ pub struct Acknowledger {
     step: u64,
     sent: u64,
     rung: u64,
+    /// Another process of the stage may speak for this one.
+    pub(crate) speaks: bool,
 }
 
 impl Acknowledger {
@@ -36,6 +38,7 @@ impl Acknowledger {
             step: (context.capacity.window as u64 / 8).max(1),
             sent: done,
             rung: done,
+            speaks: true,
         })
     }
 
@@ -48,16 +51,14 @@ impl Acknowledger {
         if self.message.done >= self.sent + self.step { self.send() } else { Ok(()) }
     }
 
-    /// As [`Self::finished`], by a process that another one speaks for.
-    pub fn note(&mut self, done: u64) {
-        self.message.done = self.message.done.max(done);
-    }
-
     /// Says so now, also to a source that has just started.
     ///
     /// # Errors
     /// When the bus fails.
     pub fn send(&mut self) -> Result<(), StageError> {
+        if !self.speaks {
+            return Ok(());
+        }
         self.sent = self.message.done;
         self.publisher.send(&self.message)?;
         // What it knows already is no reason to wake the source: an idle set shall sleep.

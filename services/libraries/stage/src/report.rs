@@ -25,9 +25,11 @@ pub struct ProcessReport {
     pub dropped: BTreeMap<String, u64>,
     /// Counters of the stage's own (rejected lines, rescue searches …).
     pub counters: BTreeMap<String, u64>,
-    /// Where the numbers of the last scan lay in this process, for a look at which memory that is.
+    /// Where the numbers of the last scan lay in this process, for tests that look at which memory that is.
+    #[cfg(debug_assertions)]
     pub scan_address: u64,
-    /// Where a tile lay in this process.
+    /// Where a tile lay in this process, for the same tests.
+    #[cfg(debug_assertions)]
     pub tile_address: u64,
     #[serde(skip)]
     latency: LatencyHistogram,
@@ -73,7 +75,9 @@ impl ReportWriter {
             handled: 0,
             dropped: BTreeMap::new(),
             counters: BTreeMap::new(),
+            #[cfg(debug_assertions)]
             scan_address: 0,
+            #[cfg(debug_assertions)]
             tile_address: 0,
             latency: LatencyHistogram::default(),
             since_capture: LatencyHistogram::default(),

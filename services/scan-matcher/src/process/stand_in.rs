@@ -6,7 +6,6 @@ use crate::{ScanMatcher, Settings};
 use flockslam_bus::{Publisher, ScanSubscriber};
 use flockslam_messages::{PoseEstimate, Stage};
 use flockslam_stage::{Acknowledger, Actor, JournalWriter, StageContext, StageError, Turn, run};
-use flockslam_telemetry::monotonic_ns;
 
 /// Runs in the place of the stage until it is asked to stop. Nothing is matched and nothing enters the map; each pose is `degraded`.
 ///
@@ -48,7 +47,7 @@ impl Actor for StandIn {
     fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
         let mut any = false;
         while let Some(sample) = self.scans.receive()? {
-            let (header, started_ns) = (*sample.header(), monotonic_ns());
+            let (header, started_ns) = (*sample.header(), context.now_ns());
             let Ok(scan) = sample.view() else { continue };
             if header.id.sequence < self.acknowledger.done() {
                 continue;

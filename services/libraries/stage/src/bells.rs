@@ -1,0 +1,27 @@
+//! The bells of several stages at once.
+
+use crate::{StageContext, StageError};
+use flockslam_bus::BellRinger;
+
+/// Bells that ring together, in this order.
+pub struct Bells(Vec<BellRinger>);
+
+impl Bells {
+    /// The bells of these names.
+    ///
+    /// # Errors
+    /// When one does not exist.
+    pub fn open(context: &StageContext, names: &[&str]) -> Result<Self, StageError> {
+        Ok(Self(names.iter().map(|name| context.bus.ringer(name)).collect::<Result<_, _>>()?))
+    }
+
+    /// Rings them.
+    pub fn ring(&self) {
+        self.0.iter().for_each(BellRinger::ring);
+    }
+
+    /// Rings them for what will be there in a moment.
+    pub fn announce(&self) {
+        self.0.iter().for_each(BellRinger::announce);
+    }
+}

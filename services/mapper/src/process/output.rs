@@ -1,0 +1,86 @@
+//! What the mapper tells others: tiles, commits and closed submaps.
+
+use crate::Mapper;
+use flockslam_bus::{BellRinger, Publisher, TilePublisher};
+use flockslam_evidence::TileKey;
+use flockslam_messages::{Commit, Stage, SubmapClosed};
+use flockslam_stage::{StageContext, StageError};
+
+/// Tiles, commits and closed submaps on the bus.
+pub(super) struct Output {
+    tiles: TilePublisher,
+    commits: Publisher<Commit>,
+    submaps: Publisher<SubmapClosed>,
+    matcher: BellRinger,
+    sync_manager: BellRinger,
+    /// Tiles that could not be sent for want of memory: they go out with the next commit.
+    pub unsent: Vec<TileKey>,
+    cell_size_m: f64,
+}
+
+impl Output {
+    pub fn open(context: &StageContext, cell_size_m: f64) -> Result<Self, StageError> {
+        let bus = &context.bus;
+        Ok(Self {
+            tiles: TilePublisher::open(bus)?,
+            commits: bus.publisher()?,
+            submaps: bus.publisher()?,
+            matcher: bus.ringer(Stage::ScanMatcher.name())?,
+            sync_manager: bus.ringer(Stage::SyncManager.name())?,
+            unsent: Vec::new(),
+            cell_size_m,
+        })
+    }
+
+    /// Sends the changed tiles of a generation.
+    pub fn send_tiles(&mut self, logic: &Mapper, generation: u64) -> Result<(), StageError> {
+        let cell_size_m = self.cell_size_m;
+        let mut sent = 0;
+        for key in &self.unsent {
+            let outcome = self.tiles.send_with(*key, |message| {
+                (message.generation, message.cell_size_m) = (generation, cell_size_m);
+                logic.write_tile(*key, &mut message.tile);
+            });
+            if let Err(error) = outcome {
+                tracing::warn!(%error, "tiles wait for memory");
+                break;
+            }
+            sent += 1;
+        }
+        self.unsent.drain(..sent);
+        Ok(())
+    }
+
+    /// Takes tiles back that belong to the window no longer.
+    pub fn retire(&mut self, keys: &[TileKey], generation: u64) -> Result<(), StageError> {
+        let cell_size_m = self.cell_size_m;
+        for key in keys {
+            self.tiles.send_with(*key, |message| {
+                (message.generation, message.cell_size_m) = (generation, cell_size_m);
+                message.retired = 1;
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Makes the tiles that were sent valid.
+    pub fn commit(&self, commit: &Commit) -> Result<(), StageError> {
+        self.commits.send(commit)?;
+        self.matcher.ring();
+        Ok(())
+    }
+
+    /// Tells of a submap that is stored.
+    pub fn tell_submap(&self, notice: &SubmapClosed) -> Result<(), StageError> {
+        self.submaps.send(notice)?;
+        self.sync_manager.ring();
+        Ok(())
+    }
+
+    /// Connects to readers that have started.
+    pub fn refresh(&self) {
+        self.tiles.refresh();
+        self.commits.refresh();
+        self.submaps.refresh();
+    }
+}
