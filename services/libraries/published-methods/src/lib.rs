@@ -2,9 +2,13 @@
 //! these (the profiles `vinyslam` and `ndt`, `correlation_filter.mode`, `dynamic_cleaner.method`, `flockslam swarm --protocol`).
 
 mod meeting;
+#[cfg(test)]
+mod room;
+mod sampling;
 mod sector_scan;
 mod seed_exact;
 
 pub use meeting::{CellFusion, Layer, MeetingCounts, Meetings, Snapshot};
+pub use sampling::{beam_weight, hill_climbing, monte_carlo};
 pub use sector_scan::{Ray, SectorScan};
 pub use seed_exact::PublishedFilter;

@@ -12,7 +12,6 @@ mod lattice;
 mod ndt;
 #[cfg(test)]
 mod room;
-mod sampling;
 mod shape;
 mod sweep;
 
@@ -21,6 +20,5 @@ pub use field::{GridField, Sample, ScoreField, ScoreRead, bilinear, nearest};
 pub use gauss_newton::{Fit, GaussNewton, roughened, widened};
 pub use lattice::Correlative;
 pub use ndt::{Expected, Ndt, NdtSettings};
-pub use sampling::{beam_weight, hill_climbing, monte_carlo};
 pub use shape::least_held;
 pub use sweep::{Moving, Sweep, TwistSigma};

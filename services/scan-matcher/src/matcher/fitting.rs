@@ -8,9 +8,10 @@ use crate::settings::{Settings, Strategy};
 use flockslam_evidence::Level;
 use flockslam_geometry::{Covariance, Point, Pose, Twist};
 use flockslam_messages::ScanView;
+use flockslam_published_methods::{beam_weight, hill_climbing, monte_carlo};
 use flockslam_registration::{
     Correlative, CorrelativeSearch, Expected, Fit, GaussNewton, Moving, Ndt, ScoreField, ScoreRead, Sweep,
-    TwistSigma, Window, beam_weight, hill_climbing, least_held, monte_carlo, roughened, widened,
+    TwistSigma, Window, least_held, roughened, widened,
 };
 use nalgebra::Vector2;
 

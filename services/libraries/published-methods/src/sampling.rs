@@ -1,9 +1,9 @@
 //! The matchers of vinySLAM: random search and hill climbing on the score of single cells.
 
-use crate::field::{ScoreField, ScoreRead, nearest};
 use flockslam_evidence::Level;
 use flockslam_geometry::{Point, Pose};
 use flockslam_random::Random;
+use flockslam_registration::{ScoreField, ScoreRead, nearest};
 
 /// Standard deviations of the random search's first samples, as vinySLAM has them: metres and radians.
 const SAMPLE_SIGMA: (f64, f64) = (0.2, 0.1);
