@@ -2,7 +2,9 @@
 //! counted and skipped. A run that is interrupted ends with what it has.
 
 use crate::support;
-use crate::support::{Outputs, RunningSet, building, live_building, run, run_well, simulated_log, stderr};
+use crate::support::{
+    Outputs, RunningSet, building, flockslam, live_building, run, run_well, simulated_log, stderr,
+};
 use flockslam_messages::Stage;
 use rustix::process::{Pid, Signal, kill_process_group};
 use std::io::Write;
@@ -179,6 +181,24 @@ fn configurations_that_are_not_understood_are_refused() {
     }
     refused_at(&["demo", "--set", "simulation.scan_rate_hz=-1"], "simulation", "scan_rate_hz");
     refused_at(&["demo", "--set", "simulation.wheel_slips=99999"], "simulation", "wheel_slips");
+}
+
+#[test]
+fn keys_of_earlier_versions_are_refused_with_what_became_of_them() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("robot.toml");
+    let name = path.to_str().unwrap();
+    std::fs::write(&path, "[mapper]\ncell_size_m = 0.1\nhit_nat = 2.0\n").unwrap();
+    let single = "sync_manager.closure.enabled=false";
+    let in_file = format!("{name}:3: mapper.hit_nat is now fixed at 1.5");
+    let alone =
+        format!("--set {single}: sync_manager.closure.enabled is now called sync_manager.close_loops");
+    for (option, value, told) in [("--config", name, in_file), ("--set", single, alone)] {
+        refused_at(&["demo", option, value], &told, "");
+        let output = flockslam().args(["config", option, value]).output().unwrap();
+        let heard = (output.status.code(), stderr(&output));
+        assert_eq!(heard, (Some(2), format!("flockslam: {told}\n")));
+    }
 }
 
 #[test]

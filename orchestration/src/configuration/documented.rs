@@ -83,6 +83,16 @@ fn the_document_lists_exactly_the_keys_that_exist_with_their_defaults() {
     assert_eq!(listed, exist);
 }
 
+/// More keys than this nobody looks through: one that nobody turns becomes a constant.
+const ROWS_MAX: usize = 100;
+
+#[test]
+fn the_document_stays_short() {
+    let count =
+        rows(&document("configuration.md")).iter().filter(|(heading, _)| heading != "Profiles").count();
+    assert!(count <= ROWS_MAX, "{count} keys");
+}
+
 #[test]
 fn the_document_lists_exactly_the_keys_of_a_set() {
     let directory = tempfile::tempdir().unwrap();
