@@ -97,7 +97,7 @@ impl DynamicCleaner {
     pub fn new(settings: Settings) -> Self {
         Self {
             sight: Sight::new(),
-            sectors: SectorScan::new(),
+            sectors: SectorScan::default(),
             votes: Votes::new(),
             scans: 0,
             odom_from_laser: Pose::IDENTITY,

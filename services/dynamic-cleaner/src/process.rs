@@ -66,7 +66,7 @@ impl Inputs {
 
     /// Takes in what has arrived; the oldest pose.
     fn next(&mut self) -> Result<Option<PoseEstimate>, StageError> {
-        let pose = self.join.next()?;
+        let pose = self.join.oldest()?;
         self.grid.drain()?;
         Ok(pose)
     }

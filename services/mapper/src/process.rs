@@ -315,7 +315,7 @@ impl Actor for MapperProcess {
     fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
         let mut any = false;
         while self.commit_when_whole(context)? {
-            let Some(pose) = self.join.next()? else { break };
+            let Some(pose) = self.join.oldest()? else { break };
             if !self.step(&pose, context)? {
                 break;
             }

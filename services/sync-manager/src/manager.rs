@@ -134,8 +134,8 @@ impl SyncManager {
     /// A back end that has seen nothing yet.
     pub fn new(settings: Settings) -> Self {
         Self {
-            chain: Chain::new(),
-            finder: ClosureFinder::new(),
+            chain: Chain::default(),
+            finder: ClosureFinder::default(),
             next_search_m: LEAST_TRAVEL_M,
             settings,
             records: Vec::new(),

@@ -372,7 +372,7 @@ impl Actor for SyncProcess {
             self.take_over(context)?;
         }
         let mut any = false;
-        while let Some(pose) = self.join.next()? {
+        while let Some(pose) = self.join.oldest()? {
             self.drain_submaps()?;
             if !self.step(&pose, context)? {
                 break;

@@ -66,9 +66,8 @@ pub struct Chain {
     unmatched: usize,
 }
 
-impl Chain {
-    /// An empty chain.
-    pub fn new() -> Self {
+impl Default for Chain {
+    fn default() -> Self {
         Self {
             nodes: Vec::new(),
             edges: Vec::new(),
@@ -80,7 +79,9 @@ impl Chain {
             unmatched: 0,
         }
     }
+}
 
+impl Chain {
     /// The nodes.
     pub fn nodes(&self) -> &[Node] {
         &self.nodes

@@ -90,9 +90,8 @@ pub struct World<'a> {
     pub poses: &'a [Placement],
 }
 
-impl ClosureFinder {
-    /// A finder that has found nothing yet.
-    pub fn new() -> Self {
+impl Default for ClosureFinder {
+    fn default() -> Self {
         let align = AlignSettings { iterations: 12, gate_wide_m: 0.4, ..AlignSettings::default() };
         Self {
             fields: FieldCache::new(FIELDS_MAX),
@@ -103,11 +102,13 @@ impl ClosureFinder {
             counts: SearchCounts::default(),
         }
     }
+}
 
+impl ClosureFinder {
     /// A finder that looks at so many squares in a search anywhere before it gives up, and that keeps so many segments ready.
     pub fn thorough(sums_max: u64, fields: usize) -> Self {
         let searcher_anywhere = Searcher::bounded(sums_max);
-        Self { searcher_anywhere, fields: FieldCache::new(fields), ..Self::new() }
+        Self { searcher_anywhere, fields: FieldCache::new(fields), ..Self::default() }
     }
 
     /// An empty grid to work with, lent between searches: it must be given back empty.

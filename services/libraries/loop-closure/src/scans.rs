@@ -103,6 +103,11 @@ impl ScanStore {
         self.ends.len() - 1
     }
 
+    /// Whether none is kept.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
     /// Number of scans kept.
     pub fn len(&self) -> usize {
         self.ends.len()

@@ -46,9 +46,8 @@ pub enum Ray {
     Unseen,
 }
 
-impl SectorScan {
-    /// Sectors that nothing was seen in.
-    pub fn new() -> Self {
+impl Default for SectorScan {
+    fn default() -> Self {
         Self {
             segments: Vec::new(),
             starts: Box::new([0; SECTORS + 1]),
@@ -57,7 +56,9 @@ impl SectorScan {
             join_m: 0.0,
         }
     }
+}
 
+impl SectorScan {
     /// Takes in a scan. Neighbouring points nearer to each other than `join_m` (the published dR) are joined.
     pub fn look(&mut self, scan: ScanView<'_>, deskew: &Deskew, join_m: f64) {
         self.join_m = join_m;
@@ -171,7 +172,7 @@ mod tests {
     fn sectors(ranges: &[f32], angle_min_rad: f64, step_rad: f64, join_m: f64) -> SectorScan {
         let scan = ScanBuffer::from_ranges(ranges, angle_min_rad, step_rad);
         let view = scan.view().unwrap();
-        let mut sectors = SectorScan::new();
+        let mut sectors = SectorScan::default();
         sectors.look(view, &Deskew::new(view, flockslam_geometry::Twist::default()), join_m);
         sectors
     }

@@ -63,7 +63,7 @@ impl<M: Topic + Named> Join<M> {
     ///
     /// # Errors
     /// When the bus fails.
-    pub fn next(&mut self) -> Result<Option<M>, StageError> {
+    pub fn oldest(&mut self) -> Result<Option<M>, StageError> {
         self.drain()?;
         Ok(self.told.front().copied())
     }
