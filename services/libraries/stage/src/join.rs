@@ -6,7 +6,7 @@ use flockslam_bus::{ScanSubscriber, Subscriber, Topic};
 
 /// Scans, and the message that says of each what is to be done with it: its verdict or its pose.
 ///
-/// A shell takes the oldest with [`Join::next`], waits with [`Join::wait`] for what else belongs to it, takes the scan out of
+/// A shell takes the oldest with [`Join::oldest`], waits with [`Join::wait`] for what else belongs to it, takes the scan out of
 /// [`Join::scans`], and ends with [`Join::finished`], which releases both and gives the source its credit.
 pub struct Join<M: Topic + Named> {
     /// Scans in the memory of their publisher.
