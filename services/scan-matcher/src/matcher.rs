@@ -105,7 +105,7 @@ impl ScanMatcher {
         }
         let points = self.points(scan, &prediction);
         if points.len() < POINTS_MIN || grid.is_empty() || self.map.begins_elsewhere {
-            return self.unmatched(scan, predicted, points);
+            return self.unmatched(scan, predicted, points, grid.is_empty());
         }
         let (points, mask) = self.mask_movers(scan, points, &prediction, grid);
         let fitted = self.fit(scan, points, &mask, prediction, grid);
@@ -229,8 +229,16 @@ impl ScanMatcher {
     }
 
     /// A scan that is needed but not matched, as it has too few points, or is the first one of a map or of a chain of submaps.
-    fn unmatched(&mut self, scan: ScanView<'_>, predicted: PoseEstimate, points: ScanPoints) -> PoseEstimate {
-        let is_blind = points.len() < POINTS_MIN;
+    fn unmatched(
+        &mut self,
+        scan: ScanView<'_>,
+        predicted: PoseEstimate,
+        points: ScanPoints,
+        grid_is_empty: bool,
+    ) -> PoseEstimate {
+        // After a restart the grid may take a while to arrive. What is inserted without it lies where the odometry is wrong.
+        let grid_is_missing = grid_is_empty && self.map.generation > 0 && !self.map.begins_elsewhere;
+        let is_blind = points.len() < POINTS_MIN || grid_is_missing;
         self.buffers.points = points;
         if is_blind {
             return self.followed(scan, PoseEstimate { quality: Quality::Degraded as u32, ..predicted });

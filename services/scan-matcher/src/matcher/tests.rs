@@ -218,6 +218,20 @@ fn a_robot_that_stays_lost_begins_a_new_chain_and_leaves_the_map_alone() {
 }
 
 #[test]
+fn inserts_nothing_after_a_restart_until_the_grid_is_there() {
+    let mut front_end = FrontEnd::new(Settings::default());
+    let last = (0..30).map(|i| front_end.step(&look(i, truth(i), Some(wheels(i))), true)).last().unwrap();
+    let nothing = TileGrid::new(front_end.grid.cell_size_m());
+    let there = std::mem::replace(&mut front_end.grid, nothing);
+    front_end.matcher = ScanMatcher::new(Settings::default());
+    front_end.matcher.resume(&last);
+    let blind = front_end.step(&look(30, truth(30), Some(wheels(30))), true);
+    assert!(!blind.has(PoseFlags::INSERT) && blind.quality == Quality::Degraded as u32, "{blind:?}");
+    front_end.grid = there;
+    assert!(front_end.step(&look(31, truth(31), Some(wheels(31))), true).has(PoseFlags::MATCHED));
+}
+
+#[test]
 fn continues_where_its_predecessor_stopped() {
     let mut front_end = FrontEnd::new(Settings::default());
     let last = (0..30).map(|i| front_end.step(&look(i, truth(i), Some(wheels(i))), true)).last().unwrap();
