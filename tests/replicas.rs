@@ -6,7 +6,7 @@ use crate::support::{Drive, LiveSet, Outputs, PoseWatch, building, run_well, sen
 use flockslam::store::SavedMap;
 use flockslam::supervisor::{SetStatus, StageState};
 use flockslam_messages::Stage;
-use flockslam_stage::whose_turn;
+use flockslam_stage::leader;
 use rustix::process::Signal;
 use std::path::Path;
 use std::time::Instant;
@@ -126,11 +126,11 @@ fn who_stands_by_goes_on_with_the_next_scan_when_the_one_that_acts_is_killed() {
     for stage in stages {
         subject.wait_until_all_run(stage, 2);
         let status_dir = subject.set.runtime_dir().join("status");
-        let acts = whose_turn(&status_dir, stage.name()).unwrap();
+        let acts = leader(&status_dir, stage.name()).unwrap();
         let since = Instant::now();
         send(acts, Signal::KILL);
         let back_ms = subject.poses.back_after_ms(since);
-        wait_for("another to act", || whose_turn(&status_dir, stage.name()).filter(|pid| *pid != acts));
+        wait_for("another to act", || leader(&status_dir, stage.name()).filter(|pid| *pid != acts));
         println!("{} killed: the next pose after {back_ms:.0} ms", stage.name());
         subject.wait_until_all_run(stage, 2);
     }

@@ -8,7 +8,7 @@ mod support;
 use flockslam_messages::Stage;
 use support::faults::{
     JournalCost, Overload, Trial, corrupt_scans, crashing_starts, endless_loop, everything_at_once,
-    jumping_clock, kills_of_each_stage, kills_of_who_acts, kills_while_saving, overload, refusing_disk,
+    jumping_clock, kills_of_each_stage, kills_of_the_leader, kills_while_saving, overload, refusing_disk,
     repetitions, stops_of_each_stage, storm, terminations, torn_files,
 };
 
@@ -32,7 +32,7 @@ fn rows() -> Vec<Row> {
         Box::new(|runs| kills_of_each_stage(&[Stage::SyncManager], runs, 1)),
     ));
     for stage in [Stage::LidarIngest, Stage::ScanMatcher, Stage::SyncManager] {
-        let kills = move |runs: usize| kills_of_who_acts(stage, runs.div_ceil(2), 6);
+        let kills = move |runs: usize| kills_of_the_leader(stage, runs.div_ceil(2), 6);
         rows.push((format!("turns {}", stage.name()), Box::new(kills)));
     }
     for stage in Stage::ALL.into_iter().filter(|stage| *stage != Stage::SyncManager) {

@@ -112,7 +112,7 @@ impl Session {
     fn ask_for_tiles(&self) -> Result<(), StageError> {
         let control: Publisher<Control> = self.bus.publisher()?;
         control.send(&Control { kind: ControlKind::TilesWanted as u32, epoch: 0, value: 0 })?;
-        self.bus.ringer(Stage::Mapper.name())?.ring();
+        self.bus.notifier(Stage::Mapper.name())?.ring();
         Ok(())
     }
 

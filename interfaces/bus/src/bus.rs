@@ -1,6 +1,6 @@
-//! The way to all topics and bells of a set: what is opened through it is typed, what carries it is not.
+//! The way to all topics and events of a set: what is opened through it is typed, what carries it is not.
 
-use crate::bell::{BellRinger, Listener};
+use crate::event::{Listener, Notifier};
 use crate::memory::MemoryBus;
 use crate::shared::SharedBus;
 use crate::transport::{TopicSpec, Transport};
@@ -15,14 +15,14 @@ use flockslam_messages::{
     TileMessage, TracksHeader, Verdict,
 };
 
-/// A process' (or thread's) way to all topics and bells of its set.
+/// A process' (or thread's) way to all topics and events of its set.
 pub struct Bus {
     transport: Box<dyn Transport>,
     capacity: Capacity,
 }
 
-/// The bell of the supervisor, beside those of the stages.
-pub const SUPERVISOR_BELL: &str = "supervisor";
+/// The event of the supervisor, beside those of the stages.
+pub const SUPERVISOR_EVENT: &str = "supervisor";
 
 impl Bus {
     /// Creates all services of a set and holds them until it is dropped. Only the supervisor does this.
@@ -55,9 +55,9 @@ impl Bus {
         ] {
             bus.create(&topic)?;
         }
-        bus.create_bell(SUPERVISOR_BELL)?;
+        bus.create_event(SUPERVISOR_EVENT)?;
         for stage in Stage::ALL {
-            bus.create_bell(stage.name())?;
+            bus.create_event(stage.name())?;
         }
         Ok(Self { transport: Box::new(bus), capacity })
     }
@@ -136,7 +136,7 @@ impl Bus {
         Ok(ScanSubscriber { ordinary: self.slice_subscriber()?, large: self.slice_subscriber()? })
     }
 
-    /// The bell of a stage or of the supervisor, to wait on.
+    /// The event of a stage or of the supervisor, to wait on.
     ///
     /// # Errors
     /// When it does not exist or has too many listeners.
@@ -144,12 +144,12 @@ impl Bus {
         self.transport.listener(name)
     }
 
-    /// The bell of a stage or of the supervisor, to ring.
+    /// The event of a stage or of the supervisor, to ring.
     ///
     /// # Errors
     /// When it does not exist or has too many ringers.
-    pub fn ringer(&self, name: &str) -> Result<BellRinger, BusError> {
-        self.transport.ringer(name)
+    pub fn notifier(&self, name: &str) -> Result<Notifier, BusError> {
+        self.transport.notifier(name)
     }
 }
 

@@ -1,12 +1,12 @@
-//! The only code that opens iceoryx2: topics with their limits, ports, bells to wait on, and what a set of processes
+//! The only code that opens iceoryx2: topics with their limits, ports, events to wait on, and what a set of processes
 //! leaves in shared memory. An in-memory twin carries the same messages between threads of one process.
 //!
 //! A process set has one [`Bus::host`]: the supervisor, which creates and holds every service, since a kill during the
 //! creation of a service can wedge its name for good. Stages [`Bus::join`] and only open.
 
-mod bell;
 mod bus;
 mod error;
+mod event;
 mod memory;
 mod orphans;
 mod patience;
@@ -15,16 +15,16 @@ mod runtime;
 mod scan_port;
 mod service;
 mod shared;
-mod shared_bell;
+mod shared_event;
 mod shared_sample;
 mod tile_port;
 mod topic;
 mod transport;
 mod words;
 
-pub use bell::{BellRinger, Listener, Wake};
-pub use bus::{Bus, SUPERVISOR_BELL};
+pub use bus::{Bus, SUPERVISOR_EVENT};
 pub use error::BusError;
+pub use event::{Listener, Notifier, Wake};
 pub use orphans::OrphanedNodes;
 pub use patience::half_made_publishers;
 pub use port::{Publisher, Sample, SlicePublisher, SliceSample, SliceSubscriber, Subscriber};

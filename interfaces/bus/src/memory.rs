@@ -1,7 +1,7 @@
 //! The in-memory twin: topics between threads of one process, over crossbeam channels.
 
 use crate::BusError;
-use crate::bell::{BellRinger, Hear, Listener, Ring, Wake};
+use crate::event::{Hear, Listener, Notifier, Ring, Wake};
 use crate::transport::{Held, Lender, Source, TopicSpec, Transport};
 use crate::words::Words;
 use crossbeam::channel::{self, Receiver, Sender};
@@ -12,11 +12,11 @@ use std::time::Duration;
 /// A message that all subscribers share.
 type Message = Arc<Box<Words>>;
 
-/// All topics and bells of one in-memory set, each created at first use.
+/// All topics and events of one in-memory set, each created at first use.
 #[derive(Clone, Default)]
 pub struct MemoryBus {
     topics: Arc<Mutex<BTreeMap<String, MemoryTopic>>>,
-    bells: Arc<Mutex<BTreeMap<String, MemoryBell>>>,
+    notifiers: Arc<Mutex<BTreeMap<String, MemoryEvent>>>,
 }
 
 impl MemoryBus {
@@ -25,9 +25,9 @@ impl MemoryBus {
         topics.entry(name.to_owned()).or_default().clone()
     }
 
-    fn bell(&self, name: &str) -> MemoryBell {
-        let mut bells = self.bells.lock().expect("no thread panics while it holds the bells");
-        bells.entry(name.to_owned()).or_default().clone()
+    fn event(&self, name: &str) -> MemoryEvent {
+        let mut notifiers = self.notifiers.lock().expect("no thread panics while it holds the bells");
+        notifiers.entry(name.to_owned()).or_default().clone()
     }
 }
 
@@ -41,11 +41,11 @@ impl Transport for MemoryBus {
     }
 
     fn listener(&self, name: &str) -> Result<Listener, BusError> {
-        Ok(Listener::new(Box::new(self.bell(name).listen())))
+        Ok(Listener::new(Box::new(self.event(name).listen())))
     }
 
-    fn ringer(&self, name: &str) -> Result<BellRinger, BusError> {
-        Ok(BellRinger::new(Box::new(self.bell(name))))
+    fn notifier(&self, name: &str) -> Result<Notifier, BusError> {
+        Ok(Notifier::new(Box::new(self.event(name))))
     }
 
     fn for_another_thread(&self) -> Option<Box<dyn Transport + Send>> {
@@ -85,17 +85,17 @@ impl Source for Receiver<Message> {
     }
 }
 
-/// A bell between threads.
+/// An event between threads.
 #[derive(Clone, Default)]
-struct MemoryBell {
+struct MemoryEvent {
     listeners: Arc<Mutex<Vec<Sender<()>>>>,
 }
 
-impl MemoryBell {
+impl MemoryEvent {
     /// A new listener.
     fn listen(&self) -> Receiver<()> {
         let (sender, receiver) = channel::bounded(1);
-        self.listeners.lock().expect("no thread panics while it holds a bell").push(sender);
+        self.listeners.lock().expect("no thread panics while it holds an event").push(sender);
         receiver
     }
 }
@@ -106,10 +106,10 @@ impl Hear for Receiver<()> {
     }
 }
 
-impl Ring for MemoryBell {
+impl Ring for MemoryEvent {
     /// Wakes every listener; rings coalesce.
     fn ring(&self) {
-        for listener in self.listeners.lock().expect("no thread panics while it holds a bell").iter() {
+        for listener in self.listeners.lock().expect("no thread panics while it holds an event").iter() {
             let _ = listener.try_send(());
         }
     }

@@ -1,9 +1,9 @@
 //! iceoryx2 behind the ports: services with explicit limits, created by the host and opened by everybody else.
 
-use crate::bell::{BellRinger, Listener};
+use crate::event::{Listener, Notifier};
 use crate::patience::Patience;
 use crate::service::Service;
-use crate::shared_bell::{SharedListener, SharedRinger};
+use crate::shared_event::{SharedListener, SharedNotifier};
 use crate::shared_sample::SharedSample;
 use crate::transport::{Held, Lender, Source, TopicSpec, Transport};
 use crate::words::Words;
@@ -61,12 +61,12 @@ impl SharedBus {
         Ok(())
     }
 
-    /// Creates the bell of this name.
-    pub fn create_bell(&mut self, name: &str) -> Result<(), BusError> {
+    /// Creates the event of this name.
+    pub fn create_event(&mut self, name: &str) -> Result<(), BusError> {
         let replicas = self.capacity.replicas + 1;
         let created = self
             .node
-            .service_builder(&service_name(&format!("bell/{name}"))?)
+            .service_builder(&service_name(&format!("event/{name}"))?)
             .event()
             .max_listeners(replicas)
             // Every stage, the supervisor and outside programs may ring.
@@ -86,8 +86,8 @@ impl SharedBus {
             .map_err(|e| open_error(topic, e))
     }
 
-    fn open_bell(&self, name: &str) -> Result<event::PortFactory<Service>, BusError> {
-        let service = service_name(&format!("bell/{name}"))?;
+    fn open_event(&self, name: &str) -> Result<event::PortFactory<Service>, BusError> {
+        let service = service_name(&format!("event/{name}"))?;
         self.node.service_builder(&service).event().open().map_err(|e| BusError::open(name, e))
     }
 }
@@ -115,13 +115,13 @@ impl Transport for SharedBus {
     }
 
     fn listener(&self, name: &str) -> Result<Listener, BusError> {
-        let port = self.open_bell(name)?.listener_builder().create().map_err(|e| BusError::open(name, e))?;
+        let port = self.open_event(name)?.listener_builder().create().map_err(|e| BusError::open(name, e))?;
         Ok(Listener::new(Box::new(SharedListener(port))))
     }
 
-    fn ringer(&self, name: &str) -> Result<BellRinger, BusError> {
-        let port = self.open_bell(name)?.notifier_builder().create().map_err(|e| BusError::open(name, e))?;
-        Ok(BellRinger::new(Box::new(SharedRinger(port))))
+    fn notifier(&self, name: &str) -> Result<Notifier, BusError> {
+        let port = self.open_event(name)?.notifier_builder().create().map_err(|e| BusError::open(name, e))?;
+        Ok(Notifier::new(Box::new(SharedNotifier(port))))
     }
 
     fn clean_dead_nodes(&self) -> (u64, u64) {

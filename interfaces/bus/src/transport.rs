@@ -3,7 +3,7 @@
 //! Both carry rows of words, whatever the topic. iceoryx2 is generic over its payload and costs the compiler seconds for each
 //! type, so there is one type for all topics, and what is compiled for it stays in this crate, behind these traits.
 
-use crate::bell::{BellRinger, Listener};
+use crate::event::{Listener, Notifier};
 use crate::shared_sample::SharedSample;
 use crate::words::Words;
 use crate::{BusError, Limits};
@@ -26,16 +26,16 @@ pub struct TopicSpec {
     pub limits: Limits,
 }
 
-/// A way to all topics and bells of a set.
+/// A way to all topics and events of a set.
 pub trait Transport {
     /// Opens a topic for sending.
     fn lender(&self, topic: &TopicSpec) -> Result<Box<dyn Lender>, BusError>;
     /// Opens a topic for receiving.
     fn source(&self, topic: &TopicSpec) -> Result<Box<dyn Source>, BusError>;
-    /// A bell to wait on.
+    /// An event to wait on.
     fn listener(&self, name: &str) -> Result<Listener, BusError>;
-    /// A bell to ring.
-    fn ringer(&self, name: &str) -> Result<BellRinger, BusError>;
+    /// An event to ring.
+    fn notifier(&self, name: &str) -> Result<Notifier, BusError>;
     /// Frees what dead processes of the set hold: (cleaned, failed).
     fn clean_dead_nodes(&self) -> (u64, u64) {
         (0, 0)

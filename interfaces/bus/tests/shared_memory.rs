@@ -57,13 +57,13 @@ fn a_held_tile_outlives_its_publisher(host: &Bus, member: &Bus) {
 }
 
 fn a_bell_tells_what_has_rung(host: &Bus, member: &Bus) {
-    let (listener, ringer) = (host.listener("mapper").unwrap(), member.ringer("mapper").unwrap());
+    let (listener, notifier) = (host.listener("mapper").unwrap(), member.notifier("mapper").unwrap());
     assert_eq!(listener.wait(Duration::from_millis(1)).unwrap(), Wake::TimedOut);
-    ringer.announce();
+    notifier.announce();
     assert_eq!(listener.wait(Duration::from_secs(5)).unwrap(), Wake::Announced);
-    ringer.ring();
-    ringer.announce();
-    ringer.ring();
+    notifier.ring();
+    notifier.announce();
+    notifier.ring();
     assert_eq!(listener.wait(Duration::from_secs(5)).unwrap(), Wake::Rung);
     assert!(matches!(host.listener("nobody"), Err(BusError::Open { .. })));
 }

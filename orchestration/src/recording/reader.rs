@@ -126,7 +126,7 @@ impl SetReader {
 fn ask_for_tiles(bus: &Bus) -> Result<(), BusError> {
     let control = bus.publisher::<Control>()?;
     control.send(&Control { kind: ControlKind::TilesWanted as u32, epoch: 0, value: 0 })?;
-    bus.ringer(Stage::Mapper.name())?.ring();
+    bus.notifier(Stage::Mapper.name())?.ring();
     Ok(())
 }
 

@@ -6,7 +6,7 @@ use super::hang::HangWatch;
 use super::status::{SetState, SetStatus, StageState, StageStatus};
 use super::{ProcessLimits, SetFile, Supervision};
 use crate::configuration::Configuration;
-use flockslam_bus::{BellRinger, Bus, BusError, OrphanedNodes, Publisher, RuntimeDir, Subscriber};
+use flockslam_bus::{Bus, BusError, Notifier, OrphanedNodes, Publisher, RuntimeDir, Subscriber};
 use flockslam_messages::{Control, ControlKind, Progress, Stage};
 use flockslam_results::FlockStatus;
 use flockslam_stage::{Mode, Pause};
@@ -48,7 +48,7 @@ pub struct ProcessSet {
     control: Subscriber<Control>,
     metrics: SupervisorMetrics,
     orders: Publisher<Control>,
-    source_bell: BellRinger,
+    source_notifier: Notifier,
     set: SetFile,
     supervision: Supervision,
     hang_watch: HangWatch,
@@ -78,7 +78,7 @@ impl ProcessSet {
             control: bus.subscriber()?,
             metrics: SupervisorMetrics::new(&Stage::ALL.map(Stage::name)),
             orders: bus.publisher()?,
-            source_bell: bus.ringer(Stage::LidarIngest.name())?,
+            source_notifier: bus.notifier(Stage::LidarIngest.name())?,
             executable,
             started: Instant::now(),
             cleaned: Instant::now(),
@@ -337,7 +337,7 @@ impl ProcessSet {
     /// When the bus fails.
     pub fn end_stream(&self) -> Result<(), SetError> {
         self.orders.send(&Control { kind: ControlKind::EndWanted as u32, epoch: 0, value: 0 })?;
-        self.source_bell.ring();
+        self.source_notifier.ring();
         Ok(())
     }
 

@@ -7,7 +7,7 @@ mod shares;
 pub use shares::tally_part;
 
 use crate::{CorrelationFilter, Settings};
-use flockslam_bus::{BellRinger, Publisher, ScanSample, ScanSubscriber, Subscriber};
+use flockslam_bus::{Notifier, Publisher, ScanSample, ScanSubscriber, Subscriber};
 use flockslam_messages::{DropReason, KeepReason, Progress, ScanTally, Stage, Verdict};
 use flockslam_stage::{Acknowledger, Actor, Mode, Shares, StageContext, StageError, run};
 use flockslam_telemetry::{LabelledCounters, names};
@@ -30,16 +30,16 @@ const SHARE_LATE: &str = "share-late";
 /// # Errors
 /// When the bus fails.
 pub fn run_stage(context: &mut StageContext, settings: Settings) -> Result<(), StageError> {
-    let bell = context.bus.listener(Stage::CorrelationFilter.name())?;
+    let event = context.bus.listener(Stage::CorrelationFilter.name())?;
     let describer = Describer::open(context, &settings)?;
     if context.replica > 0 {
-        let first = context.bus.ringer(Stage::CorrelationFilter.name())?;
+        let first = context.bus.notifier(Stage::CorrelationFilter.name())?;
         let mut helper = Helper { describer, tallies: context.bus.publisher()?, first };
-        return run(context, &mut helper, &bell);
+        return run(context, &mut helper, &event);
     }
     let mut actor = Filter {
         verdicts: context.bus.publisher()?,
-        matcher: context.bus.ringer(Stage::ScanMatcher.name())?,
+        matcher: context.bus.notifier(Stage::ScanMatcher.name())?,
         acknowledger: Acknowledger::open(context, 0)?,
         load: if context.mode == Mode::Live { Some(Load::open(context)?) } else { None },
         kept: Kept::new(context),
@@ -47,7 +47,7 @@ pub fn run_stage(context: &mut StageContext, settings: Settings) -> Result<(), S
         describer,
         logic: CorrelationFilter::new(settings),
     };
-    run(context, &mut actor, &bell)
+    run(context, &mut actor, &event)
 }
 
 /// What describes scans, alone or together with other replicas.
@@ -74,7 +74,7 @@ impl Describer {
 struct Helper {
     describer: Describer,
     tallies: Publisher<ScanTally>,
-    first: BellRinger,
+    first: Notifier,
 }
 
 impl Actor for Helper {
@@ -155,7 +155,7 @@ struct Filter {
     logic: CorrelationFilter,
     describer: Describer,
     verdicts: Publisher<Verdict>,
-    matcher: BellRinger,
+    matcher: Notifier,
     acknowledger: Acknowledger,
     load: Option<Load>,
     kept: Kept,

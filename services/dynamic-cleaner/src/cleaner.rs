@@ -14,7 +14,7 @@ use flockslam_messages::{
     ClearedCell, Deskew, JudgedCell, MarksHeader, PoseEstimate, PoseFlags, Quality, ScanId, ScanView, Track,
 };
 use flockslam_published_methods::{Ray, SectorScan};
-use flockslam_visibility::{Finding, Margins, Sight, View};
+use flockslam_visibility::{Margins, PassThrough, PolarRangeImage, Visibility};
 use std::ops::Deref;
 
 /// Method `sectors`: neighbouring points of a scan nearer than this are joined (the published dR), metres; a map point this near to a
@@ -64,7 +64,7 @@ const STANDING: (f64, f64) = (0.05, 0.05);
 #[derive(Clone, Debug)]
 pub struct DynamicCleaner {
     settings: Settings,
-    sight: Sight,
+    sight: PolarRangeImage,
     sectors: SectorScan,
     votes: Votes,
     scans: u32,
@@ -96,7 +96,7 @@ impl DynamicCleaner {
     /// A cleaner that has seen nothing.
     pub fn new(settings: Settings) -> Self {
         Self {
-            sight: Sight::new(),
+            sight: PolarRangeImage::new(),
             sectors: SectorScan::default(),
             votes: Votes::new(),
             scans: 0,
@@ -186,14 +186,14 @@ impl DynamicCleaner {
             let toward = sector.directions(beside_rad);
             self.sight.look_toward(scan, &Deskew::new(scan, pose.twist), toward);
         }
-        let view = View::new(&self.sight, at, grid.cell_size_m(), margins(pose));
+        let view = PassThrough::new(&self.sight, at, grid.cell_size_m(), margins(pose));
         let laser_from_odom = at.inverse();
         let judge = |center: Point| match self.settings.method {
             Method::Beams => view.judge(center),
             Method::Sectors => match self.sectors.ray_to(laser_from_odom.apply(center)) {
-                Ray::Free => Finding::SeenThrough,
-                Ray::Met => Finding::Supported,
-                Ray::Shadowed | Ray::Unseen => Finding::Open,
+                Ray::Free => Visibility::SeenThrough,
+                Ray::Met => Visibility::Supported,
+                Ray::Shadowed | Ray::Unseen => Visibility::Open,
             },
         };
         let mut seen_through = 0;
@@ -201,10 +201,10 @@ impl DynamicCleaner {
             Reach { around: at.position(), radius_m: self.settings.radius_m, wedge: sector.wedge(at) };
         for_each_occupied(grid, reach, |cell, center, place| {
             let is_through = match judge(center) {
-                Finding::SeenThrough => true,
-                Finding::Supported => false,
+                Visibility::SeenThrough => true,
+                Visibility::Supported => false,
                 // What is seen of an edge may be what lies beside it.
-                Finding::Open | Finding::Passed | Finding::Touched => return,
+                Visibility::Open | Visibility::Passed | Visibility::Touched => return,
             };
             if is_through && seen_through == SEEN_THROUGH_MAX {
                 return;

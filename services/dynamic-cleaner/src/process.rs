@@ -5,7 +5,7 @@
 mod sectors;
 
 use crate::{DynamicCleaner, Sector, Settings};
-use flockslam_bus::{BellRinger, ScanSample, SlicePublisher, SliceSample, SliceSubscriber};
+use flockslam_bus::{Notifier, ScanSample, SlicePublisher, SliceSample, SliceSubscriber};
 use flockslam_messages::{
     DropReason, MarksHeader, PoseEstimate, PoseFlags, ScanView, SectorHeader, Stage, TracksHeader,
 };
@@ -27,26 +27,26 @@ const SECTOR_LATE: &str = "sector-late";
 /// # Errors
 /// When the bus fails.
 pub fn run_stage(context: &mut StageContext, settings: Settings, cell_size_m: f64) -> Result<(), StageError> {
-    let bell = context.bus.listener(Stage::DynamicCleaner.name())?;
+    let event = context.bus.listener(Stage::DynamicCleaner.name())?;
     let parts = settings.replicas.max(1) as u32;
     let mut inputs = Inputs::open(context, settings, cell_size_m)?;
     if context.replica > 0 {
         inputs.join.speak(false);
         // A number beyond the shares has none; it only waits to be told to end.
         let sector = (context.replica < parts).then(|| Sector::new(context.replica, parts));
-        return run(context, &mut Helper::open(context, inputs, sector, parts)?, &bell);
+        return run(context, &mut Helper::open(context, inputs, sector, parts)?, &event);
     }
     let mut actor = Cleaner {
         inputs,
         sectors: Shares::new(context.bus.slice_subscriber()?, parts, SECTORS_HELD_MAX, SECTOR_DEADLINE_NS),
         marks: context.bus.slice_publisher()?,
         tracks: context.bus.slice_publisher()?,
-        mapper: context.bus.ringer(Stage::Mapper.name())?,
+        mapper: context.bus.notifier(Stage::Mapper.name())?,
         cleared: 0,
         cleared_cells: context.metrics.counter(names::CLEARED_CELLS),
         moving_beams: context.metrics.counter(names::MOVING_BEAMS),
     };
-    run(context, &mut actor, &bell)
+    run(context, &mut actor, &event)
 }
 
 /// What every replica joins.
@@ -88,7 +88,7 @@ struct Cleaner {
     sectors: Shares<SliceSubscriber<SectorHeader>, Shared>,
     marks: SlicePublisher<MarksHeader>,
     tracks: SlicePublisher<TracksHeader>,
-    mapper: BellRinger,
+    mapper: Notifier,
     cleared: u64,
     cleared_cells: Counter,
     moving_beams: Counter,

@@ -18,7 +18,7 @@ pub use feed::count_scans;
 use flockslam_bus::{ScanPublisher, Subscriber};
 use flockslam_messages::{ControlKind, DropReason, LARGE_SCAN_BEAMS, Progress, ScanBuffer, ScanId, Stage};
 use flockslam_stage::{
-    Actor, Bells, LastWord, Mode, Pause, StageContext, StageError, StreamEnd, Turn, run, step_aside,
+    Actor, LastWord, LeaderLock, Mode, Notifiers, Pause, StageContext, StageError, StreamEnd, run, step_aside,
 };
 use flockslam_telemetry::{failpoint, monotonic_ns, utc_ns};
 use pacer::Pacer;
@@ -82,14 +82,14 @@ fn first_stages(mode: Mode) -> &'static [Stage] {
 /// # Errors
 /// When the source is not usable ([`StageError::Source`]) or the bus fails.
 pub fn run_stage(context: &mut StageContext, task: Task) -> Result<(), StageError> {
-    let bell = context.bus.listener(Stage::LidarIngest.name())?;
+    let event = context.bus.listener(Stage::LidarIngest.name())?;
     let mut sent = 0;
-    let turn = Turn::ask(context)?;
-    if !turn.stand_by(context, &bell, |context| followed(context, &mut sent))? {
+    let turn = LeaderLock::ask(context)?;
+    if !turn.stand_by(context, &event, |context| followed(context, &mut sent))? {
         return Ok(());
     }
     let mut ingest = Ingest::open(context, task)?;
-    run(context, &mut ingest, &bell)
+    run(context, &mut ingest, &event)
 }
 
 /// Scans that the process that acts has sent since the last look. Nothing else is to be kept up with: where it is lies in the cursor.
@@ -108,7 +108,7 @@ struct Ingest {
     end: LastWord,
     progress: Subscriber<Progress>,
     /// Who looks at a scan first.
-    first: Bells,
+    first: Notifiers,
     done: [u64; CONSUMERS.len()],
     scan: ScanBuffer,
     /// A scan is in `scan` and not yet sent.
@@ -134,18 +134,18 @@ impl Ingest {
         let pacer = task.rate.map(|rate| Pacer::new(rate, cursor.as_ref().and_then(Cursor::anchor)));
         let mut feed = Feed::open(context, &task)?;
         feed.skip(resumed.saturating_sub(first))?;
-        let bells = |stages: &[Stage]| {
+        let notifiers = |stages: &[Stage]| {
             let names: Vec<_> = stages.iter().map(|stage| stage.name()).collect();
-            Bells::open(context, &names)
+            Notifiers::open(context, &names)
         };
         Ok(Self {
             feed,
             pacer,
             cursor,
             scans: context.bus.scan_publisher()?,
-            end: LastWord::open(context, ControlKind::StreamEnd, EPOCH, bells(&CONSUMERS)?)?,
+            end: LastWord::open(context, ControlKind::StreamEnd, EPOCH, notifiers(&CONSUMERS)?)?,
             progress: context.bus.subscriber()?,
-            first: bells(first_stages(context.mode))?,
+            first: notifiers(first_stages(context.mode))?,
             done: [0; CONSUMERS.len()],
             scan: ScanBuffer::default(),
             loaded: false,
@@ -217,7 +217,7 @@ impl Ingest {
         header.times.utc_ns = utc_ns();
         let view = self.scan.view().map_err(|problem| StageError::Source(problem.to_string()))?;
         self.scans.send(view)?;
-        // Whoever waits for it awake needs the processor rather than the bell.
+        // Whoever waits for it awake needs the processor rather than the event.
         if !self.announced {
             self.first.ring();
         }

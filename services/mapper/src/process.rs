@@ -15,8 +15,8 @@ use flockslam_messages::{
 };
 use flockslam_results::SubmapStore;
 use flockslam_stage::{
-    Actor, Bells, Copies, Deadline, Inbox, Join, JournalReader, LastWord, StageContext, StageError, Waited,
-    run,
+    Actor, Copies, Deadline, Inbox, Join, JournalReader, LastWord, Notifiers, StageContext, StageError,
+    Waited, run,
 };
 use flockslam_telemetry::failpoint;
 use metrics::MapMetrics;
@@ -36,13 +36,13 @@ const PART_LATE: &str = "part-late";
 /// # Errors
 /// When the bus, the journal or the store fails.
 pub fn run_stage(context: &mut StageContext, settings: Settings) -> Result<(), StageError> {
-    let bell = context.bus.listener(Stage::Mapper.name())?;
+    let event = context.bus.listener(Stage::Mapper.name())?;
     let parts = settings.replicas.max(1) as u32;
     if context.replica >= parts {
-        return run(context, &mut Shareless, &bell);
+        return run(context, &mut Shareless, &event);
     }
     let mut actor = MapperProcess::open(context, settings, Parts::open(context, parts)?)?;
-    run(context, &mut actor, &bell)
+    run(context, &mut actor, &event)
 }
 
 /// A process with a number beyond the shares: it only waits to be told to end.
@@ -85,7 +85,7 @@ struct MapperProcess {
 impl MapperProcess {
     fn open(context: &mut StageContext, settings: Settings, parts: Parts) -> Result<Self, StageError> {
         let marks: SliceSubscriber<MarksHeader> = context.bus.slice_subscriber()?;
-        let listeners = Bells::open(context, &[Stage::SyncManager.name()])?;
+        let listeners = Notifiers::open(context, &[Stage::SyncManager.name()])?;
         let mut process = Self {
             output: Output::open(context, settings.cell_size_m)?,
             logic: Mapper::of_share(settings, parts.share()),
@@ -264,7 +264,7 @@ impl MapperProcess {
             active_submap: self.logic.active_submap(),
         };
         self.output.commit(&commit)?;
-        context.bus.ringer(Stage::DynamicCleaner.name())?.ring();
+        context.bus.notifier(Stage::DynamicCleaner.name())?.ring();
         Ok(())
     }
 

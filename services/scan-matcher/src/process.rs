@@ -10,8 +10,8 @@ use flockslam_messages::{
     Verdict,
 };
 use flockslam_stage::{
-    Actor, Bells, Deadline, GridReader, Join, JournalReader, JournalWriter, Mode, StageContext, StageError,
-    Turn, run, step_aside,
+    Actor, Deadline, GridReader, Join, JournalReader, JournalWriter, LeaderLock, Mode, Notifiers,
+    StageContext, StageError, run, step_aside,
 };
 use flockslam_telemetry::failpoint;
 use metrics::PoseMetrics;
@@ -40,17 +40,17 @@ pub const LOST: &str = "lost";
 /// # Errors
 /// When the bus or the journal fails.
 pub fn run_stage(context: &mut StageContext, settings: Settings, cell_size_m: f64) -> Result<(), StageError> {
-    let bell = context.bus.listener(Stage::ScanMatcher.name())?;
-    let turn = Turn::ask(context)?;
+    let event = context.bus.listener(Stage::ScanMatcher.name())?;
+    let turn = LeaderLock::ask(context)?;
     let mut actor = Matcher::open(context, settings, cell_size_m)?;
     if !turn.is_ours() && context.mode == Mode::Live {
         actor.grid.ask_for_tiles()?;
     }
-    if !turn.stand_by(context, &bell, |context| actor.follow(context))? {
+    if !turn.stand_by(context, &event, |context| actor.follow(context))? {
         return Ok(());
     }
     actor.begin(context)?;
-    run(context, &mut actor, &bell)
+    run(context, &mut actor, &event)
 }
 
 struct Matcher {
@@ -76,7 +76,7 @@ struct Matcher {
     accepted: Option<u64>,
     /// Open as soon as this process acts.
     journal: Option<JournalWriter>,
-    bells: Bells,
+    notifiers: Notifiers,
     /// The chain of submaps, and the sequence of the accepted scan that it began with.
     chain: u32,
     chain_began: u64,
@@ -105,7 +105,7 @@ impl Matcher {
             last: None,
             accepted: None,
             journal: None,
-            bells: Bells::open(
+            notifiers: Notifiers::open(
                 context,
                 &[Stage::Mapper, Stage::DynamicCleaner, Stage::SyncManager].map(Stage::name),
             )?,
@@ -169,7 +169,7 @@ impl Matcher {
         self.awaited.extend(self.accepted.map(|sequence| (sequence, context.now_ns())));
         // The predecessor may have died between the journal and this.
         self.poses.send(&last)?;
-        self.bells.ring();
+        self.notifiers.ring();
         self.chain = last.chain;
         self.join.finished(next)
     }
@@ -288,7 +288,7 @@ impl Matcher {
             }
         }
         if accepted || header.id.sequence.is_multiple_of(self.quiet_scans) {
-            self.bells.ring();
+            self.notifiers.ring();
         }
         context.probe_scan(scan);
         self.join.finished(header.id.sequence + 1)
@@ -326,7 +326,7 @@ impl Actor for Matcher {
             self.drain(context)?;
         }
         if self.join.has_ended()? && !any {
-            self.bells.ring();
+            self.notifiers.ring();
         }
         if expects_verdict {
             // The filter may wait for this very processor.

@@ -96,7 +96,7 @@ impl<'a> Curve<'a> {
     /// (Catmull and Rom 1974, for uneven times), in the frame of the first.
     fn bent(&self, around: [Option<usize>; 4], record: usize) -> Placement {
         let [before, Some(from), Some(to), after] = around else { unreachable!("both ends are known") };
-        let strand = |k: usize| self.records[self.known[k].0].strand;
+        let trajectory = |k: usize| self.records[self.known[k].0].trajectory;
         let (start, origin) = self.known[from];
         let end = self.known[to].0;
         let span = self.times[end] - self.times[start];
@@ -104,7 +104,7 @@ impl<'a> Curve<'a> {
         let share = ((self.times[record] - self.times[start]) / span).clamp(0.0, 1.0);
         // Slopes over the stretches before and after, and how long those are.
         let beside = |k: Option<usize>, forward: bool| {
-            let k = k.filter(|k| *k < self.known.len() && strand(*k) == strand(from))?;
+            let k = k.filter(|k| *k < self.known.len() && trajectory(*k) == trajectory(from))?;
             let (other, pose) = self.known[k];
             let length = if forward {
                 self.times[other] - self.times[end]
@@ -138,7 +138,8 @@ fn coordinates(pose: Placement) -> [f64; 3] {
 }
 
 fn spans(records: &[PoseRecord], from: usize, to: usize, most: u64) -> bool {
-    records[from].strand == records[to].strand && records[to].id.sequence - records[from].id.sequence <= most
+    records[from].trajectory == records[to].trajectory
+        && records[to].id.sequence - records[from].id.sequence <= most
 }
 
 /// Whether known pose `middle` can be found from its neighbours and the robot moved there.
@@ -188,7 +189,7 @@ mod tests {
             odom: truth(*time_s),
             wheels: Some(truth(time_s - late_s)),
             submap: 0,
-            strand: 0,
+            trajectory: 0,
             lost: false,
         };
         times_s.iter().zip(stamps_s).enumerate().map(record).collect()

@@ -16,4 +16,4 @@ mod trajectory;
 
 pub use manager::SyncManager;
 pub use settings::Settings;
-pub use solution::{ClosureCounts, PlacedScan, SettledScan, Solution};
+pub use solution::{ClosureCounts, FrozenScan, PlacedScan, Solution};

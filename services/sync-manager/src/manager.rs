@@ -2,12 +2,13 @@
 
 use crate::pose_record::PoseRecord;
 use crate::settings::Settings;
-use crate::solution::{ClosureCounts, SettledScan, Solution};
+use crate::solution::{ClosureCounts, FrozenScan, Solution};
 use crate::trajectory::{Between, filled};
 use flockslam_geometry::Pose;
 use flockslam_loop_closure::agreement::eligible;
 use flockslam_loop_closure::chain::Chain;
 use flockslam_loop_closure::closure::{CHI_SQUARED_MAX, Closure};
+use flockslam_loop_closure::connectivity::{self, TrajectoryConnectivity};
 use flockslam_loop_closure::dense::DensePass;
 use flockslam_loop_closure::finder::{
     ClosureFinder, EVERY_M, LEAST_TRAVEL_M, QUERY_NODES, World, graph_distances,
@@ -17,19 +18,18 @@ use flockslam_loop_closure::place::{KeptScan, Placer};
 use flockslam_loop_closure::refine::Refinement;
 use flockslam_loop_closure::scans::ScanStore;
 use flockslam_loop_closure::segment::Segment;
-use flockslam_loop_closure::strands::{self, Strands};
 use flockslam_map_fusion::PlacedSubmap;
 use flockslam_messages::{BeamRange, LayoutHeader, PoseEstimate, PoseFlags, ScanView, SubmapClosed};
 use flockslam_pose_graph::Edge;
 use flockslam_pose_graph::{RobustSettings, solve};
 use flockslam_registration::cloud::Placement;
-use settle::SettledSubmap;
+use freeze::FrozenSubmap;
 use solution::placed;
 use std::collections::{BTreeMap, BTreeSet};
 use tell::Telling;
 
 mod counts;
-mod settle;
+mod freeze;
 mod shown;
 mod solution;
 mod tell;
@@ -44,7 +44,7 @@ const NODE_TURN_RAD: f64 = 0.35;
 const FINAL_NODES: usize = 3;
 /// Most branch-and-bound searches after one closed submap.
 const SEARCHES_PER_SUBMAP: usize = 60;
-/// Searches after one closed submap beyond the usual ones while the newest strand is not connected with the map.
+/// Searches after one closed submap beyond the usual ones while the newest trajectory is not connected with the map.
 const ADRIFT_SEARCHES: u64 = 100;
 
 /// Work on solving the graph after each closed submap, products of 3 × 3 blocks: a graph that takes more is solved less often, with
@@ -105,20 +105,20 @@ pub struct SyncManager {
     segments: Vec<Segment>,
     finder: ClosureFinder,
     closures: Vec<Closure>,
-    /// By closure: whether it acts in the last solution.
-    in_force: Vec<bool>,
+    /// By closure: whether it is an inlier in the last solution.
+    is_inlier: Vec<bool>,
     /// Poses of the nodes in the last solution; newer nodes follow the chain.
     poses: Vec<Placement>,
     /// Travel at which the next search for loops is due, metres.
     next_search_m: f64,
     revision: u32,
     /// Segments before this one stay for good.
-    next_settled: usize,
-    /// Scans that have settled and wait to be taken.
-    settled: Vec<SettledScan>,
-    settled_submaps: BTreeMap<u32, SettledSubmap>,
+    next_frozen: usize,
+    /// Scans that are frozen and wait to be taken.
+    frozen: Vec<FrozenScan>,
+    frozen_submaps: BTreeMap<u32, FrozenSubmap>,
     retired_submaps: BTreeSet<u32>,
-    settled_closures: u64,
+    frozen_closures: u64,
     /// Scans in the store that nothing refers to any more.
     gone_scans: usize,
     /// Closures were found that the solution does not know.
@@ -143,14 +143,14 @@ impl SyncManager {
             kept: Vec::new(),
             segments: Vec::new(),
             closures: Vec::new(),
-            in_force: Vec::new(),
+            is_inlier: Vec::new(),
             poses: Vec::new(),
             revision: 0,
-            next_settled: 0,
-            settled: Vec::new(),
-            settled_submaps: BTreeMap::new(),
+            next_frozen: 0,
+            frozen: Vec::new(),
+            frozen_submaps: BTreeMap::new(),
             retired_submaps: BTreeSet::new(),
-            settled_closures: 0,
+            frozen_closures: 0,
             gone_scans: 0,
             unsolved: false,
             telling: None,
@@ -163,7 +163,7 @@ impl SyncManager {
     pub fn pose(&mut self, pose: &PoseEstimate) {
         let mut record = PoseRecord::new(pose);
         // Chains only follow each other. A front end that has forgotten its own says one of before.
-        record.strand = self.records.last().map_or(0, |last| last.strand).max(record.strand);
+        record.trajectory = self.records.last().map_or(0, |last| last.trajectory).max(record.trajectory);
         self.records.push(record);
     }
 
@@ -172,15 +172,15 @@ impl SyncManager {
     /// are not matched.
     pub fn node(&mut self, scan: ScanView<'_>, pose: &PoseEstimate, moving: &[BeamRange]) {
         let Some(record) = self.records.iter().rposition(|r| r.id == pose.id) else { return };
-        let PoseRecord { odom, strand, .. } = self.records[record];
-        let is_node = pose.has(PoseFlags::INSERT) && self.is_due(&odom, strand);
+        let PoseRecord { odom, trajectory, .. } = self.records[record];
+        let is_node = pose.has(PoseFlags::INSERT) && self.is_due(&odom, trajectory);
         if !is_node && self.rests(&odom) {
             return;
         }
         let scan = self.scans.keep(scan, pose.twist.into(), moving);
         if is_node {
             let sequence = pose.id.sequence;
-            self.chain.extend(NewNode { sequence, scan, odom, strand }, &self.scans);
+            self.chain.extend(NewNode { sequence, scan, odom, trajectory }, &self.scans);
         }
         if let Some(node) = self.chain.nodes().len().checked_sub(1) {
             self.kept.push(Kept { record, scan, node, is_node });
@@ -196,9 +196,9 @@ impl SyncManager {
     }
 
     /// Whether the robot has moved enough for a new node.
-    fn is_due(&self, odom: &Placement, strand: u32) -> bool {
+    fn is_due(&self, odom: &Placement, trajectory: u32) -> bool {
         self.chain.nodes().last().is_none_or(|last| {
-            last.strand != strand
+            last.trajectory != trajectory
                 || last.odom.distance_m(odom) >= NODE_DISTANCE_M
                 || last.odom.turn_rad(odom) >= NODE_TURN_RAD
         })
@@ -211,44 +211,47 @@ impl SyncManager {
         let known = self.nodes_up_to(notice.last.sequence);
         self.close_loops(known, SEARCHES_PER_SUBMAP);
         self.revision += 1;
-        let strands = self.strands(known);
+        let connectivity = self.connectivity(known);
         let map_from_odom = self.correction(known);
         self.tell(known);
-        self.settle(known);
+        self.freeze(known);
         LayoutHeader {
             map_from_odom,
             epoch: notice.last.epoch,
             submap: notice.number,
             revision: self.revision,
-            closures: self.in_force.iter().filter(|&&acts| acts).count() as u32,
-            chain: strands.newest(),
-            attached: u32::from(strands.is_attached(strands.newest())),
+            closures: self.is_inlier.iter().filter(|&&is_inlier| is_inlier).count() as u32,
+            chain: connectivity.newest(),
+            attached: u32::from(connectivity.is_attached(connectivity.newest())),
         }
     }
 
     /// Takes note of submaps that have left the map for good: where they lie is not told any more.
     pub fn submaps_retired(&mut self, numbers: &[u32]) {
         for number in numbers {
-            self.settled_submaps.remove(number);
+            self.frozen_submaps.remove(number);
             self.retired_submaps.insert(*number);
         }
     }
 
-    /// How closures in force connect the strands of the first `known` nodes.
-    fn strands(&self, known: usize) -> Strands {
-        let acting = self.closures.iter().zip(&self.in_force).filter(|(_, acts)| **acts);
-        Strands::new(&self.chain.nodes()[..known], acting.map(|(c, _)| (c.edge.from, c.edge.to)))
+    /// How inlier closures connect the trajectories of the first `known` nodes.
+    fn connectivity(&self, known: usize) -> TrajectoryConnectivity {
+        let inliers = self.closures.iter().zip(&self.is_inlier).filter(|(_, is_inlier)| **is_inlier);
+        TrajectoryConnectivity::new(
+            &self.chain.nodes()[..known],
+            inliers.map(|(c, _)| (c.edge.from, c.edge.to)),
+        )
     }
 
     /// Where the mapper's submaps lie in the present solution, by number: each as the node in its middle says. Those that nothing
     /// but driving connects with the map are left out.
     pub fn layout(&self) -> Vec<PlacedSubmap> {
-        let strands = self.strands(self.poses.len());
+        let connectivity = self.connectivity(self.poses.len());
         let nodes: Vec<(u32, usize)> = self
             .kept
             .iter()
             .filter(|k| k.is_node && k.node < self.poses.len())
-            .filter(|k| strands.is_attached(self.records[k.record].strand))
+            .filter(|k| connectivity.is_attached(self.records[k.record].trajectory))
             .map(|k| (self.records[k.record].submap, k.node))
             .collect();
         let place = |group: &[(u32, usize)]| {
@@ -257,7 +260,7 @@ impl SyncManager {
             (number, map_from_odom)
         };
         let mut submaps: BTreeMap<u32, Pose> =
-            self.settled_layout().map(|(number, at)| (number, at.pose())).collect();
+            self.frozen_layout().map(|(number, at)| (number, at.pose())).collect();
         submaps.extend(nodes.chunk_by(|a, b| a.0 == b.0).map(place));
         placed(submaps)
     }
@@ -286,10 +289,10 @@ impl SyncManager {
         let before = self.closures.len();
         let done = self.finder.counts().searches;
         for query in self.due_queries(known) {
-            // A strand that hangs in the air is looked for everywhere: that is worth more, but not without end.
-            let strand = self.chain.nodes()[query].strand;
+            // A trajectory that hangs in the air is looked for everywhere: that is worth more, but not without end.
+            let trajectory = self.chain.nodes()[query].trajectory;
             let searches = searches as u64;
-            let most = if self.strands(known).is_attached(strand) {
+            let most = if self.connectivity(known).is_attached(trajectory) {
                 searches
             } else {
                 searches.min(ADRIFT_SEARCHES) + ADRIFT_SEARCHES
@@ -336,8 +339,8 @@ impl SyncManager {
     }
 
     fn search(&mut self, query: usize, known: usize) {
-        let acting = self.closures.iter().zip(&self.in_force).filter(|(_, acts)| **acts);
-        let loops: Vec<_> = acting.map(|(c, _)| (c.edge.from, c.edge.to)).collect();
+        let inliers = self.closures.iter().zip(&self.is_inlier).filter(|(_, is_inlier)| **is_inlier);
+        let loops: Vec<_> = inliers.map(|(c, _)| (c.edge.from, c.edge.to)).collect();
         let nodes = &self.chain.nodes()[..known];
         let distances_m = graph_distances(nodes, &loops, query);
         let world = World { nodes, scans: &self.scans, segments: &self.segments, poses: &self.poses };
@@ -348,8 +351,8 @@ impl SyncManager {
         self.closures.extend(found);
         // New ones count at once for the windows of the next queries.
         let eligible = eligible(&self.closures, nodes);
-        let old = self.in_force.len();
-        self.in_force.extend(&eligible[old..]);
+        let old = self.is_inlier.len();
+        self.is_inlier.extend(&eligible[old..]);
     }
 
     /// Solves the graph of the first `known` nodes, from the chain, with all eligible loops on trial again.
@@ -362,11 +365,11 @@ impl SyncManager {
         );
         let settings =
             RobustSettings { chi_squared_max: CHI_SQUARED_MAX, growth: 1.6, rounds: 25, warm_up: 6 };
-        let mut poses = strands::start(&self.chain.nodes()[..known], &edges[trusted..]);
+        let mut poses = connectivity::start(&self.chain.nodes()[..known], &edges[trusted..]);
         let solved = solve(known, &edges, trusted, &settings, &mut poses);
         (self.poses, self.solving_cost) = (poses, solved.work);
-        let mut acting = solved.weights[trusted..].iter().map(|&w| w > 0.5);
-        self.in_force = eligible.iter().map(|&eligible| eligible && acting.next() == Some(true)).collect();
+        let mut inliers = solved.weights[trusted..].iter().map(|&w| w > 0.5);
+        self.is_inlier = eligible.iter().map(|&eligible| eligible && inliers.next() == Some(true)).collect();
     }
 
     /// Concludes the run: the last loops, a dense pass over the whole layout, and every kept scan placed in
@@ -385,8 +388,8 @@ impl SyncManager {
     /// Matches all nodes of the map to the map that they make together.
     fn match_to_map(&mut self) {
         let nodes = self.chain.nodes();
-        let strands = self.strands(nodes.len());
-        let in_map: Vec<bool> = nodes.iter().map(|node| strands.is_attached(node.strand)).collect();
+        let connectivity = self.connectivity(nodes.len());
+        let in_map: Vec<bool> = nodes.iter().map(|node| connectivity.is_attached(node.trajectory)).collect();
         let refinement = Refinement { nodes, scans: &self.scans, chain: self.chain.edges(), in_map: &in_map };
         refinement.run(self.finder.scratch(), &mut self.poses);
     }
@@ -412,13 +415,13 @@ impl SyncManager {
         if !rest.is_empty() {
             segments.push(Segment::new(rest));
         }
-        let strands = self.strands(nodes.len());
+        let connectivity = self.connectivity(nodes.len());
         let pass = DensePass {
             nodes,
             scans: &self.scans,
             segments: &segments,
             chain: self.chain.edges(),
-            strands: &strands,
+            connectivity: &connectivity,
         };
         pass.run(self.finder.scratch(), &mut self.poses);
         self.match_to_map();
@@ -429,17 +432,18 @@ impl SyncManager {
         solved.map(|k| (k.record, self.poses[k.node])).collect()
     }
 
-    fn counts(&self, strands: &Strands) -> ClosureCounts {
+    fn counts(&self, connectivity: &TrajectoryConnectivity) -> ClosureCounts {
         let counts = self.finder.counts();
         ClosureCounts {
             searches: counts.searches,
             matches: counts.matches,
-            accepted: self.closures.len() as u64 + self.settled_closures,
-            revoked: self.in_force.iter().filter(|&&acts| !acts).count() as u64,
+            accepted: self.closures.len() as u64 + self.frozen_closures,
+            revoked: self.is_inlier.iter().filter(|&&is_inlier| !is_inlier).count() as u64,
             nodes: self.chain.nodes().len() as u64,
             unmatched: self.chain.unmatched() as u64,
-            strands: strands.count() as u64,
-            detached_scans: self.records.iter().filter(|r| !strands.is_attached(r.strand)).count() as u64,
+            trajectories: connectivity.count() as u64,
+            detached_scans: self.records.iter().filter(|r| !connectivity.is_attached(r.trajectory)).count()
+                as u64,
         }
     }
 }
@@ -452,7 +456,7 @@ fn expected(records: &[PoseRecord], kept: &[Kept], nodes: &[(usize, Placement)])
     let (first_record, first_node) = (first.record - from.0, first.node);
     let guesses = filled(records, nodes, Between::FrontEnd);
     let straight = |record: usize, node: usize| match (nodes.get(node), nodes.get(node + 1)) {
-        (Some(&(start, from)), Some(&(end, to))) if records[start].strand == records[end].strand => {
+        (Some(&(start, from)), Some(&(end, to))) if records[start].trajectory == records[end].trajectory => {
             from.interpolate(&to, (record - start) as f64 / (end - start) as f64)
         }
         _ => guesses[record],

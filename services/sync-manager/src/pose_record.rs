@@ -17,7 +17,7 @@ pub struct PoseRecord {
     /// Submap that the scan entered, if it was inserted.
     pub submap: u32,
     /// Chain of submaps that it belongs to.
-    pub strand: u32,
+    pub trajectory: u32,
     /// The front end did not believe its fit.
     pub lost: bool,
 }
@@ -31,7 +31,7 @@ impl PoseRecord {
             odom: pose.odom_from_base.into(),
             wheels: pose.has(PoseFlags::HAS_ODOMETRY).then(|| pose.odometry.into()),
             submap: pose.submap,
-            strand: pose.chain,
+            trajectory: pose.chain,
             lost: pose.quality == Quality::Lost as u32,
         }
     }

@@ -6,8 +6,9 @@
 
 use crate::fuse::Fuser;
 use crate::{Settings, SyncManager};
+use clear_at_end::clear_at_end;
 use flock::Voice;
-use flockslam_bus::{BellRinger, Publisher, SUPERVISOR_BELL, Subscriber};
+use flockslam_bus::{Notifier, Publisher, SUPERVISOR_EVENT, Subscriber};
 use flockslam_flock_network::FlockMetrics;
 use flockslam_geometry::Pose;
 use flockslam_map_fusion::PlacedSubmap;
@@ -18,17 +19,17 @@ use flockslam_messages::{
 use flockslam_results::SubmapStore;
 use flockslam_results::{self as results, LayoutRow, LiveLayout, Summary};
 use flockslam_stage::{
-    Actor, Bells, Copies, Inbox, Join, JournalReader, LastWord, Mode, StageContext, StageError, Turn, run,
+    Actor, Copies, Inbox, Join, JournalReader, LastWord, LeaderLock, Mode, Notifiers, StageContext,
+    StageError, run,
 };
 use flockslam_telemetry::monotonic_ns;
-use look_back::look_back;
 use metrics::LayoutMetrics;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use trajectories::Trajectories;
 
+mod clear_at_end;
 mod flock;
-mod look_back;
 mod metrics;
 mod trajectories;
 
@@ -37,18 +38,18 @@ mod trajectories;
 /// # Errors
 /// When the bus, the journal or the store fails.
 pub fn run_stage(context: &mut StageContext, settings: Settings) -> Result<(), StageError> {
-    let bell = context.bus.listener(Stage::SyncManager.name())?;
-    let turn = Turn::ask(context)?;
-    if context.mode == Mode::Exact && !turn.stand_by(context, &bell, |_| Ok(0))? {
+    let event = context.bus.listener(Stage::SyncManager.name())?;
+    let turn = LeaderLock::ask(context)?;
+    if context.mode == Mode::Exact && !turn.stand_by(context, &event, |_| Ok(0))? {
         return Ok(());
     }
     let mut actor = SyncProcess::open(context, settings, turn)?;
-    run(context, &mut actor, &bell)
+    run(context, &mut actor, &event)
 }
 
 struct SyncProcess {
     logic: SyncManager,
-    turn: Turn,
+    turn: LeaderLock,
     /// This process speaks; otherwise it stands by.
     acts: bool,
     /// The last conclusion.
@@ -69,7 +70,7 @@ struct SyncProcess {
     /// The logic has seen all submaps below this.
     next_submap: u32,
     layouts: Publisher<LayoutHeader>,
-    matcher: BellRinger,
+    matcher: Notifier,
     finished: LastWord,
     trajectories: Trajectories,
     settings: Settings,
@@ -91,13 +92,13 @@ struct SyncProcess {
 }
 
 impl SyncProcess {
-    fn open(context: &mut StageContext, settings: Settings, turn: Turn) -> Result<Self, StageError> {
+    fn open(context: &mut StageContext, settings: Settings, turn: LeaderLock) -> Result<Self, StageError> {
         let acts = turn.is_ours();
         let own = context.result_dir.join(format!("{}-{}", context.stage.name(), context.replica));
         let result_dir = if acts { context.result_dir.clone() } else { own };
         std::fs::create_dir_all(&result_dir).map_err(|e| StageError::file(&result_dir, e))?;
         let bus = &context.bus;
-        let supervisor = Bells::open(context, &[SUPERVISOR_BELL])?;
+        let supervisor = Notifiers::open(context, &[SUPERVISOR_EVENT])?;
         let mut process = Self {
             optimises: settings.enabled,
             is_watched: context.mode == Mode::Live,
@@ -115,7 +116,7 @@ impl SyncProcess {
             waiting_submaps: BTreeMap::new(),
             next_submap: 0,
             layouts: bus.publisher()?,
-            matcher: bus.ringer(Stage::ScanMatcher.name())?,
+            matcher: bus.notifier(Stage::ScanMatcher.name())?,
             finished: LastWord::open(context, ControlKind::Finished, 0, supervisor)?,
             trajectories: Trajectories::create(&result_dir)?,
             settings,
@@ -224,7 +225,7 @@ impl SyncProcess {
         let started_ns = monotonic_ns();
         let layout = self.logic.submap_closed(notice);
         let took_ns = monotonic_ns().saturating_sub(started_ns);
-        self.trajectories.settled(&self.logic.take_settled())?;
+        self.trajectories.frozen(&self.logic.take_frozen())?;
         self.voice.tell(&mut self.logic, notice.number, &self.store)?;
         self.next_submap = notice.number + 1;
         self.layout = Some(layout);
@@ -341,12 +342,12 @@ impl SyncProcess {
         let scans = self.trajectories.finish(&solution)?;
         self.fuser.finish(&solution.submaps)?;
         if self.settings.clear_at_end {
-            look_back(&mut self.fuser, &solution.submaps, &scans, self.summary.inserted, context)?;
+            clear_at_end(&mut self.fuser, &solution.submaps, &scans, self.summary.inserted, context)?;
         }
         results::write_map(directory, &self.fuser.stored_map())?;
         self.summary.submaps = self.fuser.known(&solution.submaps);
         self.fuser.report(&mut self.summary);
-        self.summary.chains = solution.closures.strands;
+        self.summary.chains = solution.closures.trajectories;
         self.summary.detached_scans = solution.closures.detached_scans;
         self.summary.closures_tried = solution.closures.searches;
         self.summary.closures_accepted = solution.closures.accepted;

@@ -11,7 +11,7 @@ pub struct Settings {
     pub enabled: bool,
     /// Whether loops are closed.
     pub close_loops: bool,
-    /// How many stretches through the same place, in the same direction, stay in the graph: later ones are settled relative to
+    /// How many stretches through the same place, in the same direction, stay in the graph: later ones are frozen relative to
     /// them, which keeps memory and work bounded in a building that is known; 0 = all stay. Not a key: the same in every
     /// configuration, other numbers are for tests.
     #[serde(skip)]

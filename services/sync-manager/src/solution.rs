@@ -7,9 +7,9 @@ use flockslam_messages::ScanId;
 /// What the back end concludes at the end of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Solution {
-    /// A pose for every scan whose pose was published and that has not settled, in that order.
+    /// A pose for every scan whose pose was published and that has not frozen, in that order.
     pub trajectory: Vec<PlacedScan>,
-    /// Poses of the nodes of the graph by their sequence, in rising order: what scans that have settled are relative to.
+    /// Poses of the nodes of the graph by their sequence, in rising order: what scans that are frozen are relative to.
     pub anchors: Vec<(u64, Pose)>,
     /// Where each of the mapper's submaps belongs, by number.
     pub submaps: Vec<PlacedSubmap>,
@@ -19,7 +19,7 @@ pub struct Solution {
 
 /// A scan whose pose relative to a node will not be measured again.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SettledScan {
+pub struct FrozenScan {
     /// The scan.
     pub id: ScanId,
     /// Its sensor stamp, nanoseconds.
@@ -31,11 +31,11 @@ pub struct SettledScan {
 }
 
 impl Solution {
-    /// The final pose of a scan that has settled.
+    /// The final pose of a scan that is frozen.
     ///
     /// # Panics
-    /// When its anchor is not a node of the solution: nodes that scans have settled at stay.
-    pub fn settled(&self, scan: &SettledScan) -> PlacedScan {
+    /// When its anchor is not a node of the solution: nodes that scans are frozen at stay.
+    pub fn frozen(&self, scan: &FrozenScan) -> PlacedScan {
         let anchor = self.anchors.binary_search_by_key(&scan.anchor, |anchor| anchor.0);
         let map_from_anchor = self.anchors[anchor.expect("anchors stay")].1;
         PlacedScan {
@@ -73,7 +73,7 @@ pub struct ClosureCounts {
     /// Nodes whose match to the nodes before them was not believed.
     pub unmatched: u64,
     /// Chains of submaps: more than one when the robot was lost.
-    pub strands: u64,
+    pub trajectories: u64,
     /// Scans of chains that no closure connects with the map.
     pub detached_scans: u64,
 }

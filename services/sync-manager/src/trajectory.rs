@@ -26,8 +26,8 @@ impl Between {
 /// Poses for all records from the known ones, given as (record, pose) in ascending order of records.
 ///
 /// Between two known records the motion that is trusted there is laid on both, and the two results are blended by the share
-/// of the way; or both are joined by a curve. Where another strand begins nothing is blended: scans that were lost before it belong to it, the others to the
-/// strand before.
+/// of the way; or both are joined by a curve. Where another trajectory begins nothing is blended: scans that were lost before it belong to it, the others to the
+/// trajectory before.
 pub fn filled(records: &[PoseRecord], known: &[(usize, Placement)], between: Between) -> Vec<Placement> {
     let Some(&(first, _)) = known.first() else {
         return records.iter().map(|r| r.odom).collect();
@@ -50,8 +50,8 @@ pub fn filled(records: &[PoseRecord], known: &[(usize, Placement)], between: Bet
     for (k, pair) in known.windows(2).enumerate() {
         let (start, end) = (pair[0].0, pair[1].0);
         poses.push(pair[0].1);
-        if records[start].strand != records[end].strand {
-            let after = |r: &PoseRecord| r.lost || r.strand == records[end].strand;
+        if records[start].trajectory != records[end].trajectory {
+            let after = |r: &PoseRecord| r.lost || r.trajectory == records[end].trajectory;
             poses.extend((start + 1..end).map(|i| carried(pair[usize::from(after(&records[i]))], i)));
         } else if let Some(curve) = curve.as_ref().filter(|curve| curve.spans(k)) {
             poses.extend((start + 1..end).map(|i| curve.at(k, i)));
@@ -90,7 +90,7 @@ mod tests {
             odom: Placement::new(i as f64, 0.0, 0.0),
             wheels: None,
             submap: 0,
-            strand: 0,
+            trajectory: 0,
             lost: false,
         };
         let records: Vec<_> = (0..12).map(record).collect();
@@ -115,7 +115,7 @@ mod tests {
             odom: Placement::new(i as f64, 0.0, 0.0),
             wheels: None,
             submap: 0,
-            strand: u32::from(i >= 6),
+            trajectory: u32::from(i >= 6),
             lost: (3..6).contains(&i),
         };
         let records: Vec<_> = (0..10).map(record).collect();

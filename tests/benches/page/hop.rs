@@ -17,10 +17,10 @@ pub fn echo(directory: &Path) {
     let bus = Bus::join(&runtime, "echo", Capacity::default()).expect("the bus is there");
     let scans = bus.scan_subscriber().expect("the topic is there");
     let answers = bus.publisher::<Verdict>().expect("the topic is there");
-    let bell = bus.listener(Stage::CorrelationFilter.name()).expect("the bell is there");
+    let event = bus.listener(Stage::CorrelationFilter.name()).expect("the event is there");
     answers.send(&Verdict::default()).expect("the bench listens");
     loop {
-        bell.wait(Duration::from_secs(1)).expect("the bell works");
+        event.wait(Duration::from_secs(1)).expect("the bell works");
         while let Some(sample) = scans.receive().expect("the topic works") {
             let coefficient = monotonic_ns().saturating_sub(sample.header().times.monotonic_ns) as f64;
             answers
@@ -39,7 +39,7 @@ impl Drop for Killed {
     }
 }
 
-/// How long scans of several sizes take to another process that sleeps on its bell.
+/// How long scans of several sizes take to another process that sleeps on its event.
 pub fn table(shared: &SharedMemory) -> Table {
     let mut table = Table::new(["a scan of", "p50 µs", "p99 µs", "max µs"]);
     for beams in BEAMS {
@@ -55,7 +55,7 @@ fn hop(shared: &SharedMemory, beams: usize) -> LatencyHistogram {
     let bus = &shared.bus;
     let answers = bus.subscriber::<Verdict>().expect("the topic is there");
     let scans = bus.scan_publisher().expect("the topic is there");
-    let bell = bus.ringer(Stage::CorrelationFilter.name()).expect("the bell is there");
+    let event = bus.notifier(Stage::CorrelationFilter.name()).expect("the event is there");
     let this = std::env::current_exe().expect("a program knows itself");
     let mut command = Command::new(this);
     command.arg("--echo").arg(shared.runtime.path()).stdin(Stdio::null());
@@ -73,7 +73,7 @@ fn hop(shared: &SharedMemory, beams: usize) -> LatencyHistogram {
         std::thread::sleep(Duration::from_micros(500));
         (scan.header.id.sequence, scan.header.times.monotonic_ns) = (sequence, monotonic_ns());
         scans.send(scan.view().expect("it is whole")).expect("memory is free");
-        bell.ring();
+        event.ring();
         histogram.record(next() as u64);
     }
     drop(child);

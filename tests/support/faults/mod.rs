@@ -16,7 +16,7 @@ pub use overload::{Overload, overload};
 pub use storage::{refusing_disk, terminations, torn_files};
 pub use trials::{
     Trial, crashing_starts, descriptors, endless_loop, everything_at_once, jumping_clock,
-    kills_of_each_stage, kills_of_who_acts, kills_while_saving, left_behind, stops_of_each_stage, storm,
+    kills_of_each_stage, kills_of_the_leader, kills_while_saving, left_behind, stops_of_each_stage, storm,
     too_much_is_left, with_failpoint,
 };
 

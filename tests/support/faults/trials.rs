@@ -8,7 +8,7 @@ use crate::support::{
 use flockslam::store::SavedMap;
 use flockslam::supervisor::{SetStatus, StageState};
 use flockslam_messages::Stage;
-use flockslam_stage::whose_turn;
+use flockslam_stage::leader;
 use rustix::process::Signal;
 use std::path::Path;
 use std::sync::OnceLock;
@@ -304,7 +304,7 @@ pub fn jumping_clock(duration_s: f64) -> Trial {
 }
 
 /// SIGKILL of the process of a stage that acts while another one stands by, so many times.
-pub fn kills_of_who_acts(stage: Stage, runs: usize, seed: u64) -> Trial {
+pub fn kills_of_the_leader(stage: Stage, runs: usize, seed: u64) -> Trial {
     let (directory, mut random) = (tempfile::tempdir().unwrap(), Seeded::new(seed));
     let mut trial = Trial { fault: format!("kill {} beside a stand-in", stage.name()), ..Trial::default() };
     let more = format!("stages.{}.replicas = 2", stage.name());
@@ -314,11 +314,11 @@ pub fn kills_of_who_acts(stage: Stage, runs: usize, seed: u64) -> Trial {
     for _ in 0..runs {
         subject.calm_down();
         std::thread::sleep(Duration::from_millis(random.below(25)));
-        let acts = whose_turn(&status_dir, stage.name()).unwrap();
+        let active = leader(&status_dir, stage.name()).unwrap();
         let since = Instant::now();
-        send(acts, Signal::KILL);
+        send(active, Signal::KILL);
         trial.recoveries_ms.push(subject.poses.back_after_ms(since));
-        wait_for("a successor", || whose_turn(&status_dir, stage.name()).filter(|pid| *pid != acts));
+        wait_for("a successor", || leader(&status_dir, stage.name()).filter(|pid| *pid != active));
         trial.runs += 1;
     }
     subject.conclude(&mut trial);

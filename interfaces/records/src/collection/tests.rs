@@ -24,7 +24,7 @@ fn stretch(sequence: u64) -> Content {
         odom_from_base: Pose::new(1.0, -2.0, 3.0),
         motion: Pose::new(0.3, 0.01, -0.02),
         information: [1e4, 10.0, 0.0, 2e4, -5.0, 3e4],
-        doubt_m: 0.3,
+        drift_bound_m: 0.3,
         points: (0..40).map(|i| [100 * i, -7 * i]).collect(),
     };
     let descriptor = Descriptor::of([(1.0, 2.0), (3.0, 3.0)].into_iter());

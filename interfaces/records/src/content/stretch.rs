@@ -44,7 +44,7 @@ pub struct RecordedNode {
     /// Information of that motion in the axes of the node before.
     pub information: [f32; 6],
     /// How doubtful the motion is beyond its length, metres.
-    pub doubt_m: f32,
+    pub drift_bound_m: f32,
     /// Points of its scan in the robot's frame, millimetres; they are sent as [`rounded_point`](crate::rounded_point) has them.
     pub points: Vec<[i16; 2]>,
 }
@@ -123,7 +123,7 @@ impl RecordedNode {
         out.pose(&stored(&self.odom_from_base));
         out.pose(&stored(&self.motion));
         self.information.iter().for_each(|value| out.f32(*value));
-        out.f32(self.doubt_m);
+        out.f32(self.drift_bound_m);
         out.varint(self.points.len() as u64);
     }
 
@@ -135,14 +135,14 @@ impl RecordedNode {
         for value in &mut information {
             *value = input.f32()?;
         }
-        let doubt_m = input.f32()?;
-        if !is_information(&information, INFORMATION_MAX) || !(0.0..=1e7).contains(&doubt_m) {
+        let drift_bound_m = input.f32()?;
+        if !is_information(&information, INFORMATION_MAX) || !(0.0..=1e7).contains(&drift_bound_m) {
             return Err(RecordError::Malformed("information of a motion"));
         }
         // Points that are foreseen take next to no bytes: the limit alone bounds them.
         let count = input.count("points of a node", POINTS_MAX, 0)?;
         Ok((
-            Self { sequence, submap, odom_from_base, motion, information, doubt_m, points: Vec::new() },
+            Self { sequence, submap, odom_from_base, motion, information, drift_bound_m, points: Vec::new() },
             count,
         ))
     }

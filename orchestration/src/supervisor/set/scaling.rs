@@ -2,7 +2,7 @@
 
 use super::{ProcessSet, StageChild};
 use flockslam_messages::Stage;
-use flockslam_stage::whose_turn;
+use flockslam_stage::leader;
 
 /// Whether one process of the stage acts and the others stand by; those of other stages have a share of the work each.
 fn takes_turns(stage: Stage) -> bool {
@@ -40,7 +40,7 @@ impl ProcessSet {
 
     /// Ends so many processes of a stage, the one that acts last.
     fn let_go(&mut self, stage: Stage, count: usize) {
-        let acts = whose_turn(&self.runtime.status(), stage.name());
+        let acts = leader(&self.runtime.status(), stage.name());
         for _ in 0..count {
             let of_stage = self.children.iter().enumerate().filter(|(_, child)| child.stage == stage);
             let spare = |child: &StageChild| acts.is_none() || child.pids.last().copied() != acts;
@@ -67,7 +67,7 @@ impl ProcessSet {
     /// Before all stages end in good order: nobody shall take over from one that has ended.
     pub(super) fn dismiss_who_stands_by(&mut self) {
         for stage in Stage::ALL.into_iter().filter(|stage| takes_turns(*stage)) {
-            let acts = whose_turn(&self.runtime.status(), stage.name());
+            let acts = leader(&self.runtime.status(), stage.name());
             let stands_by =
                 |child: &&mut StageChild| child.stage == stage && child.pids.last().copied() != acts;
             if acts.is_some() && self.of_stage(stage).count() > 1 {

@@ -2,7 +2,7 @@
 
 use super::{Inputs, generation, has_grid_of};
 use crate::Sector;
-use flockslam_bus::{BellRinger, SlicePublisher};
+use flockslam_bus::{Notifier, SlicePublisher};
 use flockslam_messages::{PoseEstimate, PoseFlags, SectorHeader, Stage};
 use flockslam_stage::{Actor, StageContext, StageError, Waited};
 
@@ -12,7 +12,7 @@ pub(super) struct Helper {
     sector: Option<Sector>,
     header: SectorHeader,
     findings: SlicePublisher<SectorHeader>,
-    first: BellRinger,
+    first: Notifier,
 }
 
 impl Helper {
@@ -24,7 +24,7 @@ impl Helper {
     ) -> Result<Self, StageError> {
         let header = SectorHeader { part: context.replica, parts, ..SectorHeader::default() };
         let (findings, first) =
-            (context.bus.slice_publisher()?, context.bus.ringer(Stage::DynamicCleaner.name())?);
+            (context.bus.slice_publisher()?, context.bus.notifier(Stage::DynamicCleaner.name())?);
         Ok(Self { inputs, sector, header, findings, first })
     }
 

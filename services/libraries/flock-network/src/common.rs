@@ -20,7 +20,7 @@ pub struct Common {
     pub merged: bool,
     /// Hash of layout and fused map.
     pub map_hash: u64,
-    /// Closures between robots that act, and those that do not.
+    /// Closures between robots: inliers and outliers.
     pub across: (u64, u64),
     /// This robot's log.
     own: Option<Log>,

@@ -9,15 +9,15 @@ mod link;
 mod metrics;
 mod pace;
 mod proximity;
+mod record_publisher;
 mod relay;
 mod settings;
 mod shared;
 mod talk;
-mod teller;
 mod thread;
 
 pub use metrics::FlockMetrics;
+pub use record_publisher::RecordPublisher;
 pub use settings::{FlockSettings, ProximitySource};
 pub use shared::Task;
-pub use teller::Teller;
 pub use thread::FlockThread;

@@ -7,9 +7,9 @@ use super::link::{Heard, Link, Traffic, address, hexadecimal};
 use super::metrics::FlockMetrics;
 use super::pace::{Budget, Pace};
 use super::proximity::Proximity;
+use super::record_publisher::RecordPublisher;
 use super::relay::Relay;
 use super::shared::{Shared, Task, locked};
-use super::teller::Teller;
 use crate::settings::FlockSettings;
 use flockslam_flock::Flock;
 use flockslam_geometry::Pose;
@@ -62,7 +62,7 @@ struct Neighbour {
 /// What the thread of the flock knows.
 pub struct Talk {
     settings: FlockSettings,
-    teller: Teller,
+    publisher: RecordPublisher,
     link: Option<Link>,
     opened: Option<Instant>,
     problem: Option<String>,
@@ -96,7 +96,7 @@ impl Talk {
     /// A talk that has not begun.
     pub fn new(
         settings: &FlockSettings,
-        teller: Teller,
+        publisher: RecordPublisher,
         proximity: Box<dyn Proximity>,
         status_dir: PathBuf,
         metrics: FlockMetrics,
@@ -104,7 +104,7 @@ impl Talk {
     ) -> Self {
         Self {
             settings: settings.clone(),
-            teller,
+            publisher,
             link: None,
             opened: None,
             problem: None,
@@ -157,11 +157,11 @@ impl Talk {
 
     fn take(&mut self, task: Task) {
         let outcome = match task {
-            Task::News(news) => self.teller.tell(news),
-            Task::Submap(submap) => self.teller.tell_submap(&submap),
-            Task::Clearances(store, numbers) => {
-                numbers.into_iter().try_for_each(|number| self.teller.tell_clearances(&store.load(number)?))
-            }
+            Task::News(news) => self.publisher.tell(news),
+            Task::Submap(submap) => self.publisher.tell_submap(&submap),
+            Task::Clearances(store, numbers) => numbers
+                .into_iter()
+                .try_for_each(|number| self.publisher.tell_clearances(&store.load(number)?)),
             Task::Layout(map_from_odom) => {
                 self.map_from_odom = map_from_odom;
                 self.place();
@@ -182,7 +182,7 @@ impl Talk {
             return;
         }
         self.opened = Some(now);
-        let opened = Link::open(&self.settings, self.teller.flock().robot(), &self.drops, &self.traffic);
+        let opened = Link::open(&self.settings, self.publisher.flock().robot(), &self.drops, &self.traffic);
         match opened {
             Ok(link) => (self.link, self.problem) = (Some(link), None),
             Err(error) => {
@@ -198,7 +198,7 @@ impl Talk {
     fn look_around(&mut self) {
         let (Some(link), now) = (&self.link, Instant::now()) else { return };
         self.connected = link.connected();
-        self.connected.remove(&address(self.teller.flock().robot()));
+        self.connected.remove(&address(self.publisher.flock().robot()));
         let proximity = &mut self.proximity;
         let near: BTreeSet<&String> =
             self.connected.iter().filter(|peer| proximity.is_near(peer, now)).collect();
@@ -212,7 +212,7 @@ impl Talk {
     }
 
     fn hear(&mut self) {
-        self.relay.look(Instant::now(), self.teller.flock().collection());
+        self.relay.look(Instant::now(), self.publisher.flock().collection());
         while let Some(heard) = self.link.as_ref().and_then(Link::next) {
             self.answer(&heard);
         }
@@ -246,12 +246,12 @@ impl Talk {
         let message = match message {
             Message::Have(theirs) => {
                 let near = self.near.keys().filter(|peer| **peer != heard.sender);
-                Message::Have(self.relay.patient(theirs, self.teller.flock().collection(), near))
+                Message::Have(self.relay.patient(theirs, self.publisher.flock().collection(), near))
             }
             other => other,
         };
         let neighbour = self.near.get_mut(&heard.sender).expect("it was there");
-        let answers = match self.teller.answer(&message, budget, &self.drops) {
+        let answers = match self.publisher.answer(&message, budget, &self.drops) {
             Ok(answers) => answers,
             Err(error) => return kept(Err(error)),
         };
@@ -274,8 +274,8 @@ impl Talk {
             self.searched = known;
             return;
         }
-        let teller = &mut self.teller;
-        match self.search_pace.keep(|| teller.search(SEARCHES)) {
+        let publisher = &mut self.publisher;
+        match self.search_pace.keep(|| publisher.search(SEARCHES)) {
             Ok(true) => self.searched = self.known(),
             Ok(false) => {}
             Err(error) => kept(Err(error)),
@@ -289,8 +289,8 @@ impl Talk {
         if known == self.common.of_records || self.is_alone() || !due {
             return;
         }
-        let (teller, epoch) = (&self.teller, self.teller.epoch());
-        self.common = self.layout_pace.keep(|| Common::of(teller.flock(), epoch));
+        let (publisher, epoch) = (&self.publisher, self.publisher.epoch());
+        self.common = self.layout_pace.keep(|| Common::of(publisher.flock(), epoch));
         self.revision += 1;
         self.place();
     }
@@ -320,7 +320,7 @@ impl Talk {
                 self.drops.count(Dropped::Budget, 1);
                 continue;
             }
-            let have = have.get_or_insert_with(|| self.teller.flock().have());
+            let have = have.get_or_insert_with(|| self.publisher.flock().have());
             neighbour.budget.spend(link.say_to(peer, have));
         }
     }
@@ -336,7 +336,7 @@ impl Talk {
             let hash = hexadecimal(&known[..16]);
             let was_heard = link.tell_end(&hash) >= HEARD_WITHIN;
             let mut ended = link.ended_with(&hash);
-            ended.remove(&address(self.teller.flock().robot()));
+            ended.remove(&address(self.publisher.flock().robot()));
             let all_ended = self.near.keys().all(|peer| ended.contains(peer));
             agreed |= was_heard && all_ended && ended.len() >= self.settings.companions;
         }
@@ -360,7 +360,7 @@ impl Talk {
     }
 
     fn flock(&self) -> &Flock {
-        self.teller.flock()
+        self.publisher.flock()
     }
 }
 

@@ -2,9 +2,9 @@
 
 use super::metrics::FlockMetrics;
 use super::proximity::proximity;
+use super::record_publisher::RecordPublisher;
 use super::shared::{Shared, Task, locked};
 use super::talk::Talk;
-use super::teller::Teller;
 use crate::settings::FlockSettings;
 use flockslam_evidence::Submap;
 use flockslam_messages::{FlockFrame, FlockRobots, PoseEstimate};
@@ -37,15 +37,16 @@ impl FlockThread {
     /// When a socket cannot be made, or the system has no thread left.
     pub fn start(
         settings: &FlockSettings,
-        teller: Teller,
+        publisher: RecordPublisher,
         status_dir: &Path,
         metrics: FlockMetrics,
     ) -> Result<Self, StageError> {
         let (tasks, received) = channel();
         let shared = Arc::new(Shared::default());
-        let told_submaps = teller.told_submaps().clone();
+        let told_submaps = publisher.told_submaps().clone();
         let near = proximity(settings, status_dir)?;
-        let mut talk = Talk::new(settings, teller, near, status_dir.to_owned(), metrics, Arc::clone(&shared));
+        let mut talk =
+            Talk::new(settings, publisher, near, status_dir.to_owned(), metrics, Arc::clone(&shared));
         let run = move || {
             // Should it be refused, the whole process yields to the others anyway.
             let _ = rustix::process::setpriority_process(Some(rustix::thread::gettid()), NICENESS);

@@ -39,7 +39,7 @@ pub struct Atlas {
     pub(super) scans: ScanStore,
     pub(super) segments: Vec<Segment>,
     pub(super) closures: Vec<Closure>,
-    /// By strand: its log.
+    /// By trajectory: its log.
     pub(super) owners: Vec<u32>,
 }
 
@@ -108,8 +108,10 @@ impl Atlas {
                 }
             }
             let (robot, epoch, nodes) = (log[0].0.clone(), log[0].1, first..self.nodes.len());
-            self.owners
-                .resize(self.nodes.last().map_or(0, |node| node.strand as usize + 1), self.logs.len() as u32);
+            self.owners.resize(
+                self.nodes.last().map_or(0, |node| node.trajectory as usize + 1),
+                self.logs.len() as u32,
+            );
             self.logs.push(Log { robot, epoch, nodes });
         }
     }
@@ -126,12 +128,12 @@ impl Atlas {
                 self.edges.push(Edge { from: to - 1, to, motion, information });
                 let chain = last.chain.compose(motion);
                 let way_m = chain.distance_m(&last.chain);
-                let doubt_m = last.doubt_m + way_m + f64::from(new.doubt_m);
+                let drift_bound_m = last.drift_bound_m + way_m + f64::from(new.drift_bound_m);
                 Node {
                     chain,
                     start: chain,
                     travel_m: last.travel_m + way_m,
-                    doubt_m,
+                    drift_bound_m,
                     scan,
                     sequence,
                     odom,
@@ -145,8 +147,8 @@ impl Atlas {
                     chain: odom,
                     start: odom,
                     travel_m: last.travel_m,
-                    doubt_m: last.doubt_m + BROKEN_M,
-                    strand: last.strand + 1,
+                    drift_bound_m: last.drift_bound_m + BROKEN_M,
+                    trajectory: last.trajectory + 1,
                     scan,
                     sequence,
                     odom,
@@ -156,8 +158,8 @@ impl Atlas {
                 chain: odom,
                 start: odom,
                 travel_m: 0.0,
-                doubt_m: 0.0,
-                strand: 0,
+                drift_bound_m: 0.0,
+                trajectory: 0,
                 scan,
                 sequence,
                 odom,
@@ -198,11 +200,11 @@ impl Atlas {
         each.map(|((across, own), consistent)| if *across { consistent } else { own }).collect()
     }
 
-    /// Of these closures those that do not act if these alone are left: between robots, what the others have confirmed is
+    /// Of these closures those that are outliers if these alone are left: between robots, what the others have confirmed is
     /// confirmed no more.
-    pub(super) fn unconfirmed(&self, in_force: &[bool]) -> Vec<usize> {
-        let acts = |i: usize| in_force[i] && self.is_across(&self.closures[i]);
-        let across: Vec<bool> = (0..self.closures.len()).map(acts).collect();
+    pub(super) fn unconfirmed(&self, is_inlier: &[bool]) -> Vec<usize> {
+        let counts = |i: usize| is_inlier[i] && self.is_across(&self.closures[i]);
+        let across: Vec<bool> = (0..self.closures.len()).map(counts).collect();
         // What the robots have seen has been looked at.
         let consistent = consistent(&self.closures, &self.nodes, &across, &mut |_| true);
         (0..self.closures.len()).filter(|i| across[*i] && !consistent[*i]).collect()
@@ -220,7 +222,7 @@ impl Atlas {
 
     /// The log of a node.
     pub(super) fn owner(&self, node: usize) -> u32 {
-        self.owners[self.nodes[node].strand as usize]
+        self.owners[self.nodes[node].trajectory as usize]
     }
 
     /// The node of this name.

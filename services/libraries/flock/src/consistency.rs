@@ -14,7 +14,7 @@ const GROUP_MIN: usize = 3;
 /// Travel over which those that agree must extend, on both sides together and on either, metres: what looks alike over a few metres differs
 /// over more. On one side little is enough: a robot that stands in a room sees all of it.
 const EXTENT_M: (f64, f64) = (6.5, 0.5);
-/// Groups of each pair of strands that are inspected, the largest first: the work is bounded whatever somebody claims.
+/// Groups of each pair of trajectories that are inspected, the largest first: the work is bounded whatever somebody claims.
 const GROUPS_MAX: usize = 12;
 /// Each closure is compared with so many on either side of it along the way: the work is bounded whatever somebody claims.
 const BAND: usize = 128;
@@ -37,8 +37,8 @@ pub fn consistent(
 ) -> Vec<bool> {
     let mut pairs: BTreeMap<(u32, u32), Vec<usize>> = BTreeMap::new();
     for (i, closure) in closures.iter().enumerate().filter(|(i, _)| across[*i]) {
-        let strands = (nodes[closure.edge.from].strand, nodes[closure.edge.to].strand);
-        pairs.entry(strands).or_default().push(i);
+        let connectivity = (nodes[closure.edge.from].trajectory, nodes[closure.edge.to].trajectory);
+        pairs.entry(connectivity).or_default().push(i);
     }
     let mut consistent = vec![false; closures.len()];
     for mut members in pairs.into_values() {
@@ -60,13 +60,13 @@ pub fn consistent(
 fn in_order(a: &Edge, b: &Edge, nodes: &[Node]) -> Ordering {
     let key = |e: &Edge| {
         let Placement { x_m, y_m, heading_rad, .. } = e.motion;
-        [nodes[e.to].doubt_m, nodes[e.from].doubt_m, x_m, y_m, heading_rad]
+        [nodes[e.to].drift_bound_m, nodes[e.from].drift_bound_m, x_m, y_m, heading_rad]
     };
     let pairs = key(a).into_iter().zip(key(b));
     pairs.map(|(a, b)| a.total_cmp(&b)).find(|order| order.is_ne()).unwrap_or(Ordering::Equal)
 }
 
-/// All closures between two strands in the order of their places, each compared with those that follow it.
+/// All closures between two trajectories in the order of their places, each compared with those that follow it.
 struct Compared<'a> {
     members: &'a [usize],
     /// By closure: which of the next [`BAND`] agree with it, and which contradict it.
@@ -211,7 +211,7 @@ fn winners(
 }
 
 fn way_m(a: &Closure, b: &Closure, nodes: &[Node]) -> f64 {
-    let between = |i: usize, k: usize| (nodes[i].doubt_m - nodes[k].doubt_m).abs();
+    let between = |i: usize, k: usize| (nodes[i].drift_bound_m - nodes[k].drift_bound_m).abs();
     between(a.edge.from, b.edge.from) + between(a.edge.to, b.edge.to)
 }
 
@@ -232,13 +232,13 @@ mod tests {
 
     const NODES: usize = 60;
 
-    /// Two strands of nodes a metre apart, along curves of their own.
+    /// Two trajectories of nodes a metre apart, along curves of their own.
     fn nodes() -> Vec<Node> {
         let node = |k: usize| {
-            let (strand, along) = ((k / NODES) as u32, (k % NODES) as f64);
-            let angle = 0.02 * along * (1.0 + f64::from(strand));
+            let (trajectory, along) = ((k / NODES) as u32, (k % NODES) as f64);
+            let angle = 0.02 * along * (1.0 + f64::from(trajectory));
             let at = Placement::new(along, 3.0 * libm::sin(angle), angle);
-            let doubt_m = along + 1e6 * f64::from(strand);
+            let drift_bound_m = along + 1e6 * f64::from(trajectory);
             Node {
                 scan: k,
                 sequence: k as u64,
@@ -246,14 +246,14 @@ mod tests {
                 chain: at,
                 start: at,
                 travel_m: along,
-                doubt_m,
-                strand,
+                drift_bound_m,
+                trajectory,
             }
         };
         (0..2 * NODES).map(node).collect()
     }
 
-    /// The closure between nodes of both strands if the second lies to the first like this.
+    /// The closure between nodes of both trajectories if the second lies to the first like this.
     fn closure(nodes: &[Node], from: usize, to: usize, first_from_second: Placement) -> Closure {
         let motion = nodes[from].chain.to(first_from_second.compose(nodes[NODES + to].chain));
         let information = [600.0, 0.0, 0.0, 600.0, 0.0, 1e4];
@@ -288,7 +288,9 @@ mod tests {
         let both = |rivals: usize| [group(6, 0.0), group(rivals, 3.0)].concat();
         assert_eq!(judged(&both(4), &nodes), [false; 10]);
         let judged = judged(&both(3), &nodes);
-        assert!(judged[..6].iter().all(|acts| *acts) && !judged[6..].iter().any(|acts| *acts));
+        assert!(
+            judged[..6].iter().all(|is_inlier| *is_inlier) && !judged[6..].iter().any(|is_inlier| *is_inlier)
+        );
     }
 
     #[test]
@@ -301,7 +303,7 @@ mod tests {
         assert_eq!(judged(&both(1.0, 5), &nodes), [true; 11], "a bent way explains a metre");
         assert_eq!(judged(&both(20.0, 5), &nodes), [false; 11], "two stories");
         let one = judged(&both(20.0, 3), &nodes);
-        assert!(one[..6].iter().all(|acts| *acts) && !one[6..].iter().any(|acts| *acts));
+        assert!(one[..6].iter().all(|is_inlier| *is_inlier) && !one[6..].iter().any(|is_inlier| *is_inlier));
     }
 
     proptest! {
@@ -332,16 +334,16 @@ mod tests {
             let shuffled: Vec<Closure> = order.iter().map(|i| closures[*i].1).collect();
             let straight: Vec<Closure> = closures.iter().map(|c| c.1).collect();
             let (a, b) = (judged(&straight, &nodes), judged(&shuffled, &nodes));
-            let mut acting = 0;
+            let mut inliers = 0;
             for (place, i) in order.iter().enumerate() {
                 prop_assert_eq!(a[*i], b[place]);
                 let (is_true, told) = closures[*i];
-                acting += usize::from(is_true && a[*i]);
+                inliers += usize::from(is_true && a[*i]);
                 let honest = closure(&nodes, told.edge.from, told.edge.to - NODES, at(0.0)).edge.motion;
                 let off = (honest.distance_m(&told.edge.motion), honest.turn_rad(&told.edge.motion));
                 prop_assert!(!a[*i] || off.0 < 1.5 && off.1 < 0.2, "a lie acts that is off by {:?}", off);
             }
-            prop_assert!(acting > 0 || !is_dense(&truths), "no truth acts of {}", truths.len());
+            prop_assert!(inliers > 0 || !is_dense(&truths), "no truth acts of {}", truths.len());
         }
     }
 

@@ -87,7 +87,12 @@ impl Atlas {
         let mut name = vec![self.nodes[middle.to].sequence];
         for range in &place.nodes {
             let (first, last) = (&self.nodes[range.start], &self.nodes[range.end - 1]);
-            name.extend([first.sequence, last.sequence, first.travel_m.to_bits(), first.doubt_m.to_bits()]);
+            name.extend([
+                first.sequence,
+                last.sequence,
+                first.travel_m.to_bits(),
+                first.drift_bound_m.to_bits(),
+            ]);
         }
         for (to, first_from_second) in &place.ties {
             name.push(self.nodes[*to].sequence);

@@ -12,14 +12,14 @@ use std::collections::BTreeMap;
 const LOOKED_AT_MAX: usize = 1024;
 
 impl Atlas {
-    /// Of the closures between robots that do not act yet those that a solution which ties these robots together already leads one to
+    /// Of the closures between robots that are outliers yet those that a solution which ties these robots together already leads one to
     /// expect: they lie where it says, as far as the ways between can be trusted; they need no more than a robot's own closures do, and
     /// what both have seen there must be the same. No robot is tied to another by these.
     pub(super) fn expected(&self, solved: &Solved, inspected: &mut Inspected) -> Vec<usize> {
-        let part = |node: usize| solved.strands.part(self.nodes[node].strand);
+        let part = |node: usize| solved.connectivity.part(self.nodes[node].trajectory);
         let is_open = |i: &usize| {
             let edge = &self.closures[*i].edge;
-            !solved.in_force[*i] && self.is_across(&self.closures[*i]) && part(edge.from) == part(edge.to)
+            !solved.is_inlier[*i] && self.is_across(&self.closures[*i]) && part(edge.from) == part(edge.to)
         };
         let mut by_query: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
         for i in (0..self.closures.len()).filter(is_open).take(LOOKED_AT_MAX) {
@@ -36,9 +36,9 @@ impl Atlas {
                 }
             }
         }
-        // Those that act already count as partners of those that may.
-        let acting = |i: &usize| solved.in_force[*i] && self.is_across(&self.closures[*i]);
-        judged.extend((0..self.closures.len()).filter(acting).map(|i| self.closures[i]));
+        // Those that are inliers already count as partners of those that may.
+        let inliers = |i: &usize| solved.is_inlier[*i] && self.is_across(&self.closures[*i]);
+        judged.extend((0..self.closures.len()).filter(inliers).map(|i| self.closures[i]));
         let eligible = eligible(&judged, &self.nodes);
         let eligible = likely.into_iter().zip(eligible).filter(|(_, eligible)| *eligible).map(|(i, _)| i);
         let mut expected: Vec<usize> =
@@ -47,10 +47,10 @@ impl Atlas {
         expected
     }
 
-    /// Metres from a node to every other over the chains and the closures that act.
+    /// Metres from a node to every other over the chains and the inlier closures.
     pub(super) fn distances_m(&self, solved: &Solved, node: usize) -> Vec<f64> {
-        let acting = self.closures.iter().zip(&solved.in_force).filter(|(_, acts)| **acts);
-        let loops: Vec<_> = acting.map(|(c, _)| (c.edge.from, c.edge.to)).collect();
+        let inliers = self.closures.iter().zip(&solved.is_inlier).filter(|(_, is_inlier)| **is_inlier);
+        let loops: Vec<_> = inliers.map(|(c, _)| (c.edge.from, c.edge.to)).collect();
         graph_distances(&self.nodes, &loops, node)
     }
 

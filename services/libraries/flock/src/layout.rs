@@ -5,9 +5,9 @@ use super::start::start;
 use super::{Atlas, Flock};
 use flockslam_geometry::Pose;
 use flockslam_loop_closure::closure::CHI_SQUARED_MAX;
+use flockslam_loop_closure::connectivity::TrajectoryConnectivity;
 use flockslam_loop_closure::dense::DensePass;
 use flockslam_loop_closure::refine::Refinement;
-use flockslam_loop_closure::strands::Strands;
 use flockslam_pose_graph::Edge;
 use flockslam_pose_graph::{RobustSettings, solve};
 use flockslam_records::RobotId;
@@ -27,10 +27,10 @@ const EXPECTED_ROUNDS: usize = 3;
 pub struct Solved {
     /// By node.
     pub poses: Vec<Placement>,
-    /// By closure: whether it acts.
-    pub in_force: Vec<bool>,
-    /// How closures that act connect the strands.
-    pub strands: Strands,
+    /// By closure: whether it is an inlier.
+    pub is_inlier: Vec<bool>,
+    /// How inlier closures connect the trajectories.
+    pub connectivity: TrajectoryConnectivity,
 }
 
 /// A node in the layout.
@@ -64,7 +64,7 @@ pub struct FlockLayout {
     pub submaps: BTreeMap<(RobotId, u64), Vec<PlacedRecord>>,
     /// The part with most nodes: the flock's frame is that of the first robot in it.
     pub main_part: u32,
-    /// Closures between robots that act, and those that do not.
+    /// Closures between robots: inliers and outliers.
     pub across: (u64, u64),
 }
 
@@ -108,7 +108,7 @@ impl Atlas {
             let next = self.solve_with(&more);
             // Nothing that ties robots together may give way to what does not.
             let still_ties = (0..more.len())
-                .all(|i| !(tied.in_force[i] && self.is_across(&self.closures[i])) || next.in_force[i]);
+                .all(|i| !(tied.is_inlier[i] && self.is_across(&self.closures[i])) || next.is_inlier[i]);
             if !still_ties {
                 break;
             }
@@ -124,7 +124,7 @@ impl Atlas {
         for _ in 0..TRIALS_MAX {
             let on_trial = self.eligible(&denied, inspected);
             let solved = self.solve_with(&on_trial);
-            let doubtful = self.unconfirmed(&solved.in_force);
+            let doubtful = self.unconfirmed(&solved.is_inlier);
             if doubtful.is_empty() {
                 return (solved, on_trial);
             }
@@ -142,45 +142,50 @@ impl Atlas {
         let (mut poses, _) = start(&self.nodes, &edges[trusted..]);
         let robust = RobustSettings { chi_squared_max: CHI_SQUARED_MAX, growth: 1.6, rounds: 25, warm_up: 6 };
         let solved = solve(self.nodes.len(), &edges, trusted, &robust, &mut poses);
-        let mut acting = solved.weights[trusted..].iter().map(|&w| w > 0.5);
-        let in_force: Vec<bool> = on_trial.iter().map(|e| *e && acting.next() == Some(true)).collect();
-        let strands = self.strands(&in_force);
-        Solved { poses, in_force, strands }
+        let mut inliers = solved.weights[trusted..].iter().map(|&w| w > 0.5);
+        let is_inlier: Vec<bool> = on_trial.iter().map(|e| *e && inliers.next() == Some(true)).collect();
+        let connectivity = self.connectivity(&is_inlier);
+        Solved { poses, is_inlier, connectivity }
     }
 
-    pub(super) fn strands(&self, in_force: &[bool]) -> Strands {
-        let acting = self.closures.iter().zip(in_force).filter(|(_, acts)| **acts);
-        Strands::new(&self.nodes, acting.map(|(c, _)| (c.edge.from, c.edge.to)))
+    pub(super) fn connectivity(&self, is_inlier: &[bool]) -> TrajectoryConnectivity {
+        let inliers = self.closures.iter().zip(is_inlier).filter(|(_, is_inlier)| **is_inlier);
+        TrajectoryConnectivity::new(&self.nodes, inliers.map(|(c, _)| (c.edge.from, c.edge.to)))
     }
 
     /// Measures the solved layout again, all of it: what is near each other is matched, whoever saw it.
     fn measure_again(&self, solved: &mut Solved, grid: &mut MomentGrid) {
-        let strands = &solved.strands;
-        let held = self.held_together(&solved.in_force);
+        let connectivity = &solved.connectivity;
+        let held = self.held_together(&solved.is_inlier);
         let pass = DensePass {
             nodes: &self.nodes,
             scans: &self.scans,
             segments: &self.segments,
             chain: &held,
-            strands,
+            connectivity,
         };
         pass.run(grid, &mut solved.poses);
-        let mut parts: Vec<u32> = (0..strands.count() as u32).map(|strand| strands.part(strand)).collect();
+        let mut parts: Vec<u32> =
+            (0..connectivity.count() as u32).map(|trajectory| connectivity.part(trajectory)).collect();
         parts.sort_unstable();
         parts.dedup();
         for part in parts {
-            let in_map: Vec<bool> = self.nodes.iter().map(|node| strands.part(node.strand) == part).collect();
+            let in_map: Vec<bool> =
+                self.nodes.iter().map(|node| connectivity.part(node.trajectory) == part).collect();
             let refinement =
                 Refinement { nodes: &self.nodes, scans: &self.scans, chain: &held, in_map: &in_map };
             refinement.run(grid, &mut solved.poses);
         }
     }
 
-    /// The chains, and the closures between robots that act. A chain is not enough: nothing else that is trusted connects robots, and where they
+    /// The chains, and the closures between robots that are inliers. A chain is not enough: nothing else that is trusted connects robots, and where they
     /// met once, what is measured again may be too little to do so.
-    fn held_together(&self, in_force: &[bool]) -> Vec<Edge> {
-        let across =
-            self.closures.iter().zip(in_force).filter(|(closure, acts)| **acts && self.is_across(closure));
+    fn held_together(&self, is_inlier: &[bool]) -> Vec<Edge> {
+        let across = self
+            .closures
+            .iter()
+            .zip(is_inlier)
+            .filter(|(closure, is_inlier)| **is_inlier && self.is_across(closure));
         let loosely = |edge: Edge| Edge { information: edge.information.map(|v| HELD * v), ..edge };
         self.edges.iter().copied().chain(across.map(|(closure, _)| loosely(closure.edge))).collect()
     }
@@ -200,7 +205,7 @@ impl Atlas {
 
     /// A solution in the names of the records, each part in the frame of its first node.
     fn told(&self, solved: &Solved) -> FlockLayout {
-        let strands = &solved.strands;
+        let connectivity = &solved.connectivity;
         let mut gauges: BTreeMap<u32, Placement> = BTreeMap::new();
         let mut layout = FlockLayout::default();
         let mut sizes: BTreeMap<u32, usize> = BTreeMap::new();
@@ -208,7 +213,7 @@ impl Atlas {
             let mut nodes = Vec::with_capacity(log.nodes.len());
             let mut submaps: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
             for i in log.nodes.clone() {
-                let part = strands.part(self.nodes[i].strand);
+                let part = connectivity.part(self.nodes[i].trajectory);
                 let gauge = gauges
                     .entry(part)
                     .or_insert_with(|| self.nodes[i].odom.compose(solved.poses[i].inverse()));
@@ -222,7 +227,7 @@ impl Atlas {
             }
             let place = |(submap, members): (u32, Vec<usize>)| {
                 let middle = members[members.len() / 2];
-                let part = strands.part(self.nodes[middle].strand);
+                let part = connectivity.part(self.nodes[middle].trajectory);
                 let at = gauges[&part].compose(solved.poses[middle]);
                 let flock_from_odom = at.compose(self.nodes[middle].odom.inverse()).pose();
                 PlacedRecord { submap, flock_from_odom, part }
@@ -234,9 +239,9 @@ impl Atlas {
         let largest = sizes.iter().max_by_key(|(part, size)| (**size, std::cmp::Reverse(**part)));
         layout.main_part = largest.map_or(0, |(part, _)| *part);
         let across =
-            self.closures.iter().zip(&solved.in_force).filter(|(closure, _)| self.is_across(closure));
-        let (acting, other): (Vec<_>, Vec<_>) = across.partition(|(_, acts)| **acts);
-        layout.across = (acting.len() as u64, other.len() as u64);
+            self.closures.iter().zip(&solved.is_inlier).filter(|(closure, _)| self.is_across(closure));
+        let (inliers, other): (Vec<_>, Vec<_>) = across.partition(|(_, is_inlier)| **is_inlier);
+        layout.across = (inliers.len() as u64, other.len() as u64);
         layout
     }
 }

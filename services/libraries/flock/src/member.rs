@@ -29,7 +29,7 @@ use std::sync::Arc;
 ///     odom_from_base: Pose::new(sequence.into(), 0.0, 0.0),
 ///     motion: Pose::new(1.0, 0.0, 0.0),
 ///     information: [400.0, 0.0, 0.0, 400.0, 0.0, 1e4],
-///     doubt_m: 0.0,
+///     drift_bound_m: 0.0,
 ///     points: vec![[2000, 0]],
 /// };
 /// let (descriptor, nodes) = (Descriptor::default(), vec![node(0), node(1)]);

@@ -21,10 +21,10 @@ impl Resemblance {
     pub fn new(atlas: &Atlas) -> Self {
         let seen: Vec<[u32; BINS]> = atlas.nodes.iter().map(|node| counted(atlas, node.scan)).collect();
         let around = |i: usize| {
-            let strand = atlas.nodes[i].strand;
+            let trajectory = atlas.nodes[i].trajectory;
             let near = i.saturating_sub(QUERY_NODES)..(i + QUERY_NODES + 1).min(seen.len());
             let mut sum = [0u64; BINS];
-            for k in near.filter(|k| atlas.nodes[*k].strand == strand) {
+            for k in near.filter(|k| atlas.nodes[*k].trajectory == trajectory) {
                 sum.iter_mut().zip(seen[k]).for_each(|(sum, count)| *sum += u64::from(count));
             }
             let all = sum.iter().sum::<u64>().max(1);

@@ -70,7 +70,7 @@ pub(super) struct Place {
 impl Place {
     /// The place around one tie of a group.
     pub fn new(atlas: &Atlas, middle: &Tie, group: &[Tie]) -> Self {
-        let travel_m = |node: usize| atlas.nodes[node].doubt_m;
+        let travel_m = |node: usize| atlas.nodes[node].drift_bound_m;
         let is_near = |tie: &&Tie| {
             let apart_m = |a: usize, b: usize| (travel_m(a) - travel_m(b)).abs();
             apart_m(tie.from, middle.from) <= PLACE_M && apart_m(tie.to, middle.to) <= PLACE_M
@@ -89,9 +89,9 @@ impl Place {
                 .map(|tie| end(tie))
                 .fold((usize::MAX, 0), |(low, high), node| (low.min(node), high.max(node)));
             let (low_m, high_m) = (travel_m(low) - beside_m, travel_m(high) + beside_m);
-            // Doubt jumps where a strand or a log ends: none is left.
-            let start = atlas.nodes[..low].partition_point(|node| node.doubt_m < low_m);
-            let end = high + atlas.nodes[high..].partition_point(|node| node.doubt_m <= high_m);
+            // Drift bound jumps where a trajectory or a log ends: none is left.
+            let start = atlas.nodes[..low].partition_point(|node| node.drift_bound_m < low_m);
+            let end = high + atlas.nodes[high..].partition_point(|node| node.drift_bound_m <= high_m);
             start..end
         };
         let nodes = [stretch(|tie| tie.from, AROUND_M), stretch(|tie| tie.to, BESIDE_M)];
@@ -133,7 +133,7 @@ impl Place {
             points.extend(atlas.scans.points(node.scan).iter().map(|p| from.apply(p.x_m(), p.y_m())));
         }
         let field = PooledField::new(&cell_means(&points));
-        let same = |i: &usize| atlas.nodes[*i].strand == atlas.nodes[query].strand;
+        let same = |i: &usize| atlas.nodes[*i].trajectory == atlas.nodes[query].trajectory;
         let start = (query.saturating_sub(QUERY_NODES)..=query).find(same)?;
         let last = (query..(query + QUERY_NODES + 1).min(atlas.nodes.len())).rev().find(same)?;
         let points = picked(&cloud(&atlas.nodes, &atlas.scans, start..last + 1, query), POINTS);

@@ -6,10 +6,10 @@ use super::inspection::Inspected;
 use super::layout::Solved;
 use super::resemblance::Resemblance;
 use flockslam_loop_closure::closure::Closure;
+use flockslam_loop_closure::connectivity::TrajectoryConnectivity;
 use flockslam_loop_closure::finder::{ANYWHERE, ClosureFinder, QUERY_NODES, SIGHT_M, World, apart_m, window};
 use flockslam_loop_closure::finder::{EVERY_M, SEGMENTS_PER_QUERY};
 use flockslam_loop_closure::node::{BROKEN_M, Node};
-use flockslam_loop_closure::strands::Strands;
 use flockslam_records::{Constraint, RobotId};
 use flockslam_registration::cloud::{Placement, Window};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -23,7 +23,7 @@ const NEIGHBOURS: usize = 3;
 /// What a match would have along so much of both ways before and after it is looked for, metres, each query in so many segments.
 const FOLLOWED_M: f64 = 10.0;
 const FOLLOWED_IN: usize = 2;
-/// Closures between two logs that act from which it counts as known how they lie to each other. Until then rival explanations are looked for.
+/// Closures between two logs that are inliers from which it counts as known how they lie to each other. Until then rival explanations are looked for.
 const FIRM: usize = 6;
 /// Segments kept ready for matching.
 const FIELDS: usize = 160;
@@ -136,7 +136,7 @@ impl Search {
             }
             matches.iter().for_each(|closure| self.follow(atlas, closure, queries));
             *solved = atlas.solve(inspected);
-            if !is_strange(atlas, &solved.strands, query, segment) {
+            if !is_strange(atlas, &solved.connectivity, query, segment) {
                 // Tied, if loosely: what confirms it or not lies where that says.
                 let neighbours =
                     place.saturating_sub(NEIGHBOURS)..(place + NEIGHBOURS + 1).min(queries.len());
@@ -148,7 +148,7 @@ impl Search {
     }
 
     /// All pairs of a query and a segment of which it is not known how they lie to each other, the most similar first.
-    fn resembling(&self, atlas: &Atlas, queries: &[usize], known: &Strands) -> Vec<Pair> {
+    fn resembling(&self, atlas: &Atlas, queries: &[usize], known: &TrajectoryConnectivity) -> Vec<Pair> {
         let resemblance = Resemblance::new(atlas);
         let mut pairs = Vec::new();
         for (place, &query) in queries.iter().enumerate() {
@@ -189,10 +189,10 @@ impl Search {
     fn follow(&mut self, atlas: &mut Atlas, closure: &Closure, queries: &[usize]) {
         let (from, to) = (closure.edge.from, closure.edge.to);
         let nodes = &atlas.nodes;
-        let along_m = |a: usize, b: usize| (nodes[a].doubt_m - nodes[b].doubt_m).abs();
+        let along_m = |a: usize, b: usize| (nodes[a].drift_bound_m - nodes[b].drift_bound_m).abs();
         let moved = nodes[from].chain.compose(closure.edge.motion).compose(nodes[to].chain.inverse());
         let place = |node: &Node| {
-            if node.strand == nodes[to].strand { moved.compose(node.chain) } else { node.chain }
+            if node.trajectory == nodes[to].trajectory { moved.compose(node.chain) } else { node.chain }
         };
         let poses: Vec<Placement> = nodes.iter().map(place).collect();
         let mut candidates: Vec<(usize, usize, Window)> = Vec::new();
@@ -223,29 +223,29 @@ impl Search {
     }
 }
 
-/// Which strands are tied to each other by enough closures that act.
-fn firmly_tied(atlas: &Atlas, solved: &Solved) -> Strands {
+/// Which trajectories are tied to each other by enough inlier closures.
+fn firmly_tied(atlas: &Atlas, solved: &Solved) -> TrajectoryConnectivity {
     let logs = |i: usize| {
         let edge = &atlas.closures[i].edge;
         let (a, b) = (atlas.owner(edge.from), atlas.owner(edge.to));
         (a.min(b), a.max(b))
     };
     let mut ties: BTreeMap<(u32, u32), usize> = BTreeMap::new();
-    let acting: Vec<usize> = (0..atlas.closures.len()).filter(|i| solved.in_force[*i]).collect();
-    acting.iter().for_each(|i| *ties.entry(logs(*i)).or_default() += 1);
+    let inliers: Vec<usize> = (0..atlas.closures.len()).filter(|i| solved.is_inlier[*i]).collect();
+    inliers.iter().for_each(|i| *ties.entry(logs(*i)).or_default() += 1);
     let firm = |i: &usize| !atlas.is_across(&atlas.closures[*i]) || ties[&logs(*i)] >= FIRM;
-    let firm: Vec<bool> = (0..atlas.closures.len()).map(|i| solved.in_force[i] && firm(&i)).collect();
-    atlas.strands(&firm)
+    let firm: Vec<bool> = (0..atlas.closures.len()).map(|i| solved.is_inlier[i] && firm(&i)).collect();
+    atlas.connectivity(&firm)
 }
 
 /// Whether a segment is another robot's and it is not known how it lies to the query.
-fn is_strange(atlas: &Atlas, known: &Strands, query: usize, segment: usize) -> bool {
+fn is_strange(atlas: &Atlas, known: &TrajectoryConnectivity, query: usize, segment: usize) -> bool {
     let anchor = atlas.segments[segment].anchor;
-    let part = |node: usize| known.part(atlas.nodes[node].strand);
+    let part = |node: usize| known.part(atlas.nodes[node].trajectory);
     atlas.owner(anchor) != atlas.owner(query) && part(anchor) != part(query)
 }
 
-/// Nodes of a robot at which a search is due, `every_m` metres of its way apart, away from the ends of its strands.
+/// Nodes of a robot at which a search is due, `every_m` metres of its way apart, away from the ends of its trajectories.
 fn queries(atlas: &Atlas, own: &RobotId, every_m: f64) -> Vec<usize> {
     let mut queries = Vec::new();
     for log in atlas.logs.iter().filter(|log| log.robot == *own) {
@@ -270,7 +270,7 @@ fn nearby(
 ) -> Vec<usize> {
     let world =
         World { nodes: &atlas.nodes, scans: &atlas.scans, segments: &atlas.segments, poses: &solved.poses };
-    let part = |node: usize| solved.strands.part(atlas.nodes[node].strand);
+    let part = |node: usize| solved.connectivity.part(atlas.nodes[node].trajectory);
     let mut near = Vec::new();
     for (number, segment) in atlas.segments.iter().enumerate() {
         let distance_m = distances_m.map_or(0.0, |distances_m| distances_m[segment.anchor]);

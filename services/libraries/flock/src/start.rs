@@ -1,14 +1,14 @@
-//! Start poses for the solver over many strands: a spanning tree over the pairs of strands, those with most agreeing closures first.
+//! Start poses for the solver over many trajectories: a spanning tree over the pairs of trajectories, those with most agreeing closures first.
 
 use flockslam_loop_closure::node::Node;
 use flockslam_pose_graph::Edge;
 use flockslam_registration::cloud::Placement;
 use std::collections::BTreeMap;
 
-/// Closures that agree on how two strands lie to each other differ by less than this, metres and radians.
+/// Closures that agree on how two trajectories lie to each other differ by less than this, metres and radians.
 const AGREEING: (f64, f64) = (1.0, 0.15);
 
-/// How one strand lies to another, and how many closures say so.
+/// How one trajectory lies to another, and how many closures say so.
 #[derive(Clone, Copy)]
 struct Tie {
     low: u32,
@@ -18,14 +18,14 @@ struct Tie {
     votes: usize,
 }
 
-/// Poses to solve a graph of many strands from, and by strand the first strand that it is tied to.
+/// Poses to solve a graph of many trajectories from, and by trajectory the first trajectory that it is tied to.
 ///
-/// Strands are tied together the surest first – a spanning tree of most votes – and each tree lies in the frame of its first
-/// strand. The start matters: from a heading that is quite wrong, no solver finds back.
+/// Trajectories are tied together the surest first – a spanning tree of most votes – and each tree lies in the frame of its first
+/// trajectory. The start matters: from a heading that is quite wrong, no solver finds back.
 pub fn start(nodes: &[Node], loops: &[Edge]) -> (Vec<Placement>, Vec<u32>) {
-    let count = nodes.last().map_or(0, |node| node.strand as usize + 1);
+    let count = nodes.last().map_or(0, |node| node.trajectory as usize + 1);
     let mut root: Vec<u32> = (0..count as u32).collect();
-    // By strand: takes its frame to that of its root.
+    // By trajectory: takes its frame to that of its root.
     let mut root_from: Vec<Placement> = vec![Placement::IDENTITY; count];
     let mut ties = ties(nodes, loops);
     ties.sort_by_key(|tie| (std::cmp::Reverse(tie.votes), tie.low, tie.high));
@@ -41,32 +41,32 @@ pub fn start(nodes: &[Node], loops: &[Edge]) -> (Vec<Placement>, Vec<u32>) {
         } else {
             (root[high], root[low], low_root_from_high_root.inverse())
         };
-        for strand in 0..count {
-            if root[strand] == gone {
-                root[strand] = kept;
-                root_from[strand] = moved.compose(root_from[strand]);
+        for trajectory in 0..count {
+            if root[trajectory] == gone {
+                root[trajectory] = kept;
+                root_from[trajectory] = moved.compose(root_from[trajectory]);
             }
         }
     }
-    let poses = nodes.iter().map(|node| root_from[node.strand as usize].compose(node.start)).collect();
+    let poses = nodes.iter().map(|node| root_from[node.trajectory as usize].compose(node.start)).collect();
     (poses, root)
 }
 
-/// For each pair of strands with closures between them, the motion that most of them agree on.
+/// For each pair of trajectories with closures between them, the motion that most of them agree on.
 fn ties(nodes: &[Node], loops: &[Edge]) -> Vec<Tie> {
     let mut pairs: BTreeMap<(u32, u32), Vec<(Placement, Placement)>> = BTreeMap::new();
     for edge in loops {
         let (from, to) = (&nodes[edge.from], &nodes[edge.to]);
-        if from.strand < to.strand {
+        if from.trajectory < to.trajectory {
             let moved = from.start.compose(edge.motion).compose(to.start.inverse());
-            pairs.entry((from.strand, to.strand)).or_default().push((moved, to.start));
-        } else if to.strand < from.strand {
+            pairs.entry((from.trajectory, to.trajectory)).or_default().push((moved, to.start));
+        } else if to.trajectory < from.trajectory {
             let moved = to.start.compose(edge.motion.inverse()).compose(from.start.inverse());
-            pairs.entry((to.strand, from.strand)).or_default().push((moved, from.start));
+            pairs.entry((to.trajectory, from.trajectory)).or_default().push((moved, from.start));
         }
     }
     let tie = |((low, high), motions): ((u32, u32), Vec<(Placement, Placement)>)| {
-        // Compared where the strand was matched: far away a little turn moves it much.
+        // Compared where the trajectory was matched: far away a little turn moves it much.
         let votes = |a: &(Placement, Placement)| {
             let agrees = |b: &&(Placement, Placement)| {
                 let (here, there) = (a.0.compose(a.1), b.0.compose(a.1));
@@ -85,8 +85,8 @@ fn ties(nodes: &[Node], loops: &[Edge]) -> Vec<Tie> {
 mod tests {
     use super::*;
 
-    fn nodes(strands: &[u32]) -> Vec<Node> {
-        let node = |(k, strand): (usize, &u32)| {
+    fn nodes(connectivity: &[u32]) -> Vec<Node> {
+        let node = |(k, trajectory): (usize, &u32)| {
             let at = Placement::new(k as f64, 0.3 * k as f64, 0.1 * k as f64);
             Node {
                 scan: k,
@@ -95,11 +95,11 @@ mod tests {
                 chain: at,
                 start: at,
                 travel_m: k as f64,
-                doubt_m: k as f64,
-                strand: *strand,
+                drift_bound_m: k as f64,
+                trajectory: *trajectory,
             }
         };
-        strands.iter().enumerate().map(node).collect()
+        connectivity.iter().enumerate().map(node).collect()
     }
 
     #[test]
@@ -107,7 +107,7 @@ mod tests {
         let nodes = nodes(&[0, 0, 1, 1, 1, 2, 2, 2, 3]);
         let frames = [(0.0, 0.0, 0.0), (5.0, -3.0, 2.0), (-8.0, 1.0, -1.0), (1.0, 1.0, 1.0)]
             .map(|(x, y, turn)| Placement::new(x, y, turn));
-        let truth = |k: usize| frames[nodes[k].strand as usize].compose(nodes[k].start);
+        let truth = |k: usize| frames[nodes[k].trajectory as usize].compose(nodes[k].start);
         let right = |from: usize, to: usize| Edge {
             from,
             to,

@@ -61,13 +61,13 @@ fn extent_needed_m(closure: &Closure) -> f64 {
 /// Closures in the order of their queries: those that one is compared with lie side by side.
 struct Neighbours<'a> {
     nodes: &'a [Node],
-    /// Doubt of the query and number of each closure.
+    /// Drift bound of the query and number of each closure.
     order: Vec<(f64, usize)>,
 }
 
 impl<'a> Neighbours<'a> {
     fn new(closures: &[Closure], nodes: &'a [Node]) -> Self {
-        let named = |(i, closure): (usize, &Closure)| (nodes[closure.edge.to].doubt_m, i);
+        let named = |(i, closure): (usize, &Closure)| (nodes[closure.edge.to].drift_bound_m, i);
         let mut order: Vec<_> = closures.iter().enumerate().map(named).collect();
         order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         Self { nodes, order }
@@ -75,10 +75,10 @@ impl<'a> Neighbours<'a> {
 
     /// Numbers of the closures whose queries are not too far from that of this one.
     fn of(&self, closure: &Closure) -> impl Iterator<Item = usize> {
-        let at_m = self.nodes[closure.edge.to].doubt_m;
-        let from = self.order.partition_point(|(doubt_m, _)| *doubt_m < at_m - COMPARED_WITHIN_M);
+        let at_m = self.nodes[closure.edge.to].drift_bound_m;
+        let from = self.order.partition_point(|(drift_bound_m, _)| *drift_bound_m < at_m - COMPARED_WITHIN_M);
         let near = self.order[from..].iter();
-        near.take_while(move |(doubt_m, _)| *doubt_m <= at_m + COMPARED_WITHIN_M).map(|(_, i)| *i)
+        near.take_while(move |(drift_bound_m, _)| *drift_bound_m <= at_m + COMPARED_WITHIN_M).map(|(_, i)| *i)
     }
 }
 
@@ -126,7 +126,7 @@ impl Groups {
 /// Whether the cycle over two closures and the chain between their ends closes; `None` when they lie too far
 /// apart.
 pub fn agree(a: &Closure, b: &Closure, nodes: &[Node]) -> Option<bool> {
-    let between = |i: usize, k: usize| (nodes[i].doubt_m - nodes[k].doubt_m).abs();
+    let between = |i: usize, k: usize| (nodes[i].drift_bound_m - nodes[k].drift_bound_m).abs();
     let way_m = between(a.edge.from, b.edge.from) + between(a.edge.to, b.edge.to);
     if way_m > COMPARED_WITHIN_M {
         return None;
@@ -155,8 +155,8 @@ mod tests {
                 chain: pose,
                 start: pose,
                 travel_m,
-                doubt_m: travel_m,
-                strand: 0,
+                drift_bound_m: travel_m,
+                trajectory: 0,
             }
         };
         (0..100).map(node).collect()

@@ -5,7 +5,7 @@ use crate::node::{BROKEN_M, NewNode, Node, POINT_INFORMATION};
 use crate::scans::ScanStore;
 use crate::segment::{cloud, picked, scan_cloud};
 use flockslam_pose_graph::Edge;
-use flockslam_pose_graph::{Symmetric, in_frame, loosened};
+use flockslam_pose_graph::{Symmetric, in_frame, inflated};
 use flockslam_registration::cloud::{
     AlignSettings, Aligner, Alignment, MomentGrid, Placement, PooledField, Searcher, Window,
 };
@@ -31,7 +31,7 @@ const RUNNER_UP: f64 = 0.9;
 /// Points of a scan in a rescue.
 const RESCUE_POINTS: usize = 150;
 /// A node without a match is as doubtful as this much travel, metres.
-const DOUBT_M: f64 = 8.0;
+const UNMATCHED_DRIFT_M: f64 = 8.0;
 /// Each node is matched again to this many before it: enough for a stable map around the robot, few enough that the front end's
 /// errors stay small within.
 const WINDOW_NODES: usize = 20;
@@ -139,15 +139,15 @@ impl Chain {
     fn matched(&mut self, last: Node, new: NewNode, scans: &ScanStore) -> Node {
         let motion = last.odom.to(new.odom);
         let guess = last.chain.compose(motion);
-        let link = if new.strand == last.strand {
+        let link = if new.trajectory == last.trajectory {
             self.link(&guess, new.scan, scans)
         } else {
             self.withdraw_all(scans);
             Link::Broken
         };
-        let (chain, doubt_m) = match link {
+        let (chain, drift_bound_m) = match link {
             Link::Matched(found) | Link::Rescued(found) => (found.placement, 0.0),
-            Link::Predicted => (guess, DOUBT_M),
+            Link::Predicted => (guess, UNMATCHED_DRIFT_M),
             Link::Broken => (guess, BROKEN_M),
         };
         self.unmatched += usize::from(matches!(link, Link::Predicted));
@@ -155,8 +155,8 @@ impl Chain {
         let information = in_frame(&information(&link, &motion), &last.chain);
         self.edges.push(Edge { from: to - 1, to, motion: last.chain.to(chain), information });
         let way_m = chain.distance_m(&last.chain);
-        let (travel_m, doubt_m) = (last.travel_m + way_m, last.doubt_m + way_m + doubt_m);
-        Node { travel_m, doubt_m, ..new.at(chain, self.start_from_chain) }
+        let (travel_m, drift_bound_m) = (last.travel_m + way_m, last.drift_bound_m + way_m + drift_bound_m);
+        Node { travel_m, drift_bound_m, ..new.at(chain, self.start_from_chain) }
     }
 
     /// Empties the window: nothing before here is to be matched to.
@@ -233,7 +233,7 @@ fn information(link: &Link, motion: &Placement) -> Symmetric {
         Link::Rescued(found) => {
             let mut sum = diagonal(0.5, 0.3);
             (0..6).for_each(|i| sum[i] += POINT_INFORMATION * found.information[i]);
-            loosened(&sum, 0.03, 0.01).unwrap_or(diagonal(0.5, 0.3))
+            inflated(&sum, 0.03, 0.01).unwrap_or(diagonal(0.5, 0.3))
         }
         Link::Predicted => diagonal(0.3 + 0.5 * way, 0.2 + 0.5 * turn),
         // Just enough that the graph hangs together.

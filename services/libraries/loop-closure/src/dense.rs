@@ -1,13 +1,13 @@
 //! The dense pass: matches each node to all segments near it and solves the graph of these matches. Takes poses that loops have brought close, gives
 //! better ones.
 
+use crate::connectivity::TrajectoryConnectivity;
 use crate::node::{Node, POINT_INFORMATION};
 use crate::scans::ScanStore;
 use crate::segment::{Segment, load, unload};
-use crate::strands::Strands;
 use flockslam_pose_graph::Edge;
 use flockslam_pose_graph::{RobustSettings, solve};
-use flockslam_pose_graph::{in_frame, loosened};
+use flockslam_pose_graph::{in_frame, inflated};
 use flockslam_registration::cloud::{AlignSettings, Aligner, MomentGrid, Placement};
 
 /// Segments within this of a node are matched to, metres.
@@ -20,7 +20,7 @@ const INLIERS_MIN: f64 = 0.5;
 const MOVE_MAX: (f64, f64) = (0.4, 0.1);
 /// Errors of a match beyond those of its points.
 const SLACK: (f64, f64) = (0.04, 0.01);
-/// Squared Mahalanobis error from which a match does not act.
+/// Squared Mahalanobis error from which a match is an outlier.
 const CHI_SQUARED_MAX: f64 = 25.0;
 
 /// Re-measures the whole layout once loops have brought it close: each node against the segments near it, in
@@ -34,8 +34,8 @@ pub struct DensePass<'a> {
     pub segments: &'a [Segment],
     /// The chain's edges.
     pub chain: &'a [Edge],
-    /// Which strands are connected: only among those does nearness mean anything.
-    pub strands: &'a Strands,
+    /// Which trajectories are connected: only among those does nearness mean anything.
+    pub connectivity: &'a TrajectoryConnectivity,
 }
 
 impl DensePass<'_> {
@@ -60,7 +60,7 @@ impl DensePass<'_> {
     /// For each segment the nodes to match to it.
     fn pairs(&self, poses: &[Placement]) -> Vec<Vec<usize>> {
         let mut pairs = vec![Vec::new(); self.segments.len()];
-        let part = |node: usize| self.strands.part(self.nodes[node].strand);
+        let part = |node: usize| self.connectivity.part(self.nodes[node].trajectory);
         for (node, at) in poses.iter().enumerate() {
             let mut near: Vec<(f64, usize)> = Vec::new();
             for (number, segment) in self.segments.iter().enumerate() {
@@ -112,7 +112,7 @@ impl DensePass<'_> {
         let mut information = found.information.map(|v| POINT_INFORMATION * v);
         // A direction that the points leave open must not make the matrix singular.
         [0, 3, 5].into_iter().for_each(|i| information[i] += 1.0);
-        let information = loosened(&information, SLACK.0, SLACK.1)?;
+        let information = inflated(&information, SLACK.0, SLACK.1)?;
         Some(Edge {
             from: nearest,
             to: node,

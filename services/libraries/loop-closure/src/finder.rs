@@ -9,7 +9,7 @@ use crate::polar::Polar;
 use crate::scans::ScanStore;
 use crate::segment::{Segment, cloud, load, packed, picked, unload};
 use flockslam_pose_graph::Edge;
-use flockslam_pose_graph::{in_frame, loosened};
+use flockslam_pose_graph::{in_frame, inflated};
 use flockslam_registration::cloud::{
     AlignSettings, Aligner, Alignment, Found, MomentGrid, PackedPoint, Placement, PooledField, Searcher,
     Window,
@@ -86,7 +86,7 @@ pub struct World<'a> {
     pub scans: &'a ScanStore,
     /// The segments so far.
     pub segments: &'a [Segment],
-    /// Poses in force.
+    /// Present poses.
     pub poses: &'a [Placement],
 }
 
@@ -172,9 +172,9 @@ impl ClosureFinder {
     /// Segments that only closures could connect with the query, each to be searched all over. The next query begins with
     /// those that this one has no budget for.
     fn anywhere(&self, world: &World<'_>, query: usize, distances_m: &[f64]) -> Vec<(usize, Window)> {
-        let strand = world.nodes[query].strand;
+        let trajectory = world.nodes[query].trajectory;
         let broken =
-            |s: &Segment| distances_m[s.anchor] >= BROKEN_M && world.nodes[s.anchor].strand != strand;
+            |s: &Segment| distances_m[s.anchor] >= BROKEN_M && world.nodes[s.anchor].trajectory != trajectory;
         let mut far: Vec<usize> =
             (0..world.segments.len()).filter(|&number| broken(&world.segments[number])).collect();
         let mut near: Vec<(f64, usize)> = Vec::new();
@@ -265,9 +265,9 @@ impl ClosureFinder {
     }
 }
 
-/// A query's node and its neighbours on the strand, so many before and after it.
+/// A query's node and its neighbours on the trajectory, so many before and after it.
 fn surroundings(nodes: &[Node], query: usize, reach: usize) -> std::ops::Range<usize> {
-    let same = |i: &usize| nodes[*i].strand == nodes[query].strand;
+    let same = |i: &usize| nodes[*i].trajectory == nodes[query].trajectory;
     let start = (query.saturating_sub(reach)..=query).find(same).unwrap_or(query);
     let last = (query..(query + reach + 1).min(nodes.len())).rev().find(same).unwrap_or(query);
     start..last + 1
@@ -336,7 +336,7 @@ fn intruding(polar: &Polar, at: &Placement, points: impl Iterator<Item = (f64, f
 }
 
 fn edge(query: usize, nearest: usize, at: &Placement, refined: &Alignment) -> Option<Edge> {
-    let information = loosened(&refined.information.map(|v| v * POINT_INFORMATION), SLACK.0, SLACK.1)?;
+    let information = inflated(&refined.information.map(|v| v * POINT_INFORMATION), SLACK.0, SLACK.1)?;
     let motion = at.to(refined.placement);
     Some(Edge { from: nearest, to: query, motion, information: in_frame(&information, at) })
 }
@@ -364,7 +364,7 @@ pub fn graph_distances(nodes: &[Node], loops: &[(usize, usize)], from: usize) ->
                 queue.push((std::cmp::Reverse((distance * 1e6) as u64), next));
             }
         };
-        let step = |a: usize, b: usize| (nodes[a].doubt_m - nodes[b].doubt_m).abs();
+        let step = |a: usize, b: usize| (nodes[a].drift_bound_m - nodes[b].drift_bound_m).abs();
         if node > 0 {
             relax(node - 1, step(node, node - 1));
         }

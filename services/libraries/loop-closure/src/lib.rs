@@ -4,6 +4,7 @@
 pub mod agreement;
 pub mod chain;
 pub mod closure;
+pub mod connectivity;
 pub mod dense;
 mod fields;
 pub mod finder;
@@ -13,4 +14,3 @@ pub mod polar;
 pub mod refine;
 pub mod scans;
 pub mod segment;
-pub mod strands;

@@ -5,7 +5,7 @@ use flockslam_registration::cloud::Placement;
 /// Information that one unit of an alignment's normalised sum is worth, 1/m²: a wall seen by all points fixes
 /// its distance to about 7 mm.
 pub const POINT_INFORMATION: f64 = 4e4;
-/// The doubt where another strand begins, metres: more than any path is long.
+/// The drift bound where another trajectory begins, metres: more than any path is long.
 pub const BROKEN_M: f64 = 1e6;
 
 /// A scan in the graph.
@@ -19,15 +19,15 @@ pub struct Node {
     pub odom: Placement,
     /// Pose from matching each node to the ones before it; never corrected by a loop.
     pub chain: Placement,
-    /// Where a solver starts from: the chain, or, where the layout has settled, the solution.
+    /// Where a solver starts from: the chain, or, where the layout is frozen, the solution.
     pub start: Placement,
     /// Length of the path up to here, metres.
     pub travel_m: f64,
     /// The same, and more where a node could not be matched: what the size of a search window grows with,
     /// metres.
-    pub doubt_m: f64,
-    /// Chain of submaps that it belongs to, counted from 0: how strands lie to each other is known from closures alone.
-    pub strand: u32,
+    pub drift_bound_m: f64,
+    /// Chain of submaps that it belongs to, counted from 0: how trajectories lie to each other is known from closures alone.
+    pub trajectory: u32,
 }
 
 /// A scan that becomes a node.
@@ -40,14 +40,14 @@ pub struct NewNode {
     /// Pose from the front end.
     pub odom: Placement,
     /// Its chain of submaps.
-    pub strand: u32,
+    pub trajectory: u32,
 }
 
 impl NewNode {
     /// The node at its place in the chain, at the beginning of the path.
     pub(crate) fn at(self, chain: Placement, start_from_chain: Placement) -> Node {
-        let NewNode { sequence, scan, odom, strand } = self;
+        let NewNode { sequence, scan, odom, trajectory } = self;
         let start = start_from_chain.compose(chain);
-        Node { scan, sequence, odom, chain, start, travel_m: 0.0, doubt_m: 0.0, strand }
+        Node { scan, sequence, odom, chain, start, travel_m: 0.0, drift_bound_m: 0.0, trajectory }
     }
 }

@@ -60,11 +60,11 @@ impl Placer<'_> {
         placed
     }
 
-    /// The nodes that a scan behind `node` is matched to: none of another strand.
+    /// The nodes that a scan behind `node` is matched to: none of another trajectory.
     fn around(&self, node: usize) -> Range<usize> {
-        let strand = self.nodes[node].strand;
-        let first = self.nodes.partition_point(|node| node.strand < strand);
-        let end = self.nodes.partition_point(|node| node.strand <= strand);
+        let trajectory = self.nodes[node].trajectory;
+        let first = self.nodes.partition_point(|node| node.trajectory < trajectory);
+        let end = self.nodes.partition_point(|node| node.trajectory <= trajectory);
         node.saturating_sub(self.reach).max(first)..(node + self.reach + 1).min(end)
     }
 

@@ -4,7 +4,7 @@ use crate::node::{Node, POINT_INFORMATION};
 use crate::scans::ScanStore;
 use flockslam_pose_graph::Edge;
 use flockslam_pose_graph::{RobustSettings, solve};
-use flockslam_pose_graph::{in_frame, loosened};
+use flockslam_pose_graph::{in_frame, inflated};
 use flockslam_registration::cloud::{AlignSettings, Aligner, Alignment, MomentGrid, PackedPoint, Placement};
 use std::collections::BTreeMap;
 
@@ -20,7 +20,7 @@ const SPREAD_MAX_M: f64 = 0.055;
 const MOVE_MAX: (f64, f64) = (0.15, 0.06);
 /// Errors of a match beyond those of its points: the map that it is matched to is itself a little wrong.
 const SLACK: (f64, f64) = (0.02, 0.005);
-/// Squared Mahalanobis error from which a match does not act.
+/// Squared Mahalanobis error from which a match is an outlier.
 const CHI_SQUARED_MAX: f64 = 25.0;
 
 /// Matches scans to the map that all of them make together, in place of the few around each.
@@ -103,7 +103,7 @@ fn held(found: &Alignment, origin: &Placement, node: usize) -> Option<Edge> {
     let mut information = found.information.map(|v| POINT_INFORMATION * v);
     // A direction that the points leave open must not make the matrix singular.
     [0, 3, 5].into_iter().for_each(|i| information[i] += 1.0);
-    let information = loosened(&information, SLACK.0, SLACK.1)?;
+    let information = inflated(&information, SLACK.0, SLACK.1)?;
     let motion = origin.to(found.placement);
     Some(Edge { from: 0, to: node, motion, information: in_frame(&information, origin) })
 }

@@ -35,7 +35,7 @@ impl Segment {
         let mut segments = Vec::new();
         let mut start = from;
         for end in from..nodes.len() {
-            let breaks = nodes[end].strand != nodes[start].strand;
+            let breaks = nodes[end].trajectory != nodes[start].trajectory;
             if breaks || nodes[end].travel_m - nodes[start].travel_m >= LENGTH_M || end - start >= NODES_MAX {
                 segments.push(Segment::new(start..end));
                 start = end;
@@ -130,13 +130,13 @@ mod tests {
             start: Placement::IDENTITY,
             chain: Placement::new(0.3 * k as f64, 0.0, 0.0),
             travel_m: 0.3 * k as f64,
-            doubt_m: 0.0,
-            strand: u32::from(k >= 30),
+            drift_bound_m: 0.0,
+            trajectory: u32::from(k >= 30),
         };
         let nodes: Vec<_> = (0..60).map(node).collect();
         let segments = Segment::cut(&nodes, 4);
         assert_eq!(segments.len(), 3);
-        assert!(segments.iter().any(|s| s.nodes.end == 30), "no segment spans two strands");
+        assert!(segments.iter().any(|s| s.nodes.end == 30), "no segment spans two trajectories");
         assert!(
             segments[0].nodes.start == 4 && segments.windows(2).all(|w| w[0].nodes.end == w[1].nodes.start)
         );

@@ -1,16 +1,16 @@
 //! Map fusion: submaps at their optimised poses become one map, and what later scans saw free is cleared in it.
 
 mod coverage;
+mod final_cleaning;
 mod footprint;
 mod fused_map;
 mod fusion;
-mod hindsight;
 mod rays;
 mod resampling;
 mod stale;
 
+pub use final_cleaning::{APART_NS, FinalCleaning, VIEWS};
 pub use footprint::Footprint;
 pub use fused_map::{FusedMap, NotFused, stored_map};
 pub use fusion::{Fusion, PlacedSubmap, Step};
-pub use hindsight::{APART_NS, Hindsight, VIEWS};
 pub use stale::stale_cells;

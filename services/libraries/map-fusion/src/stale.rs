@@ -14,7 +14,7 @@ const CONTRADICTED_MAX: f64 = 0.2;
 
 /// What newer submaps say of an occupied cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Finding {
+enum Visibility {
     /// It is free, and everything around it.
     Gone,
     /// Something stands there.
@@ -35,9 +35,9 @@ pub fn stale_cells(submap: &Submap, map_from_odom: Pose, newer: &FusedMap) -> Ve
         for (offset, cell) in occupied {
             let index = tile.key.cell(offset);
             match judge(newer, map_from_odom.apply(center(submap, index))) {
-                Finding::Gone => stale.push(index),
-                Finding::Stands if cell.occupied > cell.free => standing += 1,
-                Finding::Stands | Finding::Open => (),
+                Visibility::Gone => stale.push(index),
+                Visibility::Stands if cell.occupied > cell.free => standing += 1,
+                Visibility::Stands | Visibility::Open => (),
             }
         }
     }
@@ -48,7 +48,7 @@ pub fn stale_cells(submap: &Submap, map_from_odom: Pose, newer: &FusedMap) -> Ve
     stale
 }
 
-fn judge(newer: &FusedMap, at: Point) -> Finding {
+fn judge(newer: &FusedMap, at: Point) -> Visibility {
     let index = |metres: f64| floor(metres / newer.cell_size_m());
     let (x, y) = (index(at.x_m), index(at.y_m));
     let around = |reach: i32| {
@@ -59,16 +59,16 @@ fn judge(newer: &FusedMap, at: Point) -> Finding {
     let is_free = |cell: Cell| f64::from(cell.free) >= FREE_NAT * WEIGHT_SCALE;
     if !is_free(newer.cell(CellIndex::new(x, y))) {
         let stands = around(APART_CELLS).map(|cell| newer.cell(cell)).any(|cell| cell.occupied > cell.free);
-        return if stands { Finding::Stands } else { Finding::Open };
+        return if stands { Visibility::Stands } else { Visibility::Open };
     }
     let near = around(APART_CELLS).map(|cell| newer.cell(cell));
     match near.fold((false, false), |(met, stands), cell| {
         (met || cell.occupied > 0, stands || cell.occupied > cell.free)
     }) {
-        (_, true) => Finding::Stands,
-        (true, false) => Finding::Open,
-        (false, false) if around(1).all(|cell| is_free(newer.cell(cell))) => Finding::Gone,
-        (false, false) => Finding::Open,
+        (_, true) => Visibility::Stands,
+        (true, false) => Visibility::Open,
+        (false, false) if around(1).all(|cell| is_free(newer.cell(cell))) => Visibility::Gone,
+        (false, false) => Visibility::Open,
     }
 }
 

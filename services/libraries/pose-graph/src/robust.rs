@@ -8,7 +8,7 @@ use flockslam_registration::cloud::Placement;
 /// How a graph is solved; [`solve`] has an example.
 #[derive(Clone, Copy, Debug)]
 pub struct RobustSettings {
-    /// Squared Mahalanobis error from which a loop does not act.
+    /// Squared Mahalanobis error from which a loop is an outlier.
     pub chi_squared_max: f64,
     /// Factor by which the cost is made less convex in a round.
     pub growth: f64,
@@ -21,7 +21,7 @@ pub struct RobustSettings {
 /// What solving a graph gave.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Solved {
-    /// A weight for each edge, 0 for loops that do not act.
+    /// A weight for each edge, 0 for loops that are outliers.
     pub weights: Vec<f64>,
     /// Work that it took, products of 3 × 3 blocks.
     pub work: u64,

@@ -45,7 +45,7 @@ pub fn times(m: &Symmetric, v: &[f64; 3]) -> [f64; 3] {
 
 /// Information of a measurement whose own information is `m`, with independent further errors of these
 /// standard deviations.
-pub fn loosened(m: &Symmetric, sigma_m: f64, sigma_rad: f64) -> Option<Symmetric> {
+pub fn inflated(m: &Symmetric, sigma_m: f64, sigma_rad: f64) -> Option<Symmetric> {
     let mut covariance = inverse(m)?;
     covariance[0] += sigma_m * sigma_m;
     covariance[3] += sigma_m * sigma_m;

@@ -177,13 +177,13 @@ pub(crate) fn of_pose<const N: usize>(c: &SMatrix<f64, N, N>) -> Covariance {
 }
 
 /// `covariance` with an error of `sigma_m` of the position added in every direction.
-pub fn roughened(covariance: Covariance, sigma_m: f64) -> Covariance {
+pub fn inflated_everywhere(covariance: Covariance, sigma_m: f64) -> Covariance {
     let variance = sigma_m * sigma_m;
     Covariance { xx: covariance.xx + variance, yy: covariance.yy + variance, ..covariance }
 }
 
 /// `covariance` with an error of `sigma_m` of the position added along the unit vector `axis`.
-pub fn widened(covariance: Covariance, axis: Vector2<f64>, sigma_m: f64) -> Covariance {
+pub fn inflated_along(covariance: Covariance, axis: Vector2<f64>, sigma_m: f64) -> Covariance {
     let variance = sigma_m * sigma_m;
     Covariance {
         xx: covariance.xx + variance * axis.x * axis.x,

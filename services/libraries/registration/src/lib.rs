@@ -6,19 +6,19 @@ pub mod cloud;
 #[cfg(test)]
 mod consistency;
 mod correlative;
+mod degenerate;
 mod field;
 mod gauss_newton;
 mod lattice;
 mod ndt;
 #[cfg(test)]
 mod room;
-mod shape;
 mod sweep;
 
 pub use correlative::{CorrelativeSearch, Window};
+pub use degenerate::degenerate_direction;
 pub use field::{GridField, Sample, ScoreField, ScoreRead, bilinear, nearest};
-pub use gauss_newton::{Fit, GaussNewton, roughened, widened};
+pub use gauss_newton::{Fit, GaussNewton, inflated_along, inflated_everywhere};
 pub use lattice::Correlative;
 pub use ndt::{Expected, Ndt, NdtSettings};
-pub use shape::least_held;
-pub use sweep::{Moving, Sweep, TwistSigma};
+pub use sweep::{MotionState, Sweep, TwistSigma};

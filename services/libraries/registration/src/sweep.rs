@@ -30,16 +30,16 @@ pub struct Sweep<'a> {
 
 /// Pose and velocity of a robot that took a scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Moving {
+pub struct MotionState {
     /// Frame of the field from the robot at the stamp.
     pub pose: Pose,
     /// Velocity during the scan, in the robot's own frame.
     pub twist: Twist,
 }
 
-impl Moving {
+impl MotionState {
     /// Whether two states differ by nothing that can be seen in a scan: 0.1 mm and 1 mm/s, 0.02 mrad and 0.2 mrad/s.
-    pub fn is_near(self, other: Moving) -> bool {
+    pub fn is_near(self, other: MotionState) -> bool {
         let (a, b) = (self.twist, other.twist);
         self.pose.distance_m(other.pose) < 1e-4
             && self.pose.turn_rad(other.pose) < 2e-5
@@ -63,10 +63,10 @@ impl Sweep<'_> {
     pub fn step<F: ScoreField>(
         &self,
         field: &F,
-        now: Moving,
-        predicted: Moving,
+        now: MotionState,
+        predicted: MotionState,
         sigma: TwistSigma,
-    ) -> Moving {
+    ) -> MotionState {
         let mut system = System::of(field, *self, now.pose);
         let (pull_xy, pull_heading) = (system.points * PRIOR_XY, system.points * PRIOR_HEADING);
         let variance = shared_variance(system.noise);
@@ -86,7 +86,7 @@ impl Sweep<'_> {
         let Some(factor) = system.hessian.cholesky() else { return now };
         let step = factor.solve(&system.gradient);
         let (sin, cos) = now.pose.heading_rad.sin_cos();
-        Moving {
+        MotionState {
             pose: Pose::new(now.pose.x_m + step[0], now.pose.y_m + step[1], now.pose.heading_rad + step[2]),
             twist: Twist {
                 x_m_s: now.twist.x_m_s + cos * step[3] + sin * step[4],
@@ -183,7 +183,7 @@ mod tests {
     const PERIOD_S: f64 = 0.1;
 
     /// The room seen while moving, each beam from where the robot was by then, straightened by `assumed`.
-    fn sweep(truth: Moving, assumed: Twist) -> (Vec<Point>, Vec<f64>) {
+    fn sweep(truth: MotionState, assumed: Twist) -> (Vec<Point>, Vec<f64>) {
         let at_once = room::scan(truth.pose);
         let step_s = PERIOD_S / at_once.len() as f64;
         let seen = |(i, point): (usize, &Point)| {
@@ -201,8 +201,9 @@ mod tests {
         let start = Pose::new(0.3, -0.2, 0.4);
         for (forward, turn) in [(0.5, 0.0), (0.6, 0.4), (0.45, -0.5)] {
             let wheels = Twist { x_m_s: 0.5, ..Twist::default() };
-            let truth = Moving { pose: start, twist: Twist { x_m_s: forward, turn_rad_s: turn, ..wheels } };
-            let predicted = Moving { pose: start, twist: wheels };
+            let truth =
+                MotionState { pose: start, twist: Twist { x_m_s: forward, turn_rad_s: turn, ..wheels } };
+            let predicted = MotionState { pose: start, twist: wheels };
             let mut now = predicted;
             for _ in 0..12 {
                 let (points, times_s) = sweep(truth, now.twist);
@@ -220,7 +221,7 @@ mod tests {
     fn a_velocity_that_is_not_known_makes_the_pose_less_certain() {
         let grid = room::grid(&room::ROOM);
         let field = room::field(&grid);
-        let still = Moving { pose: Pose::new(0.3, -0.2, 0.4), twist: Twist::default() };
+        let still = MotionState { pose: Pose::new(0.3, -0.2, 0.4), twist: Twist::default() };
         let (points, times_s) = sweep(still, still.twist);
         let sweep = Sweep { points: &points, times_s: &times_s };
         let known = TwistSigma { x_m_s: 1e-4, y_m_s: 1e-4, turn_rad_s: 1e-4 };

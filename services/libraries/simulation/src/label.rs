@@ -12,5 +12,5 @@ pub enum BeamLabel {
     /// Something that stands, but not always: a closed door, a pallet.
     Changed,
     /// Somebody who walks, or stands for a moment.
-    Moving,
+    MotionState,
 }

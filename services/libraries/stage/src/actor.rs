@@ -1,4 +1,4 @@
-//! The loop of every stage: work while there is work, sleep on the bell, refresh ten times a second.
+//! The loop of every stage: work while there is work, sleep on the event, refresh ten times a second.
 
 use crate::{StageContext, StageError};
 use flockslam_bus::{Listener, Wake, half_made_publishers};
@@ -60,11 +60,11 @@ const ASIDE: Duration = Duration::from_micros(20);
 /// … and how exactly it is kept, nanoseconds: Linux takes 50 µs more if nothing is said.
 const TIMER_SLACK_NS: NonZeroU64 = NonZeroU64::MIN;
 
-/// Runs a stage until it is asked to stop: work while there is work, sleep on the bell while there is none.
+/// Runs a stage until it is asked to stop: work while there is work, sleep on the event while there is none.
 ///
 /// # Errors
 /// What the actor could not go on from.
-pub fn run(context: &mut StageContext, actor: &mut impl Actor, bell: &Listener) -> Result<(), StageError> {
+pub fn run(context: &mut StageContext, actor: &mut impl Actor, event: &Listener) -> Result<(), StageError> {
     let loops = loops_after(context.stage);
     let (mut refreshed_ns, mut worked_ns, mut awake_until_ns) = (0, 0, 0);
     // Where that cannot be had, waiting takes longer and nothing else changes.
@@ -97,9 +97,9 @@ pub fn run(context: &mut StageContext, actor: &mut impl Actor, bell: &Listener) 
             continue;
         }
         let patience = actor.patience();
-        // A stage that has had nothing to do for a while is called by its bell when there is.
+        // A stage that has had nothing to do for a while is called by its event when there is.
         let rests = now_ns.saturating_sub(worked_ns) > RESTING_NS && patience >= REFRESH;
-        if bell.wait(if rests { RESTING } else { patience.min(REFRESH) })? == Wake::Announced {
+        if event.wait(if rests { RESTING } else { patience.min(REFRESH) })? == Wake::Announced {
             awake_until_ns = context.now_ns() + AWAKE_NS;
         }
     }

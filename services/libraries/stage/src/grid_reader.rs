@@ -1,7 +1,7 @@
 //! The grid as its readers hold it: takes tiles and commits from the bus, gives one whole generation.
 
 use crate::{StageContext, StageError};
-use flockslam_bus::{BellRinger, Publisher, Sample, Subscriber, TileHandle};
+use flockslam_bus::{Notifier, Publisher, Sample, Subscriber, TileHandle};
 use flockslam_evidence::TileGrid;
 use flockslam_messages::{Commit, Control, ControlKind, Stage, TileMessage};
 
@@ -11,7 +11,7 @@ pub struct GridReader {
     tiles: Subscriber<TileMessage>,
     commits: Subscriber<Commit>,
     control: Publisher<Control>,
-    mapper: BellRinger,
+    mapper: Notifier,
     grid: TileGrid<TileHandle>,
     waiting: Vec<Sample<TileMessage>>,
     later: Vec<Sample<TileMessage>>,
@@ -28,7 +28,7 @@ impl GridReader {
             tiles: context.bus.subscriber()?,
             commits: context.bus.subscriber()?,
             control: context.bus.publisher()?,
-            mapper: context.bus.ringer(Stage::Mapper.name())?,
+            mapper: context.bus.notifier(Stage::Mapper.name())?,
             grid: TileGrid::new(cell_size_m),
             waiting: Vec::with_capacity(1024),
             later: Vec::new(),

@@ -1,19 +1,19 @@
 //! What a stage says at the end, again and again: whoever starts late hears it too.
 
-use crate::{Bells, StageContext, StageError};
+use crate::{Notifiers, StageContext, StageError};
 use flockslam_bus::Publisher;
 use flockslam_messages::{Control, ControlKind};
 
 /// The last thing that a stage has to say on the control topic.
 pub struct LastWord {
     control: Publisher<Control>,
-    listeners: Bells,
+    listeners: Notifiers,
     message: Control,
     is_said: bool,
 }
 
 impl LastWord {
-    /// What will be said, of this epoch, and whose bells will ring.
+    /// What will be said, of this epoch, and whose events will ring.
     ///
     /// # Errors
     /// When the topic does not exist.
@@ -21,7 +21,7 @@ impl LastWord {
         context: &StageContext,
         kind: ControlKind,
         epoch: u32,
-        listeners: Bells,
+        listeners: Notifiers,
     ) -> Result<Self, StageError> {
         let message = Control { kind: kind as u32, epoch, value: 0 };
         Ok(Self { control: context.bus.publisher()?, listeners, message, is_said: false })

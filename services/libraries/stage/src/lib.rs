@@ -3,7 +3,6 @@
 //! scans and poses, acknowledgements, and the report about itself.
 
 mod actor;
-mod bells;
 mod context;
 mod deadline;
 mod error;
@@ -11,16 +10,16 @@ mod grid_reader;
 mod inbox;
 mod join;
 mod last_word;
+mod leader_lock;
 mod memory;
+mod notifiers;
 mod pause;
 mod progress;
 mod report;
 mod scan_journal;
 mod shares;
-mod turn;
 
 pub use actor::{Actor, run, step_aside};
-pub use bells::Bells;
 pub use context::{Mode, StageContext, StageOptions, StopFlag, heartbeat_file, metrics_socket};
 pub use deadline::Deadline;
 pub use error::StageError;
@@ -28,10 +27,11 @@ pub use grid_reader::GridReader;
 pub use inbox::{Copies, Inbox, Named, Port};
 pub use join::{Join, Waited};
 pub use last_word::LastWord;
+pub use leader_lock::{LeaderLock, leader};
 pub use memory::MemoryUse;
+pub use notifiers::Notifiers;
 pub use pause::Pause;
 pub use progress::{Acknowledger, StreamEnd};
 pub use report::{ProcessReport, read_reports};
 pub use scan_journal::{JournalReader, JournalWriter, Journaled, journal_file};
 pub use shares::{Share, Shares};
-pub use turn::{Turn, whose_turn};

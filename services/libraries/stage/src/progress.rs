@@ -1,7 +1,7 @@
 //! Acknowledgements to the source, and the end of the stream.
 
 use crate::{Mode, StageContext, StageError};
-use flockslam_bus::{BellRinger, Publisher, Subscriber};
+use flockslam_bus::{Notifier, Publisher, Subscriber};
 use flockslam_messages::{Control, ControlKind, Progress, Stage};
 use flockslam_telemetry::monotonic_ns;
 
@@ -13,7 +13,7 @@ const PATIENCE_NS: u64 = 2_000_000_000;
 pub struct Acknowledger {
     publisher: Publisher<Progress>,
     /// Who waits for credit; nobody does live.
-    source: Option<BellRinger>,
+    source: Option<Notifier>,
     message: Progress,
     step: u64,
     sent: u64,
@@ -31,7 +31,7 @@ impl Acknowledger {
         Ok(Self {
             publisher: context.bus.publisher()?,
             source: match context.mode {
-                Mode::Exact => Some(context.bus.ringer(Stage::LidarIngest.name())?),
+                Mode::Exact => Some(context.bus.notifier(Stage::LidarIngest.name())?),
                 Mode::Live => None,
             },
             message: Progress { stage: context.stage as u32, replica: context.replica, done },
@@ -64,7 +64,7 @@ impl Acknowledger {
         // What it knows already is no reason to wake the source: an idle set shall sleep.
         if self.rung < self.sent {
             self.rung = self.sent;
-            self.source.iter().for_each(BellRinger::ring);
+            self.source.iter().for_each(Notifier::ring);
         }
         Ok(())
     }

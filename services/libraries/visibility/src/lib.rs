@@ -1,7 +1,7 @@
 //! What a scan says of the cells of a map: which of them it looks through, and which it finds standing, each in constant time.
 
-mod sight;
-mod view;
+mod pass_through;
+mod polar_range_image;
 
-pub use sight::{Directions, Sight};
-pub use view::{Finding, Margins, View};
+pub use pass_through::{Margins, PassThrough, Visibility};
+pub use polar_range_image::{Directions, PolarRangeImage};

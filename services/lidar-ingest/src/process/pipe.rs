@@ -3,7 +3,7 @@
 use crate::Settings;
 use crate::carmen::{CarmenReader, Tally};
 use crossbeam::channel::{Receiver, Sender, TryRecvError, bounded};
-use flockslam_bus::BellRinger;
+use flockslam_bus::Notifier;
 use flockslam_messages::{ScanBuffer, Stage};
 use flockslam_stage::{StageContext, StageError};
 use std::io::{self, BufReader, Read, stdin};
@@ -30,7 +30,7 @@ pub enum Piped {
 const AHEAD: usize = 16;
 
 impl Pipe {
-    /// Starts reading. The stage's bell rings with every scan, and the first bytes of a line announce one to the stage
+    /// Starts reading. The stage's event rings with every scan, and the first bytes of a line announce one to the stage
     /// itself and to `first`.
     pub fn start(
         context: &StageContext,
@@ -42,16 +42,16 @@ impl Pipe {
         let shared = Arc::clone(&tally);
         let join = context.joiner();
         let reader = thread::Builder::new().name("pipe".to_owned()).spawn(move || {
-            // The bus must outlive the bell: it holds the thread's place in the set.
+            // The bus must outlive the event: it holds the thread's place in the set.
             let bus = join();
-            let ringer = |stage: &Stage| bus.as_ref().and_then(|bus| bus.ringer(stage.name()).ok());
-            let bell = ringer(&Stage::LidarIngest);
-            let announced = [Stage::LidarIngest].iter().chain(first).filter_map(ringer).collect();
-            let input = Announced { input: stdin().lock(), bells: announced };
-            read(input, settings, &sender, &shared, bell.as_ref());
+            let notifier = |stage: &Stage| bus.as_ref().and_then(|bus| bus.notifier(stage.name()).ok());
+            let event = notifier(&Stage::LidarIngest);
+            let announced = [Stage::LidarIngest].iter().chain(first).filter_map(notifier).collect();
+            let input = Announced { input: stdin().lock(), notifiers: announced };
+            read(input, settings, &sender, &shared, event.as_ref());
             drop(sender);
-            if let Some(bell) = bell {
-                bell.ring();
+            if let Some(event) = event {
+                event.ring();
             }
         });
         reader.map_err(|e| StageError::Source(format!("standard input: {e}")))?;
@@ -77,13 +77,13 @@ impl Pipe {
 /// An input of which arriving bytes are announced: a scan will soon be read from them.
 struct Announced<R> {
     input: R,
-    bells: Vec<BellRinger>,
+    notifiers: Vec<Notifier>,
 }
 
 impl<R: Read> Read for Announced<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let count = self.input.read(buffer)?;
-        self.bells.iter().for_each(BellRinger::announce);
+        self.notifiers.iter().for_each(Notifier::announce);
         Ok(count)
     }
 }
@@ -96,7 +96,7 @@ fn read(
     settings: Settings,
     scans: &Sender<Result<ScanBuffer, String>>,
     tally: &Mutex<Tally>,
-    bell: Option<&BellRinger>,
+    event: Option<&Notifier>,
 ) {
     let mut reader =
         CarmenReader::new(BufReader::with_capacity(BUFFER_BYTES, input), "standard input", settings);
@@ -115,8 +115,8 @@ fn read(
         if sent.is_err() {
             return;
         }
-        if let Some(bell) = bell {
-            bell.ring();
+        if let Some(event) = event {
+            event.ring();
         }
     }
 }

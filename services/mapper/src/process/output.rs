@@ -1,7 +1,7 @@
 //! What the mapper tells others: tiles, commits and closed submaps.
 
 use crate::Mapper;
-use flockslam_bus::{BellRinger, Publisher, TilePublisher};
+use flockslam_bus::{Notifier, Publisher, TilePublisher};
 use flockslam_evidence::TileKey;
 use flockslam_messages::{Commit, Stage, SubmapClosed};
 use flockslam_stage::{StageContext, StageError};
@@ -11,8 +11,8 @@ pub(super) struct Output {
     tiles: TilePublisher,
     commits: Publisher<Commit>,
     submaps: Publisher<SubmapClosed>,
-    matcher: BellRinger,
-    sync_manager: BellRinger,
+    matcher: Notifier,
+    sync_manager: Notifier,
     /// Tiles that could not be sent for want of memory: they go out with the next commit.
     pub unsent: Vec<TileKey>,
     cell_size_m: f64,
@@ -25,8 +25,8 @@ impl Output {
             tiles: TilePublisher::open(bus)?,
             commits: bus.publisher()?,
             submaps: bus.publisher()?,
-            matcher: bus.ringer(Stage::ScanMatcher.name())?,
-            sync_manager: bus.ringer(Stage::SyncManager.name())?,
+            matcher: bus.notifier(Stage::ScanMatcher.name())?,
+            sync_manager: bus.notifier(Stage::SyncManager.name())?,
             unsent: Vec::new(),
             cell_size_m,
         })

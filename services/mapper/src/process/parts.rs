@@ -1,7 +1,7 @@
 //! The map told of by several processes, each with its share of the tiles.
 
 use crate::TileShare;
-use flockslam_bus::{BellRinger, Publisher, Subscriber};
+use flockslam_bus::{Notifier, Publisher, Subscriber};
 use flockslam_messages::{PartInserted, PoseEstimate, Stage};
 use flockslam_stage::{StageContext, StageError};
 
@@ -12,7 +12,7 @@ pub(super) struct Parts {
     parts: u32,
     told: Publisher<PartInserted>,
     others: Subscriber<PartInserted>,
-    first: BellRinger,
+    first: Notifier,
     /// By share: scans with a sequence below this are in it, and tiles that were sent for the last of them.
     inserted: Vec<(u64, u32)>,
     /// Shares all of whose tiles were sent once more since the last look.
@@ -27,7 +27,7 @@ impl Parts {
             parts,
             told: bus.publisher()?,
             others: bus.subscriber()?,
-            first: bus.ringer(Stage::Mapper.name())?,
+            first: bus.notifier(Stage::Mapper.name())?,
             inserted: vec![(0, 0); parts as usize],
             republished: 0,
         })

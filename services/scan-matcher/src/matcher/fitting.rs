@@ -10,8 +10,8 @@ use flockslam_geometry::{Covariance, Point, Pose, Twist};
 use flockslam_messages::ScanView;
 use flockslam_published_methods::{beam_weight, hill_climbing, monte_carlo};
 use flockslam_registration::{
-    Correlative, CorrelativeSearch, Expected, Fit, GaussNewton, Moving, Ndt, ScoreField, ScoreRead, Sweep,
-    TwistSigma, Window, least_held, roughened, widened,
+    Correlative, CorrelativeSearch, Expected, Fit, GaussNewton, MotionState, Ndt, ScoreField, ScoreRead,
+    Sweep, TwistSigma, Window, degenerate_direction, inflated_along, inflated_everywhere,
 };
 use nalgebra::Vector2;
 
@@ -146,8 +146,8 @@ impl<F: ScoreField> Fitter<'_, F> {
     /// Fits pose and velocity of a scan that takes time together, starting at a fit of its pose alone.
     fn straightened(&self, fitted: Fitted) -> Fitted {
         let Prediction { pose, twist, .. } = fitted.prediction;
-        let predicted = Moving { pose, twist };
-        let mut now = Moving { pose: fitted.fit.pose, twist };
+        let predicted = MotionState { pose, twist };
+        let mut now = MotionState { pose: fitted.fit.pose, twist };
         let mut points = fitted.points;
         for _ in 0..SWEEP_STEPS {
             let next = sweep(&points).step(self.field, now, predicted, TWIST_SIGMA);
@@ -166,8 +166,8 @@ impl<F: ScoreField> Fitter<'_, F> {
     /// What a fit is worth: less where the scan tells little, and there the prediction has its say.
     fn weighed(&self, fitted: Fitted) -> Fitted {
         let cell_m = self.field.reader(Level::Full).cell_size_m();
-        let rough = roughened(fitted.covariance, CELL_ERROR * cell_m);
-        let covariance = loosened(rough, &fitted.points.ends, fitted.fit.pose);
+        let rough = inflated_everywhere(fitted.covariance, CELL_ERROR * cell_m);
+        let covariance = inflated(rough, &fitted.points.ends, fitted.fit.pose);
         let fused =
             (!fitted.is_rescued).then(|| fitted.prediction.fused(fitted.fit.pose, covariance)).flatten();
         let Some((pose, covariance)) = fused else { return Fitted { covariance, ..fitted } };
@@ -260,8 +260,8 @@ fn window(center: Pose, (reach_m, reach_rad): (f64, f64)) -> Window {
 
 /// A fit's covariance, widened along the direction that the scan's surfaces leave open: single cells along a bare wall
 /// have slopes, which hold nothing.
-fn loosened(covariance: Covariance, points: &[Point], pose: Pose) -> Covariance {
-    let Some((held, axis)) = least_held(points) else { return covariance };
+fn inflated(covariance: Covariance, points: &[Point], pose: Pose) -> Covariance {
+    let Some((held, axis)) = degenerate_direction(points) else { return covariance };
     let (sin, cos) = pose.heading_rad.sin_cos();
     let axis = Vector2::new(cos * axis.x - sin * axis.y, sin * axis.x + cos * axis.y);
     let along = |axis: Vector2<f64>| {
@@ -271,5 +271,5 @@ fn loosened(covariance: Covariance, points: &[Point], pose: Pose) -> Covariance 
     let across = along(Vector2::new(-axis.y, axis.x));
     let seen = (held - DEGENERATE_BELOW).max(HELD_MIN);
     let missing = across * (1.0 - held) / seen - along(axis);
-    if missing > 0.0 { widened(covariance, axis, missing.sqrt()) } else { covariance }
+    if missing > 0.0 { inflated_along(covariance, axis, missing.sqrt()) } else { covariance }
 }

@@ -5,17 +5,17 @@ use super::metrics::PoseMetrics;
 use crate::{ScanMatcher, Settings};
 use flockslam_bus::{Publisher, ScanSubscriber};
 use flockslam_messages::{PoseEstimate, Stage};
-use flockslam_stage::{Acknowledger, Actor, JournalWriter, StageContext, StageError, Turn, run};
+use flockslam_stage::{Acknowledger, Actor, JournalWriter, LeaderLock, StageContext, StageError, run};
 
 /// Runs in the place of the stage until it is asked to stop. Nothing is matched and nothing enters the map; each pose is `degraded`.
 ///
 /// # Errors
 /// When the bus fails.
 pub fn run_stand_in(context: &mut StageContext, settings: Settings) -> Result<(), StageError> {
-    let bell = context.bus.listener(Stage::ScanMatcher.name())?;
+    let event = context.bus.listener(Stage::ScanMatcher.name())?;
     // Another process of the stage may work well.
-    let turn = Turn::ask(context)?;
-    if !turn.stand_by(context, &bell, |_| Ok(0))? {
+    let turn = LeaderLock::ask(context)?;
+    if !turn.stand_by(context, &event, |_| Ok(0))? {
         return Ok(());
     }
     let mut logic = ScanMatcher::new(settings);
@@ -31,7 +31,7 @@ pub fn run_stand_in(context: &mut StageContext, settings: Settings) -> Result<()
         acknowledger: Acknowledger::open(context, next)?,
         metrics: PoseMetrics::new(&context.metrics),
     };
-    run(context, &mut actor, &bell)
+    run(context, &mut actor, &event)
 }
 
 struct StandIn {

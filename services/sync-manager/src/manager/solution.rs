@@ -4,7 +4,7 @@ use super::SyncManager;
 use crate::pose_record::PoseRecord;
 use crate::solution::{PlacedScan, Solution};
 use flockslam_geometry::Pose;
-use flockslam_loop_closure::strands::Strands;
+use flockslam_loop_closure::connectivity::TrajectoryConnectivity;
 use flockslam_map_fusion::PlacedSubmap;
 use flockslam_registration::cloud::Placement;
 use std::collections::BTreeMap;
@@ -12,8 +12,8 @@ use std::collections::BTreeMap;
 impl SyncManager {
     /// The solution with these poses for all records, turned so that the first of the map is where the front end put it.
     pub(super) fn solution(&self, poses: &[Placement]) -> Solution {
-        let strands = self.strands(self.chain.nodes().len());
-        let begin = self.records.iter().position(|r| strands.is_attached(r.strand)).unwrap_or(0);
+        let connectivity = self.connectivity(self.chain.nodes().len());
+        let begin = self.records.iter().position(|r| connectivity.is_attached(r.trajectory)).unwrap_or(0);
         let gauge = match (self.records.get(begin), poses.get(begin)) {
             (Some(record), Some(pose)) => record.odom.compose(pose.inverse()),
             _ => Placement::IDENTITY,
@@ -25,23 +25,28 @@ impl SyncManager {
             map_from_base: pose.pose(),
         };
         let mut submaps: BTreeMap<u32, Pose> =
-            self.settled_layout().map(|(number, at)| (number, gauge.compose(at).pose())).collect();
-        submaps.extend(self.place_submaps(&poses, &strands));
+            self.frozen_layout().map(|(number, at)| (number, gauge.compose(at).pose())).collect();
+        submaps.extend(self.place_submaps(&poses, &connectivity));
         let anchors = self.chain.nodes().iter().zip(&self.poses);
         Solution {
             trajectory: self.records.iter().zip(&poses).map(place).collect(),
             anchors: anchors.map(|(node, at)| (node.sequence, gauge.compose(*at).pose())).collect(),
             submaps: placed(submaps),
-            closures: self.counts(&strands),
+            closures: self.counts(&connectivity),
         }
     }
 
     /// Each submap of the mapper that is part of the map goes where the median of its scans' corrections takes the one in
     /// its middle.
-    pub(super) fn place_submaps(&self, poses: &[Placement], strands: &Strands) -> Vec<(u32, Pose)> {
+    pub(super) fn place_submaps(
+        &self,
+        poses: &[Placement],
+        connectivity: &TrajectoryConnectivity,
+    ) -> Vec<(u32, Pose)> {
         let mut submaps = Vec::new();
-        let certain =
-            |(record, _): &(&PoseRecord, &Placement)| !record.lost && strands.is_attached(record.strand);
+        let certain = |(record, _): &(&PoseRecord, &Placement)| {
+            !record.lost && connectivity.is_attached(record.trajectory)
+        };
         let scans: Vec<(&PoseRecord, &Placement)> = self.records.iter().zip(poses).filter(certain).collect();
         for group in scans.chunk_by(|a, b| a.0.submap == b.0.submap) {
             let middle = group[group.len() / 2].0;

@@ -14,7 +14,7 @@ const STRETCH_NODES: usize = 48;
 /// What waits to be told.
 #[derive(Debug, Default)]
 pub(super) struct Telling {
-    /// Sequence and strand of the last node told.
+    /// Sequence and trajectory of the last node told.
     last: Option<(u64, u32)>,
     news: News,
 }
@@ -55,8 +55,9 @@ impl SyncManager {
             let node = &nodes[i];
             let before = i.checked_sub(1).map(|before| &nodes[before]);
             let edge = i.checked_sub(1).map(|before| &edges[before]);
-            let doubt_m = before
-                .map_or(0.0, |before| node.doubt_m - before.doubt_m - node.chain.distance_m(&before.chain));
+            let drift_bound_m = before.map_or(0.0, |before| {
+                node.drift_bound_m - before.drift_bound_m - node.chain.distance_m(&before.chain)
+            });
             RecordedNode {
                 sequence: node.sequence,
                 submap: submap_of(i),
@@ -64,7 +65,7 @@ impl SyncManager {
                 motion: edge.map_or(Placement::IDENTITY, |edge| edge.motion).pose(),
                 information: edge
                     .map_or([1.0, 0.0, 0.0, 1.0, 0.0, 1.0], |edge| edge.information.map(|v| v as f32)),
-                doubt_m: doubt_m.max(0.0) as f32,
+                drift_bound_m: drift_bound_m.max(0.0) as f32,
                 points: self
                     .scans
                     .points(node.scan)
@@ -75,19 +76,20 @@ impl SyncManager {
         };
         let mut start = first;
         while start < known {
-            let strand = nodes[start].strand;
+            let trajectory = nodes[start].trajectory;
             let end = (start..known.min(start + STRETCH_NODES))
-                .find(|i| nodes[*i].strand != strand)
+                .find(|i| nodes[*i].trajectory != trajectory)
                 .unwrap_or(known.min(start + STRETCH_NODES));
             let seen = (start..end).flat_map(|i| self.scans.points(nodes[i].scan));
-            let previous = telling.last.filter(|(_, chain)| *chain == strand).map(|(sequence, _)| sequence);
+            let previous =
+                telling.last.filter(|(_, chain)| *chain == trajectory).map(|(sequence, _)| sequence);
             telling.news.stretches.push(Stretch {
-                chain: strand,
+                chain: trajectory,
                 previous,
                 descriptor: Descriptor::of(seen.map(|p| (p.x_m(), p.y_m()))),
                 nodes: (start..end).map(recorded).collect(),
             });
-            telling.last = Some((nodes[end - 1].sequence, strand));
+            telling.last = Some((nodes[end - 1].sequence, trajectory));
             start = end;
         }
     }

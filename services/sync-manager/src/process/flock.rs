@@ -1,7 +1,7 @@
 //! The robot's side of the flock: what it says is kept, and, when it is asked to, others hear of it over the network.
 
 use crate::{Solution, SyncManager};
-use flockslam_flock_network::{FlockMetrics, FlockSettings, FlockThread, Task, Teller};
+use flockslam_flock_network::{FlockMetrics, FlockSettings, FlockThread, RecordPublisher, Task};
 use flockslam_geometry::Pose;
 use flockslam_messages::{FlockFrame, FlockRobots, PoseEstimate};
 use flockslam_results::SubmapStore;
@@ -17,7 +17,7 @@ pub enum Voice {
     /// It is alone, or stands by.
     Silent,
     /// It keeps what it would say.
-    Recording(Box<Teller>),
+    Recording(Box<RecordPublisher>),
     /// It talks.
     Talking(FlockThread),
 }
@@ -33,12 +33,12 @@ impl Voice {
         status_dir: &Path,
         metrics: FlockMetrics,
     ) -> Result<Self, StageError> {
-        Ok(match Teller::open(settings, directory)? {
+        Ok(match RecordPublisher::open(settings, directory)? {
             None => Self::Silent,
-            Some(teller) if settings.enabled => {
-                Self::Talking(FlockThread::start(settings, teller, status_dir, metrics)?)
+            Some(publisher) if settings.enabled => {
+                Self::Talking(FlockThread::start(settings, publisher, status_dir, metrics)?)
             }
-            Some(teller) => Self::Recording(Box::new(teller)),
+            Some(publisher) => Self::Recording(Box::new(publisher)),
         })
     }
 
@@ -54,12 +54,12 @@ impl Voice {
     ) -> Result<(), StageError> {
         match self {
             Self::Silent => Ok(()),
-            Self::Recording(teller) => {
-                teller.tell(logic.take_news())?;
-                if teller.told_submaps().contains(&number) {
+            Self::Recording(publisher) => {
+                publisher.tell(logic.take_news())?;
+                if publisher.told_submaps().contains(&number) {
                     return Ok(());
                 }
-                teller.tell_submap(&store.load(number)?)
+                publisher.tell_submap(&store.load(number)?)
             }
             Self::Talking(thread) => {
                 thread.give(Task::News(logic.take_news()));
@@ -109,9 +109,9 @@ impl Voice {
     ) -> Result<(), StageError> {
         match self {
             Self::Silent => return Ok(()),
-            Self::Recording(teller) => {
-                teller.tell(logic.take_news())?;
-                (0..store.count()).try_for_each(|number| teller.tell_clearances(&store.load(number)?))?;
+            Self::Recording(publisher) => {
+                publisher.tell(logic.take_news())?;
+                (0..store.count()).try_for_each(|number| publisher.tell_clearances(&store.load(number)?))?;
             }
             Self::Talking(thread) => {
                 thread.give(Task::News(logic.take_news()));

@@ -1,6 +1,6 @@
-//! The files of poses: online poses as they come, settled scans, and at the end the final trajectory of all scans.
+//! The files of poses: online poses as they come, frozen scans, and at the end the final trajectory of all scans.
 
-use crate::{SettledScan, Solution};
+use crate::{FrozenScan, Solution};
 use flockslam_geometry::Pose;
 use flockslam_messages::{PoseEstimate, ScanId};
 use flockslam_results::flock_files::NamedPose;
@@ -15,13 +15,13 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 pub struct Trajectories {
     directory: PathBuf,
     online: RowFile<StampedPose>,
-    settled: RowFile<SettledRow>,
+    frozen: RowFile<FrozenRow>,
 }
 
-/// A settled scan as it is stored.
+/// A frozen scan as it is stored.
 #[repr(C)]
 #[derive(Clone, Copy, FromBytes, IntoBytes, Immutable, KnownLayout)]
-struct SettledRow {
+struct FrozenRow {
     sequence: u64,
     stamp_ns: i64,
     anchor: u64,
@@ -37,7 +37,7 @@ impl Trajectories {
         Ok(Self {
             directory: directory.to_owned(),
             online: RowFile::create(directory.join("online.rows"))?,
-            settled: RowFile::create(directory.join("settled.rows"))?,
+            frozen: RowFile::create(directory.join("frozen.rows"))?,
         })
     }
 
@@ -48,7 +48,7 @@ impl Trajectories {
     pub fn move_to(&mut self, directory: &Path) -> Result<(), StageError> {
         self.directory = directory.to_owned();
         self.online.move_to(directory)?;
-        self.settled.move_to(directory)
+        self.frozen.move_to(directory)
     }
 
     /// Adds a pose as it was published.
@@ -59,14 +59,14 @@ impl Trajectories {
         self.online.push(&StampedPose { stamp_ns: pose.times.sensor_ns, pose: pose.map_from_base() })
     }
 
-    /// Keeps scans that have settled, in the order of their sequences.
+    /// Keeps scans that are frozen, in the order of their sequences.
     ///
     /// # Errors
     /// When the disk refuses.
-    pub fn settled(&mut self, scans: &[SettledScan]) -> Result<(), StageError> {
+    pub fn frozen(&mut self, scans: &[FrozenScan]) -> Result<(), StageError> {
         scans.iter().try_for_each(|scan| {
-            let SettledScan { id, stamp_ns, anchor, anchor_from_base } = *scan;
-            self.settled.push(&SettledRow { sequence: id.sequence, stamp_ns, anchor, anchor_from_base })
+            let FrozenScan { id, stamp_ns, anchor, anchor_from_base } = *scan;
+            self.frozen.push(&FrozenRow { sequence: id.sequence, stamp_ns, anchor, anchor_from_base })
         })
     }
 
@@ -83,11 +83,11 @@ impl Trajectories {
         };
         let mut live = solution.trajectory.iter().peekable();
         let mut rows = Vec::new();
-        for settled in self.settled.read()? {
-            while let Some(placed) = live.next_if(|placed| placed.id.sequence < settled.sequence) {
+        for frozen in self.frozen.read()? {
+            while let Some(placed) = live.next_if(|placed| placed.id.sequence < frozen.sequence) {
                 rows.push(row(placed));
             }
-            rows.push(row(&solution.settled(&settled.scan())));
+            rows.push(row(&solution.frozen(&frozen.scan())));
         }
         rows.extend(live.map(row));
         let stamped = |row: &NamedPose| StampedPose { stamp_ns: row.stamp_ns, pose: row.pose };
@@ -97,11 +97,11 @@ impl Trajectories {
     }
 }
 
-impl SettledRow {
-    fn scan(&self) -> SettledScan {
+impl FrozenRow {
+    fn scan(&self) -> FrozenScan {
         let id = ScanId { sequence: self.sequence, ..ScanId::default() };
         let Self { stamp_ns, anchor, anchor_from_base, .. } = *self;
-        SettledScan { id, stamp_ns, anchor, anchor_from_base }
+        FrozenScan { id, stamp_ns, anchor, anchor_from_base }
     }
 }
 
@@ -150,7 +150,7 @@ mod tests {
     use crate::PlacedScan;
 
     #[test]
-    fn settled_scans_take_their_places_among_the_others() {
+    fn frozen_scans_take_their_places_among_the_others() {
         let directory = tempfile::tempdir().unwrap();
         let mut trajectories = Trajectories::create(directory.path()).unwrap();
         let id = |sequence| ScanId { sequence, ..ScanId::default() };
@@ -159,13 +159,13 @@ mod tests {
             pose.times.sensor_ns = sequence as i64;
             trajectories.published(&pose).unwrap();
         }
-        let settle = |sequence: u64| SettledScan {
+        let freeze = |sequence: u64| FrozenScan {
             id: id(sequence),
             stamp_ns: sequence as i64,
             anchor: 0,
             anchor_from_base: Pose::new(sequence as f64, 0.0, 0.0),
         };
-        trajectories.settled(&[settle(1), settle(3)]).unwrap();
+        trajectories.frozen(&[freeze(1), freeze(3)]).unwrap();
         let place = |sequence: u64| PlacedScan {
             id: id(sequence),
             stamp_ns: sequence as i64,

@@ -92,7 +92,7 @@ fn a_robot_that_was_carried_away_is_found_by_its_own_past() {
         truth.iter().enumerate().map(|(i, at)| if i < carried { *at } else { elsewhere * *at }).collect();
     let chain = |i: usize| u32::from(i >= carried);
     let (headers, solution) = replay_chains(&building, &truth, &odom, chain, Settings::default());
-    assert_eq!((solution.closures.strands, solution.closures.detached_scans), (2, 0));
+    assert_eq!((solution.closures.trajectories, solution.closures.detached_scans), (2, 0));
     let worst = worst_error_m(&solution, &truth);
     assert!(worst < 0.05, "{worst} {:?}", solution.closures);
     let last = headers[headers.len() - 1];
@@ -126,20 +126,20 @@ fn a_place_never_seen_before_stays_apart() {
     all.extend(far.iter().map(|at| Pose::new(at.x_m + 500.0, at.y_m, at.heading_rad)));
     let begun = truth.len();
     let (_, solution) = replay_chains(&both, &all, &odom, |i| u32::from(i >= begun), Settings::default());
-    assert_eq!((solution.closures.strands, solution.trajectory.len()), (2, all.len()));
+    assert_eq!((solution.closures.trajectories, solution.trajectory.len()), (2, all.len()));
     assert_eq!(solution.closures.detached_scans, far.len() as u64, "{:?}", solution.closures);
     let highest = solution.submaps.iter().map(|placed| placed.number).max();
     assert!(highest.is_some_and(|number| number as usize <= begun / 60), "its submaps are not in the map");
 }
 
 #[test]
-fn what_is_known_well_settles_and_memory_stays_where_it_is() {
+fn what_is_known_well_freezes_and_memory_stays_where_it_is() {
     let (building, truth) = (Building::ring(), laps(12));
     let odom = drifting(&truth, 0.002, 1.005);
     let settings = Settings { visits_kept: 2, ..Settings::default() };
     let mut manager = SyncManager::new(settings);
     let mut noise = Noise(7);
-    let (mut settled, mut held) = (Vec::new(), Vec::new());
+    let (mut frozen, mut held) = (Vec::new(), Vec::new());
     for (i, (at, odom)) in truth.iter().zip(&odom).enumerate() {
         let pose = inserted(i, *odom);
         manager.pose(&pose);
@@ -147,15 +147,15 @@ fn what_is_known_well_settles_and_memory_stays_where_it_is() {
         if i % 60 == 59 {
             let (last, number) = (pose.id, i as u32 / 60);
             manager.submap_closed(&SubmapClosed { last, number, ..SubmapClosed::default() });
-            settled.extend(manager.take_settled());
+            frozen.extend(manager.take_frozen());
             held.push(manager.held());
         }
     }
     let solution = manager.finish();
-    assert!(settled.len() > truth.len() / 3, "{} of {}", settled.len(), truth.len());
+    assert!(frozen.len() > truth.len() / 3, "{} of {}", frozen.len(), truth.len());
     let (late, end) = (held[3 * held.len() / 4], held[held.len() - 1]);
     assert!(10 * end.0 < 11 * late.0 && 10 * end.1 < 11 * late.1 && 2 * end.2 < 3 * late.2, "{held:?}");
-    let mut placed: Vec<_> = settled.iter().map(|scan| solution.settled(scan)).collect();
+    let mut placed: Vec<_> = frozen.iter().map(|scan| solution.frozen(scan)).collect();
     placed.extend(&solution.trajectory);
     placed.sort_by_key(|placed| placed.id.sequence);
     assert!(placed.iter().enumerate().all(|(i, placed)| placed.id.sequence == i as u64), "each scan once");

@@ -23,7 +23,7 @@ impl Talk {
     }
 
     fn status(&self) -> FlockStatus {
-        let (flock, known) = (self.teller.flock(), self.known());
+        let (flock, known) = (self.publisher.flock(), self.known());
         let frame = *locked(&self.shared.frame);
         let records = flock.collection().records().count() as u64;
         let traffic = self.traffic.by_peer();
@@ -31,7 +31,7 @@ impl Talk {
             flock: self.settings.flock.clone(),
             robot: flock.robot().name().to_owned(),
             public_key: hexadecimal(flock.robot().public_key()),
-            epoch: self.teller.epoch(),
+            epoch: self.publisher.epoch(),
             problem: self.problem.clone(),
             peers: self.connected.iter().cloned().collect(),
             near: self.near.keys().cloned().collect(),

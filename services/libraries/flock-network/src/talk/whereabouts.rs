@@ -43,7 +43,7 @@ impl Talk {
         }
         self.was_here = Some((now, pose.id.sequence));
         let PoseEstimate { id, submap, odom_from_base, .. } = pose;
-        let here = self.teller.flock().here(id.sequence, submap, odom_from_base);
+        let here = self.publisher.flock().here(id.sequence, submap, odom_from_base);
         for (peer, neighbour) in &mut self.near {
             if neighbour.budget.left(now) > 0 {
                 neighbour.budget.spend(link.say_to(peer, &here));

@@ -9,7 +9,7 @@ mod walker;
 
 pub use body::MoverTruth;
 
-use super::drive::Turn;
+use super::drive::LeaderLock;
 use super::room::Room;
 use super::{BeamLabel, Settings, World};
 use body::Body;
@@ -55,7 +55,7 @@ impl Dynamics {
     }
 
     /// Goes on by one turn of the lidar, during which the robot drives `turn`.
-    pub(super) fn advance(&mut self, world: &World, turn: &Turn) {
+    pub(super) fn advance(&mut self, world: &World, turn: &LeaderLock) {
         let robot = turn.start().position();
         self.bodies.clear();
         for walker in &mut self.walkers {
@@ -79,7 +79,7 @@ impl Dynamics {
         let moving = self.bodies.iter().filter_map(|body| body.cast(from, direction, share));
         let doors = self.doors.iter().filter_map(|door| door.cast(from, direction));
         let pallets = self.pallets.iter().filter_map(|pallet| pallet.cast(from, direction));
-        let moving = moving.map(|distance_m| (distance_m, BeamLabel::Moving));
+        let moving = moving.map(|distance_m| (distance_m, BeamLabel::MotionState));
         let changed = doors.chain(pallets).map(|distance_m| (distance_m, BeamLabel::Changed));
         moving.chain(changed).min_by(|a, b| a.0.total_cmp(&b.0))
     }

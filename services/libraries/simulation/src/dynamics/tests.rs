@@ -55,7 +55,7 @@ fn beams_on_the_world_and_on_people_are_labelled_so_and_those_without_return_too
             let end = laser.apply(Point::new(range_m * cos, range_m * sin));
             let off_m = match label {
                 BeamLabel::Static => plan.distance_m(end),
-                BeamLabel::Moving => off_bodies_m(&pair[0].movers, seconds, end),
+                BeamLabel::MotionState => off_bodies_m(&pair[0].movers, seconds, end),
                 // Where doors and pallets are is not told.
                 BeamLabel::Changed => 0.0,
                 BeamLabel::NoReturn => f64::INFINITY,
@@ -132,7 +132,7 @@ fn whoever_walks_hides_the_world_and_changes_nothing_else() {
             let (free, seen) = (alone.scan.numbers[beam], lively.scan.numbers[beam]);
             match label {
                 BeamLabel::Static => assert_eq!(free, seen),
-                BeamLabel::Moving | BeamLabel::Changed => assert!(seen < free),
+                BeamLabel::MotionState | BeamLabel::Changed => assert!(seen < free),
                 BeamLabel::NoReturn => assert!(!seen.is_finite()),
             }
         }

@@ -12,7 +12,7 @@ const AHEAD_MAX: usize = 40;
 /// The direction in which a scan (points in order of their beams, metres) has least to hold on to: a unit vector in the
 /// frame of the points, and the mean of (n·direction)² over the normals n of its surfaces – 0 in a bare corridor, ½ where
 /// surfaces face all ways alike. The grid's own slopes do not show this: single cells along a bare wall have slopes too.
-pub fn least_held(points: &[Point]) -> Option<(f64, Vector2<f64>)> {
+pub fn degenerate_direction(points: &[Point]) -> Option<(f64, Vector2<f64>)> {
     let (mut xx, mut xy, mut yy, mut count) = (0.0, 0.0, 0.0, 0u32);
     for (i, from) in points.iter().enumerate() {
         let ahead = points[i + 1..].iter().take(AHEAD_MAX);

@@ -1,4 +1,4 @@
-//! Bells: what a stage sleeps on until one of its inputs has something for it.
+//! Events: what a stage sleeps on until one of its inputs has something for it.
 
 use crate::BusError;
 use std::time::Duration;
@@ -14,18 +14,18 @@ pub enum Wake {
     Announced,
 }
 
-/// Waits for a bell, whatever carries it.
+/// Waits for an event, whatever carries it.
 pub(crate) trait Hear {
     fn wait(&self, limit: Duration) -> Result<Wake, BusError>;
 }
 
-/// Rings a bell, whatever carries it.
+/// Rings an event, whatever carries it.
 pub(crate) trait Ring {
     fn ring(&self);
     fn announce(&self);
 }
 
-/// A stage's own bell: everything it could wait for rings it. Rings coalesce, so a woken stage drains all its inputs.
+/// A stage's own event: everything it could wait for rings it. Rings coalesce, so a woken stage drains all its inputs.
 pub struct Listener(Box<dyn Hear>);
 
 impl Listener {
@@ -36,21 +36,21 @@ impl Listener {
     /// Waits until somebody rings or `limit` has passed.
     ///
     /// # Errors
-    /// When the bell itself is broken.
+    /// When the event itself is broken.
     pub fn wait(&self, limit: Duration) -> Result<Wake, BusError> {
         self.0.wait(limit)
     }
 }
 
-/// Rings the bell of one stage (all of its replicas).
-pub struct BellRinger(Box<dyn Ring>);
+/// Rings the event of one stage (all of its replicas).
+pub struct Notifier(Box<dyn Ring>);
 
-impl BellRinger {
+impl Notifier {
     pub(crate) fn new(port: Box<dyn Ring>) -> Self {
         Self(port)
     }
 
-    /// Rings. A listener that is gone, or whose bell is still ringing, is no error.
+    /// Rings. A listener that is gone, or whose event is still ringing, is no error.
     pub fn ring(&self) {
         self.0.ring();
     }

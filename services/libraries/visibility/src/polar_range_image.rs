@@ -17,7 +17,7 @@ const NONE: f32 = f32::NAN;
 /// Each beam covers the directions up to half way to its neighbours. Where beams overlap the nearest counts; a beam
 /// without return, and a direction without beam, sees nothing (range 0).
 #[derive(Clone, Debug)]
-pub struct Sight {
+pub struct PolarRangeImage {
     range_m: Box<[f32; SECTORS]>,
     /// Direction of a beam in the sector, radians from the sector's lower edge; NaN when there is none.
     beam_rad: Box<[f32; SECTORS]>,
@@ -25,7 +25,7 @@ pub struct Sight {
     spacing_rad: f64,
 }
 
-impl Default for Sight {
+impl Default for PolarRangeImage {
     fn default() -> Self {
         Self::new()
     }
@@ -63,7 +63,7 @@ struct Span {
     high: i64,
 }
 
-impl Sight {
+impl PolarRangeImage {
     /// Sees nothing.
     pub fn new() -> Self {
         Self { range_m: Box::new([0.0; SECTORS]), beam_rad: Box::new([NONE; SECTORS]), spacing_rad: 0.0 }
@@ -173,15 +173,15 @@ mod tests {
     use flockslam_messages::{ScanBuffer, ScanSections};
     use proptest::prelude::*;
 
-    fn look(sight: &mut Sight, scan: &ScanBuffer) {
+    fn look(sight: &mut PolarRangeImage, scan: &ScanBuffer) {
         let view = scan.view().unwrap();
         sight.look(view, &Deskew::new(view, flockslam_geometry::Twist::default()));
     }
 
     const DEGREE: f64 = TAU / 360.0;
 
-    fn sight(ranges: &[f32], angle_min_rad: f64, step_rad: f64) -> Sight {
-        let mut sight = Sight::new();
+    fn sight(ranges: &[f32], angle_min_rad: f64, step_rad: f64) -> PolarRangeImage {
+        let mut sight = PolarRangeImage::new();
         look(&mut sight, &ScanBuffer::from_ranges(ranges, angle_min_rad, step_rad));
         sight
     }
@@ -236,7 +236,7 @@ mod tests {
             scan.header.sections = ScanSections::ANGLES;
             scan.numbers = list.iter().map(|d| *d as f32 * 0.1 + 1.0).collect();
             scan.numbers.extend(list.iter().map(|d| (*d * DEGREE) as f32));
-            let mut sight = Sight::new();
+            let mut sight = PolarRangeImage::new();
             look(&mut sight, &scan);
             sight.range_m
         };
@@ -254,7 +254,7 @@ mod tests {
             (scan.header.base_from_laser.x_m, scan.header.base_from_laser.heading_rad) = (0.2, 0.4);
             let view = scan.view().unwrap();
             let deskew = Deskew::new(view, Twist { x_m_s: 0.8, turn_rad_s: turn, ..Twist::default() });
-            let (mut all, mut some) = (Sight::new(), Sight::new());
+            let (mut all, mut some) = (PolarRangeImage::new(), PolarRangeImage::new());
             all.look(view, &deskew);
             some.look_toward(view, &deskew, Directions { middle_rad, half_rad });
             let direction = middle_rad + within * half_rad;

@@ -1,8 +1,8 @@
 //! Judges single cells of a map by a scan: seen through, supported, or open. Takes what the lidar sees, its pose and margins
 //! for errors.
 
-use crate::Sight;
-use crate::sight::SPACING_MAX_RAD;
+use crate::PolarRangeImage;
+use crate::polar_range_image::SPACING_MAX_RAD;
 use flockslam_geometry::{Point, Pose};
 use std::f64::consts::SQRT_2;
 
@@ -14,7 +14,7 @@ const PASSED_CELLS: f64 = 2.5;
 
 /// What a scan says of an occupied cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Finding {
+pub enum Visibility {
     /// A beam through it and every beam near it end far behind it.
     SeenThrough,
     /// A beam through it ends far behind it, but one near it does not: at a grazing angle that is how the cells in front of a wall
@@ -55,44 +55,44 @@ impl Margins {
 /// ```
 /// use flockslam_geometry::{Point, Pose, Twist};
 /// use flockslam_messages::{Deskew, ScanBuffer};
-/// use flockslam_visibility::{Finding, Margins, Sight, View};
+/// use flockslam_visibility::{Visibility, Margins, PolarRangeImage, PassThrough};
 ///
 /// // A wall 5 m away all around, and something 2 m ahead on some of the beams.
 /// let mut ranges = vec![5.0; 360];
 /// ranges[..=15].fill(2.0);
 /// let scan = ScanBuffer::from_ranges(&ranges, 0.0, 1f64.to_radians());
-/// let mut sight = Sight::new();
+/// let mut sight = PolarRangeImage::new();
 /// sight.look(scan.view()?, &Deskew::new(scan.view()?, Twist::default()));
 ///
 /// let margins = Margins { behind_m: 0.15, behind_share: 0.015, beside_m: 0.1, beside_rad: 0.003 };
-/// let view = View::new(&sight, Pose::IDENTITY, 0.045, margins);
+/// let view = PassThrough::new(&sight, Pose::IDENTITY, 0.045, margins);
 /// let (sin, cos) = 8f64.to_radians().sin_cos();
-/// assert_eq!(view.judge(Point::new(2.0 * cos, 2.0 * sin)), Finding::Supported);
-/// assert_eq!(view.judge(Point::new(3.5 * cos, 3.5 * sin)), Finding::Open, "hidden");
-/// assert_eq!(view.judge(Point::new(-2.0 * cos, -2.0 * sin)), Finding::SeenThrough);
+/// assert_eq!(view.judge(Point::new(2.0 * cos, 2.0 * sin)), Visibility::Supported);
+/// assert_eq!(view.judge(Point::new(3.5 * cos, 3.5 * sin)), Visibility::Open, "hidden");
+/// assert_eq!(view.judge(Point::new(-2.0 * cos, -2.0 * sin)), Visibility::SeenThrough);
 /// # Ok::<(), flockslam_messages::ScanProblem>(())
 /// ```
 #[derive(Clone, Copy, Debug)]
-pub struct View<'a> {
-    sight: &'a Sight,
+pub struct PassThrough<'a> {
+    sight: &'a PolarRangeImage,
     from_laser: Pose,
     cell_size_m: f64,
     margins: Margins,
 }
 
-impl<'a> View<'a> {
+impl<'a> PassThrough<'a> {
     /// What was seen by a lidar at `from_laser`, in the frame of the cells, whose side is `cell_size_m`.
-    pub fn new(sight: &'a Sight, from_laser: Pose, cell_size_m: f64, margins: Margins) -> Self {
+    pub fn new(sight: &'a PolarRangeImage, from_laser: Pose, cell_size_m: f64, margins: Margins) -> Self {
         Self { sight, from_laser, cell_size_m, margins }
     }
 
     /// Whether the scan looks through the cell with its centre at `center`. Beside the beams through the cell itself
     /// those next to it must pass too: at a grazing angle one of them ends on the wall to which the cell belongs.
-    pub fn judge(&self, center: Point) -> Finding {
+    pub fn judge(&self, center: Point) -> Visibility {
         let (dx, dy) = (center.x_m - self.from_laser.x_m, center.y_m - self.from_laser.y_m);
         let distance_m = (dx * dx + dy * dy).sqrt();
         if distance_m < NEAR_M {
-            return Finding::Open;
+            return Visibility::Open;
         }
         let direction_rad = dy.atan2(dx) - self.from_laser.heading_rad;
         let half_width_rad = 0.5 * self.cell_size_m / distance_m;
@@ -105,19 +105,19 @@ impl<'a> View<'a> {
         };
         let passes = self.sight.range_m(direction_rad) > beyond_m;
         if passes && self.all_pass(direction_rad, distance_m, beyond_m) {
-            return Finding::SeenThrough;
+            return Visibility::SeenThrough;
         }
         if is_met(SQRT_2 * half_width_rad, near_m) {
-            return if passes { Finding::Touched } else { Finding::Supported };
+            return if passes { Visibility::Touched } else { Visibility::Supported };
         }
         let around = PASSED_CELLS * self.cell_size_m;
         if passes
             && self.sight.beam_goes(direction_rad, SQRT_2 * half_width_rad)
             && !is_met(around / distance_m, around)
         {
-            return Finding::Passed;
+            return Visibility::Passed;
         }
-        Finding::Open
+        Visibility::Open
     }
 
     /// Whether a beam goes through a cell, and it and all beside it end beyond.
@@ -143,8 +143,8 @@ mod tests {
     const MARGINS: Margins =
         Margins { behind_m: 0.15, behind_share: 0.015, beside_m: 0.1, beside_rad: 0.003 };
 
-    fn sight_of(scan: &ScanBuffer) -> Sight {
-        let (view, mut sight) = (scan.view().unwrap(), Sight::new());
+    fn sight_of(scan: &ScanBuffer) -> PolarRangeImage {
+        let (view, mut sight) = (scan.view().unwrap(), PolarRangeImage::new());
         sight.look(view, &Deskew::new(view, Twist::default()));
         sight
     }
@@ -164,14 +164,14 @@ mod tests {
     #[test]
     fn what_stands_is_supported_up_to_its_edges_and_what_has_gone_is_seen_through() {
         let sight = sight_of(&column());
-        let view = View::new(&sight, Pose::IDENTITY, CELL_M, MARGINS);
-        assert_eq!(view.judge(at(2.0, 15.0)), Finding::Supported);
-        assert_eq!(view.judge(at(2.0, 100.0)), Finding::SeenThrough);
-        assert_eq!(view.judge(at(2.0, 22.0)), Finding::Open, "it may be the edge");
-        assert_eq!(view.judge(at(2.0, 25.0)), Finding::Passed, "so near to the edge nothing is certain");
-        assert_eq!(view.judge(at(3.5, 15.0)), Finding::Open, "hidden");
-        assert_eq!(view.judge(at(0.2, 100.0)), Finding::Open, "too near");
-        assert_eq!(view.judge(at(4.95, 100.0)), Finding::Supported);
+        let view = PassThrough::new(&sight, Pose::IDENTITY, CELL_M, MARGINS);
+        assert_eq!(view.judge(at(2.0, 15.0)), Visibility::Supported);
+        assert_eq!(view.judge(at(2.0, 100.0)), Visibility::SeenThrough);
+        assert_eq!(view.judge(at(2.0, 22.0)), Visibility::Open, "it may be the edge");
+        assert_eq!(view.judge(at(2.0, 25.0)), Visibility::Passed, "so near to the edge nothing is certain");
+        assert_eq!(view.judge(at(3.5, 15.0)), Visibility::Open, "hidden");
+        assert_eq!(view.judge(at(0.2, 100.0)), Visibility::Open, "too near");
+        assert_eq!(view.judge(at(4.95, 100.0)), Visibility::Supported);
     }
 
     proptest! {
@@ -184,11 +184,11 @@ mod tests {
             scan.header.angle_min_rad = first.to_radians();
             let sight = sight_of(&scan);
             let pose = Pose::new(1.0, -2.0, heading_rad);
-            let view = View::new(&sight, pose, CELL_M, MARGINS);
+            let view = PassThrough::new(&sight, pose, CELL_M, MARGINS);
             // The last beam on the thing covers half a degree beyond itself, the cell ± 0.64°.
             let edge = at(2.0, first + 20.5 + within);
             let finding = view.judge(pose.apply(edge));
-            prop_assert!(matches!(finding, Finding::Supported | Finding::Touched), "{finding:?}");
+            prop_assert!(matches!(finding, Visibility::Supported | Visibility::Touched), "{finding:?}");
         }
     }
 }

@@ -2,14 +2,14 @@
 //! and for all, relative to a node that stays, and its nodes leave the graph.
 
 use super::{FINAL_NODES, SyncManager, expected};
-use crate::solution::SettledScan;
+use crate::solution::FrozenScan;
 use crate::trajectory::{Between, filled};
 use flockslam_loop_closure::place::Placer;
 use flockslam_pose_graph::Symmetric;
 use flockslam_registration::cloud::Placement;
 use std::ops::Range;
 
-/// What lies back less than this is never settled, metres of travel: loops that it may close are still looked for.
+/// What lies back less than this is never frozen, metres of travel: loops that it may close are still looked for.
 const HORIZON_M: f64 = 60.0;
 /// Stretches are of the same place and direction when their middles are closer than this, metres and radians: half of what the
 /// middles of successive ones are apart, so that each visit counts once.
@@ -19,30 +19,30 @@ const BRIDGE: Symmetric = [400.0, 0.0, 0.0, 400.0, 0.0, 1e4];
 /// Share of the kept points that may belong to scans that have left before they are cleared away.
 const WASTE: f64 = 0.25;
 
-/// Where a submap of the mapper lies whose scans have settled: relative to the node with this sequence.
+/// Where a submap of the mapper lies whose scans are frozen: relative to the node with this sequence.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct SettledSubmap {
+pub(super) struct FrozenSubmap {
     pub(super) anchor: u64,
     pub(super) anchor_from_odom: Placement,
 }
 
 impl SyncManager {
-    /// Settles the stretches that have passed the horizon through places that enough older ones cover.
-    pub(super) fn settle(&mut self, known: usize) {
+    /// Freezes the stretches that have passed the horizon through places that enough older ones cover.
+    pub(super) fn freeze(&mut self, known: usize) {
         if self.settings.visits_kept == 0 {
             return;
         }
         let Some(newest_m) = known.checked_sub(1).map(|last| self.chain.nodes()[last].travel_m) else {
             return;
         };
-        while let Some(segment) = self.segments.get(self.next_settled) {
+        while let Some(segment) = self.segments.get(self.next_frozen) {
             let nodes = segment.nodes.clone();
             if newest_m - self.chain.nodes()[nodes.end - 1].travel_m < HORIZON_M {
                 break;
             }
-            match self.host(self.next_settled) {
-                Some(host) => self.settle_segment(self.next_settled, host),
-                None => self.next_settled += 1,
+            match self.host(self.next_frozen) {
+                Some(host) => self.freeze_segment(self.next_frozen, host),
+                None => self.next_frozen += 1,
             }
         }
         if self.gone_scans as f64 > WASTE * self.scans.len() as f64 {
@@ -50,11 +50,11 @@ impl SyncManager {
         }
     }
 
-    /// The node that a stretch is settled at: the nearest of those older stretches that cover its place, if there are enough.
+    /// The node that a stretch is frozen at: the nearest of those older stretches that cover its place, if there are enough.
     fn host(&self, number: usize) -> Option<usize> {
         let segment = &self.segments[number];
-        let strands = self.strands(self.poses.len());
-        let part = |node: usize| strands.part(self.chain.nodes()[node].strand);
+        let connectivity = self.connectivity(self.poses.len());
+        let part = |node: usize| connectivity.part(self.chain.nodes()[node].trajectory);
         let middle = self.poses[segment.anchor];
         let same = |older: &&flockslam_loop_closure::segment::Segment| {
             let at = &self.poses[older.anchor];
@@ -69,7 +69,7 @@ impl SyncManager {
     }
 
     /// Gives the scans of a segment their poses relative to the node `host`, and takes its nodes out of the graph.
-    fn settle_segment(&mut self, number: usize, host: usize) {
+    fn freeze_segment(&mut self, number: usize, host: usize) {
         let nodes = self.segments[number].nodes.clone();
         let kept = self.kept_of(&nodes);
         let records = self.kept[kept.start].record..self.kept[kept.end].record;
@@ -77,7 +77,7 @@ impl SyncManager {
         let (anchor, host_pose) = (self.chain.nodes()[host].sequence, self.poses[host]);
         for (record, pose) in self.records[records.clone()].iter().zip(&poses) {
             let anchor_from_base = host_pose.to(*pose);
-            self.settled.push(SettledScan {
+            self.frozen.push(FrozenScan {
                 id: record.id,
                 stamp_ns: record.stamp_ns,
                 anchor,
@@ -85,7 +85,7 @@ impl SyncManager {
             });
             if !record.lost && !self.retired_submaps.contains(&record.submap) {
                 let anchor_from_odom = anchor_from_base.compose(record.odom.inverse());
-                self.settled_submaps.insert(record.submap, SettledSubmap { anchor, anchor_from_odom });
+                self.frozen_submaps.insert(record.submap, FrozenSubmap { anchor, anchor_from_odom });
             }
         }
         self.remove(number, &nodes, &kept, &records);
@@ -132,16 +132,16 @@ impl SyncManager {
         }
         let stays = |node: usize| !nodes.contains(&node);
         let renamed = |node: usize| if node < nodes.start { node } else { node - nodes.len() };
-        let acts = std::mem::take(&mut self.in_force);
+        let is_inlier = std::mem::take(&mut self.is_inlier);
         let closures = std::mem::take(&mut self.closures);
-        for (mut closure, acts) in closures.into_iter().zip(acts) {
+        for (mut closure, is_inlier) in closures.into_iter().zip(is_inlier) {
             let edge = &mut closure.edge;
             if stays(edge.from) && stays(edge.to) {
                 (edge.from, edge.to) = (renamed(edge.from), renamed(edge.to));
                 self.closures.push(closure);
-                self.in_force.push(acts);
+                self.is_inlier.push(is_inlier);
             } else {
-                self.settled_closures += 1;
+                self.frozen_closures += 1;
             }
         }
     }
@@ -156,18 +156,18 @@ impl SyncManager {
         self.gone_scans = 0;
     }
 
-    /// Scans that have settled since the last call, in order: whoever takes them keeps them.
-    pub fn take_settled(&mut self) -> Vec<SettledScan> {
-        std::mem::take(&mut self.settled)
+    /// Scans that are frozen since the last call, in order: whoever takes them keeps them.
+    pub fn take_frozen(&mut self) -> Vec<FrozenScan> {
+        std::mem::take(&mut self.frozen)
     }
 
-    /// Where submaps lie whose scans have all settled, in the present solution.
-    pub(super) fn settled_layout(&self) -> impl Iterator<Item = (u32, Placement)> + '_ {
-        let (nodes, strands) = (self.chain.nodes(), self.strands(self.poses.len()));
-        self.settled_submaps.iter().filter_map(move |(number, settled)| {
-            let node = nodes.partition_point(|node| node.sequence < settled.anchor);
-            let attached = strands.is_attached(nodes[node].strand);
-            attached.then(|| (*number, self.poses[node].compose(settled.anchor_from_odom)))
+    /// Where submaps lie whose scans are all frozen, in the present solution.
+    pub(super) fn frozen_layout(&self) -> impl Iterator<Item = (u32, Placement)> + '_ {
+        let (nodes, connectivity) = (self.chain.nodes(), self.connectivity(self.poses.len()));
+        self.frozen_submaps.iter().filter_map(move |(number, frozen)| {
+            let node = nodes.partition_point(|node| node.sequence < frozen.anchor);
+            let attached = connectivity.is_attached(nodes[node].trajectory);
+            attached.then(|| (*number, self.poses[node].compose(frozen.anchor_from_odom)))
         })
     }
 

@@ -6,7 +6,7 @@ use crate::rays::Rays;
 use flockslam_evidence::{CellIndex, TILE_SIDE, TileKey, floor};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{Deskew, ScanView};
-use flockslam_visibility::{Finding, Margins, Sight, View};
+use flockslam_visibility::{Margins, PassThrough, PolarRangeImage, Visibility};
 use std::collections::BTreeMap;
 
 /// Cells farther from the lidar are not judged, metres: beams are too far apart there.
@@ -32,10 +32,10 @@ const MARGINS: Margins = Margins { behind_m: 0.15, behind_share: 0.015, beside_m
 ///
 /// Memory is bounded by the number of these cells; each scan costs as much as there are within its reach.
 #[derive(Debug)]
-pub struct Hindsight {
+pub struct FinalCleaning {
     cell_size_m: f64,
     tiles: BTreeMap<TileKey, Vec<Watched>>,
-    sight: Sight,
+    sight: PolarRangeImage,
     /// Beams of the present scan.
     rays: Rays,
     /// Cells that a beam of the present scan passes, and whether all beams near do.
@@ -55,7 +55,7 @@ struct Watched {
     last_ns: i64,
 }
 
-impl Hindsight {
+impl FinalCleaning {
     /// Before the first scan.
     pub fn new(map: &FusedMap) -> Self {
         let occupied = |key: TileKey, cells: &[flockslam_evidence::Cell]| {
@@ -73,7 +73,7 @@ impl Hindsight {
         Self {
             cell_size_m: map.cell_size_m(),
             tiles: tiles.filter(|(_, watched)| !watched.is_empty()).collect(),
-            sight: Sight::new(),
+            sight: PolarRangeImage::new(),
             rays: Rays::new(map.cell_size_m(), REACH_M, PASSED_BEHIND_M, NEAR_CELLS),
             through: Vec::new(),
         }
@@ -84,7 +84,7 @@ impl Hindsight {
         let map_from_laser = map_from_base * scan.header().base_from_laser;
         self.sight.look(scan, deskew);
         self.rays.look(scan, deskew, map_from_base, map_from_laser.position());
-        let view = View::new(&self.sight, map_from_laser, self.cell_size_m, MARGINS);
+        let view = PassThrough::new(&self.sight, map_from_laser, self.cell_size_m, MARGINS);
         let (at, size_m) = (map_from_laser.position(), self.cell_size_m);
         let tile = |metres: f64| floor(metres / (size_m * TILE_SIDE as f64));
         let rows = tile(at.y_m - REACH_M)..=tile(at.y_m + REACH_M);
@@ -103,16 +103,16 @@ impl Hindsight {
                     (watched.passes, watched.scans) = (0, 0);
                 }
                 match view.judge(center) {
-                    Finding::SeenThrough => {
+                    Visibility::SeenThrough => {
                         seen_through += 1;
                         self.through.push((key, place, true));
                         continue;
                     }
-                    Finding::Supported | Finding::Touched => {
+                    Visibility::Supported | Visibility::Touched => {
                         supported += 1;
                         watched.views = 0;
                     }
-                    Finding::Passed | Finding::Open => (),
+                    Visibility::Passed | Visibility::Open => (),
                 }
                 if !is_end_near && self.rays.is_crossed(watched.cell) {
                     self.through.push((key, place, false));
@@ -242,37 +242,37 @@ mod tests {
         Pose::new(0.1 * number as f64 - 0.6, -0.7, 0.3 * number as f64)
     }
 
-    fn look(hindsight: &mut Hindsight, number: i64, column: bool, displaced: Pose) {
+    fn look(final_cleaning: &mut FinalCleaning, number: i64, column: bool, displaced: Pose) {
         let scan = scan(number, pose(number), column);
         let view = scan.view().unwrap();
-        hindsight.look(view, &Deskew::new(view, Twist::default()), displaced * pose(number), 1);
+        final_cleaning.look(view, &Deskew::new(view, Twist::default()), displaced * pose(number), 1);
     }
 
     #[test]
     fn what_scans_have_looked_through_since_is_free_and_the_walls_stand() {
         let map = room();
-        let mut hindsight = Hindsight::new(&map);
-        (0..5).for_each(|number| look(&mut hindsight, number, true, Pose::IDENTITY));
-        assert_eq!(hindsight.free(), []);
-        (5..7).for_each(|number| look(&mut hindsight, number, false, Pose::IDENTITY));
-        assert_eq!(hindsight.free(), [], "two views are too few");
-        look(&mut hindsight, 7, false, Pose::IDENTITY);
+        let mut final_cleaning = FinalCleaning::new(&map);
+        (0..5).for_each(|number| look(&mut final_cleaning, number, true, Pose::IDENTITY));
+        assert_eq!(final_cleaning.free(), []);
+        (5..7).for_each(|number| look(&mut final_cleaning, number, false, Pose::IDENTITY));
+        assert_eq!(final_cleaning.free(), [], "two views are too few");
+        look(&mut final_cleaning, 7, false, Pose::IDENTITY);
         let column = COLUMN.flat_map(|y| COLUMN.map(move |x| CellIndex::new(x, y)));
-        let mut free = hindsight.free();
+        let mut free = final_cleaning.free();
         free.sort_by_key(|cell| (cell.y, cell.x));
         assert_eq!(free, column.collect::<Vec<_>>());
         // It is back.
-        look(&mut hindsight, 8, true, Pose::IDENTITY);
-        assert!(hindsight.free().len() < 12, "what is seen again stands: {:?}", hindsight.free());
+        look(&mut final_cleaning, 8, true, Pose::IDENTITY);
+        assert!(final_cleaning.free().len() < 12, "what is seen again stands: {:?}", final_cleaning.free());
     }
 
     #[test]
     fn scans_in_the_wrong_place_and_scans_at_one_time_free_nothing() {
         let map = room();
-        let mut displaced = Hindsight::new(&map);
+        let mut displaced = FinalCleaning::new(&map);
         (0..9).for_each(|number| look(&mut displaced, number, false, Pose::new(0.5, 0.5, 0.0)));
         assert_eq!(displaced.free(), []);
-        let mut at_once = Hindsight::new(&map);
+        let mut at_once = FinalCleaning::new(&map);
         (0..9).for_each(|_| look(&mut at_once, 4, false, Pose::IDENTITY));
         assert_eq!(at_once.free(), []);
     }

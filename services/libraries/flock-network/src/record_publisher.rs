@@ -22,7 +22,7 @@ const FIRST_EPOCH: u64 = 1;
 /// Says to the flock what this robot finds out, and keeps it in a file before anybody else hears of it, as well as what it hears.
 ///
 /// What the file has been told already is not told again: a process that takes over, or is started again, finds out the same.
-pub struct Teller {
+pub struct RecordPublisher {
     flock: Flock,
     epoch: u64,
     log: RecordLog,
@@ -43,8 +43,8 @@ struct Told {
     cleared: BTreeMap<(u32, TileKey), Box<[u64; TILE_SIDE]>>,
 }
 
-impl Teller {
-    /// The teller of the robot that settings name, which goes on with the log in `directory`, when there is one; `None` when they name
+impl RecordPublisher {
+    /// The record publisher of the robot that settings name, which goes on with the log in `directory`, when there is one; `None` when they name
     /// none. A robot whose log is lost begins a new epoch.
     ///
     /// # Errors
@@ -273,7 +273,7 @@ mod tests {
             odom_from_base: Pose::new(sequence as f64, 0.0, 0.0),
             motion: Pose::new(1.0, 0.0, 0.0),
             information: [1.0, 0.0, 0.0, 1.0, 0.0, 1.0],
-            doubt_m: 0.0,
+            drift_bound_m: 0.0,
             points: vec![[1, 2]],
         };
         let previous = sequences.start.checked_sub(1);
@@ -297,29 +297,29 @@ mod tests {
         settings
     }
 
-    fn nodes(teller: &Teller) -> Vec<(Option<u64>, u64)> {
+    fn nodes(publisher: &RecordPublisher) -> Vec<(Option<u64>, u64)> {
         let told = |record: &Arc<Record>| match &record.content {
             Content::Stretch(stretch) => Some((stretch.previous, stretch.nodes.last()?.sequence)),
             _ => None,
         };
-        teller.flock().collection().records().filter_map(told).collect()
+        publisher.flock().collection().records().filter_map(told).collect()
     }
 
-    fn loops(teller: &Teller) -> Vec<(u64, u64)> {
+    fn loops(publisher: &RecordPublisher) -> Vec<(u64, u64)> {
         let told = |record: &Arc<Record>| -> Vec<(u64, u64)> {
             match &record.content {
                 Content::Constraints(some) => some.iter().map(|c| (c.from.sequence, c.to.sequence)).collect(),
                 _ => Vec::new(),
             }
         };
-        teller.flock().collection().records().flat_map(told).collect()
+        publisher.flock().collection().records().flat_map(told).collect()
     }
 
     #[test]
     fn a_process_that_is_started_again_tells_no_node_and_no_loop_twice() {
         for enabled in [false, true] {
             let directory = tempfile::tempdir().unwrap();
-            let open = || Teller::open(&settings(enabled), directory.path()).unwrap().unwrap();
+            let open = || RecordPublisher::open(&settings(enabled), directory.path()).unwrap().unwrap();
             let mut first = open();
             first.tell(news(0..5)).unwrap();
             first.tell(with_loop(news(5..8), 1, 6)).unwrap();
@@ -342,8 +342,9 @@ mod tests {
             (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let mut settings = settings(true);
         settings.key_file = keys.path().join("a.key");
-        let open =
-            |directory: &tempfile::TempDir| Teller::open(&settings, directory.path()).unwrap().unwrap();
+        let open = |directory: &tempfile::TempDir| {
+            RecordPublisher::open(&settings, directory.path()).unwrap().unwrap()
+        };
         let mut before = open(&first);
         before.tell(news(0..5)).unwrap();
         drop(before);
@@ -362,7 +363,7 @@ mod tests {
     #[test]
     fn what_others_send_is_kept_or_counted() {
         let directory = tempfile::tempdir().unwrap();
-        let mut teller = Teller::open(&settings(true), directory.path()).unwrap().unwrap();
+        let mut publisher = RecordPublisher::open(&settings(true), directory.path()).unwrap().unwrap();
         let other = RobotKey::of_replay("b").unwrap();
         let record = |number: u64, chain: u32| {
             let mut news = news(0..2);
@@ -377,18 +378,18 @@ mod tests {
         later[4] = 99;
         let message =
             Message::Records(vec![record(0, 0), record(0, 1), bent.into(), later.into(), record(2, 0)]);
-        teller.answer(&message, 0, &drops).unwrap();
+        publisher.answer(&message, 0, &drops).unwrap();
         let counted = drops.by_name();
         let expected = [("bad-record", 1), ("quarantined", 1), ("unknown-version", 1)];
         assert!(counted.iter().map(|(name, n)| (name.as_str(), *n)).eq(expected), "{counted:?}");
-        let known = teller.flock().collection().hash();
-        drop(teller);
-        let again = Teller::open(&settings(true), directory.path()).unwrap().unwrap();
+        let known = publisher.flock().collection().hash();
+        drop(publisher);
+        let again = RecordPublisher::open(&settings(true), directory.path()).unwrap().unwrap();
         assert_eq!(again.flock().collection().hash(), known);
         let mut strict = settings(true);
         strict.banned = vec![crate::link::hexadecimal(other.id().public_key())];
         drop(again);
-        let strict = Teller::open(&strict, directory.path()).unwrap().unwrap();
+        let strict = RecordPublisher::open(&strict, directory.path()).unwrap().unwrap();
         assert_eq!(strict.flock().collection().robots().count(), 0);
     }
 }

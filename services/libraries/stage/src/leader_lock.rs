@@ -1,7 +1,7 @@
 //! Which of several processes of a stage acts, decided by a file lock.
 
 use crate::{Mode, StageContext, StageError};
-use flockslam_bus::{BellRinger, Listener};
+use flockslam_bus::{Listener, Notifier};
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -15,15 +15,15 @@ const LOOK: Duration = Duration::from_millis(100);
 
 /// The right to act for a stage of which several processes run, one of them at a time: a lock on a file, which the kernel takes
 /// from a process that dies, however it dies, and hands on to the next at once.
-pub struct Turn {
+pub struct LeaderLock {
     ours: Arc<AtomicBool>,
     // Held as long as the process lives.
     _file: Arc<File>,
 }
 
-impl Turn {
+impl LeaderLock {
     /// Asks for the turn of the process' stage. Should another process have it, a thread waits for that one's end and rings the
-    /// stage's bell then.
+    /// stage's event then.
     ///
     /// # Errors
     /// When the lock cannot be had for another reason than that.
@@ -36,10 +36,10 @@ impl Turn {
             Ok(()) => take(&file, &ours),
             Err(TryLockError::WouldBlock) => {
                 let (file, ours, join) = (Arc::clone(&file), Arc::clone(&ours), context.joiner());
-                let bell = context.stage.name();
+                let event = context.stage.name();
                 let waits = move || {
                     let bus = join();
-                    let bell = bus.as_ref().and_then(|bus| bus.ringer(bell).ok());
+                    let event = bus.as_ref().and_then(|bus| bus.notifier(event).ok());
                     while let Err(error) = file.lock() {
                         if error.kind() != std::io::ErrorKind::Interrupted {
                             tracing::error!(%error, "the turn cannot be waited for");
@@ -47,7 +47,7 @@ impl Turn {
                         }
                     }
                     take(&file, &ours);
-                    bell.iter().for_each(BellRinger::ring);
+                    event.iter().for_each(Notifier::ring);
                 };
                 let started = thread::Builder::new().name("turn".to_owned()).spawn(waits);
                 started.map_err(|e| StageError::file(&path, e))?;
@@ -62,7 +62,7 @@ impl Turn {
         self.ours.load(Ordering::Acquire)
     }
 
-    /// Stands by until the turn comes: `follow` is called whenever the stage's bell has rung, and gives the number of scans that it
+    /// Stands by until the turn comes: `follow` is called whenever the stage's event has rung, and gives the number of scans that it
     /// has followed. False when the process shall end instead.
     ///
     /// # Errors
@@ -70,7 +70,7 @@ impl Turn {
     pub fn stand_by(
         &self,
         context: &mut StageContext,
-        bell: &Listener,
+        event: &Listener,
         mut follow: impl FnMut(&mut StageContext) -> Result<u64, StageError>,
     ) -> Result<bool, StageError> {
         if self.is_ours() {
@@ -91,7 +91,7 @@ impl Turn {
             }
             let followed = follow(context)?;
             context.followed(followed);
-            bell.wait(LOOK)?;
+            event.wait(LOOK)?;
         }
         tracing::info!(stage = context.stage.name(), replica = context.replica, "takes over");
         Ok(true)
@@ -111,6 +111,6 @@ fn turn_file(status_dir: &Path, stage: &str) -> PathBuf {
 }
 
 /// The process of a stage that has its turn, as far as is known.
-pub fn whose_turn(status_dir: &Path, stage: &str) -> Option<u32> {
+pub fn leader(status_dir: &Path, stage: &str) -> Option<u32> {
     std::fs::read_to_string(turn_file(status_dir, stage)).ok()?.trim().parse().ok()
 }

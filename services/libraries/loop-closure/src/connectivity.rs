@@ -1,33 +1,33 @@
-//! Strands, the chains of submaps between which nothing was measured while driving: which of them closures connect, and where each starts in the solver.
+//! Trajectories, the chains of submaps between which nothing was measured while driving: which of them closures connect, and where each starts in the solver.
 
 use crate::node::Node;
 use flockslam_pose_graph::Edge;
 use flockslam_registration::cloud::Placement;
 
-/// Closures that agree on how two strands lie to each other differ by less than this, metres and radians.
+/// Closures that agree on how two trajectories lie to each other differ by less than this, metres and radians.
 const AGREEING: (f64, f64) = (1.0, 0.15);
 
-/// Which strands closures connect, and with what.
+/// Which trajectories closures connect, and with what.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Strands {
-    /// By strand: the first strand that it is connected with, itself when with none before it.
+pub struct TrajectoryConnectivity {
+    /// By trajectory: the first trajectory that it is connected with, itself when with none before it.
     root: Vec<u32>,
     /// The root that most nodes are connected with: the map.
     main: u32,
 }
 
-impl Strands {
-    /// The strands of these nodes as `loops` (pairs of nodes) connect them.
+impl TrajectoryConnectivity {
+    /// The trajectories of these nodes as `loops` (pairs of nodes) connect them.
     pub fn new(nodes: &[Node], loops: impl Iterator<Item = (usize, usize)>) -> Self {
-        let count = nodes.last().map_or(0, |node| node.strand + 1);
+        let count = nodes.last().map_or(0, |node| node.trajectory + 1);
         let mut root: Vec<u32> = (0..count).collect();
         for (a, b) in loops {
-            let (a, b) = (root[nodes[a].strand as usize], root[nodes[b].strand as usize]);
+            let (a, b) = (root[nodes[a].trajectory as usize], root[nodes[b].trajectory as usize]);
             let (kept, gone) = (a.min(b), a.max(b));
             root.iter_mut().filter(|r| **r == gone).for_each(|r| *r = kept);
         }
         let mut sizes = vec![0usize; count as usize];
-        nodes.iter().for_each(|node| sizes[root[node.strand as usize] as usize] += 1);
+        nodes.iter().for_each(|node| sizes[root[node.trajectory as usize] as usize] += 1);
         let main = (0..count).max_by_key(|&r| (sizes[r as usize], std::cmp::Reverse(r))).unwrap_or(0);
         Self { root, main }
     }
@@ -42,28 +42,28 @@ impl Strands {
         self.root.len().saturating_sub(1) as u32
     }
 
-    /// Names what a strand is connected with: equal for connected strands.
-    pub fn part(&self, strand: u32) -> u32 {
-        // A strand without a node yet is connected with nothing.
-        self.root.get(strand as usize).copied().unwrap_or(strand)
+    /// Names what a trajectory is connected with: equal for connected trajectories.
+    pub fn part(&self, trajectory: u32) -> u32 {
+        // A trajectory without a node yet is connected with nothing.
+        self.root.get(trajectory as usize).copied().unwrap_or(trajectory)
     }
 
-    /// Whether a strand belongs to the map.
-    pub fn is_attached(&self, strand: u32) -> bool {
-        self.part(strand) == self.main
+    /// Whether a trajectory belongs to the map.
+    pub fn is_attached(&self, trajectory: u32) -> bool {
+        self.part(trajectory) == self.main
     }
 }
 
-/// Poses to solve a graph from: each strand from where its nodes start, and moved as a whole to where closures say that it lies to the
-/// strands before it.
+/// Poses to solve a graph from: each trajectory from where its nodes start, and moved as a whole to where closures say that it lies to the
+/// trajectories before it.
 ///
 /// The start matters: from a heading that is quite wrong, no solver finds back.
 pub fn start(nodes: &[Node], loops: &[Edge]) -> Vec<Placement> {
     let mut poses: Vec<Placement> = nodes.iter().map(|node| node.start).collect();
-    for strand in nodes.chunk_by(|a, b| a.strand == b.strand).skip(1) {
-        let number = strand[0].strand;
-        let first = nodes.partition_point(|node| node.strand < number);
-        let end = first + strand.len();
+    for trajectory in nodes.chunk_by(|a, b| a.trajectory == b.trajectory).skip(1) {
+        let number = trajectory[0].trajectory;
+        let first = nodes.partition_point(|node| node.trajectory < number);
+        let end = first + trajectory.len();
         if let Some(moved) = moved(nodes, loops, &poses, number) {
             poses[first..end].iter_mut().for_each(|pose| *pose = moved.compose(*pose));
         }
@@ -71,13 +71,13 @@ pub fn start(nodes: &[Node], loops: &[Edge]) -> Vec<Placement> {
     poses
 }
 
-/// The motion of a strand that most of its closures with earlier strands agree on.
-fn moved(nodes: &[Node], loops: &[Edge], poses: &[Placement], strand: u32) -> Option<Placement> {
+/// The motion of a trajectory that most of its closures with earlier trajectories agree on.
+fn moved(nodes: &[Node], loops: &[Edge], poses: &[Placement], trajectory: u32) -> Option<Placement> {
     let implied = |edge: &Edge| {
-        let (from, to) = (nodes[edge.from].strand, nodes[edge.to].strand);
-        if to == strand && from < strand {
+        let (from, to) = (nodes[edge.from].trajectory, nodes[edge.to].trajectory);
+        if to == trajectory && from < trajectory {
             Some(poses[edge.from].compose(edge.motion).compose(nodes[edge.to].start.inverse()))
-        } else if from == strand && to < strand {
+        } else if from == trajectory && to < trajectory {
             Some(poses[edge.to].compose(edge.motion.inverse()).compose(nodes[edge.from].start.inverse()))
         } else {
             None
@@ -86,11 +86,11 @@ fn moved(nodes: &[Node], loops: &[Edge], poses: &[Placement], strand: u32) -> Op
     let motions: Vec<(Placement, Placement)> = loops
         .iter()
         .filter_map(|edge| {
-            let inside = if nodes[edge.to].strand == strand { edge.to } else { edge.from };
+            let inside = if nodes[edge.to].trajectory == trajectory { edge.to } else { edge.from };
             Some((implied(edge)?, nodes[inside].start))
         })
         .collect();
-    // Compared where the strand was matched: far away a little turn moves it much.
+    // Compared where the trajectory was matched: far away a little turn moves it much.
     let agreeing = |a: &(Placement, Placement)| {
         let agrees = |b: &&(Placement, Placement)| {
             let (here, there) = (a.0.compose(a.1), b.0.compose(a.1));
@@ -109,7 +109,7 @@ mod tests {
     fn nodes() -> Vec<Node> {
         let node = |k: usize| {
             let at = Placement::new(k as f64, 0.0, 0.0);
-            let strand = [0, 0, 0, 1, 1, 2, 2, 2, 2, 2][k];
+            let trajectory = [0, 0, 0, 1, 1, 2, 2, 2, 2, 2][k];
             Node {
                 scan: k,
                 sequence: k as u64,
@@ -117,8 +117,8 @@ mod tests {
                 chain: at,
                 start: at,
                 travel_m: k as f64,
-                doubt_m: k as f64,
-                strand,
+                drift_bound_m: k as f64,
+                trajectory,
             }
         };
         (0..10).map(node).collect()
@@ -130,12 +130,12 @@ mod tests {
 
     #[test]
     fn closures_connect_strands_and_the_largest_part_is_the_map() {
-        let alone = Strands::new(&nodes(), std::iter::empty());
+        let alone = TrajectoryConnectivity::new(&nodes(), std::iter::empty());
         assert_eq!((0..3).map(|k| alone.is_attached(k)).collect::<Vec<_>>(), [false, false, true]);
-        let joined = Strands::new(&nodes(), [(6, 1)].into_iter());
+        let joined = TrajectoryConnectivity::new(&nodes(), [(6, 1)].into_iter());
         assert_eq!((0..3).map(|k| joined.is_attached(k)).collect::<Vec<_>>(), [true, false, true]);
         assert_eq!((joined.part(2), joined.part(1), joined.newest(), joined.count()), (0, 1, 2, 3));
-        assert!(!joined.is_attached(3), "a strand without nodes");
+        assert!(!joined.is_attached(3), "a trajectory without nodes");
     }
 
     #[test]
@@ -147,7 +147,7 @@ mod tests {
         let loops = [edge(0, 5, Placement::IDENTITY), right(1, 6), right(2, 8)];
         let poses = start(&nodes, &loops);
         for (pose, node) in poses.iter().zip(&nodes) {
-            let expected = if node.strand == 2 { turned.compose(node.chain) } else { node.chain };
+            let expected = if node.trajectory == 2 { turned.compose(node.chain) } else { node.chain };
             assert!(pose.distance_m(&expected) < 1e-9 && pose.turn_rad(&expected) < 1e-9);
         }
     }

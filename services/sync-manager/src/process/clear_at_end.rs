@@ -2,7 +2,7 @@
 
 use crate::fuse::Fuser;
 use flockslam_map_fusion::PlacedSubmap;
-use flockslam_map_fusion::{APART_NS, Hindsight, VIEWS};
+use flockslam_map_fusion::{APART_NS, FinalCleaning, VIEWS};
 use flockslam_messages::Deskew;
 use flockslam_results::flock_files::NamedPose;
 use flockslam_stage::{JournalReader, Journaled, StageContext, StageError};
@@ -15,14 +15,14 @@ const SCANS_MAX: u64 = 20_000;
 ///
 /// # Errors
 /// When journal or store fail.
-pub(super) fn look_back(
+pub(super) fn clear_at_end(
     fuser: &mut Fuser,
     layout: &[PlacedSubmap],
     scans: &[NamedPose],
     accepted: u64,
     context: &mut StageContext,
 ) -> Result<(), StageError> {
-    let Some(mut hindsight) = fuser.map().map(Hindsight::new) else { return Ok(()) };
+    let Some(mut final_cleaning) = fuser.map().map(FinalCleaning::new) else { return Ok(()) };
     let every = accepted.div_ceil(SCANS_MAX).max(1);
     let mut journal = JournalReader::open(&context.journal_dir)?;
     let (mut number, mut next) = (0, 0);
@@ -30,7 +30,7 @@ pub(super) fn look_back(
     let mut held: Option<(Journaled, usize)> = None;
     let mut look = |record: &Journaled, rows: &[NamedPose]| {
         if let Some(scan) = record.scan.as_ref().and_then(|scan| scan.view().ok()) {
-            hindsight.look(scan, &Deskew::new(scan, record.pose.twist), rows[0].pose, views(rows));
+            final_cleaning.look(scan, &Deskew::new(scan, record.pose.twist), rows[0].pose, views(rows));
         }
     };
     while let Some(record) = journal.read_next()? {
@@ -53,7 +53,7 @@ pub(super) fn look_back(
     if let Some((last, at)) = held {
         look(&last, &scans[at..]);
     }
-    let free = hindsight.free();
+    let free = final_cleaning.free();
     tracing::debug!(cells = free.len(), scans = number, "looked back");
     fuser.clear(&free, layout)
 }

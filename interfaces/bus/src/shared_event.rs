@@ -1,7 +1,7 @@
-//! Bells between processes: events of iceoryx2.
+//! Events between processes: events of iceoryx2.
 
 use crate::BusError;
-use crate::bell::{Hear, Ring, Wake};
+use crate::event::{Hear, Ring, Wake};
 use crate::service::Service;
 use iceoryx2::port::listener::{self, ListenerWaitError};
 use iceoryx2::port::notifier::{self, NotifierNotifyError};
@@ -11,14 +11,14 @@ use rustix::io::Errno;
 use std::os::fd::BorrowedFd;
 use std::time::Duration;
 
-/// Event of a bell that rings for what will come; the default event is for what is there.
+/// Number of a notification of what will come; the default one is of what is there.
 const ANNOUNCEMENT: usize = 1;
 
 pub(crate) struct SharedListener(pub(crate) listener::Listener<Service>);
 
 impl Hear for SharedListener {
     fn wait(&self, limit: Duration) -> Result<Wake, BusError> {
-        sleep(&self.0, limit).map_err(|error| BusError::transfer("bell", error))?;
+        sleep(&self.0, limit).map_err(|error| BusError::transfer("event", error))?;
         let mut wake = Wake::TimedOut;
         let heard = self.0.try_wait(|event| {
             let announced = event.id.as_value() == ANNOUNCEMENT && wake != Wake::Rung;
@@ -27,12 +27,12 @@ impl Hear for SharedListener {
         match heard {
             Ok(_) => Ok(wake),
             Err(ListenerWaitError::InterruptSignal) => Ok(Wake::TimedOut),
-            Err(error) => Err(BusError::transfer("bell", error)),
+            Err(error) => Err(BusError::transfer("event", error)),
         }
     }
 }
 
-/// Sleeps until the bell has rung or `limit` has passed: the listener's own wait counts in ticks of the system, which are several
+/// Sleeps until the event has rung or `limit` has passed: the listener's own wait counts in ticks of the system, which are several
 /// milliseconds, and takes twice as many system calls. A signal (SIGSTOP and SIGCONT among them) only cuts it short.
 fn sleep(listener: &impl FileDescriptorBased, limit: Duration) -> Result<(), Errno> {
     let limit = Timespec { tv_sec: limit.as_secs() as i64, tv_nsec: i64::from(limit.subsec_nanos()) };
@@ -44,9 +44,9 @@ fn sleep(listener: &impl FileDescriptorBased, limit: Duration) -> Result<(), Err
     }
 }
 
-pub(crate) struct SharedRinger(pub(crate) notifier::Notifier<Service>);
+pub(crate) struct SharedNotifier(pub(crate) notifier::Notifier<Service>);
 
-impl Ring for SharedRinger {
+impl Ring for SharedNotifier {
     fn ring(&self) {
         log_undelivered(self.0.notify());
     }
@@ -56,9 +56,9 @@ impl Ring for SharedRinger {
     }
 }
 
-/// A stopped stage leaves its bell full; it will find its inputs when it goes on.
+/// A stopped stage leaves its event full; it will find its inputs when it goes on.
 fn log_undelivered(rung: Result<usize, NotifierNotifyError>) {
     if let Err(error) = rung {
-        tracing::debug!(?error, "bell not delivered");
+        tracing::debug!(?error, "event not delivered");
     }
 }

@@ -1,0 +1,27 @@
+//! The events of several stages at once.
+
+use crate::{StageContext, StageError};
+use flockslam_bus::Notifier;
+
+/// Events that ring together, in this order.
+pub struct Notifiers(Vec<Notifier>);
+
+impl Notifiers {
+    /// The events of these names.
+    ///
+    /// # Errors
+    /// When one does not exist.
+    pub fn open(context: &StageContext, names: &[&str]) -> Result<Self, StageError> {
+        Ok(Self(names.iter().map(|name| context.bus.notifier(name)).collect::<Result<_, _>>()?))
+    }
+
+    /// Rings them.
+    pub fn ring(&self) {
+        self.0.iter().for_each(Notifier::ring);
+    }
+
+    /// Rings them for what will be there in a moment.
+    pub fn announce(&self) {
+        self.0.iter().for_each(Notifier::announce);
+    }
+}
