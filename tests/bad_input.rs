@@ -35,11 +35,11 @@ fn refused(args: &[&str]) -> String {
 
 /// As [`refused`]: what is said is one line that begins with `place` and has `reason` in it.
 fn refused_at(args: &[&str], place: &str, reason: &str) {
-    let told = refused(args);
-    println!("{}", told.trim_end());
-    assert_eq!(told.lines().count(), 1, "{told}");
-    assert!(told.starts_with(&format!("flockslam: {place}")), "{place} is expected in: {told}");
-    assert!(told.contains(reason), "{reason:?} is expected in: {told}");
+    let text = refused(args);
+    println!("{}", text.trim_end());
+    assert_eq!(text.lines().count(), 1, "{text}");
+    assert!(text.starts_with(&format!("flockslam: {place}")), "{place} is expected in: {text}");
+    assert!(text.contains(reason), "{reason:?} is expected in: {text}");
 }
 
 /// A log with these bytes is refused at this line for this reason.
@@ -155,9 +155,9 @@ fn a_directory_that_cannot_be_written_is_refused() {
     std::fs::write(&file, b"precious").unwrap();
     for below in [file.clone(), file.join("out")] {
         let output = run("unwritable", &below, &building(10));
-        let told = stderr(&output);
-        assert_eq!((output.status.code(), told.lines().count()), (Some(2), 1), "{told}");
-        assert!(told.starts_with(&format!("flockslam: {}: ", below.display())), "{told}");
+        let text = stderr(&output);
+        assert_eq!((output.status.code(), text.lines().count()), (Some(2), 1), "{text}");
+        assert!(text.starts_with(&format!("flockslam: {}: ", below.display())), "{text}");
     }
     assert_eq!(std::fs::read(&file).unwrap(), b"precious");
 }
@@ -193,11 +193,11 @@ fn keys_of_earlier_versions_are_refused_with_what_became_of_them() {
     let in_file = format!("{name}:3: mapper.hit_nat is now fixed at 1.5");
     let alone =
         format!("--set {single}: sync_manager.closure.enabled is now called sync_manager.close_loops");
-    for (option, value, told) in [("--config", name, in_file), ("--set", single, alone)] {
-        refused_at(&["demo", option, value], &told, "");
+    for (option, value, text) in [("--config", name, in_file), ("--set", single, alone)] {
+        refused_at(&["demo", option, value], &text, "");
         let output = flockslam().args(["config", option, value]).output().unwrap();
         let heard = (output.status.code(), stderr(&output));
-        assert_eq!(heard, (Some(2), format!("flockslam: {told}\n")));
+        assert_eq!(heard, (Some(2), format!("flockslam: {text}\n")));
     }
 }
 
@@ -205,8 +205,8 @@ fn keys_of_earlier_versions_are_refused_with_what_became_of_them() {
 fn arguments_that_make_no_sense_are_refused() {
     refused_at(&["map", "--source", "x"], "--source x: ", "standard input");
     for rate in ["0", "-1", "fast", "inf"] {
-        let told = refused(&["demo", &format!("--rate={rate}")]);
-        assert!(told.contains("--rate"), "{told}");
+        let text = refused(&["demo", &format!("--rate={rate}")]);
+        assert!(text.contains("--rate"), "{text}");
     }
     assert!(refused(&["map"]).contains("LOG"));
 }

@@ -36,7 +36,7 @@ fn a_mapper_that_replays_what_it_has_in_store_has_scans_twice() {
 #[test]
 fn a_matcher_that_begins_anew_is_not_where_it_was() {
     share::mostly_waits();
-    // Without wheels that would tell it.
+    // Without odometry that would tell it.
     let trial = with_failpoint("no-resume", &[Stage::ScanMatcher], &["lidar_ingest.odometry=false"]);
     complains(&trial, "the pose jumps");
     complains(&trial, "the error is");

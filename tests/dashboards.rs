@@ -134,8 +134,8 @@ fn tool(name: &str, arguments: &[&str], input: &str) -> Option<()> {
     };
     child.stdin.take().unwrap().write_all(input.as_bytes()).unwrap();
     let output = child.wait_with_output().unwrap();
-    let told = format!("{}{}", support::stdout(&output), support::stderr(&output));
-    assert!(output.status.success(), "{name} {arguments:?}: {told}");
+    let text = format!("{}{}", support::stdout(&output), support::stderr(&output));
+    assert!(output.status.success(), "{name} {arguments:?}: {text}");
     Some(())
 }
 

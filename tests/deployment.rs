@@ -52,8 +52,8 @@ fn systemd_accepts_the_unit() {
     fs::write(&instance, unit.replace("/usr/bin/flockslam", env!("CARGO_BIN_EXE_flockslam"))).unwrap();
     match Command::new("systemd-analyze").arg("verify").arg(&instance).output() {
         Ok(output) => {
-            let told = support::stderr(&output);
-            assert!(output.status.success() && !told.contains("flockslam@"), "{told}");
+            let text = support::stderr(&output);
+            assert!(output.status.success() && !text.contains("flockslam@"), "{text}");
         }
         Err(_) => not_tested("the systemd unit", "there is no systemd-analyze"),
     }

@@ -105,14 +105,14 @@ fn sound() -> Evidence {
 #[test]
 fn the_checker_finds_what_it_looks_for() {
     assert!(sound().violations().is_empty(), "{:?}", sound().violations());
-    let told = |break_it: fn(&mut Evidence)| {
+    let text = |break_it: fn(&mut Evidence)| {
         let mut broken = sound();
         break_it(&mut broken);
         broken.violations().join("; ")
     };
-    assert!(told(|evidence| evidence.inserted -= 1).contains("1 accepted scans are not in the map"));
-    assert!(told(|evidence| evidence.inserted += 1).contains("1 scans are in the map twice"));
-    assert!(told(|evidence| evidence.poses.swap(3, 4)).contains("scan 3 comes after scan 4"));
-    assert!(told(|evidence| evidence.poses[6].odom_from_base.x_m += 0.5).contains("jumps by 0.5"));
-    assert!(told(|evidence| evidence.poses[6].odom_from_base.heading_rad += 1.0).contains("1.00 rad"));
+    assert!(text(|evidence| evidence.inserted -= 1).contains("1 accepted scans are not in the map"));
+    assert!(text(|evidence| evidence.inserted += 1).contains("1 scans are in the map twice"));
+    assert!(text(|evidence| evidence.poses.swap(3, 4)).contains("scan 3 comes after scan 4"));
+    assert!(text(|evidence| evidence.poses[6].odom_from_base.x_m += 0.5).contains("jumps by 0.5"));
+    assert!(text(|evidence| evidence.poses[6].odom_from_base.heading_rad += 1.0).contains("1.00 rad"));
 }

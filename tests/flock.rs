@@ -143,7 +143,7 @@ fn join_late(world: &str, duration_s: f64, then: impl FnOnce(&mut FlockRobot)) {
     let test = format!("late-{}", &world[..4]);
     let mut early =
         FlockRobot::start_one(&test, directory.path(), drive, std::slice::from_ref(&first), 0, stays);
-    let all = early.wait_for_flock("the end of the first drive", |flock| flock.has_ended && flock.settled);
+    let all = early.wait_for_flock("the end of the first drive", |flock| flock.has_ended && flock.converged);
     let link = SlowLink::to(&first, 10e6 / 8.0);
     let endpoints = [link.endpoint.clone(), second];
     let mut late = FlockRobot::start_one(&test, directory.path(), LONG, &endpoints, 1, (world, ""));
@@ -205,7 +205,7 @@ fn a_link_that_was_cut_and_mended_leaves_both_robots_with_one_map() {
     }
     namespaces[0].cut(false);
     let statuses: Vec<FlockStatus> = robots.into_iter().map(FlockRobot::finish).collect();
-    assert!(statuses.iter().all(|status| status.settled && status.map_hash == statuses[0].map_hash));
+    assert!(statuses.iter().all(|status| status.converged && status.map_hash == statuses[0].map_hash));
     assert!(statuses.iter().all(|status| status.robots.len() == 2), "{statuses:?}");
 }
 
@@ -286,9 +286,9 @@ fn a_mistake_in_the_settings_is_one_line() {
         let mut command: Command = flockslam();
         command.args(["demo", "--set", "sync_manager.flock.enabled=true", "--set", assignment]);
         let output = command.arg("--out").arg(directory.path().join("out")).output().unwrap();
-        let told = stderr(&output);
-        assert_eq!((output.status.code(), told.lines().count()), (Some(2), 1), "{told}");
-        told
+        let text = stderr(&output);
+        assert_eq!((output.status.code(), text.lines().count()), (Some(2), 1), "{text}");
+        text
     };
     assert!(refused("sync_manager.flock.name=").contains("sync_manager.flock.name: "));
 }

@@ -64,8 +64,8 @@ fn no_reader_of_foreign_bytes_panics() {
             let (mut bytes, other) = (pick().clone(), pick());
             mutate(&mut bytes, other, &mut random);
             // So that what is told is where it came from.
-            let told = std::panic::catch_unwind(|| entry(&bytes));
-            assert!(told.is_ok(), "{name}: run {run} panicked with {bytes:?}");
+            let text = std::panic::catch_unwind(|| entry(&bytes));
+            assert!(text.is_ok(), "{name}: run {run} panicked with {bytes:?}");
         }
         println!("{name}: {runs} executions in {:.1} s", since.elapsed().as_secs_f64());
     }

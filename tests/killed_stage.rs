@@ -89,8 +89,8 @@ fn an_exact_replay_ends_with_the_name_of_what_died_and_no_outputs() {
     set.wait_until_handled(Stage::LidarIngest, 100);
     set.signal(Stage::Mapper, Signal::KILL);
     assert_eq!(set.wait(), Some(1));
-    let told = std::io::read_to_string(messages.unwrap()).unwrap();
-    assert!(told.contains("mapper ended during an exact replay (signal 9)"), "{told}");
+    let text = std::io::read_to_string(messages.unwrap()).unwrap();
+    assert!(text.contains("mapper ended during an exact replay (signal 9)"), "{text}");
     assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0);
 }
 

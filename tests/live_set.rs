@@ -176,7 +176,7 @@ fn a_stopped_mapper_is_replaced() {
 }
 
 #[test]
-fn without_a_matcher_the_wheels_are_followed_until_it_gets_up() {
+fn without_a_matcher_odometry_is_followed_until_it_gets_up() {
     share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let mut set = LiveSet::start("degraded", directory.path(), LONG, "retry_s = 2.0");
@@ -219,6 +219,6 @@ fn a_set_whose_supervisor_was_killed_goes_on_with_what_it_knew() {
     let (lines, error_m) = (outputs.lines("trajectory.tum").len(), truth_error_m(&outputs));
     println!("{lines} of {} scans, {error_m:.3} m against the truth", drive.scans());
     assert!(lines * 100 >= drive.scans() * 90 && error_m < 0.3);
-    assert_eq!(outputs.report.chains, 1, "the robot is where it was");
+    assert_eq!(outputs.report.trajectories, 1, "the robot is where it was");
     assert!(since.elapsed() < Duration::from_secs(90));
 }

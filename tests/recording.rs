@@ -216,9 +216,9 @@ fn the_public_client_of_foxglove_is_served() {
     }
     let mut set = talking_set("foxglove", place);
     let mut recorder = Recorder::start(&set, &["--foxglove", "0"]);
-    let mut told = String::new();
-    BufReader::new(recorder.0.stdout.take().unwrap()).read_line(&mut told).unwrap();
-    let address = told.trim().rsplit(' ').next().unwrap().to_owned();
+    let mut text = String::new();
+    BufReader::new(recorder.0.stdout.take().unwrap()).read_line(&mut text).unwrap();
+    let address = text.trim().rsplit(' ').next().unwrap().to_owned();
     std::fs::write(place.join("read.js"), READ_SOCKET).unwrap();
     let output = Command::new("node").args(["read.js", &address]).current_dir(place).output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));

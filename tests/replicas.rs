@@ -126,11 +126,11 @@ fn who_stands_by_goes_on_with_the_next_scan_when_the_one_that_acts_is_killed() {
     for stage in stages {
         subject.wait_until_all_run(stage, 2);
         let status_dir = subject.set.runtime_dir().join("status");
-        let acts = leader(&status_dir, stage.name()).unwrap();
+        let active = leader(&status_dir, stage.name()).unwrap();
         let since = Instant::now();
-        send(acts, Signal::KILL);
+        send(active, Signal::KILL);
         let back_ms = subject.poses.back_after_ms(since);
-        wait_for("another to act", || leader(&status_dir, stage.name()).filter(|pid| *pid != acts));
+        wait_for("another to act", || leader(&status_dir, stage.name()).filter(|pid| *pid != active));
         println!("{} killed: the next pose after {back_ms:.0} ms", stage.name());
         subject.wait_until_all_run(stage, 2);
     }

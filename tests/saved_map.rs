@@ -33,8 +33,11 @@ fn the_next_set_continues_a_saved_map_and_a_closure_attaches_it() {
     let second = LiveSet::start("second", directory.path(), DRIVE, &keeps(&map));
     let outputs = second.finish();
     let report = &outputs.report;
-    println!("{} chains, {} detached scans, {} scans", report.chains, report.detached_scans, report.scans);
-    assert_eq!((report.chains, report.detached_scans), (2, 0));
+    println!(
+        "{} trajectories, {} detached scans, {} scans",
+        report.trajectories, report.detached_scans, report.scans
+    );
+    assert_eq!((report.trajectories, report.detached_scans), (2, 0));
     assert!(outputs.lines("trajectory.tum").len() as u64 >= saved.poses + DRIVE.scans() as u64 * 9 / 10);
     let both = SavedMap::at(&map).check().unwrap();
     assert!(both.problems.is_empty() && both.poses == report.scans, "{both:?}");
@@ -86,8 +89,8 @@ fn damage_is_found_and_told() {
     let middle = bytes.len() / 2;
     bytes[middle] ^= 16;
     fs::write(&journal, bytes).unwrap();
-    let told = check();
-    assert_eq!((told.status.code(), stderr(&told).contains("damaged")), (Some(1), true));
+    let text = check();
+    assert_eq!((text.status.code(), stderr(&text).contains("damaged")), (Some(1), true));
     let absent = flockslam().args(["store", "check"]).arg(directory.path()).output().unwrap();
     assert_eq!(absent.status.code(), Some(2));
 }
@@ -184,11 +187,11 @@ fn maps_of_all_formats_so_far_are_continued() {
         let drive = Drive { duration_s: 20.0, ..DRIVE };
         let report = LiveSet::start(name, directory.path(), drive, &keeps(&map)).finish().report;
         let both = SavedMap::at(&map).check().unwrap();
-        println!("{name}: {both:?}, {} chains", report.chains);
+        println!("{name}: {both:?}, {} trajectories", report.trajectories);
         assert!(both.problems.is_empty() && both.submaps > submaps, "{name}: {both:?}");
         assert!(both.poses >= poses + drive.scans() as u64 * 9 / 10, "{name}: {both:?}");
         assert_eq!(both.poses, report.scans, "{name}");
-        assert!(report.chains >= 2, "{name}: the robot begins somewhere in a map that it knows");
+        assert!(report.trajectories >= 2, "{name}: the robot begins somewhere in a map that it knows");
     }
 }
 

@@ -46,6 +46,6 @@ fn a_directory_that_cannot_be_used_is_refused() {
     std::fs::write(&file, b"").unwrap();
     let output = run("refused", &directory.path().join("out"), &with_spill(building(5), &file));
     assert_eq!(output.status.code(), Some(2));
-    let told = stderr(&output);
-    assert!(told.lines().count() == 1 && told.starts_with("flockslam: set.spill_dir: "), "{told}");
+    let text = stderr(&output);
+    assert!(text.lines().count() == 1 && text.starts_with("flockslam: set.spill_dir: "), "{text}");
 }

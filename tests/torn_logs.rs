@@ -89,18 +89,18 @@ fn a_robot_carried_elsewhere_finds_its_own_past() {
         std::fs::write(&cut_log, carried(&file, cut)).unwrap();
         let outputs = Log::map(&cut_log, &directory.path().join("out"), &settings(&[]));
         let errors = log.errors_of_a_part(&outputs);
-        println!("{} carried: {errors:?}, {} chains", log.name, outputs.report.chains);
+        println!("{} carried: {errors:?}, {} trajectories", log.name, outputs.report.trajectories);
         assert!(errors.mean_m <= TOLERANCE * reached_m && errors.max_m < 0.5, "{}: {errors:?}", log.name);
-        assert!(outputs.report.chains >= 2, "{}: nobody noticed", log.name);
+        assert!(outputs.report.trajectories >= 2, "{}: nobody noticed", log.name);
         assert_eq!(outputs.report.detached_scans, 0, "{}: never found again", log.name);
     }
 }
 
-/// The log without the scans between, while its wheels notice nothing.
+/// The log without the scans between, while its odometry notices nothing.
 fn carried(log: &Path, (first, second): (usize, usize)) -> String {
     let text = String::from_utf8_lossy(&std::fs::read(log).unwrap()).into_owned();
     let scans: Vec<&str> = text.lines().filter(|line| line.starts_with("FLASER ")).collect();
-    let (before, after) = (wheels(scans[first - 1]), wheels(scans[second]));
+    let (before, after) = (odometry(scans[first - 1]), odometry(scans[second]));
     let change = before * after.inverse();
     let mut out = String::new();
     scans[..first].iter().for_each(|line| writeln!(out, "{line}").unwrap());
@@ -121,8 +121,8 @@ fn number(word: &str) -> f64 {
     word.parse().unwrap()
 }
 
-/// Pose by the wheels in a FLASER line.
-fn wheels(line: &str) -> Pose {
+/// Pose by odometry in a FLASER line.
+fn odometry(line: &str) -> Pose {
     let words: Vec<&str> = line.split_ascii_whitespace().collect();
     let place = 5 + words[1].parse::<usize>().unwrap();
     Pose::new(number(words[place]), number(words[place + 1]), number(words[place + 2]))

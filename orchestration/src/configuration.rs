@@ -163,8 +163,8 @@ impl Configuration {
             let wrong =
                 |reason: String| ConfigurationError::Assignment { assignment: assignment.clone(), reason };
             let assigned = parse_assignment(assignment).map_err(wrong)?;
-            if let Some(told) = old_keys::in_table(&assigned) {
-                return Err(wrong(told));
+            if let Some(text) = old_keys::in_table(&assigned) {
+                return Err(wrong(text));
             }
             merge(&mut table, assigned);
             let known: Result<Self, _> = table.clone().try_into();
@@ -239,8 +239,8 @@ pub fn parse_file<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, Conf
         let line = text[..place.min(text.len())].matches('\n').count() + 1;
         ConfigurationError::File { path: path.to_owned(), line, reason }
     };
-    if let Some((place, told)) = old_keys::in_text(&text) {
-        return Err(wrong(place, told));
+    if let Some((place, text)) = old_keys::in_text(&text) {
+        return Err(wrong(place, text));
     }
     toml::from_str(&text).map_err(|error: toml::de::Error| {
         wrong(error.span().map_or(0, |span| span.start), with_hint(error.message()))

@@ -26,11 +26,11 @@ enum Company {
     /// A robot of its own flock, on the same machine.
     Companion,
     /// A robot of its own flock that has driven before, knows all of the building and only talks: what synchronising alone costs.
-    Settled,
+    Converged,
 }
 
 const ALL: [Company; 5] =
-    [Company::Nobody, Company::Flood, Company::Stranger, Company::Companion, Company::Settled];
+    [Company::Nobody, Company::Flood, Company::Stranger, Company::Companion, Company::Converged];
 
 /// Microseconds from a scan's arrival to its pose, and memory of sync-manager.
 struct Run {
@@ -43,7 +43,7 @@ struct Run {
 fn run(company: Company) -> Run {
     let directory = tempfile::tempdir().expect("a directory");
     let mut robots = match company {
-        Company::Settled => beside_a_settled_one(directory.path()),
+        Company::Converged => beside_a_converged_one(directory.path()),
         Company::Companion => FlockRobot::start_all("latency", directory.path(), DRIVE, 2),
         _ => FlockRobot::start_all("latency", directory.path(), DRIVE, 1),
     };
@@ -74,13 +74,13 @@ fn run(company: Company) -> Run {
 }
 
 /// The robot that is measured, and one that has driven before.
-fn beside_a_settled_one(directory: &Path) -> Vec<FlockRobot> {
+fn beside_a_converged_one(directory: &Path) -> Vec<FlockRobot> {
     let endpoints = [(); 2].map(|()| format!("tcp/127.0.0.1:{}", free_port()));
     let stays = ("office", "companions = 1\nfarewell_s = 90.0");
     let before = Drive { duration_s: 200.0, rate: 20.0, ..DRIVE };
-    let mut settled = FlockRobot::start_one("latency", directory, before, &endpoints, 1, stays);
-    settled.wait_for_flock("the end of its drive", |flock| flock.has_ended && flock.settled);
-    vec![FlockRobot::start_one("latency", directory, DRIVE, &endpoints, 0, ("office", "")), settled]
+    let mut converged = FlockRobot::start_one("latency", directory, before, &endpoints, 1, stays);
+    converged.wait_for_flock("the end of its drive", |flock| flock.has_ended && flock.converged);
+    vec![FlockRobot::start_one("latency", directory, DRIVE, &endpoints, 0, ("office", "")), converged]
 }
 
 fn median(mut values: Vec<f64>) -> f64 {

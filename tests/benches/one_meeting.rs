@@ -6,7 +6,7 @@
 
 use flockslam::evaluation::{evaluate_truth, parse_tum};
 use flockslam::outputs::TrajectoryPoint;
-use flockslam_flock::{Flock, FlockLayout};
+use flockslam_flock::{Flock, FlockSolution};
 use flockslam_geometry::Pose;
 use flockslam_records::{Content, Limits, Record, RobotKey};
 use flockslam_results::flock_files::{OWN_SCANS, RecordLog, read_named};
@@ -126,16 +126,16 @@ impl Robot {
     }
 
     /// Its records in the order in which it told them, each with the sequence of the newest scan that it knew then.
-    fn told(&self) -> Result<Vec<(u64, &[u8])>> {
+    fn published(&self) -> Result<Vec<(u64, &[u8])>> {
         let mut newest = 0;
-        let mut told = Vec::new();
+        let mut published = Vec::new();
         for bytes in &self.records {
             if let Content::Stretch(stretch) = &Record::read(bytes)?.content {
                 newest = stretch.nodes.last().map_or(newest, |node| node.sequence);
             }
-            told.push((newest, &bytes[..]));
+            published.push((newest, &bytes[..]));
         }
-        Ok(told)
+        Ok(published)
     }
 
     /// Its pose at each scan as its flock knew it at the time, in the robot's own frame, when it has met this one in the middle of the drive: from
@@ -144,33 +144,33 @@ impl Robot {
         let middle = self.published.len() as u64 / 2;
         let mut flock = self.flock()?;
         let mut meets = met;
-        let mut told = self.told()?.into_iter().peekable();
+        let mut published = self.published()?.into_iter().peekable();
         let mut newest: Option<(u64, Pose)> = None;
         let mut seen = BTreeMap::new();
         let mut way = Vec::with_capacity(self.published.len());
         let by_sequence = self.published_by_sequence();
         for point in &self.published {
             let Some(&sequence) = self.sequences.get(&point.stamp_ns) else { continue };
-            let mut news = false;
-            while let Some((_, bytes)) = told.next_if(|(newest, _)| *newest < sequence) {
+            let mut has_new = false;
+            while let Some((_, bytes)) = published.next_if(|(newest, _)| *newest < sequence) {
                 // Said anew, among what it says of the other robot.
                 flock.say(&Record::read(bytes)?.content)?;
-                news = true;
+                has_new = true;
             }
             if sequence >= middle
                 && let Some(other) = meets.take()
             {
-                for (_, bytes) in other.told()?.into_iter().filter(|(newest, _)| *newest < middle) {
+                for (_, bytes) in other.published()?.into_iter().filter(|(newest, _)| *newest < middle) {
                     flock.collection_mut().take(bytes)?;
                 }
                 flock.search(u64::MAX)?;
-                news = true;
+                has_new = true;
             }
-            if news {
+            if has_new {
                 if met.is_some() && meets.is_none() {
                     flock.search(SEARCHES)?;
                 }
-                newest = self.newest(&flock.layout(false), &mut seen);
+                newest = self.newest(&flock.solution(false), &mut seen);
             }
             let known = newest.and_then(|(node, at)| {
                 // By the front end to the last node, which has not been told yet, and from there as published: nothing jumps between.
@@ -191,8 +191,8 @@ impl Robot {
 
     /// The newest node and its pose, in the robot's own frame: that in which its nodes lie nearest to where they lay when they were new, which
     /// `seen` remembers.
-    fn newest(&self, layout: &FlockLayout, seen: &mut BTreeMap<u64, Pose>) -> Option<(u64, Pose)> {
-        let nodes = layout.nodes.iter().find(|((robot, _), _)| robot.name() == self.name)?.1;
+    fn newest(&self, solution: &FlockSolution, seen: &mut BTreeMap<u64, Pose>) -> Option<(u64, Pose)> {
+        let nodes = solution.nodes.iter().find(|((robot, _), _)| robot.name() == self.name)?.1;
         let last = nodes.last()?;
         let pairs: Vec<(Pose, Pose)> =
             nodes.iter().filter_map(|n| Some((n.flock_from_base, *seen.get(&n.sequence)?))).collect();

@@ -1,14 +1,14 @@
-//! The map of closed submaps on the page. It follows the layout one submap at a time.
+//! The map of closed submaps on the page. It follows the solution one submap at a time.
 
 use flockslam_evidence::{Submap, TILE_SIDE, TileKey, TooFar};
 use flockslam_geometry::{Point, Pose};
 use flockslam_map_fusion::{Footprint, FusedMap};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A submap is moved on the page once one of its corners lies this many cells away from where the layout has it.
+/// A submap is moved on the page once one of its corners lies this many cells away from where the solution has it.
 const MOVED_CELLS: f64 = 1.0;
 
-/// The sum of closed submaps where the layout has them, kept up in small steps.
+/// The sum of closed submaps where the solution has them, kept up in small steps.
 ///
 /// It keeps the stored bytes of each submap that is in it, so that it can be taken out again whatever has become of its file.
 #[derive(Default)]
@@ -33,8 +33,8 @@ impl FusedPicture {
     }
 
     /// The submap that is to be brought to its place next: one that is missing or, else, the one farthest from its place.
-    pub fn next_step(&self, layout: &BTreeMap<u32, Pose>, stored: u32) -> Option<(u32, Pose)> {
-        let wanted = layout.iter().filter(|(number, _)| **number < stored);
+    pub fn next_step(&self, submap_poses: &BTreeMap<u32, Pose>, stored: u32) -> Option<(u32, Pose)> {
+        let wanted = submap_poses.iter().filter(|(number, _)| **number < stored);
         wanted
             .map(|(number, place)| (self.displacement_cells(*number, *place), (*number, *place)))
             .filter(|(cells, _)| *cells > MOVED_CELLS)
@@ -42,9 +42,9 @@ impl FusedPicture {
             .map(|(_, step)| step)
     }
 
-    /// A submap in the picture that the layout has no place for.
-    pub fn next_stray(&self, layout: &BTreeMap<u32, Pose>) -> Option<u32> {
-        self.placed.keys().copied().find(|number| !layout.contains_key(number))
+    /// A submap in the picture that the solution has no place for.
+    pub fn next_stray(&self, submap_poses: &BTreeMap<u32, Pose>) -> Option<u32> {
+        self.placed.keys().copied().find(|number| !submap_poses.contains_key(number))
     }
 
     /// Brings a submap, given as it is stored, to its place. Bytes that are no submap leave it out.
@@ -111,7 +111,7 @@ mod tests {
         let cells = Box::new([PackedCell { occupied: 0, free: 900 }; TILE_CELLS]);
         Submap {
             number,
-            chain: 0,
+            trajectory: 0,
             insertions: 1,
             first: 0,
             last: 0,
@@ -121,9 +121,9 @@ mod tests {
         }
     }
 
-    fn follow(picture: &mut FusedPicture, layout: &BTreeMap<u32, Pose>) -> usize {
+    fn follow(picture: &mut FusedPicture, submap_poses: &BTreeMap<u32, Pose>) -> usize {
         let mut steps = 0;
-        while let Some((number, place)) = picture.next_step(layout, 9) {
+        while let Some((number, place)) = picture.next_step(submap_poses, 9) {
             picture.place(number, submap(number).encode(), place).unwrap();
             steps += 1;
         }
@@ -133,19 +133,19 @@ mod tests {
     #[test]
     fn submaps_come_move_and_go() {
         let mut picture = FusedPicture::default();
-        let mut layout: BTreeMap<_, _> = (0..3).map(|number| (number, Pose::IDENTITY)).collect();
-        assert_eq!(picture.next_step(&layout, 0), None, "none is stored");
-        assert_eq!(follow(&mut picture, &layout), 3);
-        layout.insert(1, Pose::new(0.04, 0.0, 0.0));
-        assert_eq!(picture.next_step(&layout, 9), None, "less than a cell");
-        layout.insert(1, Pose::new(0.0, 3.2, 0.0));
+        let mut submap_poses: BTreeMap<_, _> = (0..3).map(|number| (number, Pose::IDENTITY)).collect();
+        assert_eq!(picture.next_step(&submap_poses, 0), None, "none is stored");
+        assert_eq!(follow(&mut picture, &submap_poses), 3);
+        submap_poses.insert(1, Pose::new(0.04, 0.0, 0.0));
+        assert_eq!(picture.next_step(&submap_poses, 9), None, "less than a cell");
+        submap_poses.insert(1, Pose::new(0.0, 3.2, 0.0));
         while picture.next_changed().is_some() {}
-        assert_eq!(follow(&mut picture, &layout), 1);
+        assert_eq!(follow(&mut picture, &submap_poses), 1);
         let changed: Vec<_> = std::iter::from_fn(|| picture.next_changed()).collect();
         assert!(changed.contains(&TileKey { x: 1, y: 0 }) && changed.contains(&TileKey { x: 1, y: 1 }));
         assert!(picture.map().unwrap().tile(TileKey { x: 1, y: 0 }).is_none());
-        layout.clear();
-        while let Some(number) = picture.next_stray(&layout) {
+        submap_poses.clear();
+        while let Some(number) = picture.next_stray(&submap_poses) {
             picture.remove(number);
         }
         assert!(picture.map().unwrap().is_empty() && !picture.holds(0));

@@ -91,7 +91,7 @@ fn host_without_port(host: &str) -> Option<&str> {
     (port_is_good && !name.is_empty()).then_some(name)
 }
 
-/// Compares without telling by its time how much of a guess was right.
+/// Compares without unpublished by its time how much of a guess was right.
 fn is_same_secret(secret: &[u8], given: &[u8]) -> bool {
     let mut difference = secret.len() ^ given.len();
     for (place, byte) in given.iter().enumerate() {

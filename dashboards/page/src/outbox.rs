@@ -18,7 +18,7 @@ pub struct Outbox {
     sent: u64,
     answered: u64,
     greeted: bool,
-    epoch: u64,
+    restarts: u64,
     seen: Seen,
     replies: Vec<Value>,
 }
@@ -31,7 +31,7 @@ struct Seen {
     path: usize,
     robot: u64,
     scan: u64,
-    layout: u64,
+    graph: u64,
     tracks: u64,
     companions: u64,
     catching_up: u64,
@@ -74,8 +74,8 @@ impl Outbox {
             return None;
         }
         let mut frame = Frame::default();
-        if !self.greeted || self.epoch != view.epoch {
-            (self.greeted, self.epoch, self.seen) = (true, view.epoch, Seen::default());
+        if !self.greeted || self.restarts != view.restarts {
+            (self.greeted, self.restarts, self.seen) = (true, view.restarts, Seen::default());
             frame.json.insert("hello".to_owned(), json!({ "head": view.head, "controls": controls }));
         }
         self.fill(&mut frame, view);
@@ -97,7 +97,7 @@ impl Outbox {
             }
         };
         tell("robot", &mut seen.robot, view.robot.version(), &|_| json!(view.robot.get()));
-        tell("layout", &mut seen.layout, view.layout.version(), &|_| json!(view.layout.get()));
+        tell("graph", &mut seen.graph, view.graph.version(), &|_| json!(view.graph.get()));
         tell("tracks", &mut seen.tracks, view.tracks.version(), &|_| json!(view.tracks.get()));
         tell("companions", &mut seen.companions, view.companions.version(), &|_| {
             json!(view.companions.get())
@@ -186,9 +186,9 @@ mod tests {
             (&json!(99), &json!(3))
         );
         let newest = encode_tile(&[99 % 15; TILE_CELLS]);
-        let told = sections(&frame);
-        assert_eq!((told.len(), told[0].0, told[0].1.len()), (1, 2, 50 * 13), "each tile once");
-        assert!(told[0].1.chunks_exact(13).all(|tile| tile.ends_with(&newest)));
+        let sent = sections(&frame);
+        assert_eq!((sent.len(), sent[0].0, sent[0].1.len()), (1, 2, 50 * 13), "each tile once");
+        assert!(sent[0].1.chunks_exact(13).all(|tile| tile.ends_with(&newest)));
         outbox.answered(3);
         assert!(outbox.next_frame(&view, Controls::Open, 0).is_none(), "nothing is new");
         outbox.answered(900);

@@ -5,7 +5,7 @@ use flockslam_messages::PoseEstimate;
 /// A new point of the path is taken after this much travel, metres.
 const STEP_M: f64 = 0.1;
 
-/// A point of the robot's path, in the coordinates that never jump, with the submap that carries it when the layout moves.
+/// A point of the robot's path, in the coordinates that never jump, with the submap that carries it when the solution moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PathPoint {
     /// Submap that a scan taken here enters.
@@ -45,17 +45,18 @@ impl Path {
     pub fn push(&mut self, pose: &PoseEstimate) {
         let at = pose.odom_from_base;
         let (x_m, y_m) = (at.x_m, at.y_m);
-        let along = self.last.map(|(x, y, chain)| ((x - x_m).hypot(y - y_m), chain == pose.chain));
+        let along =
+            self.last.map(|(x, y, trajectory)| ((x - x_m).hypot(y - y_m), trajectory == pose.trajectory));
         let is_new = match (along, self.points.last()) {
-            (Some((travel_m, same_chain)), Some(point)) => {
-                travel_m >= STEP_M || !same_chain || point.submap != pose.submap
+            (Some((travel_m, same_trajectory)), Some(point)) => {
+                travel_m >= STEP_M || !same_trajectory || point.submap != pose.submap
             }
             _ => true,
         };
         if is_new {
             self.length_m +=
-                along.filter(|(_, same_chain)| *same_chain).map_or(0.0, |(travel_m, _)| travel_m);
-            self.last = Some((x_m, y_m, pose.chain));
+                along.filter(|(_, same_trajectory)| *same_trajectory).map_or(0.0, |(travel_m, _)| travel_m);
+            self.last = Some((x_m, y_m, pose.trajectory));
             let (x_m, y_m) = (x_m as f32, y_m as f32);
             self.points.push(PathPoint { submap: pose.submap, x_m, y_m, quality: pose.quality });
         }

@@ -111,11 +111,11 @@ pub fn serve(
 }
 
 async fn listen(service: &Service) -> io::Result<TcpListener> {
-    let mut told = false;
+    let mut text = false;
     loop {
         match TcpListener::bind(service.listen).await {
             Err(error) if service.waits_for_port && error.kind() == io::ErrorKind::AddrInUse => {
-                if !std::mem::replace(&mut told, true) {
+                if !std::mem::replace(&mut text, true) {
                     tracing::warn!(address = %service.listen, "the page's port is taken: it is served once that is free");
                 }
                 tokio::time::sleep(PORT_RETRY).await;

@@ -5,7 +5,7 @@ use crate::health::{Event, EventKind};
 use crate::path::Path;
 use crate::shade::{Shader, Shades};
 use crate::shared::{Place, Shared};
-use crate::view::{Companion, Layout, RobotNow, SCAN_UNIT_M, ScanNow, Track, numbers};
+use crate::view::{Companion, Graph, RobotNow, SCAN_UNIT_M, ScanNow, Track, numbers};
 use flockslam_bus::{
     Bus, Publisher, RuntimeDir, Sample, ScanSample, ScanSubscriber, SliceSubscriber, Subscriber,
 };
@@ -16,7 +16,7 @@ use flockslam_messages::{
     TileMessage, TracksHeader,
 };
 use flockslam_results::SubmapStore;
-use flockslam_results::{self as results, LiveLayout};
+use flockslam_results::{self as results, LivePoses};
 use flockslam_stage::{JournalReader, StageError};
 use flockslam_telemetry::monotonic_ns;
 use std::collections::{BTreeMap, VecDeque};
@@ -34,7 +34,7 @@ const BEAMS_MAX: usize = 720;
 const BODY_RADIUS_M: f64 = 0.25;
 /// Tiles of closed submaps that are drawn anew at a time.
 const MAP_TILES_PER_TICK: usize = 128;
-/// The layout, and whether stored submaps were replaced, is looked at every so many ticks.
+/// The solution, and whether stored submaps were replaced, is looked at every so many ticks.
 const FILES_EVERY: u64 = 5;
 /// Closed loops are told no oftener than this: there may be many, one after the other.
 const LOOPS_EVERY_MS: u64 = 20_000;
@@ -60,8 +60,8 @@ pub struct Session {
     origins: Vec<(u32, [f64; 3])>,
     /// Loops that have been told, and when; `None` before the first look.
     loops: Option<(u64, u64)>,
-    layout: BTreeMap<u32, Pose>,
-    layout_file: Option<Version>,
+    submap_poses: BTreeMap<u32, Pose>,
+    poses_file: Option<Version>,
     /// Which version of each of the newest files is in the picture.
     versions: BTreeMap<u32, Version>,
     picture: FusedPicture,
@@ -97,8 +97,8 @@ impl Session {
             stored: 0,
             origins: Vec::new(),
             loops: None,
-            layout: BTreeMap::new(),
-            layout_file: None,
+            submap_poses: BTreeMap::new(),
+            poses_file: None,
             versions: BTreeMap::new(),
             picture: FusedPicture::default(),
             shader: Shader::default(),
@@ -111,7 +111,7 @@ impl Session {
 
     fn ask_for_tiles(&self) -> Result<(), StageError> {
         let control: Publisher<Control> = self.bus.publisher()?;
-        control.send(&Control { kind: ControlKind::TilesWanted as u32, epoch: 0, value: 0 })?;
+        control.send(&Control { kind: ControlKind::TilesWanted as u32, run: 0, value: 0 })?;
         self.bus.notifier(Stage::Mapper.name())?.ring();
         Ok(())
     }
@@ -136,7 +136,7 @@ impl Session {
         if self.ticks.is_multiple_of(FILES_EVERY) {
             self.look_at_files(shared);
         }
-        self.follow_layout();
+        self.follow_submap_poses();
         self.draw_map(shared);
         self.ticks += 1;
         Ok(())
@@ -238,41 +238,41 @@ impl Session {
             self.stored += 1;
             is_new = true;
         }
-        let file = results::live_layout_file(&self.results);
+        let file = results::live_poses_file(&self.results);
         let version = version_of(&file);
-        let mut told = LiveLayout::default();
-        if version != self.layout_file || (is_new && !self.optimises) {
-            self.layout_file = version;
-            told = results::read_live_layout(&self.results).unwrap_or_default();
-            self.layout = if self.optimises {
-                told.submaps.iter().map(|row| (row.number, pose_of(row.map_from_odom))).collect()
+        let mut stored = LivePoses::default();
+        if version != self.poses_file || (is_new && !self.optimises) {
+            self.poses_file = version;
+            stored = results::read_live_poses(&self.results).unwrap_or_default();
+            self.submap_poses = if self.optimises {
+                stored.submaps.iter().map(|row| (row.number, pose_of(row.map_from_odom))).collect()
             } else {
                 (0..self.stored).map(|number| (number, Pose::IDENTITY)).collect()
             };
             is_new = true;
         } else {
             let view = shared.view();
-            let known = view.layout.get();
-            told.closures.clone_from(&known.closures);
-            (told.searches, told.accepted) = (known.searches, known.accepted);
+            let known = view.graph.get();
+            stored.closures.clone_from(&known.closures);
+            (stored.searches, stored.accepted) = (known.searches, known.accepted);
         }
-        self.tell_loops(told.accepted, shared);
+        self.show_loops(stored.accepted, shared);
         if is_new {
-            shared.view().layout.set(Layout {
-                submaps: self.layout.iter().map(|(number, pose)| (*number, numbers(*pose))).collect(),
+            shared.view().graph.set(Graph {
+                submaps: self.submap_poses.iter().map(|(number, pose)| (*number, numbers(*pose))).collect(),
                 origins: self.origins.clone(),
-                closures: told.closures,
-                searches: told.searches,
-                accepted: told.accepted,
+                closures: stored.closures,
+                searches: stored.searches,
+                accepted: stored.accepted,
             });
         }
         self.forget_replaced();
     }
 
-    fn tell_loops(&mut self, loops: u64, shared: &Shared) {
+    fn show_loops(&mut self, loops: u64, shared: &Shared) {
         let now_ms = shared.now_ms();
-        let (before, told_ms) = *self.loops.get_or_insert((loops, 0));
-        if loops > before && now_ms >= told_ms + LOOPS_EVERY_MS {
+        let (before, shown_ms) = *self.loops.get_or_insert((loops, 0));
+        if loops > before && now_ms >= shown_ms + LOOPS_EVERY_MS {
             self.loops = Some((loops, now_ms));
             let text = match loops - before {
                 1 => "a loop was closed".to_owned(),
@@ -293,12 +293,12 @@ impl Session {
         }
     }
 
-    /// One step of the picture towards the layout: it may take as long as a few tens of milliseconds.
-    fn follow_layout(&mut self) {
-        if let Some(stray) = self.picture.next_stray(&self.layout) {
+    /// One step of the picture towards the solution: it may take as long as a few tens of milliseconds.
+    fn follow_submap_poses(&mut self) {
+        if let Some(stray) = self.picture.next_stray(&self.submap_poses) {
             self.picture.remove(stray);
         }
-        let Some((number, place)) = self.picture.next_step(&self.layout, self.stored) else { return };
+        let Some((number, place)) = self.picture.next_step(&self.submap_poses, self.stored) else { return };
         let file = self.store.file(number);
         let Some(version) = version_of(&file) else { return };
         let placed = std::fs::read(&file).map(|bytes| self.picture.place(number, bytes, place));
@@ -309,7 +309,7 @@ impl Session {
             self.versions.insert(number, version);
         } else {
             // It is not a submap, or has no place: it is not tried again.
-            self.layout.remove(&number);
+            self.submap_poses.remove(&number);
         }
     }
 

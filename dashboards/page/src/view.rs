@@ -106,7 +106,7 @@ pub struct RobotNow {
 
 /// Where the parts of the map lie.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Layout {
+pub struct Graph {
     /// Number of each placed submap, and its `map_from_odom`.
     pub submaps: Vec<(u32, [f64; 3])>,
     /// Reference poses in odom of submaps, by number.
@@ -174,7 +174,7 @@ pub struct View {
     /// What does not change.
     pub head: Head,
     /// Counts how often what follows was begun anew.
-    pub epoch: u64,
+    pub restarts: u64,
     /// Closed submaps, in the map's lattice.
     pub map: Layer,
     /// The grid that is being built, in odom's lattice.
@@ -186,7 +186,7 @@ pub struct View {
     /// The current scan.
     pub scan: Versioned<ScanNow>,
     /// Where submaps lie.
-    pub layout: Versioned<Layout>,
+    pub graph: Versioned<Graph>,
     /// What moves; `None` when nobody tells.
     pub tracks: Versioned<Option<Vec<Track>>>,
     /// The other robots of the flock.
@@ -206,13 +206,13 @@ impl View {
     pub fn new(head: Head) -> Self {
         Self {
             head,
-            epoch: 0,
+            restarts: 0,
             map: Layer::default(),
             live: Layer::default(),
             path: Path::default(),
             robot: Versioned::default(),
             scan: Versioned::default(),
-            layout: Versioned::default(),
+            graph: Versioned::default(),
             tracks: Versioned::default(),
             companions: Versioned::default(),
             is_catching_up: Versioned::default(),
@@ -224,10 +224,10 @@ impl View {
 
     /// Forgets what came from the bus: it is about to be read anew.
     pub fn begin_anew(&mut self) {
-        self.epoch += 1;
+        self.restarts += 1;
         (self.map, self.live, self.path) = (Layer::default(), Layer::default(), Path::default());
         (self.robot, self.scan) = (Versioned::default(), Versioned::default());
-        (self.layout, self.tracks) = (Versioned::default(), Versioned::default());
+        (self.graph, self.tracks) = (Versioned::default(), Versioned::default());
         self.companions = Versioned::default();
         self.is_catching_up = Versioned::default();
     }

@@ -28,7 +28,7 @@ const link = new Link({
     view.take(json, sections);
     panel.take(json);
     if (json.robot) showRobot(json.robot);
-    if (json.layout) set(find('#loops'), `${json.layout.accepted} of ${json.layout.searches}`);
+    if (json.graph) set(find('#loops'), `${json.graph.accepted} of ${json.graph.searches}`);
     if (json.health !== undefined) showHealth(json.health);
     if (json.catching_up !== undefined) json.catching_up ? tell('Reading what lies behind …') : (find('#notice').hidden = true);
     view.redraw(() => link.drawn(json.frame));

@@ -48,10 +48,10 @@ export class MapView {
     if (json.robot !== undefined) this.robot = json.robot;
     if (json.tracks !== undefined) this.tracks = json.tracks ?? [];
     if (json.companions) this.meet(json.companions);
-    if (json.layout) {
-      this.placed = new Map(json.layout.submaps);
-      this.origins = json.layout.origins;
-      this.closures = json.layout.closures;
+    if (json.graph) {
+      this.placed = new Map(json.graph.submaps);
+      this.origins = json.graph.origins;
+      this.closures = json.graph.closures;
     }
     for (const { kind, data } of sections) {
       if (kind === 1) this.map.take(data);

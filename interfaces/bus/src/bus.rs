@@ -10,7 +10,7 @@ use crate::{
     SlicePublisher, SliceSubscriber, SliceTopic, Subscriber, Topic,
 };
 use flockslam_messages::{
-    Commit, Control, FlockFrame, FlockRobots, Layout, LayoutHeader, MarksHeader, MovingBeamsHeader,
+    Commit, Control, Correction, FlockFrame, FlockRobots, Layout, MarksHeader, MovingBeamsHeader,
     PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally, SectorHeader, Stage, SubmapClosed,
     TileMessage, TracksHeader, Verdict,
 };
@@ -40,7 +40,7 @@ impl Bus {
             plain::<Commit>(&capacity),
             plain::<PartInserted>(&capacity),
             plain::<SubmapClosed>(&capacity),
-            plain::<LayoutHeader>(&capacity),
+            plain::<Correction>(&capacity),
             plain::<FlockFrame>(&capacity),
             plain::<FlockRobots>(&capacity),
             plain::<Control>(&capacity),
@@ -147,7 +147,7 @@ impl Bus {
     /// The event of a stage or of the supervisor, to ring.
     ///
     /// # Errors
-    /// When it does not exist or has too many ringers.
+    /// When it does not exist or has too many notifiers.
     pub fn notifier(&self, name: &str) -> Result<Notifier, BusError> {
         self.transport.notifier(name)
     }

@@ -26,7 +26,7 @@ impl MemoryBus {
     }
 
     fn event(&self, name: &str) -> MemoryEvent {
-        let mut notifiers = self.notifiers.lock().expect("no thread panics while it holds the bells");
+        let mut notifiers = self.notifiers.lock().expect("no thread panics while it holds the events");
         notifiers.entry(name.to_owned()).or_default().clone()
     }
 }

@@ -225,7 +225,7 @@ impl RuntimeDir {
         &self.path
     }
 
-    /// Scans and poses since the start of the epoch.
+    /// Scans and poses since the start of the run.
     pub fn journal(&self) -> PathBuf {
         self.spill.join("journal")
     }

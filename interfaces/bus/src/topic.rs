@@ -2,7 +2,7 @@
 
 use crate::tile_port::LANES;
 use flockslam_messages::{
-    BeamRange, ClearedCell, Commit, Control, FlockFrame, FlockRobots, JudgedCell, Layout, LayoutHeader,
+    BeamRange, ClearedCell, Commit, Control, Correction, FlockFrame, FlockRobots, JudgedCell, Layout,
     MarksHeader, Message, MovingBeamsHeader, PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally,
     SectorHeader, SubmapClosed, TileMessage, Track, TracksHeader, Verdict,
 };
@@ -97,8 +97,8 @@ impl Topic for SubmapClosed {
 impl Topic for PartInserted {
     const NAME: &'static str = "part-inserted";
 }
-impl Topic for LayoutHeader {
-    const NAME: &'static str = "layout";
+impl Topic for Correction {
+    const NAME: &'static str = "correction";
 }
 impl Topic for FlockFrame {
     const NAME: &'static str = "flock-frame";

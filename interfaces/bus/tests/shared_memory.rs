@@ -83,15 +83,15 @@ fn a_full_queue_keeps_the_newest(host: &Bus, member: &Bus) {
 
 /// Another layout or version is refused with a message that says what to do.
 fn builds_that_disagree_refuse_each_other(host: &Bus, member: &Bus) {
-    let told = refusal::<OtherProgress>(member);
-    assert!(told.starts_with("topic progress was created by another build of flockslam"), "{told}");
+    let text = refusal::<OtherProgress>(member);
+    assert!(text.starts_with("topic progress was created by another build of flockslam"), "{text}");
     assert!(
-        told.contains(&format!("{:016x}", OtherProgress::HASH)) && told.contains("flockslam/progress/v1"),
-        "{told}"
+        text.contains(&format!("{:016x}", OtherProgress::HASH)) && text.contains("flockslam/progress/v1"),
+        "{text}"
     );
-    assert!(told.contains("start all of its processes from one executable"), "{told}");
-    let told = refusal::<LaterProgress>(member);
-    assert!(told.contains("flockslam/progress/v2"), "{told}");
+    assert!(text.contains("start all of its processes from one executable"), "{text}");
+    let text = refusal::<LaterProgress>(member);
+    assert!(text.contains("flockslam/progress/v2"), "{text}");
     // Who has the same layout is not disturbed by that.
     let (publisher, subscriber) = (member.publisher().unwrap(), host.subscriber::<Progress>().unwrap());
     publisher.send(&Progress { stage: 1, replica: 0, done: 7 }).unwrap();

@@ -191,16 +191,16 @@ mod tests {
     proptest! {
         #[test]
         fn what_is_told_keeps_sums_and_is_coarsened_once(submap in submap()) {
-            let told = submap.coarsened();
-            prop_assert_eq!(&told.coarsened(), &told);
-            prop_assert_eq!(&told.quantised(), &told);
+            let coarse = submap.coarsened();
+            prop_assert_eq!(&coarse.coarsened(), &coarse);
+            prop_assert_eq!(&coarse.quantised(), &coarse);
             let sum = |submap: &Submap, pick: fn(&PackedCell) -> u16| -> i64 {
                 submap.tiles.iter().flat_map(|tile| tile.cells.iter()).map(|cell| i64::from(pick(cell))).sum()
             };
             for pick in [|cell: &PackedCell| cell.occupied, |cell: &PackedCell| cell.free] {
-                prop_assert!((sum(&told, pick) - sum(&submap, pick)).abs() <= 8192);
+                prop_assert!((sum(&coarse, pick) - sum(&submap, pick)).abs() <= 8192);
             }
-            for (before, after) in submap.tiles.iter().zip(&told.tiles) {
+            for (before, after) in submap.tiles.iter().zip(&coarse.tiles) {
                 prop_assert_eq!(before.cleared, after.cleared);
                 prop_assert!(before.cells.iter().zip(after.cells.iter()).all(|(a, b)| a.is_unknown() == b.is_unknown()));
             }

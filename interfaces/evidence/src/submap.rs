@@ -17,7 +17,7 @@ use flockslam_geometry::Pose;
 /// cells[wall.offset()] = PackedCell { occupied: 900, free: 20 };
 /// let mut submap = Submap {
 ///     number: 0,
-///     chain: 0,
+///     trajectory: 0,
 ///     insertions: 1,
 ///     first: 0,
 ///     last: 0,
@@ -33,10 +33,10 @@ use flockslam_geometry::Pose;
 /// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Submap {
-    /// Its number within the epoch, from 0.
+    /// Its number within the run, from 0.
     pub number: u32,
-    /// Chain of submaps that it belongs to: how the submaps of one chain lie to each other is known from driving.
-    pub chain: u32,
+    /// Trajectory that it belongs to: how the submaps of one trajectory lie to each other is known from driving.
+    pub trajectory: u32,
     /// Scans in it.
     pub insertions: u32,
     /// Sequence of its first scan.

@@ -1,6 +1,6 @@
 //! The stored and transmitted form of a submap: compact, and read with suspicion.
 //!
-//! Little-endian: `FLSM`, version, checksum (CRC-32 of all that follows), number, chain, insertions, first, last, reference pose,
+//! Little-endian: `FLSM`, version, checksum (CRC-32 of all that follows), number, trajectory, insertions, first, last, reference pose,
 //! cell size; the levels of both weights (count, then each weight); the number of tiles and their keys, each as the
 //! difference to the one before; the tiles with cleared cells, as place, rows (64 bits) and a mask for each row; then to the end
 //! the cells, as places among the levels, range coded by [`CellModel`].
@@ -54,7 +54,7 @@ impl Submap {
         out.push(VERSION);
         out.extend([0; 4]);
         out.extend(self.number.to_le_bytes());
-        out.extend(self.chain.to_le_bytes());
+        out.extend(self.trajectory.to_le_bytes());
         out.extend(self.insertions.to_le_bytes());
         out.extend(self.first.to_le_bytes());
         out.extend(self.last.to_le_bytes());
@@ -97,7 +97,7 @@ impl Submap {
         if input.u32()? != crc32fast::hash(input.0) {
             return Err(SubmapBytesError::Damaged);
         }
-        let (number, chain, insertions) = (input.u32()?, input.u32()?, input.u32()?);
+        let (number, trajectory, insertions) = (input.u32()?, input.u32()?, input.u32()?);
         let (first, last) = (input.u64()?, input.u64()?);
         let odom_from_submap = Pose { x_m: input.f64()?, y_m: input.f64()?, heading_rad: input.f64()? };
         let cell_size_m = input.f64()?;
@@ -110,7 +110,7 @@ impl Submap {
         let mut tiles: Vec<SubmapTile> = keys.into_iter().map(empty).collect();
         decode_masks(&mut input, &mut tiles)?;
         decode_cells(input.0, &levels, &mut tiles)?;
-        Ok(Submap { number, chain, insertions, first, last, odom_from_submap, cell_size_m, tiles })
+        Ok(Submap { number, trajectory, insertions, first, last, odom_from_submap, cell_size_m, tiles })
     }
 }
 
@@ -293,7 +293,7 @@ pub(crate) mod tests {
                 let tiles = tiles.into_values().collect();
                 Submap {
                     number: 3,
-                    chain: 0,
+                    trajectory: 0,
                     insertions: 7,
                     first: 40,
                     last: 61,
@@ -355,7 +355,7 @@ pub(crate) mod tests {
     fn empty() -> Submap {
         Submap {
             number: 0,
-            chain: 0,
+            trajectory: 0,
             insertions: 0,
             first: 0,
             last: 0,

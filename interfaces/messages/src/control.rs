@@ -9,8 +9,8 @@ message! {
         /// A [`ControlKind`] as number.
         pub kind: u32,
         /// Cold start that it belongs to.
-        pub epoch: u32,
-        /// `StreamEnd`: number of scans published in the epoch.
+        pub run: u32,
+        /// `StreamEnd`: number of scans published in the run.
         pub value: u64,
     }
 }
@@ -21,7 +21,7 @@ message! {
 pub enum ControlKind {
     /// The source has ended; `value` scans were published.
     StreamEnd = 1,
-    /// sync-manager has stored its final layout and map.
+    /// sync-manager has stored its final solution and map.
     Finished = 2,
     /// The source is asked to end: what it has sent is the whole stream.
     EndWanted = 5,

@@ -8,11 +8,11 @@ message! {
     pub struct FlockFrame = "flockslam/flock-frame/v1" {
         /// Takes coordinates of the robot's map to the frame of the flock.
         pub flock_from_map: Pose,
-        /// Hash of the common layout and of the map fused in it: equal for robots that know the same.
+        /// Hash of the common solution and of the map fused in it: equal for robots that know the same.
         pub map_hash: u64,
         /// Robots that are part of the common map.
         pub members: u32,
-        /// Counts the common layouts of this process from 1.
+        /// Counts the common solutions of this process from 1.
         pub revision: u32,
     }
 }

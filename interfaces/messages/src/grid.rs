@@ -67,7 +67,7 @@ message! {
         pub odom_from_submap: Pose,
         /// FNV-1a hash of the stored content.
         pub checksum: u64,
-        /// Its number within the epoch, from 0.
+        /// Its number within the run, from 0.
         pub number: u32,
         /// Scans inserted.
         pub insertions: u32,

@@ -7,10 +7,10 @@ message! {
     #[derive(Eq, PartialOrd, Ord, Hash)]
     pub struct ScanId = "flockslam/scan-id/v1" {
         /// Counts the cold starts of the robot's process set.
-        pub epoch: u32,
+        pub run: u32,
         /// Which lidar of the robot.
         pub lidar: u32,
-        /// Counts the scans of the epoch in order of arrival, over all lidars, from 0.
+        /// Counts the scans of the run in order of arrival, over all lidars, from 0.
         pub sequence: u64,
     }
 }
@@ -30,6 +30,6 @@ message! {
 
 impl std::fmt::Display for ScanId {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{}/{}/{}", self.epoch, self.lidar, self.sequence)
+        write!(f, "{}/{}/{}", self.run, self.lidar, self.sequence)
     }
 }

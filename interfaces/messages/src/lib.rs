@@ -4,11 +4,11 @@
 //! is part of its type name and its layout is hashed, so two builds that disagree refuse each other.
 
 mod control;
+mod correction;
 mod deskew;
 mod flock;
 mod grid;
 mod identity;
-mod layout;
 mod marks;
 mod message;
 mod moving;
@@ -20,11 +20,11 @@ mod tracks;
 mod verdict;
 
 pub use control::{Control, ControlKind};
+pub use correction::Correction;
 pub use deskew::Deskew;
 pub use flock::{FLOCK_ROBOTS_MAX, FlockFrame, FlockRobot, FlockRobots};
 pub use grid::{Commit, PartInserted, SubmapClosed, TileMessage};
 pub use identity::{ScanId, Times};
-pub use layout::LayoutHeader;
 pub use marks::{ClearedCell, JudgedCell, MarksHeader, SectorHeader};
 pub use message::{Layout, Message};
 pub use moving::{BeamRange, MovingBeamsHeader};

@@ -15,7 +15,7 @@ message! {
         pub odom_from_base: Pose,
         /// The latest correction; `map_from_base = map_from_odom ∘ odom_from_base`.
         pub map_from_odom: Pose,
-        /// The wheels' dead reckoning at the scan (identity when there is none), for interpolation afterwards.
+        /// Odometry (dead reckoning) at the scan (identity when there is none), for interpolation afterwards.
         pub odometry: Pose,
         /// Covariance of `odom_from_base` against the grid that was matched.
         pub covariance: Covariance,
@@ -28,16 +28,16 @@ message! {
         /// Number of the submap that a scan inserted now enters.
         pub submap: u32,
         /// Number of corrections received so far.
-        pub layout_revision: u32,
+        pub corrections: u32,
         /// A [`Quality`] as number.
         pub quality: u32,
         /// Bits of [`PoseFlags`].
         pub flags: u32,
         /// Why the filter dropped the scan (a `DropReason` as number), 0 when it was kept.
         pub drop_reason: u32,
-        /// Number of the chain of submaps, from 0. A robot that stays lost begins a new one: how it lies to those before is not
+        /// Number of the trajectory, from 0. A robot that stays lost begins a new one: how it lies to those before is not
         /// known from driving, only from closures.
-        pub chain: u32,
+        pub trajectory: u32,
     }
 }
 

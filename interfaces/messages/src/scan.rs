@@ -17,7 +17,7 @@ message! {
         pub times: Times,
         /// `base_link_from_laser`: where the lidar is mounted.
         pub base_from_laser: Pose,
-        /// `odom_from_base` of the wheels at the stamp (raw dead reckoning); only when `has_odometry` is 1.
+        /// `odom_from_base` by odometry at the stamp (dead reckoning); only when `has_odometry` is 1.
         pub odometry: Pose,
         /// Direction of beam 0 in the laser frame, radians; unless the scan has explicit angles.
         pub angle_min_rad: f64,

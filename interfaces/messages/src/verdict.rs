@@ -42,7 +42,7 @@ pub enum DropReason {
     Deadline = 5,
     /// Nothing has changed since the last kept scan: the robot stands still.
     Unchanged = 6,
-    /// The wheels have hardly moved since the last kept scan.
+    /// Odometry has hardly moved since the last kept scan.
     Motion = 7,
     /// Live: the set was told to pause; the sensor goes on.
     Paused = 8,

@@ -56,9 +56,9 @@ impl Message {
                 out.u8(3);
                 out.robot(robot);
                 out.u64(*epoch);
-                let told = &hashes[..hashes.len().min(HASHES_MAX)];
-                out.varint(told.len() as u64);
-                for (number, hash) in told {
+                let sent = &hashes[..hashes.len().min(HASHES_MAX)];
+                out.varint(sent.len() as u64);
+                for (number, hash) in sent {
                     out.varint(*number);
                     out.bytes(hash);
                 }

@@ -49,10 +49,10 @@ impl Numbers {
 
     /// As many ranges as may be told: of more, the first.
     pub(crate) fn write(&self, out: &mut Writer) {
-        let told = &self.ranges[..self.ranges.len().min(RANGES_MAX)];
-        out.varint(told.len() as u64);
+        let sent = &self.ranges[..self.ranges.len().min(RANGES_MAX)];
+        out.varint(sent.len() as u64);
         let mut from = 0;
-        for (first, last) in told {
+        for (first, last) in sent {
             out.varint(first - from);
             out.varint(last - first);
             from = last + 1;

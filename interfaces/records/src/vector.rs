@@ -34,9 +34,9 @@ impl Vector {
     }
 
     pub(crate) fn write(&self, out: &mut Writer) {
-        let told = &self.logs[..self.logs.len().min(LOGS_MAX)];
-        out.varint(told.len() as u64);
-        for log in told {
+        let sent = &self.logs[..self.logs.len().min(LOGS_MAX)];
+        out.varint(sent.len() as u64);
+        for log in sent {
             out.robot(&log.robot);
             out.u64(log.epoch);
             log.numbers.write(out);

@@ -30,12 +30,12 @@ pub struct FlockStatus {
     /// Hash of these records.
     pub records_hash: String,
     /// Everything that is known has been searched and laid out: the hashes below are those of these records.
-    pub settled: bool,
+    pub converged: bool,
     /// Names of the robots that are part of the common map.
     pub members: Vec<String>,
     /// Whether this robot is one of at least two of them.
     pub merged: bool,
-    /// Hash of the common layout and of the map fused in it; equal where the records are. Empty while there is one robot only.
+    /// Hash of the common solution and of the map fused in it; equal where the records are. Empty while there is one robot only.
     pub map_hash: String,
     /// Takes this robot's map to the frame of the flock: metres, metres, radians. `None` while it is not merged.
     pub flock_from_map: Option<[f64; 3]>,

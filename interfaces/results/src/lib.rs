@@ -9,8 +9,8 @@ mod submap_store;
 pub use error::ResultsError;
 pub use flock_status::FlockStatus;
 pub use run_results::{
-    FINAL_TRAJECTORY, FUSED_MAP, LayoutRow, LiveLayout, ONLINE_TRAJECTORY, SUMMARY, StampedPose, StoredMap,
-    Summary, TRUE_TRAJECTORY, live_layout_file, read_live_layout, read_map, read_summary, read_trajectory,
-    write_live_layout, write_map, write_summary, write_trajectory,
+    FINAL_TRAJECTORY, FUSED_MAP, LivePoses, ONLINE_TRAJECTORY, SUMMARY, StampedPose, StoredMap, SubmapRow,
+    Summary, TRUE_TRAJECTORY, live_poses_file, read_live_poses, read_map, read_summary, read_trajectory,
+    write_live_poses, write_map, write_summary, write_trajectory,
 };
 pub use submap_store::SubmapStore;

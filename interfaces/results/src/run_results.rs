@@ -31,7 +31,7 @@ pub const FUSED_MAP: &str = "fused.map";
 pub const SUMMARY: &str = "summary.json";
 
 /// Where submaps lie and which loops are closed, as of the last closed submap, as JSON.
-const LIVE_LAYOUT: &str = "live_layout.json";
+const LIVE_POSES: &str = "live_layout.json";
 
 /// What sync-manager tells about the whole run.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -60,23 +60,23 @@ pub struct Summary {
     /// Area that the stored submaps know, each counted for itself, m².
     #[serde(default)]
     pub submap_area_m2: f64,
-    /// Chains of submaps: more than one when the robot was lost and mapped anew.
+    /// Trajectories: more than one when the robot was lost and mapped anew.
     #[serde(default)]
-    pub chains: u64,
-    /// Scans of chains that no closure connects with the map.
+    pub trajectories: u64,
+    /// Scans of trajectories that no closure connects with the map.
     #[serde(default)]
     pub detached_scans: u64,
     /// Searches for loop closures.
     pub closures_tried: u64,
     /// Closures that passed all checks.
     pub closures_accepted: u64,
-    /// Of those, closures that do not act in the final layout.
+    /// Of those, closures that do not act in the final solution.
     pub closures_revoked: u64,
 }
 
 /// Where a stored submap lies in the final map.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct LayoutRow {
+pub struct SubmapRow {
     /// Number of the submap.
     pub number: u32,
     /// Takes the coordinates of its cells to the map: metres, metres, radians.
@@ -85,14 +85,14 @@ pub struct LayoutRow {
 
 /// What sync-manager has concluded so far, for who watches a set that runs.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct LiveLayout {
+pub struct LivePoses {
     /// Submaps that are part of the map.
-    pub submaps: Vec<LayoutRow>,
+    pub submaps: Vec<SubmapRow>,
     /// Closed loops: x and y of both ends in the map, metres; then 1 when the loop acts, 0 when it is revoked.
     pub closures: Vec<[f64; 5]>,
     /// Searches for loops.
     pub searches: u64,
-    /// Loops found, those whose place has settled and that are not listed any more among them.
+    /// Loops found, those whose place is frozen and that are not listed any more among them.
     pub accepted: u64,
 }
 
@@ -201,17 +201,17 @@ pub fn write_summary(directory: &Path, summary: &Summary) -> Result<(), ResultsE
 }
 
 /// The file of what was concluded so far.
-pub fn live_layout_file(directory: &Path) -> PathBuf {
-    directory.join(LIVE_LAYOUT)
+pub fn live_poses_file(directory: &Path) -> PathBuf {
+    directory.join(LIVE_POSES)
 }
 
 /// Writes what was concluded so far.
 ///
 /// # Errors
 /// When the disk refuses.
-pub fn write_live_layout(directory: &Path, layout: &LiveLayout) -> Result<(), ResultsError> {
-    let path = live_layout_file(directory);
-    let json = serde_json::to_vec(layout).map_err(|e| ResultsError::file(&path, e))?;
+pub fn write_live_poses(directory: &Path, poses: &LivePoses) -> Result<(), ResultsError> {
+    let path = live_poses_file(directory);
+    let json = serde_json::to_vec(poses).map_err(|e| ResultsError::file(&path, e))?;
     Ok(replace_file(&path, &json, Durability::Process)?)
 }
 
@@ -219,8 +219,8 @@ pub fn write_live_layout(directory: &Path, layout: &LiveLayout) -> Result<(), Re
 ///
 /// # Errors
 /// When nothing was.
-pub fn read_live_layout(directory: &Path) -> Result<LiveLayout, ResultsError> {
-    let path = live_layout_file(directory);
+pub fn read_live_poses(directory: &Path) -> Result<LivePoses, ResultsError> {
+    let path = live_poses_file(directory);
     let json = fs::read(&path).map_err(|e| ResultsError::file(&path, e))?;
     serde_json::from_slice(&json).map_err(|e| ResultsError::file(&path, e))
 }

@@ -46,7 +46,7 @@ impl SubmapStore {
     pub fn notice(&self, submap: &Submap) -> Result<SubmapClosed, ResultsError> {
         let path = self.file(submap.number);
         let bytes = fs::read(&path).map_err(|e| ResultsError::file(&path, e))?;
-        let id = |sequence| ScanId { epoch: 1, lidar: 0, sequence };
+        let id = |sequence| ScanId { run: 1, lidar: 0, sequence };
         Ok(SubmapClosed {
             first: id(submap.first),
             last: id(submap.last),

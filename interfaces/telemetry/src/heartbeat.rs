@@ -149,16 +149,16 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("mapper.beat");
         let mut heart = Heartbeat::open(&path).unwrap();
-        let told = |path: &Path| read_heartbeat(path).unwrap().map(|beat| (beat.ready, beat.handled));
+        let state = |path: &Path| read_heartbeat(path).unwrap().map(|beat| (beat.ready, beat.handled));
         heart.beat(5, 0).unwrap();
-        assert_eq!(told(&path), Some((false, 0)));
+        assert_eq!(state(&path), Some((false, 0)));
         heart.set_ready();
         heart.beat(6, 0).unwrap();
-        assert_eq!(told(&path), Some((true, 0)));
+        assert_eq!(state(&path), Some((true, 0)));
         heart.beat(7, 1).unwrap();
-        assert_eq!(told(&path), Some((true, 1)));
+        assert_eq!(state(&path), Some((true, 1)));
         heart.beat(8, 2).unwrap();
-        assert_eq!(told(&path), Some((true, 1)));
+        assert_eq!(state(&path), Some((true, 1)));
     }
 
     proptest! {

@@ -131,9 +131,9 @@ impl Look {
 
 /// Whether the standard error leads to journald, which says so by device and inode of its socket.
 fn journal_reads() -> bool {
-    let Ok(told) = std::env::var("JOURNAL_STREAM") else { return false };
+    let Ok(text) = std::env::var("JOURNAL_STREAM") else { return false };
     std::fs::metadata("/proc/self/fd/2")
-        .is_ok_and(|stderr| told == format!("{}:{}", stderr.dev(), stderr.ino()))
+        .is_ok_and(|stderr| text == format!("{}:{}", stderr.dev(), stderr.ino()))
 }
 
 /// Lines with the stage's name, so that the mixed output of a process set stays readable.

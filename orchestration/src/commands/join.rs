@@ -12,7 +12,7 @@ use flockslam_map_fusion::FusedMap;
 use flockslam_map_fusion::stored_map;
 use flockslam_records::{Limits, Message, RobotKey};
 
-use flockslam_flock::{Carried, Flock, FlockLayout, carried};
+use flockslam_flock::{Carried, Flock, FlockSolution, carried};
 use flockslam_results::FlockStatus;
 use flockslam_results::StoredMap;
 use flockslam_results::flock_files::{NamedPose, OWN_NODES, OWN_SCANS, RecordLog, read_named};
@@ -131,10 +131,10 @@ pub struct Joined {
     pub robots: Vec<String>,
     /// Those that are part of the common map.
     pub members: Vec<String>,
-    /// Whether every robot has worked out the same layout and the same map.
+    /// Whether every robot has worked out the same solution and the same map.
     pub all_agree: bool,
-    /// Hash of the layout.
-    pub layout_hash: String,
+    /// Hash of the solution.
+    pub solution_hash: String,
     /// Hash of the fused map.
     pub map_hash: String,
     /// Hash of the records that all have.
@@ -149,8 +149,8 @@ pub struct Joined {
     pub bytes_exchanged: u64,
     /// Time that looking for each other took, all robots together, seconds; 0 when they met while they drove.
     pub search_s: f64,
-    /// Time of one final layout, seconds.
-    pub layout_s: f64,
+    /// Time of one final solution, seconds.
+    pub solution_s: f64,
 }
 
 impl Joined {
@@ -198,7 +198,7 @@ pub fn join(out: &Path, members: Vec<Member>) -> Result<Joined, CommandError> {
 pub fn join_met(out: &Path, members: Vec<Member>) -> Result<Joined, CommandError> {
     let statuses: Option<Vec<&FlockStatus>> = members.iter().map(|member| member.status.as_ref()).collect();
     let statuses = statuses.ok_or_else(|| CommandError::failed("a robot has left no status of its flock"))?;
-    let same = |status: &&FlockStatus| status.settled && status.map_hash == statuses[0].map_hash;
+    let same = |status: &&FlockStatus| status.converged && status.map_hash == statuses[0].map_hash;
     let met = Met {
         bytes_exchanged: statuses.iter().map(|status| status.said_bytes).sum(),
         searches: statuses.iter().map(|status| status.searches).sum(),
@@ -227,32 +227,32 @@ fn flocks(members: &[Member]) -> Result<Vec<Flock>, CommandError> {
 /// Lets each robot work out the common map, compares them, and writes it into a directory.
 fn conclude(out: &Path, members: &[Member], flocks: &[Flock], met: &Met) -> Result<Joined, CommandError> {
     let started = Instant::now();
-    let layouts: Vec<FlockLayout> = flocks.iter().map(|flock| flock.layout(true)).collect();
-    let layout_s = started.elapsed().as_secs_f64() / flocks.len().max(1) as f64;
+    let solutions: Vec<FlockSolution> = flocks.iter().map(|flock| flock.solution(true)).collect();
+    let solution_s = started.elapsed().as_secs_f64() / flocks.len().max(1) as f64;
     let maps: Vec<StoredMap> =
-        flocks.iter().zip(&layouts).map(|(flock, layout)| stored(flock, layout)).collect();
+        flocks.iter().zip(&solutions).map(|(flock, solution)| stored(flock, solution)).collect();
     let hashes: Vec<(u64, String)> =
-        layouts.iter().zip(&maps).map(|(layout, map)| (layout.hash(), map_hash(map))).collect();
-    let (Some(layout), Some(map), Some(flock), Some(hash)) =
-        (layouts.first(), maps.first(), flocks.first(), hashes.first())
+        solutions.iter().zip(&maps).map(|(solution, map)| (solution.hash(), map_hash(map))).collect();
+    let (Some(solution), Some(map), Some(flock), Some(hash)) =
+        (solutions.first(), maps.first(), flocks.first(), hashes.first())
     else {
         return Err(CommandError::user("a flock needs a robot"));
     };
-    let tracks: Vec<Vec<TrajectoryPoint>> = members.iter().map(|member| track(member, layout)).collect();
+    let tracks: Vec<Vec<TrajectoryPoint>> = members.iter().map(|member| track(member, solution)).collect();
     let records: Vec<_> = flock.collection().records().collect();
     let joined = Joined {
         robots: members.iter().map(|member| member.name.clone()).collect(),
-        members: layout.members().iter().map(|robot| robot.name().to_owned()).collect(),
+        members: solution.members().iter().map(|robot| robot.name().to_owned()).collect(),
         all_agree: !met.differ && hashes.iter().all(|other| other == hash),
-        layout_hash: format!("{:016x}", hash.0),
+        solution_hash: format!("{:016x}", hash.0),
         map_hash: hash.1.clone(),
         records_hash: flock.collection().hash()[..16].iter().map(|byte| format!("{byte:02x}")).collect(),
-        constraints_between: layout.across,
+        constraints_between: solution.across,
         searches: met.searches,
         records: (records.len() as u64, records.iter().map(|record| record.bytes().len() as u64).sum()),
         bytes_exchanged: met.bytes_exchanged,
         search_s: met.search_s,
-        layout_s,
+        solution_s,
     };
     write(out, &joined, map, &tracks)?;
     for (member, track) in members.iter().zip(&tracks) {
@@ -302,8 +302,8 @@ fn exchange(flocks: &mut [Flock]) -> u64 {
     }
 }
 
-fn stored(flock: &Flock, layout: &FlockLayout) -> StoredMap {
-    stored_or_empty(flock.map(layout).map.as_ref())
+fn stored(flock: &Flock, solution: &FlockSolution) -> StoredMap {
+    stored_or_empty(flock.map(solution).map.as_ref())
 }
 
 /// A fused map as it is written; an empty one when there is none.
@@ -312,10 +312,10 @@ pub fn stored_or_empty(map: Option<&FusedMap>) -> StoredMap {
 }
 
 /// A robot's way in the frame of the flock; nothing when it is not part of it.
-pub fn track(member: &Member, layout: &FlockLayout) -> Vec<TrajectoryPoint> {
-    let nodes = layout.nodes.iter().find(|((robot, _), _)| robot.name() == member.name);
+pub fn track(member: &Member, solution: &FlockSolution) -> Vec<TrajectoryPoint> {
+    let nodes = solution.nodes.iter().find(|((robot, _), _)| robot.name() == member.name);
     let Some((_, nodes)) = nodes else { return Vec::new() };
-    let inside: Vec<_> = nodes.iter().filter(|node| node.part == layout.main_part).copied().collect();
+    let inside: Vec<_> = nodes.iter().filter(|node| node.part == solution.main_part).copied().collect();
     let poses = carried(&member.scans, &member.nodes, &inside);
     let point =
         |(scan, pose): (&Carried, Pose)| TrajectoryPoint { stamp_ns: scan.stamp_ns, map_from_base: pose };

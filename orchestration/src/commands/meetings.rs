@@ -60,7 +60,7 @@ pub fn meet(out: &Path, members: &[Member], fusion: FusionArg) -> Result<Met, Co
         let snapshot = Snapshot::of(&flock).ok_or_else(|| {
             CommandError::failed(format!("robot {} has no map to hand over", member.name()))
         })?;
-        own_tracks.push(track(member, &flock.layout(true)));
+        own_tracks.push(track(member, &flock.solution(true)));
         robots.push(Meetings::new(snapshot));
     }
     let map_bytes = robots.iter().map(|robot| robot.snapshot().map.encode().len() as u64).sum();

@@ -295,7 +295,7 @@ fn report(
         submaps_retired: summary.submaps_retired,
         submap_bytes: summary.submap_bytes,
         submap_bytes_per_m2: summary.submap_bytes as f64 / summary.submap_area_m2.max(1.0),
-        chains: summary.chains,
+        trajectories: summary.trajectories,
         detached_scans: summary.detached_scans,
         loop_closures: LoopClosures {
             tried: summary.closures_tried,
@@ -353,14 +353,12 @@ pub fn summary(out: &Path, report: &Report) -> String {
     let share = 100.0 * dropped as f64 / report.scans.max(1) as f64;
     let closures = report.loop_closures.accepted.saturating_sub(report.loop_closures.revoked);
     let rejected: BTreeMap<_, _> = report.rejected.iter().filter(|(_, count)| **count > 0).collect();
-    let refines = report.configuration["sync_manager"]["refine"] == true;
-    let refined = if refines { "trajectory_refined.tum, submaps/, " } else { "" };
     let bad = if rejected.is_empty() { String::new() } else { format!("bad lines skipped: {rejected:?}\n") };
     format!(
         "{} scans in {:.1} s ({:.0} scans/s), {share:.0} % dropped by the filter\n\
-         {:.0} m driven, {:.0} m² mapped, {} submaps, {closures} loop closures in force\n\
+         {:.0} m driven, {:.0} m² mapped, {} submaps, {closures} loop closures\n\
          {bad}map {}\n\
-         wrote trajectory.tum, trajectory_online.tum, {refined}map.pgm, map.yaml, map.png, report.json to {}\n",
+         wrote trajectory.tum, trajectory_online.tum, map.pgm, map.yaml, map.png, report.json to {}\n",
         report.scans,
         report.wall_s,
         report.scans_per_s,

@@ -34,9 +34,9 @@ pub(super) fn die_with(parent: Option<u32>) -> bool {
 
 /// Leaves the reason where the supervisor finds it: one place to speak to the user is enough.
 fn tell(args: &StageArgs, error: &StageError) {
-    let told = RuntimeDir::open(&args.set_dir)
+    let is_reported = RuntimeDir::open(&args.set_dir)
         .is_ok_and(|runtime| std::fs::write(error_file(&runtime, args.stage), error.to_string()).is_ok());
-    if !told {
+    if !is_reported {
         tracing::error!(%error, "cannot go on");
     }
 }

@@ -79,8 +79,8 @@ pub fn run(args: &SwarmArgs) -> Result<(), CommandError> {
 fn meet_within(robots: &mut [Robot], range_m: f64) -> Result<Contacts, CommandError> {
     let simulated = |robot: &Robot| (robot.name.clone(), robot.set(), robot.drive.clone());
     let contacts = Contacts::new(&robots.iter().map(simulated).collect::<Vec<_>>(), range_m)?;
-    let told = || "sync_manager.flock.proximity=contacts".to_owned();
-    robots.iter_mut().for_each(|robot| robot.assignments.push(told()));
+    let proximity = || "sync_manager.flock.proximity=contacts".to_owned();
+    robots.iter_mut().for_each(|robot| robot.assignments.push(proximity()));
     Ok(contacts)
 }
 

@@ -38,10 +38,10 @@ fn keys_of(configuration: &Configuration) -> BTreeMap<String, Value> {
 }
 
 /// Cells of the rows of tables that begin with a key, by heading.
-fn rows(text: &str) -> Vec<(String, Vec<String>)> {
+fn rows(message: &str) -> Vec<(String, Vec<String>)> {
     let mut heading = String::new();
     let mut found = Vec::new();
-    for line in text.lines() {
+    for line in message.lines() {
         if let Some(name) = line.strip_prefix("## ") {
             heading = name.trim_matches(['[', ']']).to_owned();
         } else if line.starts_with("| `") {
@@ -56,7 +56,7 @@ fn rows(text: &str) -> Vec<(String, Vec<String>)> {
 fn written(value: &Value) -> String {
     match value {
         Value::Null => "not set".to_owned(),
-        Value::String(text) => text.clone(),
+        Value::String(message) => message.clone(),
         Value::Array(values) => format!("[{}]", values.iter().map(written).collect::<Vec<_>>().join(", ")),
         other => other.to_string(),
     }
@@ -116,10 +116,10 @@ fn the_document_lists_exactly_the_keys_of_a_set() {
 
 #[test]
 fn the_document_lists_exactly_what_the_profiles_set() {
-    let text = document("configuration.md");
+    let message = document("configuration.md");
     let default = keys_of(&Configuration::default());
     for (profile, name) in [(Profile::Vinyslam, "vinyslam"), (Profile::Ndt, "ndt")] {
-        let table = text.split(&format!("| key | default | {name} |")).nth(1).unwrap();
+        let table = message.split(&format!("| key | default | {name} |")).nth(1).unwrap();
         let table: String =
             table.lines().skip(2).take_while(|line| !line.is_empty()).map(|l| format!("{l}\n")).collect();
         let listed: BTreeSet<Vec<String>> = rows(&table).into_iter().map(|(_, cells)| cells).collect();
@@ -139,10 +139,10 @@ fn the_document_on_upgrading_lists_exactly_the_old_keys() {
         .filter(|(heading, _)| heading == "Keys")
         .map(|(_, cells)| cells)
         .collect();
-    let told = |(key, now): &(&str, Now)| match now {
+    let message = |(key, now): &(&str, Now)| match now {
         Now::Fixed(value) => vec![(*key).to_owned(), format!("fixed at {value}")],
         Now::Called(name) => vec![(*key).to_owned(), (*name).to_owned()],
         Now::Gone(reason) => vec![(*key).to_owned(), format!("gone: {reason}")],
     };
-    assert_eq!(listed, OLD_KEYS.iter().map(told).collect::<Vec<_>>());
+    assert_eq!(listed, OLD_KEYS.iter().map(message).collect::<Vec<_>>());
 }

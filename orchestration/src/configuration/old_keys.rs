@@ -119,7 +119,7 @@ pub const OLD_KEYS: &[(&str, Now)] = &[
 ];
 
 /// What is told of a key when it is an old one: one line.
-fn told(key: &str) -> Option<String> {
+fn message_for(key: &str) -> Option<String> {
     let (_, now) = OLD_KEYS.iter().find(|(old, _)| *old == key)?;
     Some(match now {
         Fixed(value) => format!("{key} is now fixed at {value}"),
@@ -136,7 +136,7 @@ pub fn in_table(table: &Table) -> Option<String> {
 fn below(table: &Table, section: &str) -> Option<String> {
     table.iter().find_map(|(name, value)| {
         let key = format!("{section}{name}");
-        told(&key).or_else(|| match value {
+        message_for(&key).or_else(|| match value {
             Value::Table(table) => below(table, &format!("{key}.")),
             _ => None,
         })
@@ -144,14 +144,14 @@ fn below(table: &Table, section: &str) -> Option<String> {
 }
 
 /// The first old key of a TOML text: its place in bytes and how it is told. A text that is no TOML has none.
-pub fn in_text(text: &str) -> Option<(usize, String)> {
-    below_in_text(DeTable::parse(text).ok()?.get_ref(), "")
+pub fn in_text(message: &str) -> Option<(usize, String)> {
+    below_in_text(DeTable::parse(message).ok()?.get_ref(), "")
 }
 
 fn below_in_text(table: &DeTable<'_>, section: &str) -> Option<(usize, String)> {
     let found = table.iter().filter_map(|(name, value)| {
         let key = format!("{section}{}", name.get_ref());
-        let old = told(&key).map(|told| (name.span().start, told));
+        let old = message_for(&key).map(|message| (name.span().start, message));
         old.or_else(|| match value.get_ref() {
             DeValue::Table(table) => below_in_text(table, &format!("{key}.")),
             _ => None,
@@ -195,7 +195,7 @@ mod tests {
         for old in OLD_KEYS {
             let given = assignment(old);
             let refused = Configuration::load(Profile::Default, None, std::slice::from_ref(&given));
-            let expected = format!("--set {given}: {}", told(old.0).unwrap());
+            let expected = format!("--set {given}: {}", message_for(old.0).unwrap());
             assert_eq!(refused.unwrap_err().to_string(), expected);
         }
         let whole = "sync_manager={ closure = { enabled = false } }".to_owned();
@@ -213,11 +213,11 @@ mod tests {
             let (_, value) = given.split_once('=').unwrap();
             let dotted = format!("page.enabled = true\n{} = {value}\n", old.0);
             let sectioned = format!("[page]\nenabled = true\n[{section}]\n# Turned.\n{name} = {value}\n");
-            for (text, line) in [(dotted, 2), (sectioned, 5)] {
-                std::fs::write(&path, text).unwrap();
+            for (message, line) in [(dotted, 2), (sectioned, 5)] {
+                std::fs::write(&path, message).unwrap();
                 let refused = Configuration::load(Profile::Default, Some(&path), &[]).unwrap_err();
                 assert!(matches!(refused, ConfigurationError::File { line: found, .. } if found == line));
-                assert!(refused.to_string().ends_with(&format!(":{line}: {}", told(old.0).unwrap())));
+                assert!(refused.to_string().ends_with(&format!(":{line}: {}", message_for(old.0).unwrap())));
             }
         }
     }
@@ -225,13 +225,14 @@ mod tests {
     #[test]
     fn each_old_key_is_refused_in_the_description_of_a_set_and_in_its_file() {
         let directory = tempfile::tempdir().unwrap();
-        let write = |name: &str, text: String| std::fs::write(directory.path().join(name), text).unwrap();
+        let write =
+            |name: &str, message: String| std::fs::write(directory.path().join(name), message).unwrap();
         let refused = || {
             let description = SetDescription::read(&directory.path().join("set.toml")).unwrap();
             description.configuration(&[]).unwrap_err().to_string()
         };
         for old in OLD_KEYS {
-            let expected = told(old.0).unwrap();
+            let expected = message_for(old.0).unwrap();
             write("set.toml", format!("robot = \"r1\"\nset = [{:?}]\n", assignment(old)));
             assert!(refused().ends_with(&expected));
             write("set.toml", "robot = \"r1\"\nconfig = \"robot.toml\"\n".to_owned());

@@ -70,7 +70,7 @@ impl Canvas {
     }
 
     /// Blends every pixel by how far `outside` (signed distance to the shape's edge, pixels) leaves it inside, within
-    /// the box around two spots widened by `reach`.
+    /// the box around two spots inflated by `reach`.
     fn shape(&mut self, a: Spot, b: Spot, reach: f64, colour: Colour, outside: impl Fn(Spot) -> f64) {
         let limits = |p: f64, q: f64, size: u32| {
             let first = (p.min(q) - reach - 1.0).floor().clamp(0.0, f64::from(size)) as i64;

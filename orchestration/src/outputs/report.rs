@@ -58,9 +58,9 @@ pub struct Report {
     pub submap_bytes: u64,
     /// The same by the area that each of them knows, bytes/m².
     pub submap_bytes_per_m2: f64,
-    /// Chains of submaps: more than one when the robot was lost and mapped anew.
-    pub chains: u64,
-    /// Scans of chains that no closure connects with the map: their poses are guesses, and the map is without them.
+    /// Trajectories: more than one when the robot was lost and mapped anew.
+    pub trajectories: u64,
+    /// Scans of trajectories that no closure connects with the map: their poses are guesses, and the map is without them.
     pub detached_scans: u64,
     /// Loop closures.
     pub loop_closures: LoopClosures,
@@ -118,7 +118,7 @@ pub struct LoopClosures {
     pub tried: u64,
     /// Matches that became a constraint.
     pub accepted: u64,
-    /// Constraints that the layout switched off again.
+    /// Constraints that the solution switched off again.
     pub revoked: u64,
 }
 

@@ -277,12 +277,12 @@ mod tests {
         assert!((z.abs() - 1.0).abs() < 1e-12);
         let frames = transforms(&estimate, Pose::new(0.2, 0.0, 0.0));
         frames.iter().for_each(assert_fits);
-        let chain: Vec<_> = frames
+        let trajectory: Vec<_> = frames
             .iter()
             .map(|frame| (value(frame)["parent_frame_id"].clone(), value(frame)["child_frame_id"].clone()))
             .collect();
         let expected = [("map", "odom"), ("odom", "base_link"), ("base_link", "laser")];
-        assert_eq!(chain, expected.map(|(parent, child)| (Value::from(parent), Value::from(child))));
+        assert_eq!(trajectory, expected.map(|(parent, child)| (Value::from(parent), Value::from(child))));
 
         let map = grid(5, (-1.0, 2.0), 0.05, 2, &[0, 1, 255, 7]);
         assert_fits(&map);

@@ -125,7 +125,7 @@ impl SetReader {
 /// The mapper sends all its tiles once more; otherwise only those came that change.
 fn ask_for_tiles(bus: &Bus) -> Result<(), BusError> {
     let control = bus.publisher::<Control>()?;
-    control.send(&Control { kind: ControlKind::TilesWanted as u32, epoch: 0, value: 0 })?;
+    control.send(&Control { kind: ControlKind::TilesWanted as u32, run: 0, value: 0 })?;
     bus.notifier(Stage::Mapper.name())?.ring();
     Ok(())
 }

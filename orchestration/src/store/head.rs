@@ -12,6 +12,12 @@ pub const FORMAT: u32 = 1;
 const FILE: &str = "map.head";
 const RECORD: u32 = 1;
 
+/// Arrangements that differ in the names of fields alone, each with the one that is the same to the byte.
+const SAME_BYTES: [(&str, &str); 2] = [
+    ("flockslam/pose/v2 6852d672b9c25794", "flockslam/pose/v2 bd7606bfaa7d0ec1"),
+    ("flockslam/scan/v1 5dbb5a657846ba40", "flockslam/scan/v1 257b13703682a316"),
+];
+
 /// What a saved map says of itself.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MapHead {
@@ -87,8 +93,8 @@ impl MapHead {
     pub fn fits(&self, directory: &Path, wanted: &Self) -> Result<(), StoreError> {
         let cell = |head: &Self| head.cell_size_m.to_string();
         let keys = [
-            ("poses", self.poses.clone(), wanted.poses.clone()),
-            ("scans", self.scans.clone(), wanted.scans.clone()),
+            ("poses", renamed(&self.poses), wanted.poses.clone()),
+            ("scans", renamed(&self.scans), wanted.scans.clone()),
             ("mapper.cell_size_m", cell(self), cell(wanted)),
         ];
         match keys.into_iter().find(|(_, found, wanted)| found != wanted) {
@@ -98,6 +104,12 @@ impl MapHead {
             None => Ok(()),
         }
     }
+}
+
+/// The arrangement by the names that its fields have now.
+fn renamed(arrangement: &str) -> String {
+    let now = SAME_BYTES.iter().find(|(before, _)| *before == arrangement).map(|(_, now)| now);
+    (*now.unwrap_or(&arrangement)).to_owned()
 }
 
 fn layout_of<M: Message + Layout>() -> String {
@@ -130,10 +142,20 @@ mod tests {
     }
 
     #[test]
+    fn a_map_from_before_its_fields_were_renamed_fits() {
+        let now = MapHead::of_this_build("r1", 0.045);
+        let [(poses, _), (scans, _)] = SAME_BYTES.map(|(before, now)| (before.to_owned(), now));
+        let before = MapHead { poses, scans, ..now.clone() };
+        assert!(before.fits(Path::new("maps/r1"), &now).is_ok(), "{now:?}");
+        let other = MapHead { poses: "flockslam/pose/v2 0000000000000000".to_owned(), ..now.clone() };
+        assert!(other.fits(Path::new("maps/r1"), &now).is_err());
+    }
+
+    #[test]
     fn what_does_not_fit_is_named() {
         let (coarse, fine) = (MapHead::of_this_build("r1", 0.1), MapHead::of_this_build("r1", 0.045));
         assert!(coarse.fits(Path::new("maps/r1"), &coarse).is_ok());
-        let told = coarse.fits(Path::new("maps/r1"), &fine).unwrap_err().to_string();
-        assert!(told.contains("mapper.cell_size_m = 0.1"), "{told}");
+        let text = coarse.fits(Path::new("maps/r1"), &fine).unwrap_err().to_string();
+        assert!(text.contains("mapper.cell_size_m = 0.1"), "{text}");
     }
 }

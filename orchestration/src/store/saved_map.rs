@@ -71,8 +71,8 @@ impl SavedMap {
             findings.next_sequence = record.pose.id.sequence + 1;
         }
         if let Ending::Torn { offset, bytes } = journal.ending() {
-            let told = format!("scans.journal: {bytes} bytes behind byte {offset} are damaged or incomplete");
-            findings.problems.push(told);
+            let text = format!("scans.journal: {bytes} bytes behind byte {offset} are damaged or incomplete");
+            findings.problems.push(text);
         }
         Ok(findings)
     }

@@ -44,7 +44,7 @@ impl Source {
         tile.cleared[3] = 5;
         let submap = Submap {
             number,
-            chain: 0,
+            trajectory: 0,
             insertions: 2,
             first,
             last,

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 pub struct ServiceManager {
     socket: Option<(UnixDatagram, SocketAddr)>,
     period: Option<Duration>,
-    told: Option<Instant>,
+    last: Option<Instant>,
 }
 
 impl ServiceManager {
@@ -27,7 +27,7 @@ impl ServiceManager {
         });
         let socket = address.and_then(|address| Some((UnixDatagram::unbound().ok()?, address)));
         // Twice within the time that is allowed, as its manual asks for.
-        Self { socket, period: watchdog.map(|watchdog| watchdog / 2), told: None }
+        Self { socket, period: watchdog.map(|watchdog| watchdog / 2), last: None }
     }
 
     /// The set works.
@@ -43,8 +43,8 @@ impl ServiceManager {
     /// The supervisor is alive; cheap when called often.
     pub fn alive(&mut self) {
         let Some(period) = self.period else { return };
-        if self.told.is_none_or(|told| told.elapsed() >= period) {
-            self.told = Some(Instant::now());
+        if self.last.is_none_or(|last| last.elapsed() >= period) {
+            self.last = Some(Instant::now());
             self.tell("WATCHDOG=1");
         }
     }

@@ -37,7 +37,7 @@ pub enum SetEvent {
     Quiet,
     /// The matcher has finished with this many scans.
     Progress(u64),
-    /// The final layout and map are stored.
+    /// The final solution and map are stored.
     Finished,
 }
 
@@ -306,11 +306,11 @@ impl ProcessSet {
     }
 
     fn ended(&self, stage: Stage, status: ExitStatus) -> SetError {
-        let told = std::fs::read_to_string(error_file(&self.runtime, stage)).ok();
-        match (status.code(), told) {
+        let reason = std::fs::read_to_string(error_file(&self.runtime, stage)).ok();
+        match (status.code(), reason) {
             (Some(EXIT_BAD_SOURCE), Some(reason)) => SetError::Source(reason),
-            (_, told) => {
-                SetError::Ended { stage: stage.name(), how: told.unwrap_or_else(|| describe(status)) }
+            (_, reason) => {
+                SetError::Ended { stage: stage.name(), how: reason.unwrap_or_else(|| describe(status)) }
             }
         }
     }
@@ -336,14 +336,14 @@ impl ProcessSet {
     /// # Errors
     /// When the bus fails.
     pub fn end_stream(&self) -> Result<(), SetError> {
-        self.orders.send(&Control { kind: ControlKind::EndWanted as u32, epoch: 0, value: 0 })?;
+        self.orders.send(&Control { kind: ControlKind::EndWanted as u32, run: 0, value: 0 })?;
         self.source_notifier.ring();
         Ok(())
     }
 
     /// Stops all stages: SIGTERM, and SIGKILL for who does not listen.
     pub fn stop(&mut self) {
-        self.dismiss_who_stands_by();
+        self.dismiss_standbys();
         self.children.iter().for_each(|child| child.signal(Signal::TERM));
         let limit = if self.supervision.live { STOP_LIMIT_LIVE } else { STOP_LIMIT };
         let deadline = Instant::now() + limit;

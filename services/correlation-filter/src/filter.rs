@@ -8,7 +8,7 @@ use flockslam_messages::{DropReason, KeepReason, ScanTally, ScanView, Verdict};
 
 /// Scans of so many lidars are told apart; those of further ones are all kept.
 const LIDARS_MAX: usize = 32;
-/// Under overload one scan is judged after so many that were shed: a robot without wheels must not be lost.
+/// Under overload one scan is judged after so many that were shed: a robot without odometry must not be lost.
 const SHED_IN_A_ROW_MAX: u32 = 3;
 
 /// Judges scans one by one, each lidar against its own past.
@@ -86,18 +86,18 @@ impl CorrelationFilter {
             Some(tally) => tally.valid() == 0,
             None => (0..scan.len()).all(|beam| scan.valid_range_m(beam).is_none()),
         };
-        let (mode, limits, wheels) = (self.mode, &self.limits, scan.odometry());
+        let (mode, limits, odometry) = (self.mode, &self.limits, scan.odometry());
         match (lidar.map(|place| &mut self.lidars[place]), tally) {
             _ if empty => (0.0, Err(DropReason::Empty)),
             (Some(lidar), Some(tally)) if mode == Mode::Correlation => {
-                lidar.by_correlation(Description::of(tally), wheels, limits)
+                lidar.by_correlation(Description::of(tally), odometry, limits)
             }
             (Some(lidar), _) if mode == Mode::SeedExact => match lidar.published.judge(scan) {
                 None => (0.0, Err(DropReason::Empty)),
                 Some((product, Some(keep))) => (product, Ok(keep)),
                 Some((product, None)) => (product, Err(DropReason::Correlated)),
             },
-            (Some(lidar), _) if mode == Mode::Motion => lidar.by_motion(wheels, limits),
+            (Some(lidar), _) if mode == Mode::Motion => lidar.by_motion(odometry, limits),
             _ => (0.0, Ok(KeepReason::Unfiltered)),
         }
     }

@@ -1,4 +1,4 @@
-//! The past of one lidar, and the decision about its next scan: by correlation with the last kept scans, or by the wheels.
+//! The past of one lidar, and the decision about its next scan: by correlation with the last kept scans, or by odometry.
 
 use crate::correlation::correlation;
 use crate::description::Description;
@@ -6,12 +6,12 @@ use flockslam_geometry::Pose;
 use flockslam_messages::{DropReason, KeepReason};
 use flockslam_published_methods::PublishedFilter;
 
-/// A scan is dropped when its profile by angle, turned by the wheels' heading, correlates more than this with that of each kept scan
+/// A scan is dropped when its profile by angle, turned by odometry's heading, correlates more than this with that of each kept scan
 /// of the window, −1 … 1 …
 const PROFILE_THRESHOLD: f64 = 0.6;
 /// … and its histogram of ranges correlates more than this. Lower values drop scans that the map needs, higher ones hardly any.
 const HISTOGRAM_THRESHOLD: f64 = 0.5;
-/// A scan is kept when the wheels have moved farther than this since the last kept one, metres: by so little no fit is lost …
+/// A scan is kept when odometry has moved farther than this since the last kept one, metres: by so little no fit is lost …
 const UNSEEN_TRAVEL_M: f64 = 0.12;
 /// … or turned more than this, radians.
 const UNSEEN_TURN_RAD: f64 = 0.15;
@@ -19,7 +19,7 @@ const UNSEEN_TURN_RAD: f64 = 0.15;
 const CORRIDOR_MAX: f64 = 0.6;
 /// A robot at rest changes four of five sectors by less than this, metres …
 const REST_CHANGE_M: f32 = 0.02;
-/// … and its wheels move less than this since the last kept scan, metres and radians.
+/// … and odometry moves less than this since the last kept scan, metres and radians.
 const REST_MOTION: (f64, f64) = (0.01, 0.005);
 
 /// How much is compared, and how many scans may be dropped in a row.
@@ -50,8 +50,8 @@ pub(crate) struct Lidar {
     /// Descriptions of the last kept scans: a ring; `next` is the place of the oldest.
     kept: Vec<Description>,
     next: usize,
-    /// The wheels at the last kept scan, when it carried them.
-    wheels: Option<Pose>,
+    /// Odometry at the last kept scan, when it carried odometry.
+    odometry: Option<Pose>,
     any_kept: bool,
     drops_in_a_row: u32,
     /// Scans shed in a row.
@@ -65,7 +65,7 @@ impl Lidar {
             number,
             kept: Vec::with_capacity(limits.window),
             next: 0,
-            wheels: None,
+            odometry: None,
             any_kept: false,
             drops_in_a_row: 0,
             shed: 0,
@@ -74,10 +74,10 @@ impl Lidar {
     }
 
     /// By correlation. Only kept scans enter the window: a slow drift adds up until it is seen.
-    pub fn by_correlation(&mut self, new: Description, wheels: Option<Pose>, limits: &Limits) -> Judgement {
-        let judgement = self.compared(&new, wheels, limits);
+    pub fn by_correlation(&mut self, new: Description, odometry: Option<Pose>, limits: &Limits) -> Judgement {
+        let judgement = self.compared(&new, odometry, limits);
         if judgement.1.is_ok() {
-            self.keep(wheels);
+            self.keep(odometry);
             self.remember(new, limits.window);
         } else {
             self.drops_in_a_row += 1;
@@ -85,14 +85,14 @@ impl Lidar {
         judgement
     }
 
-    fn compared(&self, new: &Description, wheels: Option<Pose>, limits: &Limits) -> Judgement {
+    fn compared(&self, new: &Description, odometry: Option<Pose>, limits: &Limits) -> Judgement {
         let Some(last) = self.last().filter(|_| self.kept.len() >= limits.window) else {
             return (0.0, Ok(KeepReason::FirstScans));
         };
         let (profile, histogram) = self.smallest_correlations(new);
         let coefficient = profile.min(histogram);
-        let moved = self.moved(wheels);
-        // Without wheels a corridor hides every motion along it.
+        let moved = self.moved(odometry);
+        // Without odometry a corridor hides every motion along it.
         let may_rest = match moved {
             Some((travel_m, turn_rad)) => travel_m < REST_MOTION.0 && turn_rad < REST_MOTION.1,
             None => new.corridor <= CORRIDOR_MAX,
@@ -116,9 +116,9 @@ impl Lidar {
         (coefficient, verdict)
     }
 
-    /// By the wheels alone.
-    pub fn by_motion(&mut self, wheels: Option<Pose>, limits: &Limits) -> Judgement {
-        let verdict = match self.moved(wheels) {
+    /// By odometry alone.
+    pub fn by_motion(&mut self, odometry: Option<Pose>, limits: &Limits) -> Judgement {
+        let verdict = match self.moved(odometry) {
             None if self.any_kept => Ok(KeepReason::Unfiltered),
             None => Ok(KeepReason::FirstScans),
             Some((travel_m, turn_rad)) if travel_m > UNSEEN_TRAVEL_M || turn_rad > UNSEEN_TURN_RAD => {
@@ -128,20 +128,20 @@ impl Lidar {
             Some(_) => Err(DropReason::Motion),
         };
         if verdict.is_ok() {
-            self.keep(wheels);
+            self.keep(odometry);
         } else {
             self.drops_in_a_row += 1;
         }
         (0.0, verdict)
     }
 
-    fn keep(&mut self, wheels: Option<Pose>) {
-        (self.wheels, self.any_kept, self.drops_in_a_row) = (wheels, true, 0);
+    fn keep(&mut self, odometry: Option<Pose>) {
+        (self.odometry, self.any_kept, self.drops_in_a_row) = (odometry, true, 0);
     }
 
-    /// Travel and turn of the wheels since the last kept scan, metres and radians.
-    fn moved(&self, wheels: Option<Pose>) -> Option<(f64, f64)> {
-        let (before, now) = (self.wheels?, wheels?);
+    /// Travel and turn of odometry since the last kept scan, metres and radians.
+    fn moved(&self, odometry: Option<Pose>) -> Option<(f64, f64)> {
+        let (before, now) = (self.odometry?, odometry?);
         Some((before.distance_m(now), before.turn_rad(now)))
     }
 

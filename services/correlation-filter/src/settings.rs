@@ -11,7 +11,7 @@ pub enum Mode {
     Correlation,
     /// As the published program does (An. Filatov 2021), its defects included.
     SeedExact,
-    /// By the wheels alone: a scan is dropped until they have moved far enough.
+    /// By odometry alone: a scan is dropped until it has moved far enough.
     Motion,
     /// Every scan with a valid range is kept.
     Off,

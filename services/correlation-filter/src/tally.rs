@@ -37,7 +37,7 @@ type Place = (usize, bool);
 
 /// How angles become places.
 struct Places {
-    /// Turns sectors with the wheels, radians: while the robot turns on the spot, walls stay in their sectors.
+    /// Turns sectors with odometry, radians: while the robot turns on the spot, walls stay in their sectors.
     turned_rad: f64,
     /// From the laser's to the robot's frame, radians.
     mounted_rad: f64,
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn sectors_turn_with_the_wheels() {
+    fn sectors_turn_with_odometry() {
         let look = |heading_rad: f64| {
             let mut scan = ScanBuffer::from_ranges(&[3.0], 0.05 - heading_rad, 0.0);
             (scan.header.odometry.heading_rad, scan.header.has_odometry) = (heading_rad, 1);

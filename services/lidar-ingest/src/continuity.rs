@@ -6,7 +6,7 @@ use flockslam_messages::{ScanBuffer, ScanView};
 
 /// Stamps of scans in their order may run backwards by this much: recorders stamp on arrival.
 const REVERSED_NS: i64 = 2_000_000_000;
-/// Motion of the wheels during which no lidar sees the very same, metres and radians.
+/// Motion of odometry during which no lidar sees the very same, metres and radians.
 const MOVED: (f64, f64) = (0.02, 0.02);
 /// Valid ranges that must be the same for a scan to be a repetition.
 const SAME_MIN: usize = 10;
@@ -26,7 +26,7 @@ impl Continuity {
     /// What speaks against the next scan, if something does.
     ///
     /// A scan that is stamped far behind the one before it is an old one. When the next one follows it, though, the clock was put back,
-    /// and time goes on from there. A scan with exactly the ranges of the last one that was taken, while the wheels have turned,
+    /// and time goes on from there. A scan with exactly the ranges of the last one that was taken, while odometry has turned,
     /// comes from a driver that repeats itself.
     pub fn refuses(&mut self, scan: &ScanBuffer) -> Option<Rejection> {
         let view = scan.view().ok()?;

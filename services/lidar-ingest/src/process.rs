@@ -58,8 +58,8 @@ pub struct Task {
 /// Stages whose progress gives credit in exact replay.
 const CONSUMERS: [Stage; 5] =
     [Stage::CorrelationFilter, Stage::ScanMatcher, Stage::Mapper, Stage::DynamicCleaner, Stage::SyncManager];
-/// The one epoch of a process set that starts cold.
-const EPOCH: u32 = 1;
+/// The one run of a process set that starts cold.
+const RUN: u32 = 1;
 /// Large scans on their way at once: their topic has a buffer of two.
 const LARGE_CREDIT: u64 = 2;
 
@@ -84,15 +84,15 @@ fn first_stages(mode: Mode) -> &'static [Stage] {
 pub fn run_stage(context: &mut StageContext, task: Task) -> Result<(), StageError> {
     let event = context.bus.listener(Stage::LidarIngest.name())?;
     let mut sent = 0;
-    let turn = LeaderLock::ask(context)?;
-    if !turn.stand_by(context, &event, |context| followed(context, &mut sent))? {
+    let lock = LeaderLock::ask(context)?;
+    if !lock.stand_by(context, &event, |context| followed(context, &mut sent))? {
         return Ok(());
     }
     let mut ingest = Ingest::open(context, task)?;
     run(context, &mut ingest, &event)
 }
 
-/// Scans that the process that acts has sent since the last look. Nothing else is to be kept up with: where it is lies in the cursor.
+/// Scans that the active process has sent since the last look. Nothing else is to be kept up with: where it is lies in the cursor.
 fn followed(context: &StageContext, sent: &mut u64) -> Result<u64, StageError> {
     let next = Cursor::open(&context.status_dir, context.first_sequence)?.next_sequence();
     let before = std::mem::replace(sent, next);
@@ -143,7 +143,7 @@ impl Ingest {
             pacer,
             cursor,
             scans: context.bus.scan_publisher()?,
-            end: LastWord::open(context, ControlKind::StreamEnd, EPOCH, notifiers(&CONSUMERS)?)?,
+            end: LastWord::open(context, ControlKind::StreamEnd, RUN, notifiers(&CONSUMERS)?)?,
             progress: context.bus.subscriber()?,
             first: notifiers(first_stages(context.mode))?,
             done: [0; CONSUMERS.len()],
@@ -212,7 +212,7 @@ impl Ingest {
     fn publish(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         let now_ns = context.now_ns();
         let header = &mut self.scan.header;
-        header.id = ScanId { epoch: EPOCH, sequence: self.sequence, lidar: header.id.lidar };
+        header.id = ScanId { run: RUN, sequence: self.sequence, lidar: header.id.lidar };
         header.times.monotonic_ns = now_ns;
         header.times.utc_ns = utc_ns();
         let view = self.scan.view().map_err(|problem| StageError::Source(problem.to_string()))?;
@@ -238,7 +238,7 @@ impl Ingest {
         Ok(())
     }
 
-    fn tell_the_end(&mut self, context: &mut StageContext) -> Result<(), StageError> {
+    fn announce_end(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.report(context);
         self.feed.store_truth()?;
         self.end.say(self.sequence)
@@ -260,7 +260,7 @@ impl Actor for Ingest {
         self.hear_progress()?;
         self.stream.drain()?;
         if self.stream.end_wanted && !self.end.is_said() {
-            self.tell_the_end(context)?;
+            self.announce_end(context)?;
         }
         let mut any = false;
         while !self.end.is_said() && !context.stop.is_set() {
@@ -269,7 +269,7 @@ impl Actor for Ingest {
                     Fed::Scan => self.loaded = true,
                     Fed::NotYet => return Ok(any),
                     Fed::End => {
-                        self.tell_the_end(context)?;
+                        self.announce_end(context)?;
                         return Ok(true);
                     }
                 }

@@ -20,7 +20,7 @@ pub struct Settings {
     pub max_bad_line_share: f64,
     /// Whether a log that ends in the middle of a line is taken as far as it goes instead of being refused.
     pub accept_truncated: bool,
-    /// Processes of this stage: one reads the source, the others stand by to go on in its place.
+    /// Processes of this stage: one reads the source, the others are on standby to go on in its place.
     pub replicas: usize,
 
     /// Experiment: seed of everything random below.

@@ -45,7 +45,7 @@ pub struct Mapper {
     left_cleared: Vec<Submap>,
     active: Option<ActiveSubmap>,
     number: u32,
-    chain: u32,
+    trajectory: u32,
     generation: u64,
     newcomers: Newcomers,
     /// Where the beams of the scan at hand end, in odom.
@@ -75,7 +75,7 @@ pub struct Insertion<'a> {
     pub retired: &'a [TileKey],
     /// Submap that the next scan enters.
     pub active_submap: u32,
-    /// The submaps that this scan closed: the one that it was the last of, and the one before when a new chain begins with it.
+    /// The submaps that this scan closed: the one that it was the last of, and the one before when a new trajectory begins with it.
     pub closed: Vec<Submap>,
 }
 
@@ -95,7 +95,7 @@ impl Mapper {
             left_cleared: Vec::new(),
             active: None,
             number: 0,
-            chain: 0,
+            trajectory: 0,
             generation: 0,
             newcomers: Newcomers::default(),
             ends: Vec::new(),
@@ -110,7 +110,7 @@ impl Mapper {
         self.generation = generation;
         self.window.begin_scan();
         self.number = closed.number + 1;
-        self.enter_chain(closed.chain);
+        self.enter_trajectory(closed.trajectory);
         self.window.add_submap(&closed);
         self.remember(closed);
         self.window.end_scan();
@@ -127,9 +127,9 @@ impl Mapper {
     ) -> Insertion<'_> {
         self.window.begin_scan();
         let mut closed = Vec::new();
-        if pose.chain != self.chain {
+        if pose.trajectory != self.trajectory {
             closed.extend(self.close_active());
-            self.enter_chain(pose.chain);
+            self.enter_trajectory(pose.trajectory);
         }
         for cell in cleared {
             self.clear(CellIndex::new(cell.x, cell.y));
@@ -272,7 +272,7 @@ impl Mapper {
         let active = self.active.take()?;
         let submap = Submap {
             number: self.number,
-            chain: self.chain,
+            trajectory: self.trajectory,
             insertions: active.insertions,
             first: active.first,
             last: active.last,
@@ -285,12 +285,12 @@ impl Mapper {
         Some(submap)
     }
 
-    /// Empties the window when another chain begins: what came before lies nobody knows how to it.
-    fn enter_chain(&mut self, chain: u32) {
-        if chain == self.chain {
+    /// Empties the window when another trajectory begins: what came before lies nobody knows how to it.
+    fn enter_trajectory(&mut self, trajectory: u32) {
+        if trajectory == self.trajectory {
             return;
         }
-        self.chain = chain;
+        self.trajectory = trajectory;
         self.window.clear_all();
         self.left_cleared.extend(self.closed.drain(..).filter(Submap::has_cleared));
     }

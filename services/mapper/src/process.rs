@@ -119,7 +119,7 @@ impl MapperProcess {
             inserted += u64::from(submap.insertions);
             self.applied = submap.last + 1;
             if self.parts.is_first() {
-                self.output.tell_submap(&self.store.notice(&submap)?)?;
+                self.output.publish_submap(&self.store.notice(&submap)?)?;
             }
             self.logic.resume(submap, inserted);
             context.alive();
@@ -174,7 +174,7 @@ impl MapperProcess {
         self.last = Some(*pose);
         if !self.parts.is_first() {
             self.logic.take_cleared();
-            return self.parts.tell(pose, tiles, false);
+            return self.parts.publish(pose, tiles, false);
         }
         self.unstored.extend(closed);
         self.uncommitted = Some(commit);
@@ -207,7 +207,7 @@ impl MapperProcess {
     fn store(&mut self) -> Result<(), StageError> {
         for submap in self.unstored.drain(..) {
             self.store.save(&submap)?;
-            self.output.tell_submap(&self.store.notice(&submap)?)?;
+            self.output.publish_submap(&self.store.notice(&submap)?)?;
         }
         Ok(self.logic.take_cleared().iter().try_for_each(|submap| self.store.save(submap))?)
     }
@@ -217,7 +217,7 @@ impl MapperProcess {
         let Some(last) = self.last else { return Ok(()) };
         self.send_all_tiles()?;
         if !self.parts.is_first() {
-            return self.parts.tell(&last, self.logic.live_tiles().count(), true);
+            return self.parts.publish(&last, self.logic.live_tiles().count(), true);
         }
         if self.parts.others() > 0 {
             self.republishing = Some(self.parts.others());

@@ -4,7 +4,7 @@
 //! `cargo bench -p flockslam-scan-matcher --bench replay_front_end -- LOG [--tum FILE] [--poses FILE] [--heading RAD] [--vinyslam] [--no-odometry] [--beam-noise SHARE]
 //! [--set matcher.KEY=VALUE | mapper.KEY=VALUE …]`
 //!
-//! `--no-odometry` takes the wheels away, `--beam-noise` replaces that share of all beams by random ranges.
+//! `--no-odometry` takes odometry away, `--beam-noise` replaces that share of all beams by random ranges.
 
 use flockslam_evidence::{Tile, TileGrid, TileKey};
 use flockslam_geometry::Pose;
@@ -138,7 +138,7 @@ fn read_log(path: &str, heading_rad: f64) -> Result<Vec<ScanBuffer>, Failure> {
     Ok(scans)
 }
 
-/// Takes away the wheels, replaces beams by noise, as the options ask.
+/// Takes away odometry, replaces beams by noise, as the options ask.
 fn spoil(scans: &mut [ScanBuffer], options: &Options) {
     let mut state = 1u64;
     // A linear congruential generator (Knuth's MMIX constants), uniform in 0 … 1.

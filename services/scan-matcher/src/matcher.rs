@@ -9,7 +9,7 @@ use fitting::{Fitted, Fitter, Solvers};
 use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::{Covariance, Pose};
 use flockslam_messages::{
-    BeamRange, Commit, FlockRobots, LayoutHeader, PoseEstimate, PoseFlags, Quality, ScanView, Verdict,
+    BeamRange, Commit, Correction, FlockRobots, PoseEstimate, PoseFlags, Quality, ScanView, Verdict,
 };
 use flockslam_registration::GridField;
 use judging::Judgement;
@@ -20,7 +20,7 @@ use std::ops::Deref;
 /// Fewer points than this fix no pose.
 const POINTS_MIN: usize = 5;
 /// Fewer points than this do not tell one place from another: no wide search, and no proof that the robot is lost.
-const TELLING_POINTS: usize = 30;
+const POINTS_MIN_FOR_SHARE: usize = 30;
 /// Of scans with more beams than this only every n-th is matched: so that the cost of a fit is bounded.
 const BEAMS_MAX: usize = 1000;
 /// The first scans of a run are never dropped: with fewer the map is too thin for the running mean of the scores to say anything.
@@ -30,7 +30,7 @@ const START_SCANS: u64 = 10;
 const SIGMA_MAX_M: f64 = 0.1;
 /// Weight of the newest score in the running mean: it follows the place within some fifty scans, and no single bad one spoils it.
 const MEAN_RATE: f64 = 0.02;
-/// Wheels that miss a fit by more than this are slipping: metres and radians.
+/// Odometry that misses a fit by more than this means that wheels slip: metres and radians.
 const SLIPPED: (f64, f64) = (0.15, 0.08);
 
 mod bodies;
@@ -130,11 +130,11 @@ impl ScanMatcher {
     }
 
     /// sync-manager has a new correction.
-    pub fn corrected(&mut self, layout: &LayoutHeader) {
-        self.map.map_from_odom = layout.map_from_odom;
-        self.map.layout_revision = layout.revision;
-        if layout.chain == self.map.chain {
-            self.map.detached = layout.attached == 0;
+    pub fn corrected(&mut self, correction: &Correction) {
+        self.map.map_from_odom = correction.map_from_odom;
+        self.map.corrections = correction.revision;
+        if correction.trajectory == self.map.trajectory {
+            self.map.detached = correction.attached == 0;
         }
     }
 
@@ -146,18 +146,18 @@ impl ScanMatcher {
         (self.confidence.mean_score, self.confidence.last_score) = (last.score, last.score);
     }
 
-    /// Continues a saved map: the robot may be anywhere by now, so a new chain of submaps begins at its next scan, which a closure
+    /// Continues a saved map: the robot may be anywhere by now, so a new trajectory begins at its next scan, which a closure
     /// may attach.
     pub fn resume_elsewhere(&mut self, last: &PoseEstimate) {
         self.resume(last);
         self.motion.resume(last.odom_from_base, Covariance::default(), None, last.times.sensor_ns);
-        self.map.chain = last.chain + 1;
+        self.map.trajectory = last.trajectory + 1;
         (self.map.detached, self.map.begins_elsewhere, self.map.inserted) = (true, true, None);
         (self.confidence.mean_score, self.confidence.last_score) = (0.0, 0.0);
     }
 
-    /// The pose of a scan by the wheels alone: for when there is nothing to match it with.
-    pub fn follow_wheels(&mut self, scan: ScanView<'_>) -> PoseEstimate {
+    /// The pose of a scan by odometry alone: for when there is nothing to match it with.
+    pub fn follow_odometry(&mut self, scan: ScanView<'_>) -> PoseEstimate {
         let header = scan.header();
         let verdict = Verdict { id: header.id, times: header.times, ..Verdict::default() };
         let prediction = self.predict(scan);
@@ -168,7 +168,7 @@ impl ScanMatcher {
     /// Where the robot should be at this scan.
     fn predict(&self, scan: ScanView<'_>) -> Prediction {
         let prediction = self.motion.predict(scan);
-        // Where nothing is searched, the wheels alone say where the scan is matched from.
+        // Where nothing is searched, odometry alone says where the scan is matched from.
         let steady = prediction.steady.filter(|_| self.settings.rescue.below != 0.0);
         Prediction { steady, ..prediction }
     }
@@ -214,10 +214,10 @@ impl ScanMatcher {
             twist: prediction.twist,
             generation: self.map.generation,
             submap: self.map.active_submap,
-            layout_revision: self.map.layout_revision,
+            corrections: self.map.corrections,
             flags: has_odometry | overridden,
             drop_reason: verdict.drop_reason(),
-            chain: self.map.chain,
+            trajectory: self.map.trajectory,
             ..PoseEstimate::default()
         }
     }
@@ -228,7 +228,7 @@ impl ScanMatcher {
         memory.retaken(scan, prediction.twist, &self.buffers.mask, &self.settings)
     }
 
-    /// A scan that is needed but not matched, as it has too few points, or is the first one of a map or of a chain of submaps.
+    /// A scan that is needed but not matched, as it has too few points, or is the first one of a map or of a trajectory.
     fn unmatched(
         &mut self,
         scan: ScanView<'_>,
@@ -281,7 +281,7 @@ impl ScanMatcher {
         let estimate = self.matched(predicted, &fitted, &judgement);
         (self.buffers.points, self.buffers.mask) = (fitted.points, mask);
         let stays_lost = self.confidence.lost > self.settings.rescue.lost_scans_max;
-        let estimate = if stays_lost { self.begun_chain(estimate) } else { estimate };
+        let estimate = if stays_lost { self.begun_trajectory(estimate) } else { estimate };
         self.inserted(scan, estimate)
     }
 
@@ -289,8 +289,8 @@ impl ScanMatcher {
     fn matched(&self, predicted: PoseEstimate, fitted: &Fitted, judgement: &Judgement) -> PoseEstimate {
         let Judgement { pose, twist, covariance, quality } = *judgement;
         let guessed = self.map.detached && quality == Quality::Tracking;
-        let told = if guessed { Quality::Degraded } else { quality } as u32;
-        let estimate = PoseEstimate { score: fitted.fit.score, twist, quality: told, ..predicted };
+        let published = if guessed { Quality::Degraded } else { quality } as u32;
+        let estimate = PoseEstimate { score: fitted.fit.score, twist, quality: published, ..predicted };
         if quality == Quality::Lost {
             return estimate;
         }
@@ -301,11 +301,11 @@ impl ScanMatcher {
 
     /// A robot that stays lost maps anew from where it believes to be; the map so far is left as it is, and a closure may
     /// connect the two.
-    fn begun_chain(&mut self, estimate: PoseEstimate) -> PoseEstimate {
+    fn begun_trajectory(&mut self, estimate: PoseEstimate) -> PoseEstimate {
         self.confidence.begin_anew();
-        self.map.chain += 1;
+        self.map.trajectory += 1;
         (self.map.detached, self.map.inserted) = (true, None);
-        PoseEstimate { chain: self.map.chain, quality: Quality::Degraded as u32, ..estimate }
+        PoseEstimate { trajectory: self.map.trajectory, quality: Quality::Degraded as u32, ..estimate }
     }
 
     /// The robot has moved to here.

@@ -1,4 +1,4 @@
-//! Prediction of the next pose from the wheels or the last velocity, with its covariance, and its fusion with a fit (the
+//! Prediction of the next pose from odometry or the last velocity, with its covariance, and its fusion with a fit (the
 //! update of a Kalman filter).
 
 use flockslam_geometry::{Covariance, Pose, Twist, wrap_angle};
@@ -16,10 +16,10 @@ const DRIFT_XY: f64 = 0.02;
 /// Growth of a predicted heading's variance per radian turned, rad²/rad.
 const DRIFT_HEADING: f64 = 0.01;
 
-/// Wheels that differ by more than this from the velocity so far, metres and radians within one scan, may have jumped.
+/// Odometry that differs by more than this from the velocity so far, metres and radians within one scan, may have jumped.
 const SURPRISE: (f64, f64) = (0.15, 0.15);
 
-/// What comes on top of that in each step, standard deviations in metres and radians: of wheels, and of the velocity so far
+/// What comes on top of that in each step, standard deviations in metres and radians: of odometry, and of the velocity so far
 /// when there are none.
 const STEP_SIGMA: (f64, f64) = (0.01, 0.005);
 const STEP_SIGMA_BLIND: (f64, f64) = (0.15, 0.1);
@@ -31,7 +31,7 @@ fn scaled(twist: Twist, share: f64) -> Twist {
     Twist { x_m_s: share * twist.x_m_s, y_m_s: share * twist.y_m_s, turn_rad_s: share * twist.turn_rad_s }
 }
 
-/// Where the robot should be, from its last pose and the wheels, or from its last velocity when it has no wheels.
+/// Where the robot should be, from its last pose and odometry, or from its last velocity when it has no odometry.
 #[derive(Clone, Debug)]
 pub(crate) struct Motion {
     pub(crate) pose: Pose,
@@ -54,7 +54,7 @@ pub(crate) struct Prediction {
     /// Velocity since the scan before, in the robot's own frame.
     pub(crate) twist: Twist,
     pub(crate) covariance: Covariance,
-    /// The pose by the velocity so far, when the wheels say something quite different: they may have jumped.
+    /// The pose by the velocity so far, when odometry says something quite different: it may have jumped.
     pub(crate) steady: Option<Steady>,
 }
 
@@ -145,7 +145,7 @@ impl Motion {
     }
 
     /// Takes over what became of a scan. Of a robot that is `lost` nobody knows how it moves: its velocity fades, or
-    /// without wheels it would be predicted out of the map.
+    /// without odometry it would be predicted out of the map.
     pub(crate) fn advance(&mut self, scan: ScanView<'_>, pose: Pose, covariance: Covariance, lost: bool) {
         let stamp_ns = scan.header().times.sensor_ns;
         let step_s = self.step_s(stamp_ns);

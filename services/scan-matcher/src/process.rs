@@ -1,12 +1,12 @@
 //! The shell of scan-matcher: joins scan, verdict, grid and corrections, writes the journal, publishes poses.
 //!
-//! Of several processes one acts. The others hold scans, verdicts and grid as it does and follow its journal, so that one of them
+//! Of several processes one is active. The others hold scans, verdicts and grid as it does and follow its journal, so that one of them
 //! goes on with the next scan when it dies.
 
 use crate::{ScanMatcher, Settings};
 use flockslam_bus::{Publisher, ScanSample, SlicePublisher, Subscriber};
 use flockslam_messages::{
-    DropReason, FlockRobots, KeepReason, LayoutHeader, MovingBeamsHeader, PoseEstimate, PoseFlags, Stage,
+    Correction, DropReason, FlockRobots, KeepReason, MovingBeamsHeader, PoseEstimate, PoseFlags, Stage,
     Verdict,
 };
 use flockslam_stage::{
@@ -41,12 +41,12 @@ pub const LOST: &str = "lost";
 /// When the bus or the journal fails.
 pub fn run_stage(context: &mut StageContext, settings: Settings, cell_size_m: f64) -> Result<(), StageError> {
     let event = context.bus.listener(Stage::ScanMatcher.name())?;
-    let turn = LeaderLock::ask(context)?;
+    let lock = LeaderLock::ask(context)?;
     let mut actor = Matcher::open(context, settings, cell_size_m)?;
-    if !turn.is_ours() && context.mode == Mode::Live {
+    if !lock.is_ours() && context.mode == Mode::Live {
         actor.grid.ask_for_tiles()?;
     }
-    if !turn.stand_by(context, &event, |context| actor.follow(context))? {
+    if !lock.stand_by(context, &event, |context| actor.follow(context))? {
         return Ok(());
     }
     actor.begin(context)?;
@@ -56,10 +56,10 @@ pub fn run_stage(context: &mut StageContext, settings: Settings, cell_size_m: f6
 struct Matcher {
     logic: ScanMatcher,
     join: Join<Verdict>,
-    layouts: Subscriber<LayoutHeader>,
-    waiting_layouts: VecDeque<LayoutHeader>,
+    corrections: Subscriber<Correction>,
+    waiting_corrections: VecDeque<Correction>,
     /// The one in force.
-    layout: Option<LayoutHeader>,
+    correction: Option<Correction>,
     /// sync-manager has finished with all submaps below this.
     finished_submaps: u32,
     companions: Subscriber<FlockRobots>,
@@ -77,9 +77,9 @@ struct Matcher {
     /// Open as soon as this process acts.
     journal: Option<JournalWriter>,
     notifiers: Notifiers,
-    /// The chain of submaps, and the sequence of the accepted scan that it began with.
-    chain: u32,
-    chain_began: u64,
+    /// The trajectory, and the sequence of the accepted scan that it began with.
+    trajectory: u32,
+    trajectory_began: u64,
     /// The others are woken once in so many poses that they only have to count.
     quiet_scans: u64,
     metrics: PoseMetrics,
@@ -91,9 +91,9 @@ impl Matcher {
         Ok(Self {
             logic: ScanMatcher::new(settings),
             join: Join::open(context, VERDICT_DEADLINE_NS)?,
-            layouts: bus.subscriber()?,
-            waiting_layouts: VecDeque::new(),
-            layout: None,
+            corrections: bus.subscriber()?,
+            waiting_corrections: VecDeque::new(),
+            correction: None,
             finished_submaps: 0,
             companions: bus.subscriber()?,
             grid: GridReader::open(context, cell_size_m)?,
@@ -109,14 +109,14 @@ impl Matcher {
                 context,
                 &[Stage::Mapper, Stage::DynamicCleaner, Stage::SyncManager].map(Stage::name),
             )?,
-            chain: 0,
-            chain_began: 0,
+            trajectory: 0,
+            trajectory_began: 0,
             quiet_scans: (context.capacity.window as u64 / 8).max(1),
             metrics: PoseMetrics::new(&context.metrics),
         })
     }
 
-    /// Keeps up with the process that acts; the number of its new poses.
+    /// Keeps up with the active process; the number of its new poses.
     fn follow(&mut self, context: &mut StageContext) -> Result<u64, StageError> {
         self.drain(context)?;
         let poses = self.read_journal(context)?;
@@ -131,8 +131,8 @@ impl Matcher {
             let pose = record.pose;
             if pose.has(PoseFlags::INSERT) {
                 self.accepted = Some(pose.id.sequence);
-                if pose.chain != self.chain {
-                    (self.chain, self.chain_began) = (pose.chain, pose.id.sequence);
+                if pose.trajectory != self.trajectory {
+                    (self.trajectory, self.trajectory_began) = (pose.trajectory, pose.id.sequence);
                 }
             }
             self.last = Some(pose);
@@ -162,15 +162,16 @@ impl Matcher {
         } else {
             self.grid.ask_for_tiles()?;
         }
-        if let Some(layout) = self.layout.filter(|layout| layout.revision > last.layout_revision) {
-            self.logic.corrected(&layout);
+        if let Some(correction) = self.correction.filter(|correction| correction.revision > last.corrections)
+        {
+            self.logic.corrected(&correction);
         }
         // Without it the grid is that of a moment ago, or empty.
         self.awaited.extend(self.accepted.map(|sequence| (sequence, context.now_ns())));
         // The predecessor may have died between the journal and this.
         self.poses.send(&last)?;
         self.notifiers.ring();
-        self.chain = last.chain;
+        self.trajectory = last.trajectory;
         self.join.finished(next)
     }
 
@@ -179,11 +180,11 @@ impl Matcher {
         if let Some(commit) = self.grid.drain()? {
             self.logic.committed(&commit);
         }
-        while let Some(layout) = self.layouts.receive()? {
-            self.finished_submaps = self.finished_submaps.max(layout.submap + 1);
-            self.waiting_layouts.push_back(*layout);
+        while let Some(correction) = self.corrections.receive()? {
+            self.finished_submaps = self.finished_submaps.max(correction.submap + 1);
+            self.waiting_corrections.push_back(*correction);
         }
-        self.apply_layouts(context.mode);
+        self.apply_corrections(context.mode);
         while let Some(robots) = self.companions.receive()? {
             self.logic.companions_are(&robots);
         }
@@ -191,14 +192,14 @@ impl Matcher {
     }
 
     /// In replay a correction takes effect at a named place: with the first scan of the submap after the next.
-    fn apply_layouts(&mut self, mode: Mode) {
+    fn apply_corrections(&mut self, mode: Mode) {
         let active = self.grid.committed().map_or(0, |commit| commit.active_submap);
-        while let Some(layout) = self.waiting_layouts.front() {
-            if mode == Mode::Exact && layout.submap + 2 > active {
+        while let Some(correction) = self.waiting_corrections.front() {
+            if mode == Mode::Exact && correction.submap + 2 > active {
                 return;
             }
-            self.logic.corrected(layout);
-            self.layout = self.waiting_layouts.pop_front();
+            self.logic.corrected(correction);
+            self.correction = self.waiting_corrections.pop_front();
         }
     }
 
@@ -209,11 +210,11 @@ impl Matcher {
         while self.awaited.front().is_some_and(|(sequence, _)| committed >= Some(*sequence)) {
             self.awaited.pop_front();
         }
-        // The grid of another chain is none at all.
-        let may_lag = context.mode == Mode::Live && committed >= Some(self.chain_began);
+        // The grid of another trajectory is none at all.
+        let may_lag = context.mode == Mode::Live && committed >= Some(self.trajectory_began);
         let lag = if may_lag { LAG_LIVE } else { 0 };
         let oldest = self.awaited.front().filter(|_| self.awaited.len() > lag);
-        let Some((_, since_ns)) = oldest else { return self.layouts_are_ready(context.mode) };
+        let Some((_, since_ns)) = oldest else { return self.corrections_are_ready(context.mode) };
         let late = self.commit_deadline.is_over(*since_ns, context.now_ns());
         if late {
             self.awaited.pop_front();
@@ -222,7 +223,7 @@ impl Matcher {
         late
     }
 
-    fn layouts_are_ready(&self, mode: Mode) -> bool {
+    fn corrections_are_ready(&self, mode: Mode) -> bool {
         let active = self.grid.committed().map_or(0, |commit| commit.active_submap);
         mode == Mode::Live || active < 2 || self.finished_submaps >= active - 1
     }
@@ -237,7 +238,7 @@ impl Matcher {
             context.dropped(DropReason::Overload.name());
             return Some(made(0, DropReason::Overload as u32));
         }
-        self.join.told.take(header.id.sequence).or_else(|| {
+        self.join.messages.take(header.id.sequence).or_else(|| {
             let late = self.join.is_over(header.times.monotonic_ns, context.now_ns());
             if late {
                 context.dropped(DropReason::Deadline.name());
@@ -283,8 +284,8 @@ impl Matcher {
         let accepted = pose.has(PoseFlags::INSERT);
         if accepted {
             self.awaited.push_back((header.id.sequence, context.now_ns()));
-            if pose.chain != self.chain {
-                (self.chain, self.chain_began) = (pose.chain, header.id.sequence);
+            if pose.trajectory != self.trajectory {
+                (self.trajectory, self.trajectory_began) = (pose.trajectory, header.id.sequence);
             }
         }
         if accepted || header.id.sequence.is_multiple_of(self.quiet_scans) {

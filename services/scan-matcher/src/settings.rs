@@ -16,7 +16,7 @@ pub struct Settings {
     /// When a scan enters the map.
     pub gate: Gate,
     /// Whether the velocity during a scan whose beams leave one after the other is fitted together with its pose (`gauss-newton`,
-    /// `correlative`, `ndt`); otherwise it is that of the wheels before the scan.
+    /// `correlative`, `ndt`); otherwise it is that of odometry before the scan.
     pub fits_velocity: bool,
     /// Shorter ranges are not matched, metres.
     pub range_min_m: f64,
@@ -28,7 +28,7 @@ pub struct Settings {
     /// fitted, unless they are more than this share of it, many lie on what is too wide to move, or the robot is lost; 0 = none ever is.
     /// What is as narrow as somebody and stands free is left out of the fit as well, as long as enough else is seen.
     pub moving_share_max: f64,
-    /// Processes of this stage: one matches, the others know what it knows and stand by to go on in its place.
+    /// Processes of this stage: one matches, the others know what it knows and are on standby to go on in its place.
     pub replicas: usize,
     /// Score (0 … 1) where the grid has no tile: what the mapper's read-out gives for an unknown cell.
     pub unknown_score: f64,
@@ -57,10 +57,10 @@ pub enum Strategy {
 #[serde(default, deny_unknown_fields)]
 pub struct Rescue {
     /// A score below this share of the running mean is a bad one: a wide search begins, the pose is degraded, and the next drop is
-    /// overruled; 0 = none is, and wheels are believed whatever they say.
+    /// overruled; 0 = none is, and odometry is believed whatever it says.
     pub below: f64,
     /// After this many scans in a row that are not believed the robot is taken to be somewhere else: the map is left as it is and
-    /// a new chain of submaps begins, which a closure may attach; 0 = every fit is believed.
+    /// a new trajectory begins, which a closure may attach; 0 = every fit is believed.
     pub lost_scans_max: u32,
 }
 
@@ -116,7 +116,7 @@ impl Settings {
             fits_velocity: false,
             skip_isolated: false,
             moving_share_max: 0.0,
-            // Along a corridor little but the wheels says how far a move of metres went.
+            // Along a corridor little but odometry says how far a move of metres went.
             ndt: NdtSettings {
                 cell_size_m: 1.08,
                 prior_travel: 40.0,

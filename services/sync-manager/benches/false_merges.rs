@@ -49,8 +49,8 @@ fn main() {
                 "apart"
             },
             outcome.worst_m,
-            outcome.told.0,
-            outcome.told.1,
+            outcome.closures.0,
+            outcome.closures.1,
             outcome.searches,
             started.elapsed().as_secs_f64()
         );

@@ -62,7 +62,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let poses = poses(&std::fs::read_to_string(&arguments[2])?)?;
     let all = arguments.get(4).is_some_and(|word| word == "all");
     let mut manager = SyncManager::new(settings);
-    let (mut chain, mut closing, mut slowest) = (Duration::ZERO, Duration::ZERO, Duration::ZERO);
+    let (mut trajectory, mut closing, mut slowest) = (Duration::ZERO, Duration::ZERO, Duration::ZERO);
     let (mut submap, mut travel_m, mut inserted) = (0u32, 0.0, 0u32);
     let mut last = poses[0].odom_from_base;
     for (scan, pose) in scans.iter().zip(&poses) {
@@ -73,7 +73,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         if all || pose.has(PoseFlags::INSERT) {
             manager.node(scan.view()?, &pose, &[]);
         }
-        chain += start.elapsed();
+        trajectory += start.elapsed();
         inserted += u32::from(pose.has(PoseFlags::INSERT));
         travel_m += last.distance_m(pose.odom_from_base);
         last = pose.odom_from_base;
@@ -90,7 +90,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let solution = manager.finish();
     let finish = start.elapsed();
     println!(
-        "{} scans, {inserted} inserted, {submap} submaps; chain {chain:.2?}, closing {closing:.2?} (slowest {slowest:.2?}), finish {finish:.2?}; {:?}",
+        "{} scans, {inserted} inserted, {submap} submaps; odometry {trajectory:.2?}, closing {closing:.2?} (slowest {slowest:.2?}), finish {finish:.2?}; {:?}",
         poses.len(),
         solution.closures
     );

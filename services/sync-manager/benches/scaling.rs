@@ -1,4 +1,4 @@
-//! What a flock costs as it grows: records, memory and time of the common layout, for so many robots that drive the same ring of
+//! What a flock costs as it grows: records, memory and time of the common solution, for so many robots that drive the same ring of
 //! corridors, each tied to the next.
 //!
 //! `cargo bench -p flockslam-sync-manager --bench scaling -- [ROBOTS]` prints one line; a process for each number, so that memory is that of one.
@@ -47,21 +47,21 @@ fn main() {
             flock.collection_mut().insert(record);
         }
     }
-    let told_kb = resident_kb();
+    let published_kb = resident_kb();
     let started = Instant::now();
-    let layout = flock.layout(false);
+    let solution = flock.solution(false);
     let first_s = started.elapsed().as_secs_f64();
     let started = Instant::now();
-    let again = flock.layout(false);
-    assert_eq!(layout, again, "the same records, the same layout");
+    let again = flock.solution(false);
+    assert_eq!(solution, again, "the same records, the same layout");
     println!(
         "{robots} robots: {} in one map, {} nodes, {:.1} MB of records, {} bytes of what one has, {:.0} MB for records, \
-         {:.0} MB at most, first layout {first_s:.2} s, again {:.2} s",
-        layout.members().len(),
-        layout.nodes.values().map(Vec::len).sum::<usize>(),
+         {:.0} MB at most, first solution {first_s:.2} s, again {:.2} s",
+        solution.members().len(),
+        solution.nodes.values().map(Vec::len).sum::<usize>(),
         flock.collection().bytes() as f64 * 1e-6,
         flock.have().encode().len(),
-        (told_kb - before_kb) as f64 * 1e-3,
+        (published_kb - before_kb) as f64 * 1e-3,
         most_resident_kb() as f64 * 1e-3,
         started.elapsed().as_secs_f64()
     );

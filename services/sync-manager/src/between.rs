@@ -1,17 +1,17 @@
-//! Poses of scans between known poses, by the wheels or by a smooth curve (Catmull and Rom 1974); which of them is better is measured on known poses that are
+//! Poses of scans between known poses, by odometry or by a smooth curve (Catmull and Rom 1974); which of them is better is measured on known poses that are
 //! left out.
 
 use crate::pose_record::PoseRecord;
 use flockslam_registration::cloud::Placement;
 
-/// A curve spans at most so many scans from one known pose to the next; over more only the wheels know what happened.
+/// A curve spans at most so many scans from one known pose to the next; over more only odometry knows what happened.
 const SPAN_MAX: u64 = 5;
 /// A rehearsal leaves one known pose out, so it spans about twice as many.
 const REHEARSAL_SPAN_MAX: u64 = 2 * SPAN_MAX;
 /// Motion below this tells nothing about how poses follow from each other, metres (a radian counts as a metre).
 const REHEARSAL_WAY_M: f64 = 0.02;
 /// In use a stretch is half as long as in a rehearsal. Of a curve that leaves at most this share of the error, more than of
-/// the wheels.
+/// odometry.
 const CURVE_SHARE: f64 = 0.5;
 /// What one rehearsal counts at most: a slip must not decide for all.
 const REHEARSAL_ERROR_MAX_M: f64 = 0.1;
@@ -25,8 +25,8 @@ const STEP: (f64, f64) = (0.3, 3.0);
 /// scans can be the better account. Which of the three it is, the known poses themselves tell: see [`Way::chosen`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Way {
-    /// Along the wheels.
-    Wheels,
+    /// Along odometry.
+    Odometry,
     /// A smooth curve; scans are evenly spaced.
     Evenly,
     /// A smooth curve; scans are spaced as their stamps say.
@@ -47,7 +47,7 @@ impl Way {
     pub fn chosen(
         records: &[PoseRecord],
         known: &[(usize, Placement)],
-        by_wheels: impl Fn(usize) -> Placement,
+        by_odometry: impl Fn(usize) -> Placement,
     ) -> Self {
         let curves = [Self::Evenly, Self::ByStamps].map(|way| (way, Curve::new(records, known, way)));
         let mut errors_m = [0.0; 3];
@@ -56,11 +56,11 @@ impl Way {
                 let (_, truth) = known[middle];
                 (pose.distance_m(&truth) + pose.turn_rad(&truth)).min(REHEARSAL_ERROR_MAX_M)
             };
-            errors_m[0] += error_m(by_wheels(middle));
+            errors_m[0] += error_m(by_odometry(middle));
             errors_m[1] += CURVE_SHARE * error_m(curves[0].1.rehearsed(middle));
             errors_m[2] += CURVE_SHARE * error_m(curves[1].1.rehearsed(middle));
         }
-        let ways = [Self::Wheels, Self::Evenly, Self::ByStamps];
+        let ways = [Self::Odometry, Self::Evenly, Self::ByStamps];
         let best = (0..3).min_by(|a, b| errors_m[*a].total_cmp(&errors_m[*b]));
         ways[best.expect("there are three")]
     }
@@ -181,13 +181,13 @@ mod tests {
         Placement::new(5.0 * (0.2 * way_m).sin(), 5.0 * (1.0 - (0.2 * way_m).cos()), 0.2 * way_m)
     }
 
-    /// Records of scans at these times, stamped so, whose wheels are so late.
+    /// Records of scans at these times, stamped so, whose odometry is so late.
     fn records(times_s: &[f64], stamps_s: &[f64], late_s: f64) -> Vec<PoseRecord> {
         let record = |(i, (time_s, stamp_s)): (usize, (&f64, &f64))| PoseRecord {
             id: ScanId { sequence: i as u64, ..ScanId::default() },
             stamp_ns: (stamp_s * 1e9) as i64,
             odom: truth(*time_s),
-            wheels: Some(truth(time_s - late_s)),
+            odometry: Some(truth(time_s - late_s)),
             submap: 0,
             trajectory: 0,
             lost: false,
@@ -198,17 +198,17 @@ mod tests {
     /// The way chosen when every second record is known, and the greatest error of the others, metres.
     fn measured(records: &[PoseRecord]) -> (Way, f64) {
         let known: Vec<_> = records.iter().enumerate().step_by(2).map(|(i, r)| (i, r.odom)).collect();
-        let by_wheels = |middle: usize| {
+        let by_odometry = |middle: usize| {
             let (before, after, i) = (known[middle - 1], known[middle + 1], known[middle].0);
             let carried = |(from, pose): (usize, Placement)| {
-                pose.compose(records[from].wheels.unwrap().to(records[i].wheels.unwrap()))
+                pose.compose(records[from].odometry.unwrap().to(records[i].odometry.unwrap()))
             };
             carried(before).interpolate(&carried(after), 0.5)
         };
         let poses = filled(records, &known, Between::Measured);
         let inner = 3..records.len() - 3;
         let errors_m = inner.map(|i| poses[i].distance_m(&records[i].odom));
-        (Way::chosen(records, &known, by_wheels), errors_m.fold(0.0, f64::max))
+        (Way::chosen(records, &known, by_odometry), errors_m.fold(0.0, f64::max))
     }
 
     /// Steps of 0.1 s, and some of them twice or three times as long.
@@ -223,16 +223,16 @@ mod tests {
     }
 
     #[test]
-    fn wheels_that_are_right_are_believed() {
+    fn odometry_that_is_right_is_believed() {
         let times_s = uneven();
         let even_s: Vec<f64> = (0..120).map(|i| f64::from(i) * 0.1).collect();
         let (way, error_m) = measured(&records(&times_s, &even_s, 0.0));
-        assert_eq!(way, Way::Wheels);
+        assert_eq!(way, Way::Odometry);
         assert!(error_m < 1e-6, "{error_m}");
     }
 
     #[test]
-    fn stamps_are_believed_where_the_wheels_are_late() {
+    fn stamps_are_believed_where_odometry_is_late() {
         let times_s = uneven();
         let (way, error_m) = measured(&records(&times_s, &times_s, 0.15));
         assert_eq!(way, Way::ByStamps);
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn the_order_is_believed_where_wheels_and_stamps_are_bad() {
+    fn the_order_is_believed_where_odometry_and_stamps_are_bad() {
         let times_s: Vec<f64> = (0..120).map(|i| f64::from(i) * 0.1).collect();
         let stamps_s: Vec<f64> =
             (0..120_u32).map(|i| f64::from(i) * 0.1 + f64::from(i * i * 5 % 11) * 0.03).collect();
@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_stretch_is_left_to_the_wheels() {
+    fn a_long_stretch_is_left_to_odometry() {
         let times_s: Vec<f64> = (0..60).map(|i| f64::from(i) * 0.1).collect();
         let records = records(&times_s, &times_s, 0.0);
         let known: Vec<_> = (0..60).step_by(10).map(|i| (i, records[i].odom)).collect();

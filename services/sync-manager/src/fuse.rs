@@ -24,12 +24,12 @@ impl Fuser {
         Self { fusion: Fusion::new(settings.retire_covered_by), store, known_area_m2: 0.0 }
     }
 
-    /// Goes a few steps towards a layout, of which the first `closed` submaps are stored; gives those that have retired now.
+    /// Goes a few steps towards a solution, of which the first `closed` submaps are stored; gives those that have retired now.
     ///
     /// # Errors
     /// When the store fails.
-    pub fn follow(&mut self, layout: &[PlacedSubmap], closed: u32) -> Result<Vec<u32>, StageError> {
-        for step in self.fusion.steps(layout, closed) {
+    pub fn follow(&mut self, submaps_in_map: &[PlacedSubmap], closed: u32) -> Result<Vec<u32>, StageError> {
+        for step in self.fusion.steps(submaps_in_map, closed) {
             let submap = self.store.load(step.number())?;
             if let Err(far) = self.fusion.take(step, submap) {
                 tracing::warn!(%far, number = step.number(), "a submap is not in the fused map");
@@ -48,14 +48,14 @@ impl Fuser {
         self.fusion.area_m2()
     }
 
-    /// Brings the fused map to the final layout: it is the sum over the stored submaps at their poses then.
+    /// Brings the fused map to the final solution: it is the sum over the stored submaps at their poses then.
     ///
     /// # Errors
     /// When the store fails, or a submap lies absurdly far from the others.
-    pub fn finish(&mut self, layout: &[PlacedSubmap]) -> Result<(), StageError> {
+    pub fn finish(&mut self, submaps_in_map: &[PlacedSubmap]) -> Result<(), StageError> {
         // The last scans may carry the number of a submap that nothing was inserted in.
         let closed = self.store.count();
-        self.take_all(layout, closed)?;
+        self.take_all(submaps_in_map, closed)?;
         self.empty_retired()
     }
 
@@ -69,12 +69,12 @@ impl Fuser {
         self.map().map_or_else(StoredMap::empty, stored_map)
     }
 
-    /// Masks what says "occupied" of these cells of the map in all submaps of the final layout.
+    /// Masks what says "occupied" of these cells of the map in all submaps of the final solution.
     ///
     /// # Errors
     /// When the store fails.
-    pub fn clear(&mut self, cells: &[CellIndex], layout: &[PlacedSubmap]) -> Result<(), StageError> {
-        for step in self.fusion.present(layout) {
+    pub fn clear(&mut self, cells: &[CellIndex], submaps_in_map: &[PlacedSubmap]) -> Result<(), StageError> {
+        for step in self.fusion.present(submaps_in_map) {
             let (Some(map), Step::Place(placed)) = (self.fusion.map(), step) else { continue };
             let mut submap = self.store.load(placed.number)?;
             let map_from_submap = placed.map_from_odom * submap.odom_from_submap;
@@ -91,12 +91,13 @@ impl Fuser {
         Ok(())
     }
 
-    /// Number of submaps that have been in the map or are in it: those of the final layout that are stored (the last scans may
+    /// Number of submaps that have been in the map or are in it: those of the final solution that are stored (the last scans may
     /// carry the number of one that nothing was inserted in), and those that have retired.
-    pub fn known(&self, layout: &[PlacedSubmap]) -> u64 {
+    pub fn known(&self, submaps_in_map: &[PlacedSubmap]) -> u64 {
         let closed = self.store.count();
-        let placed = |number: &u32| layout.binary_search_by_key(number, |placed| placed.number).is_ok();
-        let stored = layout.iter().filter(|placed| placed.number < closed).count();
+        let placed =
+            |number: &u32| submaps_in_map.binary_search_by_key(number, |placed| placed.number).is_ok();
+        let stored = submaps_in_map.iter().filter(|placed| placed.number < closed).count();
         (stored + self.fusion.retired().filter(|number| !placed(number)).count()) as u64
     }
 
@@ -108,9 +109,9 @@ impl Fuser {
     }
 
     /// Brings all submaps in, and masks in each what newer ones have found free: the mapper clears within its window only.
-    fn take_all(&mut self, layout: &[PlacedSubmap], closed: u32) -> Result<(), StageError> {
+    fn take_all(&mut self, submaps_in_map: &[PlacedSubmap], closed: u32) -> Result<(), StageError> {
         self.known_area_m2 = 0.0;
-        for step in self.fusion.last_steps(layout, closed) {
+        for step in self.fusion.last_steps(submaps_in_map, closed) {
             let mut submap = self.store.load(step.number())?;
             self.known_area_m2 += submap.known_area_m2();
             if let (Some(newer), Step::Place(placed)) = (self.fusion.map(), step) {

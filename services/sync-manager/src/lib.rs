@@ -1,4 +1,4 @@
-//! Submaps become constraints, one consistent layout and a fused map.
+//! Submaps become constraints, one consistent solution and a fused map.
 //!
 //! [`SyncManager`] is pure logic: it is given every published pose and the scans that entered the map, and
 //! answers each closed submap with a correction for the front end. What it has concluded is a graph of

@@ -6,7 +6,6 @@ use crate::solution::{ClosureCounts, FrozenScan, Solution};
 use crate::trajectory::{Between, filled};
 use flockslam_geometry::Pose;
 use flockslam_loop_closure::agreement::eligible;
-use flockslam_loop_closure::chain::Chain;
 use flockslam_loop_closure::closure::{CHI_SQUARED_MAX, Closure};
 use flockslam_loop_closure::connectivity::{self, TrajectoryConnectivity};
 use flockslam_loop_closure::dense::DensePass;
@@ -14,25 +13,26 @@ use flockslam_loop_closure::finder::{
     ClosureFinder, EVERY_M, LEAST_TRAVEL_M, QUERY_NODES, World, graph_distances,
 };
 use flockslam_loop_closure::node::NewNode;
+use flockslam_loop_closure::odometry_graph::OdometryGraph;
 use flockslam_loop_closure::place::{KeptScan, Placer};
 use flockslam_loop_closure::refine::Refinement;
 use flockslam_loop_closure::scans::ScanStore;
 use flockslam_loop_closure::segment::Segment;
 use flockslam_map_fusion::PlacedSubmap;
-use flockslam_messages::{BeamRange, LayoutHeader, PoseEstimate, PoseFlags, ScanView, SubmapClosed};
+use flockslam_messages::{BeamRange, Correction, PoseEstimate, PoseFlags, ScanView, SubmapClosed};
 use flockslam_pose_graph::Edge;
 use flockslam_pose_graph::{RobustSettings, solve};
 use flockslam_registration::cloud::Placement;
 use freeze::FrozenSubmap;
 use solution::placed;
 use std::collections::{BTreeMap, BTreeSet};
-use tell::Telling;
+use unpublished::Unpublished;
 
 mod counts;
 mod freeze;
 mod shown;
 mod solution;
-mod tell;
+mod unpublished;
 
 /// A scan this close to the last one kept tells nothing new, metres and radians.
 const REST: (f64, f64) = (0.01, 0.005);
@@ -88,9 +88,9 @@ struct Kept {
 ///     manager.pose(&pose);
 ///     manager.node(scan(pose.odom_from_base.x_m).view()?, &pose, &[]);
 /// }
-/// let layout = manager.submap_closed(&SubmapClosed { last: pose.id, ..SubmapClosed::default() });
+/// let solution = manager.submap_closed(&SubmapClosed { last: pose.id, ..SubmapClosed::default() });
 /// // The front end was right: there is nothing to correct.
-/// assert!(layout.map_from_odom.distance_m(Pose::IDENTITY) < 0.1);
+/// assert!(solution.map_from_odom.distance_m(Pose::IDENTITY) < 0.1);
 /// let solution = manager.finish();
 /// assert_eq!(solution.trajectory.len(), 20);
 /// assert!(solution.trajectory[19].map_from_base.distance_m(pose.odom_from_base) < 0.1);
@@ -101,13 +101,13 @@ pub struct SyncManager {
     records: Vec<PoseRecord>,
     scans: ScanStore,
     kept: Vec<Kept>,
-    chain: Chain,
+    odometry: OdometryGraph,
     segments: Vec<Segment>,
     finder: ClosureFinder,
     closures: Vec<Closure>,
     /// By closure: whether it is an inlier in the last solution.
     is_inlier: Vec<bool>,
-    /// Poses of the nodes in the last solution; newer nodes follow the chain.
+    /// Poses of the nodes in the last solution; newer nodes follow the odometry.
     poses: Vec<Placement>,
     /// Travel at which the next search for loops is due, metres.
     next_search_m: f64,
@@ -124,7 +124,7 @@ pub struct SyncManager {
     /// Closures were found that the solution does not know.
     unsolved: bool,
     /// What the flock is to be told, when there is one.
-    telling: Option<Telling>,
+    unpublished: Option<Unpublished>,
     /// Work on solving that may be done, and what the last solution took.
     solving_credit: u64,
     solving_cost: u64,
@@ -134,7 +134,7 @@ impl SyncManager {
     /// A back end that has seen nothing yet.
     pub fn new(settings: Settings) -> Self {
         Self {
-            chain: Chain::default(),
+            odometry: OdometryGraph::default(),
             finder: ClosureFinder::default(),
             next_search_m: LEAST_TRAVEL_M,
             settings,
@@ -153,7 +153,7 @@ impl SyncManager {
             frozen_closures: 0,
             gone_scans: 0,
             unsolved: false,
-            telling: None,
+            unpublished: None,
             solving_credit: 0,
             solving_cost: 0,
         }
@@ -162,7 +162,7 @@ impl SyncManager {
     /// Takes the published pose of a scan. Every scan's, in order of arrival.
     pub fn pose(&mut self, pose: &PoseEstimate) {
         let mut record = PoseRecord::new(pose);
-        // Chains only follow each other. A front end that has forgotten its own says one of before.
+        // Trajectories only follow each other. A front end that has forgotten its own says one of before.
         record.trajectory = self.records.last().map_or(0, |last| last.trajectory).max(record.trajectory);
         self.records.push(record);
     }
@@ -180,9 +180,9 @@ impl SyncManager {
         let scan = self.scans.keep(scan, pose.twist.into(), moving);
         if is_node {
             let sequence = pose.id.sequence;
-            self.chain.extend(NewNode { sequence, scan, odom, trajectory }, &self.scans);
+            self.odometry.extend(NewNode { sequence, scan, odom, trajectory }, &self.scans);
         }
-        if let Some(node) = self.chain.nodes().len().checked_sub(1) {
+        if let Some(node) = self.odometry.nodes().len().checked_sub(1) {
             self.kept.push(Kept { record, scan, node, is_node });
         }
     }
@@ -197,7 +197,7 @@ impl SyncManager {
 
     /// Whether the robot has moved enough for a new node.
     fn is_due(&self, odom: &Placement, trajectory: u32) -> bool {
-        self.chain.nodes().last().is_none_or(|last| {
+        self.odometry.nodes().last().is_none_or(|last| {
             last.trajectory != trajectory
                 || last.odom.distance_m(odom) >= NODE_DISTANCE_M
                 || last.odom.turn_rad(odom) >= NODE_TURN_RAD
@@ -207,21 +207,21 @@ impl SyncManager {
     /// Concludes what can be concluded after a closed submap of the mapper: looks for loops among the nodes
     /// up to its last scan, solves the graph when there are new ones, and gives the correction of the front
     /// end.
-    pub fn submap_closed(&mut self, notice: &SubmapClosed) -> LayoutHeader {
+    pub fn submap_closed(&mut self, notice: &SubmapClosed) -> Correction {
         let known = self.nodes_up_to(notice.last.sequence);
         self.close_loops(known, SEARCHES_PER_SUBMAP);
         self.revision += 1;
         let connectivity = self.connectivity(known);
         let map_from_odom = self.correction(known);
-        self.tell(known);
+        self.collect_findings(known);
         self.freeze(known);
-        LayoutHeader {
+        Correction {
             map_from_odom,
-            epoch: notice.last.epoch,
+            run: notice.last.run,
             submap: notice.number,
             revision: self.revision,
             closures: self.is_inlier.iter().filter(|&&is_inlier| is_inlier).count() as u32,
-            chain: connectivity.newest(),
+            trajectory: connectivity.newest(),
             attached: u32::from(connectivity.is_attached(connectivity.newest())),
         }
     }
@@ -238,14 +238,14 @@ impl SyncManager {
     fn connectivity(&self, known: usize) -> TrajectoryConnectivity {
         let inliers = self.closures.iter().zip(&self.is_inlier).filter(|(_, is_inlier)| **is_inlier);
         TrajectoryConnectivity::new(
-            &self.chain.nodes()[..known],
+            &self.odometry.nodes()[..known],
             inliers.map(|(c, _)| (c.edge.from, c.edge.to)),
         )
     }
 
     /// Where the mapper's submaps lie in the present solution, by number: each as the node in its middle says. Those that nothing
     /// but driving connects with the map are left out.
-    pub fn layout(&self) -> Vec<PlacedSubmap> {
+    pub fn submap_poses(&self) -> Vec<PlacedSubmap> {
         let connectivity = self.connectivity(self.poses.len());
         let nodes: Vec<(u32, usize)> = self
             .kept
@@ -256,11 +256,11 @@ impl SyncManager {
             .collect();
         let place = |group: &[(u32, usize)]| {
             let (number, node) = group[group.len() / 2];
-            let map_from_odom = self.poses[node].compose(self.chain.nodes()[node].odom.inverse()).pose();
+            let map_from_odom = self.poses[node].compose(self.odometry.nodes()[node].odom.inverse()).pose();
             (number, map_from_odom)
         };
         let mut submaps: BTreeMap<u32, Pose> =
-            self.frozen_layout().map(|(number, at)| (number, at.pose())).collect();
+            self.frozen_poses().map(|(number, at)| (number, at.pose())).collect();
         submaps.extend(nodes.chunk_by(|a, b| a.0 == b.0).map(place));
         placed(submaps)
     }
@@ -269,20 +269,20 @@ impl SyncManager {
     fn nodes_up_to(&self, sequence: u64) -> usize {
         let nodes = self.kept.iter().rev().filter(|k| k.is_node);
         let newer = nodes.take_while(|k| self.records[k.record].id.sequence > sequence).count();
-        self.chain.nodes().len() - newer
+        self.odometry.nodes().len() - newer
     }
 
     /// `map_from_odom` at the last of the first `known` nodes.
     fn correction(&self, known: usize) -> Pose {
         known.checked_sub(1).map_or(Pose::IDENTITY, |last| {
-            self.poses[last].compose(self.chain.nodes()[last].odom.inverse()).pose()
+            self.poses[last].compose(self.odometry.nodes()[last].odom.inverse()).pose()
         })
     }
 
     fn close_loops(&mut self, known: usize, searches: usize) {
-        self.follow_chain(known);
+        self.follow_odometry(known);
         let from = self.segments.last().map_or(0, |s| s.nodes.end);
-        self.segments.extend(Segment::cut(&self.chain.nodes()[..known], from));
+        self.segments.extend(Segment::cut(&self.odometry.nodes()[..known], from));
         if !self.settings.close_loops {
             return;
         }
@@ -290,7 +290,7 @@ impl SyncManager {
         let done = self.finder.counts().searches;
         for query in self.due_queries(known) {
             // A trajectory that hangs in the air is looked for everywhere: that is worth more, but not without end.
-            let trajectory = self.chain.nodes()[query].trajectory;
+            let trajectory = self.odometry.nodes()[query].trajectory;
             let searches = searches as u64;
             let most = if self.connectivity(known).is_attached(trajectory) {
                 searches
@@ -313,12 +313,12 @@ impl SyncManager {
     }
 
     /// Poses of nodes newer than the last solution.
-    fn follow_chain(&mut self, known: usize) {
-        let nodes = self.chain.nodes();
+    fn follow_odometry(&mut self, known: usize) {
+        let nodes = self.odometry.nodes();
         for i in self.poses.len()..known {
             let pose = match i.checked_sub(1) {
-                None => nodes[0].chain,
-                Some(last) => self.poses[last].compose(nodes[last].chain.to(nodes[i].chain)),
+                None => nodes[0].local_pose,
+                Some(last) => self.poses[last].compose(nodes[last].local_pose.to(nodes[i].local_pose)),
             };
             self.poses.push(pose);
         }
@@ -327,7 +327,7 @@ impl SyncManager {
     /// Nodes at which a search is due and whose surroundings are complete.
     fn due_queries(&mut self, known: usize) -> Vec<usize> {
         let mut due = Vec::new();
-        let nodes = &self.chain.nodes()[..known.saturating_sub(QUERY_NODES)];
+        let nodes = &self.odometry.nodes()[..known.saturating_sub(QUERY_NODES)];
         let first = nodes.partition_point(|node| node.travel_m < self.next_search_m);
         for (i, node) in nodes.iter().enumerate().skip(first) {
             if node.travel_m >= self.next_search_m {
@@ -341,12 +341,12 @@ impl SyncManager {
     fn search(&mut self, query: usize, known: usize) {
         let inliers = self.closures.iter().zip(&self.is_inlier).filter(|(_, is_inlier)| **is_inlier);
         let loops: Vec<_> = inliers.map(|(c, _)| (c.edge.from, c.edge.to)).collect();
-        let nodes = &self.chain.nodes()[..known];
+        let nodes = &self.odometry.nodes()[..known];
         let distances_m = graph_distances(nodes, &loops, query);
         let world = World { nodes, scans: &self.scans, segments: &self.segments, poses: &self.poses };
         let found = self.finder.find(&world, query, &distances_m);
-        if let Some(telling) = &mut self.telling {
-            telling.found(&found, self.chain.nodes());
+        if let Some(unpublished) = &mut self.unpublished {
+            unpublished.found(&found, self.odometry.nodes());
         }
         self.closures.extend(found);
         // New ones count at once for the windows of the next queries.
@@ -355,53 +355,58 @@ impl SyncManager {
         self.is_inlier.extend(&eligible[old..]);
     }
 
-    /// Solves the graph of the first `known` nodes, from the chain, with all eligible loops on trial again.
+    /// Solves the graph of the first `known` nodes, from the odometry, with all eligible loops on trial again.
     fn solve(&mut self, known: usize) {
-        let mut edges: Vec<Edge> = self.chain.edges()[..known - 1].to_vec();
+        let mut edges: Vec<Edge> = self.odometry.edges()[..known - 1].to_vec();
         let trusted = edges.len();
-        let eligible = eligible(&self.closures, &self.chain.nodes()[..known]);
+        let eligible = eligible(&self.closures, &self.odometry.nodes()[..known]);
         edges.extend(
             self.closures.iter().zip(&eligible).filter(|(_, eligible)| **eligible).map(|(c, _)| c.edge),
         );
         let settings =
             RobustSettings { chi_squared_max: CHI_SQUARED_MAX, growth: 1.6, rounds: 25, warm_up: 6 };
-        let mut poses = connectivity::start(&self.chain.nodes()[..known], &edges[trusted..]);
+        let mut poses = connectivity::start(&self.odometry.nodes()[..known], &edges[trusted..]);
         let solved = solve(known, &edges, trusted, &settings, &mut poses);
         (self.poses, self.solving_cost) = (poses, solved.work);
         let mut inliers = solved.weights[trusted..].iter().map(|&w| w > 0.5);
         self.is_inlier = eligible.iter().map(|&eligible| eligible && inliers.next() == Some(true)).collect();
     }
 
-    /// Concludes the run: the last loops, a dense pass over the whole layout, and every kept scan placed in
+    /// Concludes the run: the last loops, a dense pass over the whole solution, and every kept scan placed in
     /// it.
     pub fn finish(&mut self) -> Solution {
-        let known = self.chain.nodes().len();
+        let known = self.odometry.nodes().len();
         if known == 0 {
             return self.solution(&filled(&self.records, &[], Between::FrontEnd));
         }
         self.close_loops(known, usize::MAX);
-        self.tell(known);
+        self.collect_findings(known);
         self.refine();
         self.placed()
     }
 
     /// Matches all nodes of the map to the map that they make together.
     fn match_to_map(&mut self) {
-        let nodes = self.chain.nodes();
+        let nodes = self.odometry.nodes();
         let connectivity = self.connectivity(nodes.len());
         let in_map: Vec<bool> = nodes.iter().map(|node| connectivity.is_attached(node.trajectory)).collect();
-        let refinement = Refinement { nodes, scans: &self.scans, chain: self.chain.edges(), in_map: &in_map };
+        let refinement =
+            Refinement { nodes, scans: &self.scans, odometry: self.odometry.edges(), in_map: &in_map };
         refinement.run(self.finder.scratch(), &mut self.poses);
     }
 
     /// Every kept scan placed among the nodes at their present poses.
     fn placed(&mut self) -> Solution {
-        if self.chain.nodes().is_empty() {
+        if self.odometry.nodes().is_empty() {
             return self.solution(&filled(&self.records, &[], Between::FrontEnd));
         }
         let kept = expected(&self.records, &self.kept, &self.placed_nodes());
-        let placer =
-            Placer { nodes: self.chain.nodes(), scans: &self.scans, poses: &self.poses, reach: FINAL_NODES };
+        let placer = Placer {
+            nodes: self.odometry.nodes(),
+            scans: &self.scans,
+            poses: &self.poses,
+            reach: FINAL_NODES,
+        };
         let placed = placer.place_all(&kept, self.finder.scratch());
         let pairs: Vec<_> = self.kept.iter().zip(placed).map(|(k, pose)| (k.record, pose)).collect();
         self.solution(&filled(&self.records, &pairs, Between::Measured))
@@ -409,7 +414,7 @@ impl SyncManager {
 
     /// The dense pass, over all nodes, and what brings them closer to the map that they make.
     fn refine(&mut self) {
-        let nodes = self.chain.nodes();
+        let nodes = self.odometry.nodes();
         let mut segments = self.segments.clone();
         let rest = segments.last().map_or(0, |s| s.nodes.end)..nodes.len();
         if !rest.is_empty() {
@@ -420,7 +425,7 @@ impl SyncManager {
             nodes,
             scans: &self.scans,
             segments: &segments,
-            chain: self.chain.edges(),
+            odometry: self.odometry.edges(),
             connectivity: &connectivity,
         };
         pass.run(self.finder.scratch(), &mut self.poses);
@@ -439,8 +444,8 @@ impl SyncManager {
             matches: counts.matches,
             accepted: self.closures.len() as u64 + self.frozen_closures,
             revoked: self.is_inlier.iter().filter(|&&is_inlier| !is_inlier).count() as u64,
-            nodes: self.chain.nodes().len() as u64,
-            unmatched: self.chain.unmatched() as u64,
+            nodes: self.odometry.nodes().len() as u64,
+            unmatched: self.odometry.unmatched() as u64,
             trajectories: connectivity.count() as u64,
             detached_scans: self.records.iter().filter(|r| !connectivity.is_attached(r.trajectory)).count()
                 as u64,
@@ -448,7 +453,7 @@ impl SyncManager {
     }
 }
 
-/// Where each kept scan is expected in the layout: by the front end's path between the nodes around it, and, should that have
+/// Where each kept scan is expected in the solution: by the front end's path between the nodes around it, and, should that have
 /// jumped, straight between them. Given are a stretch of records, scans kept of it, and its nodes as (record, pose).
 fn expected(records: &[PoseRecord], kept: &[Kept], nodes: &[(usize, Placement)]) -> Vec<KeptScan> {
     let (Some(first), Some(from)) = (kept.first(), nodes.first()) else { return Vec::new() };

@@ -12,11 +12,11 @@ pub struct PoseRecord {
     pub stamp_ns: i64,
     /// The front end's pose, continuous.
     pub odom: Placement,
-    /// Dead reckoning of the wheels, when the robot has it.
-    pub wheels: Option<Placement>,
+    /// Odometry, when the robot has it.
+    pub odometry: Option<Placement>,
     /// Submap that the scan entered, if it was inserted.
     pub submap: u32,
-    /// Chain of submaps that it belongs to.
+    /// Trajectory that it belongs to.
     pub trajectory: u32,
     /// The front end did not believe its fit.
     pub lost: bool,
@@ -29,9 +29,9 @@ impl PoseRecord {
             id: pose.id,
             stamp_ns: pose.times.sensor_ns,
             odom: pose.odom_from_base.into(),
-            wheels: pose.has(PoseFlags::HAS_ODOMETRY).then(|| pose.odometry.into()),
+            odometry: pose.has(PoseFlags::HAS_ODOMETRY).then(|| pose.odometry.into()),
             submap: pose.submap,
-            trajectory: pose.chain,
+            trajectory: pose.trajectory,
             lost: pose.quality == Quality::Lost as u32,
         }
     }

@@ -7,23 +7,23 @@
 use crate::fuse::Fuser;
 use crate::{Settings, SyncManager};
 use clear_at_end::clear_at_end;
-use flock::Voice;
+use flock::Outbox;
 use flockslam_bus::{Notifier, Publisher, SUPERVISOR_EVENT, Subscriber};
 use flockslam_flock_network::FlockMetrics;
 use flockslam_geometry::Pose;
 use flockslam_map_fusion::PlacedSubmap;
 use flockslam_messages::{
-    BeamRange, ControlKind, DropReason, FlockFrame, FlockRobots, LayoutHeader, MovingBeamsHeader,
-    PoseEstimate, PoseFlags, ScanView, Stage, SubmapClosed,
+    BeamRange, ControlKind, Correction, DropReason, FlockFrame, FlockRobots, MovingBeamsHeader, PoseEstimate,
+    PoseFlags, ScanView, Stage, SubmapClosed,
 };
 use flockslam_results::SubmapStore;
-use flockslam_results::{self as results, LayoutRow, LiveLayout, Summary};
+use flockslam_results::{self as results, LivePoses, SubmapRow, Summary};
 use flockslam_stage::{
     Actor, Copies, Inbox, Join, JournalReader, LastWord, LeaderLock, Mode, Notifiers, StageContext,
     StageError, run,
 };
 use flockslam_telemetry::monotonic_ns;
-use metrics::LayoutMetrics;
+use metrics::CorrectionMetrics;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use trajectories::Trajectories;
@@ -39,21 +39,21 @@ mod trajectories;
 /// When the bus, the journal or the store fails.
 pub fn run_stage(context: &mut StageContext, settings: Settings) -> Result<(), StageError> {
     let event = context.bus.listener(Stage::SyncManager.name())?;
-    let turn = LeaderLock::ask(context)?;
-    if context.mode == Mode::Exact && !turn.stand_by(context, &event, |_| Ok(0))? {
+    let lock = LeaderLock::ask(context)?;
+    if context.mode == Mode::Exact && !lock.stand_by(context, &event, |_| Ok(0))? {
         return Ok(());
     }
-    let mut actor = SyncProcess::open(context, settings, turn)?;
+    let mut actor = SyncProcess::open(context, settings, lock)?;
     run(context, &mut actor, &event)
 }
 
 struct SyncProcess {
     logic: SyncManager,
-    turn: LeaderLock,
-    /// This process speaks; otherwise it stands by.
-    acts: bool,
+    lock: LeaderLock,
+    /// This process speaks; otherwise it is on standby.
+    is_active: bool,
     /// The last conclusion.
-    layout: Option<LayoutHeader>,
+    correction: Option<Correction>,
     /// Scans are handed to the logic, which places them anew.
     optimises: bool,
     /// Others may watch: what was concluded is left for them in the results.
@@ -69,33 +69,33 @@ struct SyncProcess {
     waiting_submaps: BTreeMap<u32, SubmapClosed>,
     /// The logic has seen all submaps below this.
     next_submap: u32,
-    layouts: Publisher<LayoutHeader>,
+    corrections: Publisher<Correction>,
     matcher: Notifier,
     finished: LastWord,
     trajectories: Trajectories,
     settings: Settings,
     /// Says to the flock what this robot finds out.
-    voice: Voice,
-    /// What the voice will be shown by, until there is one.
+    outbox: Outbox,
+    /// What the outbox will be shown by, until there is one.
     flock_metrics: Option<FlockMetrics>,
     flock_frames: Publisher<FlockFrame>,
     flock_frame: Option<FlockFrame>,
     flock_robots: Publisher<FlockRobots>,
     /// Where they were told to be.
-    told_robots: FlockRobots,
+    published_robots: FlockRobots,
     /// The last one taken in.
     pose: Option<PoseEstimate>,
     summary: Summary,
     /// What a predecessor knew is taken in.
     recovered: bool,
-    metrics: LayoutMetrics,
+    metrics: CorrectionMetrics,
 }
 
 impl SyncProcess {
-    fn open(context: &mut StageContext, settings: Settings, turn: LeaderLock) -> Result<Self, StageError> {
-        let acts = turn.is_ours();
+    fn open(context: &mut StageContext, settings: Settings, lock: LeaderLock) -> Result<Self, StageError> {
+        let is_active = lock.is_ours();
         let own = context.result_dir.join(format!("{}-{}", context.stage.name(), context.replica));
-        let result_dir = if acts { context.result_dir.clone() } else { own };
+        let result_dir = if is_active { context.result_dir.clone() } else { own };
         std::fs::create_dir_all(&result_dir).map_err(|e| StageError::file(&result_dir, e))?;
         let bus = &context.bus;
         let supervisor = Notifiers::open(context, &[SUPERVISOR_EVENT])?;
@@ -105,9 +105,9 @@ impl SyncProcess {
             result_dir: context.result_dir.clone(),
             fuser: Fuser::new(SubmapStore::new(&context.submap_dir), &settings),
             logic: SyncManager::new(settings.clone()),
-            turn,
-            acts,
-            layout: None,
+            lock,
+            is_active,
+            correction: None,
             store: SubmapStore::new(&context.submap_dir),
             join: Join::open(context, 0)?,
             moving_beams: Inbox::unlimited(Copies(bus.slice_subscriber()?)),
@@ -115,27 +115,27 @@ impl SyncProcess {
             submaps: bus.subscriber()?,
             waiting_submaps: BTreeMap::new(),
             next_submap: 0,
-            layouts: bus.publisher()?,
+            corrections: bus.publisher()?,
             matcher: bus.notifier(Stage::ScanMatcher.name())?,
             finished: LastWord::open(context, ControlKind::Finished, 0, supervisor)?,
             trajectories: Trajectories::create(&result_dir)?,
             settings,
-            voice: Voice::Silent,
+            outbox: Outbox::Silent,
             flock_metrics: Some(FlockMetrics::new(&context.metrics)),
             flock_frames: bus.publisher()?,
             flock_frame: None,
             flock_robots: bus.publisher()?,
-            told_robots: FlockRobots::default(),
+            published_robots: FlockRobots::default(),
             pose: None,
             summary: Summary::default(),
             recovered: false,
-            metrics: LayoutMetrics::new(&context.metrics),
+            metrics: CorrectionMetrics::new(&context.metrics),
         };
-        process.join.speak(acts);
+        process.join.speak(is_active);
         if !process.settings.flock.name.is_empty() {
-            process.logic.tell_the_flock();
+            process.logic.publish_to_flock();
         }
-        if process.acts {
+        if process.is_active {
             process.speak(context)?;
         }
         process.recover(context)?;
@@ -152,8 +152,8 @@ impl SyncProcess {
     /// From now on this process speaks to the flock.
     fn speak(&mut self, context: &StageContext) -> Result<(), StageError> {
         if let Some(metrics) = self.flock_metrics.take() {
-            self.voice =
-                Voice::open(&self.settings.flock, &context.result_dir, &context.status_dir, metrics)?;
+            self.outbox =
+                Outbox::open(&self.settings.flock, &context.result_dir, &context.status_dir, metrics)?;
         }
         Ok(())
     }
@@ -162,14 +162,14 @@ impl SyncProcess {
     fn take_over(&mut self, context: &StageContext) -> Result<(), StageError> {
         tracing::info!(stage = context.stage.name(), replica = context.replica, "takes over");
         self.trajectories.move_to(&context.result_dir)?;
-        self.acts = true;
+        self.is_active = true;
         self.join.speak(true);
         self.speak(context)?;
         for number in 0..self.next_submap {
-            self.voice.tell(&mut self.logic, number, &self.store)?;
+            self.outbox.publish(&mut self.logic, number, &self.store)?;
         }
-        if let Some(layout) = &self.layout {
-            self.layouts.send(layout)?;
+        if let Some(correction) = &self.correction {
+            self.corrections.send(correction)?;
             self.matcher.ring();
         }
         self.join.refresh()
@@ -223,26 +223,26 @@ impl SyncProcess {
     /// Hands a closed submap to the logic and publishes the correction.
     fn conclude(&mut self, notice: &SubmapClosed) -> Result<(), StageError> {
         let started_ns = monotonic_ns();
-        let layout = self.logic.submap_closed(notice);
+        let correction = self.logic.submap_closed(notice);
         let took_ns = monotonic_ns().saturating_sub(started_ns);
         self.trajectories.frozen(&self.logic.take_frozen())?;
-        self.voice.tell(&mut self.logic, notice.number, &self.store)?;
+        self.outbox.publish(&mut self.logic, notice.number, &self.store)?;
         self.next_submap = notice.number + 1;
-        self.layout = Some(layout);
-        if !self.acts {
+        self.correction = Some(correction);
+        if !self.is_active {
             self.metrics.recovered(self.logic.closure_counts());
             return Ok(());
         }
-        self.layouts.send(&layout)?;
+        self.corrections.send(&correction)?;
         self.matcher.ring();
-        let retired = self.fuser.follow(&self.logic.layout(), self.next_submap)?;
+        let retired = self.fuser.follow(&self.logic.submap_poses(), self.next_submap)?;
         self.logic.submaps_retired(&retired);
-        self.tell(took_ns);
+        self.publish(took_ns);
         self.show();
         Ok(())
     }
 
-    fn tell(&mut self, took_ns: u64) {
+    fn publish(&mut self, took_ns: u64) {
         let counts = self.logic.closure_counts();
         let (scan, submap) = (self.join.expected, self.next_submap.saturating_sub(1));
         tracing::debug!(
@@ -260,19 +260,19 @@ impl SyncProcess {
         self.metrics.concluded(counts, took_ns, self.fuser.area_m2());
     }
 
-    /// Leaves the layout for who watches. Should that fail, nobody else is worse off.
+    /// Leaves the solution for who watches. Should that fail, nobody else is worse off.
     fn show(&self) {
         if !self.is_watched {
             return;
         }
         let counts = self.logic.closure_counts();
-        let layout = LiveLayout {
-            submaps: rows(&self.logic.layout()),
+        let correction = LivePoses {
+            submaps: rows(&self.logic.submap_poses()),
             closures: self.logic.loops(),
             searches: counts.searches,
             accepted: counts.accepted,
         };
-        if let Err(error) = results::write_live_layout(&self.result_dir, &layout) {
+        if let Err(error) = results::write_live_poses(&self.result_dir, &correction) {
             tracing::warn!(%error, "the layout is not shown");
         }
     }
@@ -309,7 +309,7 @@ impl SyncProcess {
         self.moving_beams.drain()?;
         let moving = self.moving_beams.take(sequence).map_or_else(Vec::new, |(_, beams)| beams);
         self.take_in(pose, scan, &moving)?;
-        if self.acts {
+        if self.is_active {
             context.handled(sequence, started_ns, pose.times.monotonic_ns);
         } else {
             context.followed(1);
@@ -319,13 +319,13 @@ impl SyncProcess {
     }
 
     /// Tells the other stages where the other robots are, and them where this one is.
-    fn tell_robots(&mut self) -> Result<(), StageError> {
+    fn publish_robots(&mut self) -> Result<(), StageError> {
         if let Some(pose) = &self.pose {
-            self.voice.is_at(pose);
+            self.outbox.is_at(pose);
         }
-        let robots = self.voice.robots();
-        if robots != self.told_robots {
-            self.told_robots = robots;
+        let robots = self.outbox.robots();
+        if robots != self.published_robots {
+            self.published_robots = robots;
             self.flock_robots.send(&robots)?;
         }
         self.flock_robots.refresh();
@@ -347,20 +347,20 @@ impl SyncProcess {
         results::write_map(directory, &self.fuser.stored_map())?;
         self.summary.submaps = self.fuser.known(&solution.submaps);
         self.fuser.report(&mut self.summary);
-        self.summary.chains = solution.closures.trajectories;
+        self.summary.trajectories = solution.closures.trajectories;
         self.summary.detached_scans = solution.closures.detached_scans;
         self.summary.closures_tried = solution.closures.searches;
         self.summary.closures_accepted = solution.closures.accepted;
         self.summary.closures_revoked = solution.closures.revoked;
         results::write_summary(directory, &self.summary)?;
-        self.voice.finish(&mut self.logic, &solution, &self.store, &scans, context)?;
+        self.outbox.finish(&mut self.logic, &solution, &self.store, &scans, context)?;
         self.finished.say(self.summary.scans)
     }
 }
 
-fn rows(submaps: &[PlacedSubmap]) -> Vec<LayoutRow> {
+fn rows(submaps: &[PlacedSubmap]) -> Vec<SubmapRow> {
     let numbers = |pose: Pose| [pose.x_m, pose.y_m, pose.heading_rad];
-    let row = |placed: &PlacedSubmap| LayoutRow {
+    let row = |placed: &PlacedSubmap| SubmapRow {
         number: placed.number,
         map_from_odom: numbers(placed.map_from_odom),
     };
@@ -369,7 +369,7 @@ fn rows(submaps: &[PlacedSubmap]) -> Vec<LayoutRow> {
 
 impl Actor for SyncProcess {
     fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
-        if !self.acts && self.turn.is_ours() {
+        if !self.is_active && self.lock.is_ours() {
             self.take_over(context)?;
         }
         let mut any = false;
@@ -381,7 +381,7 @@ impl Actor for SyncProcess {
             any = true;
         }
         let ended = self.join.has_ended()? && self.join.stream.submaps.is_some();
-        if ended && self.acts && !self.finished.is_said() {
+        if ended && self.is_active && !self.finished.is_said() {
             self.finish(context)?;
         }
         Ok(any)
@@ -392,17 +392,17 @@ impl Actor for SyncProcess {
     }
 
     fn refresh(&mut self, _context: &mut StageContext) -> Result<(), StageError> {
-        self.layouts.refresh();
-        if !self.acts {
+        self.corrections.refresh();
+        if !self.is_active {
             return Ok(());
         }
-        let frame = self.voice.frame();
+        let frame = self.outbox.frame();
         if frame != self.flock_frame {
             self.flock_frame = frame;
             frame.iter().try_for_each(|frame| self.flock_frames.send(frame))?;
         }
         self.flock_frames.refresh();
-        self.tell_robots()?;
+        self.publish_robots()?;
         self.join.refresh()?;
         self.finished.repeat()
     }

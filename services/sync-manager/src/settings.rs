@@ -23,7 +23,7 @@ pub struct Settings {
     pub clear_at_end: bool,
     /// The robots that this one shares its map with.
     pub flock: FlockSettings,
-    /// Processes of this stage: one speaks, the others know what it knows and stand by to go on in its place.
+    /// Processes of this stage: one speaks, the others know what it knows and are on standby to go on in its place.
     pub replicas: usize,
 }
 

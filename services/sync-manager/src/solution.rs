@@ -72,8 +72,8 @@ pub struct ClosureCounts {
     pub nodes: u64,
     /// Nodes whose match to the nodes before them was not believed.
     pub unmatched: u64,
-    /// Chains of submaps: more than one when the robot was lost.
+    /// Trajectories: more than one when the robot was lost.
     pub trajectories: u64,
-    /// Scans of chains that no closure connects with the map.
+    /// Scans of trajectories that no closure connects with the map.
     pub detached_scans: u64,
 }

@@ -1,4 +1,4 @@
-//! A pose for every scan from the poses of a few: along the front end's path, along the wheels, or on a curve, between known poses.
+//! A pose for every scan from the poses of a few: along the front end's path, along odometry, or on a curve, between known poses.
 
 use crate::between::{Curve, Way};
 use crate::pose_record::PoseRecord;
@@ -7,16 +7,16 @@ use flockslam_registration::cloud::Placement;
 /// What is trusted between known poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Between {
-    /// The front end's path: its matches are better than the wheels.
+    /// The front end's path: its matches are better than odometry.
     FrontEnd,
-    /// What the known poses themselves prove best: the wheels, where there are any, or a smooth curve. The front end has only
+    /// What the known poses themselves prove best: odometry, where there is any, or a smooth curve. The front end has only
     /// predicted there, and its path jumps at the next match.
     Measured,
 }
 
 impl Between {
     fn motion(self, from: &PoseRecord, to: &PoseRecord) -> Placement {
-        match (self, from.wheels, to.wheels) {
+        match (self, from.odometry, to.odometry) {
             (Self::Measured, Some(from), Some(to)) => from.to(to),
             _ => from.odom.to(to.odom),
         }
@@ -39,13 +39,13 @@ pub fn filled(records: &[PoseRecord], known: &[(usize, Placement)], between: Bet
         carried(start, i).interpolate(&carried(end, i), share)
     };
     let way = match between {
-        Between::FrontEnd => Way::Wheels,
+        Between::FrontEnd => Way::Odometry,
         Between::Measured => Way::chosen(records, known, |middle| {
             let (start, end, i) = (known[middle - 1], known[middle + 1], known[middle].0);
             blended(start, end, i, shares_of_way(&records[start.0..=end.0])[i - start.0])
         }),
     };
-    let curve = (way != Way::Wheels).then(|| Curve::new(records, known, way));
+    let curve = (way != Way::Odometry).then(|| Curve::new(records, known, way));
     let mut poses: Vec<Placement> = (0..first).map(|i| carried(known[0], i)).collect();
     for (k, pair) in known.windows(2).enumerate() {
         let (start, end) = (pair[0].0, pair[1].0);
@@ -88,7 +88,7 @@ mod tests {
             id: ScanId { sequence: i as u64, ..ScanId::default() },
             stamp_ns: i as i64,
             odom: Placement::new(i as f64, 0.0, 0.0),
-            wheels: None,
+            odometry: None,
             submap: 0,
             trajectory: 0,
             lost: false,
@@ -113,7 +113,7 @@ mod tests {
             id: ScanId { sequence: i as u64, ..ScanId::default() },
             stamp_ns: i as i64,
             odom: Placement::new(i as f64, 0.0, 0.0),
-            wheels: None,
+            odometry: None,
             submap: 0,
             trajectory: u32::from(i >= 6),
             lost: (3..6).contains(&i),

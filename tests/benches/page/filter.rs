@@ -47,7 +47,7 @@ pub fn section(bench: &mut Bench) -> String {
     format!(
         "{}Mean error over all relations with and without the filter, the same settings for all logs; means over {} start headings with `gauss-newton` (the default), over {} seeds \
          with `monte-carlo`, which draws random numbers. *CPU* is the processor time of matcher, mapper and cleaner for each scan of the log, \
-         and what it is less than without the filter. `seed-exact` is the program published with the source work (An. Filatov 2021), defects included, `motion` asks the wheels alone.\n\n{table}\n{}\n{}\n{}",
+         and what it is less than without the filter. `seed-exact` is the program published with the source work (An. Filatov 2021), defects included, `motion` asks odometry alone.\n\n{table}\n{}\n{}\n{}",
         bench.absence(),
         headings.len(),
         if bench.plan.patient { SEEDS } else { 1 },

@@ -20,7 +20,7 @@ pub fn echo(directory: &Path) {
     let event = bus.listener(Stage::CorrelationFilter.name()).expect("the event is there");
     answers.send(&Verdict::default()).expect("the bench listens");
     loop {
-        event.wait(Duration::from_secs(1)).expect("the bell works");
+        event.wait(Duration::from_secs(1)).expect("the event works");
         while let Some(sample) = scans.receive().expect("the topic works") {
             let coefficient = monotonic_ns().saturating_sub(sample.header().times.monotonic_ns) as f64;
             answers

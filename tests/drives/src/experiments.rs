@@ -182,9 +182,9 @@ pub fn flat(bearing_sigma_rad: f64) -> Experiment {
 /// The same with other noise.
 pub fn flat_seeded(bearing_sigma_rad: f64, seed: u64) -> Experiment {
     let (mut truth, mut odometry) = (vec![Pose::IDENTITY], vec![Pose::IDENTITY]);
-    for [wheels_mm, wheels_deg, true_mm, true_deg] in MOVES {
+    for [odometry_mm, odometry_deg, true_mm, true_deg] in MOVES {
         truth.push(moved(truth[truth.len() - 1], [true_mm, true_deg]));
-        odometry.push(moved(odometry[odometry.len() - 1], [wheels_mm, wheels_deg]));
+        odometry.push(moved(odometry[odometry.len() - 1], [odometry_mm, odometry_deg]));
     }
     let open: Vec<Wall> = ROOM.into_iter().chain(CORRIDOR.map(along_corridor)).flat_map(thick).collect();
     let closed: Vec<Wall> = open.iter().copied().chain(thick(along_corridor(DOOR))).collect();

@@ -13,7 +13,7 @@ use std::path::Path;
 /// A track belongs to somebody this near, metres.
 const NEAR_M: f64 = 0.5;
 /// Velocities are judged after so many seconds of view.
-const SETTLED_S: f64 = 1.0;
+const CONVERGED_S: f64 = 1.0;
 /// Whoever is out of sight for so long, seconds, is hidden by something; after the longer time a new name is no mistake.
 const HIDDEN_S: (f64, f64) = (0.3, 1.0);
 
@@ -152,7 +152,7 @@ impl TrackFigures {
     fn count(&mut self, now_s: f64, track: &Track, mover: &MoverTruth) {
         self.squared_m2 += mover.center.distance_m(track.position).powi(2);
         self.positions += 1;
-        if track.age_s > SETTLED_S {
+        if track.age_s > CONVERGED_S {
             let speeds = [mover.velocity_m_s.norm_m(), track.velocity_m_s.norm_m()];
             self.speed_errors_m_s += (speeds[0] - speeds[1]).abs();
             self.speeds += 1;

@@ -303,7 +303,7 @@ pub fn jumping_clock(duration_s: f64) -> Trial {
     trial
 }
 
-/// SIGKILL of the process of a stage that acts while another one stands by, so many times.
+/// SIGKILL of the process of a stage that acts while another one is on standby, so many times.
 pub fn kills_of_the_leader(stage: Stage, runs: usize, seed: u64) -> Trial {
     let (directory, mut random) = (tempfile::tempdir().unwrap(), Seeded::new(seed));
     let mut trial = Trial { fault: format!("kill {} beside a stand-in", stage.name()), ..Trial::default() };

@@ -29,7 +29,7 @@ fn stretch(sequence: u64) -> Content {
     };
     let descriptor = Descriptor::of([(1.0, 2.0), (3.0, 3.0)].into_iter());
     Content::Stretch(Stretch {
-        chain: 1,
+        trajectory: 1,
         previous: sequence.checked_sub(2),
         descriptor,
         nodes: (0..3).map(node).collect(),
@@ -95,9 +95,9 @@ proptest! {
         prop_assert_eq!(names(&forward), names(&shuffled));
         prop_assert_eq!(forward.vector(), shuffled.vector());
         prop_assert_eq!(forward.hash(), shuffled.hash());
-        let mut told: Vec<_> = names(&forward);
-        told.retain(|name| name.robot.name() == "b" && name.number == 3 || name.robot.name() == "a" && name.number == 0);
-        prop_assert!(told.is_empty(), "in doubt or withdrawn: {told:?}");
+        let mut known: Vec<_> = names(&forward);
+        known.retain(|name| name.robot.name() == "b" && name.number == 3 || name.robot.name() == "a" && name.number == 0);
+        prop_assert!(known.is_empty(), "in doubt or withdrawn: {known:?}");
         prop_assert!(names(&forward).iter().any(|name| name.robot.name() == "c" && name.number == 0));
     }
 

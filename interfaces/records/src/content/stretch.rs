@@ -20,9 +20,9 @@ const BIN_M: f64 = 0.5;
 /// A stretch of a robot's pose graph: nodes with the points of their scans, as they follow each other.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stretch {
-    /// Chain of submaps that it belongs to: how chains lie to each other is known from constraints alone.
-    pub chain: u32,
-    /// Sequence of the node before the first; `None` where a chain begins.
+    /// Trajectory that it belongs to: how trajectories lie to each other is known from constraints alone.
+    pub trajectory: u32,
+    /// Sequence of the node before the first; `None` where a trajectory begins.
     pub previous: Option<u64>,
     /// What its surroundings look like, whatever the heading.
     pub descriptor: Descriptor,
@@ -73,7 +73,7 @@ impl Descriptor {
 
 impl Stretch {
     pub(crate) fn write(&self, out: &mut Writer) {
-        out.u32(self.chain);
+        out.u32(self.trajectory);
         out.u8(u8::from(self.previous.is_some()));
         self.previous.iter().for_each(|previous| out.varint(*previous));
         out.bytes(&self.descriptor.0);
@@ -90,7 +90,7 @@ impl Stretch {
     }
 
     pub(crate) fn read(input: &mut Reader<'_>) -> Result<Self, RecordError> {
-        let chain = input.u32()?;
+        let trajectory = input.u32()?;
         let previous = match input.u8()? {
             0 => None,
             1 => Some(input.varint()?),
@@ -113,7 +113,7 @@ impl Stretch {
         for (node, points) in nodes.iter_mut().zip(points::decode(input.take(length)?, &counts)?) {
             node.points = points;
         }
-        Ok(Self { chain, previous, descriptor, nodes })
+        Ok(Self { trajectory, previous, descriptor, nodes })
     }
 }
 

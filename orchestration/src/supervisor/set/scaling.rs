@@ -4,14 +4,14 @@ use super::{ProcessSet, StageChild};
 use flockslam_messages::Stage;
 use flockslam_stage::leader;
 
-/// Whether one process of the stage acts and the others stand by; those of other stages have a share of the work each.
+/// Whether one process of the stage acts and the others are on standby; those of other stages have a share of the work each.
 fn takes_turns(stage: Stage) -> bool {
     matches!(stage, Stage::LidarIngest | Stage::ScanMatcher | Stage::SyncManager)
 }
 
 impl ProcessSet {
-    /// Changes the number of processes of a stage. Where each has its share of the work all of them start anew; where one acts and
-    /// the others stand by, that one goes on. The other stages wait for none of them.
+    /// Changes the number of processes of a stage. Where each has its share of the work all of them start anew; where one is active and
+    /// the others are on standby, that one goes on. The other stages wait for none of them.
     ///
     /// # Errors
     /// When the stage cannot have so many, or they cannot be started: why.
@@ -38,12 +38,12 @@ impl ProcessSet {
         self.children.iter().filter(move |child| child.stage == stage)
     }
 
-    /// Ends so many processes of a stage, the one that acts last.
+    /// Ends so many processes of a stage, the active one last.
     fn let_go(&mut self, stage: Stage, count: usize) {
-        let acts = leader(&self.runtime.status(), stage.name());
+        let active = leader(&self.runtime.status(), stage.name());
         for _ in 0..count {
             let of_stage = self.children.iter().enumerate().filter(|(_, child)| child.stage == stage);
-            let spare = |child: &StageChild| acts.is_none() || child.pids.last().copied() != acts;
+            let spare = |child: &StageChild| active.is_none() || child.pids.last().copied() != active;
             let Some((at, _)) = of_stage.max_by_key(|(_, child)| (spare(child), child.replica)) else {
                 break;
             };
@@ -65,13 +65,13 @@ impl ProcessSet {
     }
 
     /// Before all stages end in good order: nobody shall take over from one that has ended.
-    pub(super) fn dismiss_who_stands_by(&mut self) {
+    pub(super) fn dismiss_standbys(&mut self) {
         for stage in Stage::ALL.into_iter().filter(|stage| takes_turns(*stage)) {
-            let acts = leader(&self.runtime.status(), stage.name());
-            let stands_by =
-                |child: &&mut StageChild| child.stage == stage && child.pids.last().copied() != acts;
-            if acts.is_some() && self.of_stage(stage).count() > 1 {
-                self.children.iter_mut().filter(stands_by).for_each(StageChild::end);
+            let active = leader(&self.runtime.status(), stage.name());
+            let is_standby =
+                |child: &&mut StageChild| child.stage == stage && child.pids.last().copied() != active;
+            if active.is_some() && self.of_stage(stage).count() > 1 {
+                self.children.iter_mut().filter(is_standby).for_each(StageChild::end);
             }
         }
     }

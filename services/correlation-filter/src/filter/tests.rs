@@ -17,7 +17,7 @@ fn room(x: f64, y: f64, heading_rad: f64) -> ScanBuffer {
     ScanBuffer::from_ranges(&(0..360).map(range).collect::<Vec<_>>(), -std::f64::consts::PI, step)
 }
 
-/// The same with wheels that know where the robot is.
+/// The same with odometry that knows where the robot is.
 fn driven(x: f64, y: f64, heading_rad: f64) -> ScanBuffer {
     let mut scan = room(x, y, heading_rad);
     (scan.header.odometry, scan.header.has_odometry) = (Pose::new(x, y, heading_rad), 1);
@@ -101,7 +101,7 @@ fn travel_ends_a_row_of_drops() {
 }
 
 #[test]
-fn motion_asks_the_wheels_alone() {
+fn motion_asks_odometry_alone() {
     let mut motion = filter(Mode::Motion);
     let found = reasons(&mut motion, (0..10).map(|i| driven(2.0 + f64::from(i) * 0.05, 2.0, 0.3)));
     let (first, drop, travel) =
@@ -202,9 +202,9 @@ proptest! {
         window in 0_usize..6, mode in any_mode(),
     ) {
         let mut filter = CorrelationFilter::with_limits(mode, Limits { window, ..Limits::default() });
-        for (ranges, has_wheels, x_m) in scans {
+        for (ranges, has_odometry, x_m) in scans {
             let mut scan = ScanBuffer::from_ranges(&ranges, -1.0, 0.1);
-            (scan.header.odometry.x_m, scan.header.has_odometry) = (x_m, u32::from(has_wheels));
+            (scan.header.odometry.x_m, scan.header.has_odometry) = (x_m, u32::from(has_odometry));
             let verdict = filter.handle(scan.view().unwrap());
             let named = match verdict.keep {
                 0 => DropReason::from_number(verdict.reason).map(DropReason::name),

@@ -18,7 +18,7 @@ pub struct Common {
     pub members: Vec<String>,
     /// Whether this robot is one of at least two.
     pub merged: bool,
-    /// Hash of layout and fused map.
+    /// Hash of solution and fused map.
     pub map_hash: u64,
     /// Closures between robots: inliers and outliers.
     pub across: (u64, u64),
@@ -32,16 +32,16 @@ pub struct Common {
 type Log = (RobotId, u64);
 
 impl Common {
-    /// Works out the layout and the fused map.
+    /// Works out the solution and the fused map.
     pub fn of(flock: &Flock, epoch: u64) -> Self {
-        let layout = flock.layout(false);
-        let fused = flock.map(&layout);
+        let solution = flock.solution(false);
+        let fused = flock.map(&solution);
         let stored = fused.map.as_ref().map_or_else(StoredMap::empty, stored_map);
-        let members = layout.members();
+        let members = solution.members();
         let own = (flock.robot().clone(), epoch);
         let mut submaps: BTreeMap<Log, Vec<(u32, Pose)>> = BTreeMap::new();
-        for (log, placed) in &layout.submaps {
-            let in_map = placed.iter().filter(|placed| placed.part == layout.main_part);
+        for (log, placed) in &solution.submaps {
+            let in_map = placed.iter().filter(|placed| placed.part == solution.main_part);
             let rows: Vec<_> = in_map.map(|placed| (placed.submap, placed.flock_from_odom)).collect();
             if !rows.is_empty() {
                 submaps.insert(log.clone(), rows);
@@ -51,8 +51,8 @@ impl Common {
             of_records: flock.collection().hash(),
             merged: members.len() > 1 && members.contains(&flock.robot()) && submaps.contains_key(&own),
             members: members.iter().map(|robot| robot.name().to_owned()).collect(),
-            map_hash: hash(layout.hash(), &stored),
-            across: layout.across,
+            map_hash: hash(solution.hash(), &stored),
+            across: solution.across,
             own: Some(own),
             submaps,
         }
@@ -93,10 +93,10 @@ impl Common {
 }
 
 /// FNV-1a over words.
-fn hash(layout: u64, map: &StoredMap) -> u64 {
+fn hash(solution: u64, map: &StoredMap) -> u64 {
     let mut hash = 0xcbf2_9ce4_8422_2325u64;
     let mut mix = |word: u64| hash = (hash ^ word).wrapping_mul(0x0000_0100_0000_01b3).rotate_left(23);
-    [layout, map.width as u64, map.height as u64].into_iter().for_each(&mut mix);
+    [solution, map.width as u64, map.height as u64].into_iter().for_each(&mut mix);
     [map.origin.x_m, map.origin.y_m].into_iter().for_each(|value| mix(value.to_bits()));
     for cell in &map.cells {
         mix(u64::from(cell.occupied));

@@ -30,7 +30,7 @@ impl Companions {
 
     /// Where they are in this robot's map, given how that lies in the flock's. `radius_m` is that of a body.
     pub fn in_map(&self, common: &Common, flock_from_map: Pose, radius_m: f64) -> FlockRobots {
-        let mut told = FlockRobots::default();
+        let mut robots = FlockRobots::default();
         let places = self.heard.values().filter_map(|(presence, heard_ns)| {
             let map_from_base =
                 flock_from_map.inverse() * common.place_of(presence)? * presence.odom_from_base;
@@ -39,11 +39,11 @@ impl Companions {
             name[..text.len()].copy_from_slice(text);
             Some(FlockRobot { map_from_base, heard_ns: *heard_ns, radius_m, name })
         });
-        for (robot, place) in told.robots.iter_mut().zip(places) {
+        for (robot, place) in robots.robots.iter_mut().zip(places) {
             *robot = place;
-            told.count += 1;
+            robots.count += 1;
         }
-        told
+        robots
     }
 }
 
@@ -63,8 +63,8 @@ mod tests {
         assert!(!companions.hear(says(&stranger, 5, 0), 7, &common));
         assert!(companions.hear(says(&b, 5, 4), 7, &common));
         assert!(!companions.hear(says(&b, 5, 4), 8, &common) && !companions.hear(says(&b, 4, 4), 8, &common));
-        let told = companions.in_map(&common, pose(100.0), 0.4);
-        let [robot] = told.as_slice() else { panic!("{told:?}") };
+        let published = companions.in_map(&common, pose(100.0), 0.4);
+        let [robot] = published.as_slice() else { panic!("{published:?}") };
         assert_eq!((robot.name(), robot.heard_ns, robot.radius_m), ("b", 7, 0.4));
         assert!((robot.map_from_base.x_m + 79.0).abs() < 1e-9, "{robot:?}");
         // The submap that it is in is not known yet: the one before it tells best.

@@ -98,7 +98,7 @@ impl Link {
         drops: &Arc<Drops>,
         traffic: &Arc<Traffic>,
     ) -> Result<Self, String> {
-        let session = zenoh::open(configuration(settings)?).wait().map_err(told)?;
+        let session = zenoh::open(configuration(settings)?).wait().map_err(text)?;
         let prefix = format!("flockslam/{}", settings.flock);
         let own = address(robot);
         let (queue, heard) = sync_channel(WAITING_MAX);
@@ -112,11 +112,11 @@ impl Link {
         });
         let mail = format!("{prefix}/to/{own}/*");
         let hear = move |sample: Sample| locked(&mailbox).take(&sample);
-        let mail = session.declare_subscriber(mail).callback(hear).wait().map_err(told)?;
+        let mail = session.declare_subscriber(mail).callback(hear).wait().map_err(text)?;
         let there = watch(&session, format!("{prefix}/there/*"), &presence, Presence::there)?;
         let ended = watch(&session, format!("{prefix}/ended/*/*"), &presence, Presence::ended)?;
         let token = format!("{prefix}/there/{own}");
-        let token = session.liveliness().declare_token(token).wait().map_err(told)?;
+        let token = session.liveliness().declare_token(token).wait().map_err(text)?;
         Ok(Self {
             session,
             prefix,
@@ -159,9 +159,9 @@ impl Link {
     }
 
     /// Tells that this robot's source has ended and that it has nothing to add to the records with this hash; gives for how long it has
-    /// been telling so.
-    pub fn tell_end(&mut self, hash: &str) -> Duration {
-        if let Some((_, since, _)) = self.ended.as_ref().filter(|(told, ..)| told == hash) {
+    /// been saying so.
+    pub fn announce_end(&mut self, hash: &str) -> Duration {
+        if let Some((_, since, _)) = self.ended.as_ref().filter(|(text, ..)| text == hash) {
             return since.elapsed();
         }
         let key = format!("{}/ended/{}/{hash}", self.prefix, self.own);
@@ -175,7 +175,7 @@ impl Link {
     /// Robots that have ended with the records of this hash.
     pub fn ended_with(&self, hash: &str) -> BTreeSet<String> {
         let presence = locked(&self.presence);
-        presence.ended.iter().filter(|(_, told)| *told == hash).map(|(robot, _)| robot.clone()).collect()
+        presence.ended.iter().filter(|(_, text)| *text == hash).map(|(robot, _)| robot.clone()).collect()
     }
 }
 
@@ -222,7 +222,7 @@ fn watch(
         let parts: Vec<&str> = parts.into_iter().rev().collect();
         note(&mut locked(&presence), &parts, sample.kind() == SampleKind::Put);
     };
-    session.liveliness().declare_subscriber(key).history(true).callback(seen).wait().map_err(told)
+    session.liveliness().declare_subscriber(key).history(true).callback(seen).wait().map_err(text)
 }
 
 /// Takes messages from the network's own threads to that of the flock, as far as they are not too long or too many.
@@ -278,7 +278,7 @@ impl Gate {
 fn configuration(settings: &FlockSettings) -> Result<zenoh::Config, String> {
     let mut config = match settings.zenoh_file.as_os_str().is_empty() {
         true => zenoh::Config::default(),
-        false => zenoh::Config::from_file(&settings.zenoh_file).map_err(told)?,
+        false => zenoh::Config::from_file(&settings.zenoh_file).map_err(text)?,
     };
     let quoted = |text: &str| format!("{text:?}");
     let listed = |endpoints: &[String]| format!("{endpoints:?}");
@@ -315,7 +315,7 @@ fn configuration(settings: &FlockSettings) -> Result<zenoh::Config, String> {
     Ok(config)
 }
 
-fn told(error: impl std::fmt::Display) -> String {
+fn text(error: impl std::fmt::Display) -> String {
     error.to_string()
 }
 

@@ -5,7 +5,7 @@ use super::drops::{Dropped, Drops};
 use super::identity::Identity;
 use crate::settings::FlockSettings;
 use flockslam_evidence::{Submap, TILE_SIDE, TileKey};
-use flockslam_flock::{Flock, News, OwnLoop};
+use flockslam_flock::{Findings, Flock, OwnLoop};
 use flockslam_records::{
     Clearance, Constraint, Content, Limits, Message, NodeName, Outcome, Record, RecordError, RobotId,
     RobotKey,
@@ -26,12 +26,12 @@ pub struct RecordPublisher {
     flock: Flock,
     epoch: u64,
     log: RecordLog,
-    told: Told,
+    published: Published,
 }
 
 /// What this robot has said in its present epoch.
 #[derive(Default)]
-struct Told {
+struct Published {
     /// Sequence of the last node.
     last: Option<u64>,
     /// Loops by the nodes that they connect.
@@ -71,8 +71,8 @@ impl RecordPublisher {
             // What cannot be read was refused when it came, or is of a robot that is banned by now.
             let _ = flock.collection_mut().take(bytes);
         }
-        let told = Told::of(&flock, epoch);
-        Ok(Some(Self { flock, epoch, log, told }))
+        let published = Published::of(&flock, epoch);
+        Ok(Some(Self { flock, epoch, log, published }))
     }
 
     /// What it knows.
@@ -86,17 +86,17 @@ impl RecordPublisher {
     }
 
     /// Numbers of the submaps that the flock knows.
-    pub fn told_submaps(&self) -> &BTreeSet<u32> {
-        &self.told.submaps
+    pub fn published_submaps(&self) -> &BTreeSet<u32> {
+        &self.published.submaps
     }
 
     /// Says what is new of it.
     ///
     /// # Errors
     /// When the disk refuses.
-    pub fn tell(&mut self, news: News) -> Result<(), StageError> {
-        let news = self.told.new_of(news);
-        let said = self.flock.say_news(&news).map_err(unsaid)?;
+    pub fn publish(&mut self, findings: Findings) -> Result<(), StageError> {
+        let findings = self.published.new_of(findings);
+        let said = self.flock.publish(&findings).map_err(unsaid)?;
         self.keep(&said)
     }
 
@@ -104,8 +104,8 @@ impl RecordPublisher {
     ///
     /// # Errors
     /// When the disk refuses.
-    pub fn tell_submap(&mut self, submap: &Submap) -> Result<(), StageError> {
-        if !self.told.submaps.insert(submap.number) {
+    pub fn publish_submap(&mut self, submap: &Submap) -> Result<(), StageError> {
+        if !self.published.submaps.insert(submap.number) {
             return Ok(());
         }
         let said = self.flock.say_submap(submap).map_err(unsaid)?;
@@ -116,10 +116,10 @@ impl RecordPublisher {
     ///
     /// # Errors
     /// When the disk refuses.
-    pub fn tell_clearances(&mut self, submap: &Submap) -> Result<(), StageError> {
+    pub fn publish_clearances(&mut self, submap: &Submap) -> Result<(), StageError> {
         for tile in submap.tiles.iter().filter(|tile| tile.has_cleared()) {
             let (key, rows) = ((submap.number, tile.key), Box::new(tile.cleared));
-            if self.told.cleared.get(&key) == Some(&rows) {
+            if self.published.cleared.get(&key) == Some(&rows) {
                 continue;
             }
             let clearance = Clearance {
@@ -131,7 +131,7 @@ impl RecordPublisher {
             };
             let said = self.flock.say(&Content::Clearance(clearance)).map_err(unsaid)?;
             self.keep(&[said])?;
-            self.told.cleared.insert(key, rows);
+            self.published.cleared.insert(key, rows);
         }
         Ok(())
     }
@@ -175,7 +175,7 @@ impl RecordPublisher {
         let mut found = self.flock.find(searches_max);
         let exhausted = self.flock.searches() - before >= searches_max;
         found.retain(|constraint| {
-            !self.told.across.contains(&(constraint.from.clone(), constraint.to.clone()))
+            !self.published.across.contains(&(constraint.from.clone(), constraint.to.clone()))
         });
         let said = self.flock.say_constraints(&found).map_err(unsaid)?;
         self.keep(&said)?;
@@ -187,25 +187,25 @@ impl RecordPublisher {
     }
 }
 
-impl Told {
+impl Published {
     fn of(flock: &Flock, epoch: u64) -> Self {
-        let mut told = Self::default();
+        let mut published = Self::default();
         let own = flock.robot();
         let records = flock.collection().records();
         for record in records.filter(|record| record.name.robot == *own && record.name.epoch == epoch) {
             match &record.content {
                 Content::Stretch(stretch) => {
-                    told.last = told.last.max(stretch.nodes.last().map(|node| node.sequence));
+                    published.last = published.last.max(stretch.nodes.last().map(|node| node.sequence));
                 }
-                Content::Constraints(constraints) => told.note(constraints, own),
-                Content::Submap(submap) => drop(told.submaps.insert(submap.number)),
+                Content::Constraints(constraints) => published.note(constraints, own),
+                Content::Submap(submap) => drop(published.submaps.insert(submap.number)),
                 Content::Clearance(c) => {
-                    told.cleared.insert((c.submap, c.tile), c.rows.clone());
+                    published.cleared.insert((c.submap, c.tile), c.rows.clone());
                 }
                 Content::Withdrawal(_) => {}
             }
         }
-        told
+        published
     }
 
     fn note(&mut self, constraints: &[Constraint], own: &RobotId) {
@@ -218,10 +218,10 @@ impl Told {
         }
     }
 
-    /// What of the news has not been told; it counts as told from now on.
-    fn new_of(&mut self, news: News) -> News {
-        let mut new = News::default();
-        for mut stretch in news.stretches {
+    /// Which findings have not been published; they count as published from now on.
+    fn new_of(&mut self, findings: Findings) -> Findings {
+        let mut new = Findings::default();
+        for mut stretch in findings.stretches {
             let known = stretch.nodes.partition_point(|node| Some(node.sequence) <= self.last);
             if let Some(last) = stretch.nodes.drain(..known).next_back() {
                 stretch.previous = Some(last.sequence);
@@ -232,7 +232,7 @@ impl Told {
             }
         }
         let is_new = |found: &OwnLoop| self.loops.insert((found.from, found.to));
-        new.loops = news.loops.into_iter().filter(is_new).collect();
+        new.loops = findings.loops.into_iter().filter(is_new).collect();
         new
     }
 }
@@ -266,7 +266,7 @@ mod tests {
     use flockslam_records::{Descriptor, RecordedNode, Stretch};
     use flockslam_registration::cloud::Placement;
 
-    fn news(sequences: std::ops::Range<u64>) -> News {
+    fn findings(sequences: std::ops::Range<u64>) -> Findings {
         let node = |sequence: u64| RecordedNode {
             sequence,
             submap: 0,
@@ -278,17 +278,17 @@ mod tests {
         };
         let previous = sequences.start.checked_sub(1);
         let nodes = sequences.map(node).collect();
-        News {
-            stretches: vec![Stretch { chain: 0, previous, descriptor: Descriptor::default(), nodes }],
+        Findings {
+            stretches: vec![Stretch { trajectory: 0, previous, descriptor: Descriptor::default(), nodes }],
             loops: Vec::new(),
         }
     }
 
-    fn with_loop(mut news: News, from: u64, to: u64) -> News {
+    fn with_loop(mut findings: Findings, from: u64, to: u64) -> Findings {
         let information = [1.0, 0.0, 0.0, 1.0, 0.0, 1.0];
         let edge = Edge { from: 0, to: 1, motion: Placement::IDENTITY, information };
-        news.loops.push(OwnLoop { from, to, closure: Closure { edge, reach_m: 1.0, shift_m: 0.0 } });
-        news
+        findings.loops.push(OwnLoop { from, to, closure: Closure { edge, reach_m: 1.0, shift_m: 0.0 } });
+        findings
     }
 
     fn settings(enabled: bool) -> FlockSettings {
@@ -298,21 +298,21 @@ mod tests {
     }
 
     fn nodes(publisher: &RecordPublisher) -> Vec<(Option<u64>, u64)> {
-        let told = |record: &Arc<Record>| match &record.content {
+        let published = |record: &Arc<Record>| match &record.content {
             Content::Stretch(stretch) => Some((stretch.previous, stretch.nodes.last()?.sequence)),
             _ => None,
         };
-        publisher.flock().collection().records().filter_map(told).collect()
+        publisher.flock().collection().records().filter_map(published).collect()
     }
 
     fn loops(publisher: &RecordPublisher) -> Vec<(u64, u64)> {
-        let told = |record: &Arc<Record>| -> Vec<(u64, u64)> {
+        let published = |record: &Arc<Record>| -> Vec<(u64, u64)> {
             match &record.content {
                 Content::Constraints(some) => some.iter().map(|c| (c.from.sequence, c.to.sequence)).collect(),
                 _ => Vec::new(),
             }
         };
-        publisher.flock().collection().records().flat_map(told).collect()
+        publisher.flock().collection().records().flat_map(published).collect()
     }
 
     #[test]
@@ -321,15 +321,15 @@ mod tests {
             let directory = tempfile::tempdir().unwrap();
             let open = || RecordPublisher::open(&settings(enabled), directory.path()).unwrap().unwrap();
             let mut first = open();
-            first.tell(news(0..5)).unwrap();
-            first.tell(with_loop(news(5..8), 1, 6)).unwrap();
-            let told = first.flock().collection().hash();
+            first.publish(findings(0..5)).unwrap();
+            first.publish(with_loop(findings(5..8), 1, 6)).unwrap();
+            let published = first.flock().collection().hash();
             drop(first);
             let mut second = open();
-            assert_eq!(second.flock().collection().hash(), told);
+            assert_eq!(second.flock().collection().hash(), published);
             // It takes in all of the journal again.
-            second.tell(news(0..6)).unwrap();
-            second.tell(with_loop(with_loop(news(6..10), 1, 6), 2, 7)).unwrap();
+            second.publish(findings(0..6)).unwrap();
+            second.publish(with_loop(with_loop(findings(6..10), 1, 6), 2, 7)).unwrap();
             assert_eq!(nodes(&second), [(None, 4), (Some(4), 7), (Some(7), 9)]);
             assert_eq!(loops(&second), [(1, 6), (2, 7)]);
             assert_eq!(second.epoch(), 1);
@@ -346,7 +346,7 @@ mod tests {
             RecordPublisher::open(&settings, directory.path()).unwrap().unwrap()
         };
         let mut before = open(&first);
-        before.tell(news(0..5)).unwrap();
+        before.publish(findings(0..5)).unwrap();
         drop(before);
         let mut reborn = open(&second);
         assert_eq!(reborn.epoch(), 2);
@@ -354,7 +354,7 @@ mod tests {
         let records =
             Message::Records(RecordLog::read(first.path()).unwrap().into_iter().map(Arc::from).collect());
         reborn.answer(&records, 0, &Drops::default()).unwrap();
-        reborn.tell(news(0..3)).unwrap();
+        reborn.publish(findings(0..3)).unwrap();
         assert_eq!(nodes(&reborn), [(None, 4), (None, 2)]);
         drop(reborn);
         assert_eq!(open(&second).epoch(), 2);
@@ -365,10 +365,10 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let mut publisher = RecordPublisher::open(&settings(true), directory.path()).unwrap().unwrap();
         let other = RobotKey::of_replay("b").unwrap();
-        let record = |number: u64, chain: u32| {
-            let mut news = news(0..2);
-            news.stretches[0].chain = chain;
-            let content = Content::Stretch(news.stretches.remove(0));
+        let record = |number: u64, trajectory: u32| {
+            let mut findings = findings(0..2);
+            findings.stretches[0].trajectory = trajectory;
+            let content = Content::Stretch(findings.stretches.remove(0));
             Record::new(&other, 1, number, &content).unwrap().bytes().clone()
         };
         let drops = Drops::default();

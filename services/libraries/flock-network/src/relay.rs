@@ -54,11 +54,11 @@ impl Relay {
                     .insert(place, LogState { robot, epoch, numbers: Default::default(), digest: [0; 16] });
                 place
             });
-            let told = &mut theirs.logs[place];
-            if end < log.numbers.end() && log.numbers.end() != told.numbers.end() {
-                (end..log.numbers.end()).for_each(|number| told.numbers.insert(number));
+            let published = &mut theirs.logs[place];
+            if end < log.numbers.end() && log.numbers.end() != published.numbers.end() {
+                (end..log.numbers.end()).for_each(|number| published.numbers.insert(number));
                 // What is only supposed is nothing to argue about.
-                told.digest = log.digest;
+                published.digest = log.digest;
             }
         }
         theirs

@@ -1,7 +1,7 @@
 //! What the stage and the thread of the flock hand to each other.
 
 use flockslam_evidence::Submap;
-use flockslam_flock::News;
+use flockslam_flock::Findings;
 use flockslam_geometry::Pose;
 use flockslam_messages::{FlockFrame, FlockRobots, PoseEstimate};
 use flockslam_results::SubmapStore;
@@ -12,13 +12,13 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// What the stage hands over.
 pub enum Task {
     /// What the robot has found out.
-    News(News),
+    Findings(Findings),
     /// A closed submap.
     Submap(Box<Submap>),
     /// Stored submaps whose stale cells are to be told.
     Clearances(SubmapStore, Range<u32>),
     /// Where submaps lie in the robot's own map: number and `map_from_odom`, in order.
-    Layout(Vec<(u32, Pose)>),
+    SubmapPoses(Vec<(u32, Pose)>),
     /// The source has ended: to be answered when the robot may leave the flock.
     Finish(Sender<()>),
 }

@@ -27,9 +27,9 @@ mod whereabouts;
 /// How long the thread sleeps when nothing happens.
 const PAUSE: Duration = Duration::from_millis(50);
 /// A neighbour is told what there is this often, when nothing is new …
-const TELL_PERIOD: Duration = Duration::from_secs(5);
+const ANNOUNCE_PERIOD: Duration = Duration::from_secs(5);
 /// … when something is …
-const NEWS_PERIOD: Duration = Duration::from_secs(2);
+const OFFER_PERIOD: Duration = Duration::from_secs(2);
 /// … and when records have just come: there may be more where they come from.
 const HURRY: Duration = Duration::from_millis(500);
 /// A neighbour is sent records no more often than this: what it was sent last may still be on its way.
@@ -44,7 +44,7 @@ const SEARCHES: u64 = 10;
 /// Looking for shared places takes at most half of a processor's time as long as the robot drives …
 const SEARCH_PACE: (Duration, u32) = (Duration::from_millis(200), 1);
 /// … and laying them out a quarter.
-const LAYOUT_PACE: (Duration, u32) = (Duration::from_secs(1), 3);
+const SOLUTION_PACE: (Duration, u32) = (Duration::from_secs(1), 3);
 /// A network that cannot be opened is tried again after this.
 const OPEN_PERIOD: Duration = Duration::from_secs(3);
 /// What a robot says before it leaves is heard within this.
@@ -53,7 +53,7 @@ const HEARD_WITHIN: Duration = Duration::from_millis(500);
 /// A robot that is near.
 struct Neighbour {
     /// When it was told last what there is, and the hash of that.
-    told: Option<(Instant, [u8; 32])>,
+    published: Option<(Instant, [u8; 32])>,
     /// When it was sent records last.
     answered: Option<Instant>,
     budget: Budget,
@@ -78,7 +78,7 @@ pub struct Talk {
     searched: [u8; 32],
     search_pace: Pace,
     common: Common,
-    layout_pace: Pace,
+    solution_pace: Pace,
     revision: u32,
     /// Where this robot's submaps lie in its own map.
     map_from_odom: Vec<(u32, Pose)>,
@@ -118,7 +118,7 @@ impl Talk {
             searched: [0; 32],
             search_pace: Pace::new(SEARCH_PACE.0, SEARCH_PACE.1),
             common: Common::default(),
-            layout_pace: Pace::new(LAYOUT_PACE.0, LAYOUT_PACE.1),
+            solution_pace: Pace::new(SOLUTION_PACE.0, SOLUTION_PACE.1),
             revision: 0,
             map_from_odom: Vec::new(),
             shared,
@@ -148,8 +148,8 @@ impl Talk {
             self.hear();
             self.search();
             self.conclude();
-            self.tell_neighbours();
-            self.tell_place();
+            self.announce_to_neighbours();
+            self.publish_place();
             self.end();
             self.show();
         }
@@ -157,12 +157,12 @@ impl Talk {
 
     fn take(&mut self, task: Task) {
         let outcome = match task {
-            Task::News(news) => self.publisher.tell(news),
-            Task::Submap(submap) => self.publisher.tell_submap(&submap),
+            Task::Findings(findings) => self.publisher.publish(findings),
+            Task::Submap(submap) => self.publisher.publish_submap(&submap),
             Task::Clearances(store, numbers) => numbers
                 .into_iter()
-                .try_for_each(|number| self.publisher.tell_clearances(&store.load(number)?)),
-            Task::Layout(map_from_odom) => {
+                .try_for_each(|number| self.publisher.publish_clearances(&store.load(number)?)),
+            Task::SubmapPoses(map_from_odom) => {
                 self.map_from_odom = map_from_odom;
                 self.place();
                 Ok(())
@@ -206,7 +206,7 @@ impl Talk {
         for peer in near {
             if !self.near.contains_key(peer) {
                 let budget = Budget::new(BYTES_PER_MINUTE, now);
-                self.near.insert(peer.clone(), Neighbour { told: None, answered: None, budget });
+                self.near.insert(peer.clone(), Neighbour { published: None, answered: None, budget });
             }
         }
     }
@@ -282,15 +282,16 @@ impl Talk {
         }
     }
 
-    /// Works out the common layout of what is known by now.
+    /// Works out the common solution of what is known by now.
     fn conclude(&mut self) {
         let known = self.known();
-        let due = self.layout_pace.is_due(Instant::now()) || self.ending.is_some() && known == self.searched;
+        let due =
+            self.solution_pace.is_due(Instant::now()) || self.ending.is_some() && known == self.searched;
         if known == self.common.of_records || self.is_alone() || !due {
             return;
         }
         let (publisher, epoch) = (&self.publisher, self.publisher.epoch());
-        self.common = self.layout_pace.keep(|| Common::of(publisher.flock(), epoch));
+        self.common = self.solution_pace.keep(|| Common::of(publisher.flock(), epoch));
         self.revision += 1;
         self.place();
     }
@@ -302,20 +303,21 @@ impl Talk {
         self.show_companions();
     }
 
-    fn tell_neighbours(&mut self) {
+    fn announce_to_neighbours(&mut self) {
         let (known, now) = (self.known(), Instant::now());
         let Some(link) = &self.link else { return };
         let mut have = None;
-        let news = if self.enriched.is_some_and(|at| now - at < 2 * HURRY) { HURRY } else { NEWS_PERIOD };
+        let offer_period =
+            if self.enriched.is_some_and(|at| now - at < 2 * HURRY) { HURRY } else { OFFER_PERIOD };
         for (peer, neighbour) in &mut self.near {
-            let due = neighbour.told.is_none_or(|(at, told)| {
-                let period = if told == known { TELL_PERIOD } else { news };
+            let due = neighbour.published.is_none_or(|(at, published)| {
+                let period = if published == known { ANNOUNCE_PERIOD } else { offer_period };
                 now - at >= period
             });
             if !due {
                 continue;
             }
-            neighbour.told = Some((now, known));
+            neighbour.published = Some((now, known));
             if neighbour.budget.left(now) == 0 {
                 self.drops.count(Dropped::Budget, 1);
                 continue;
@@ -334,7 +336,7 @@ impl Talk {
         let mut agreed = quiet && self.settings.companions == 0 && self.near.is_empty();
         if let (Some(link), true) = (&mut self.link, quiet) {
             let hash = hexadecimal(&known[..16]);
-            let was_heard = link.tell_end(&hash) >= HEARD_WITHIN;
+            let was_heard = link.announce_end(&hash) >= HEARD_WITHIN;
             let mut ended = link.ended_with(&hash);
             ended.remove(&address(self.publisher.flock().robot()));
             let all_ended = self.near.keys().all(|peer| ended.contains(peer));

@@ -22,11 +22,11 @@ const LOOK: Duration = Duration::from_millis(50);
 const NICENESS: i32 = 19;
 
 /// The stage's end of the thread that talks to other robots, looks for places that are shared with them, and works out the common
-/// layout: all of it beside the stage's own work, which only hands over what the robot itself has found out.
+/// solution: all of it beside the stage's own work, which only hands over what the robot itself has found out.
 pub struct FlockThread {
     // Without a limit: it holds what the robot finds out itself, a few times a minute, and none of it may be lost.
     tasks: Sender<Task>,
-    told_submaps: BTreeSet<u32>,
+    published_submaps: BTreeSet<u32>,
     shared: Arc<Shared>,
 }
 
@@ -43,7 +43,7 @@ impl FlockThread {
     ) -> Result<Self, StageError> {
         let (tasks, received) = channel();
         let shared = Arc::new(Shared::default());
-        let told_submaps = publisher.told_submaps().clone();
+        let published_submaps = publisher.published_submaps().clone();
         let near = proximity(settings, status_dir)?;
         let mut talk =
             Talk::new(settings, publisher, near, status_dir.to_owned(), metrics, Arc::clone(&shared));
@@ -54,7 +54,7 @@ impl FlockThread {
         };
         let started = thread::Builder::new().name("flock".to_owned()).spawn(run);
         started.map_err(|error| StageError::file("the thread of the flock", error))?;
-        Ok(Self { tasks, told_submaps, shared })
+        Ok(Self { tasks, published_submaps, shared })
     }
 
     /// Hands something over.
@@ -67,12 +67,12 @@ impl FlockThread {
     ///
     /// # Errors
     /// When it cannot be loaded.
-    pub fn tell_submap(
+    pub fn publish_submap(
         &mut self,
         number: u32,
         load: impl FnOnce() -> Result<Submap, StageError>,
     ) -> Result<(), StageError> {
-        if self.told_submaps.insert(number) {
+        if self.published_submaps.insert(number) {
             self.give(Task::Submap(Box::new(load()?)));
         }
         Ok(())

@@ -28,7 +28,7 @@ pub struct Log {
     pub nodes: Range<usize>,
 }
 
-/// The graph that a collection of records describes: the chains of all robots one behind the other, in the order of their names, with
+/// The graph that a collection of records describes: the trajectories of all robots one behind the other, in the order of their names, with
 /// nothing known between them but what constraints say.
 pub struct Atlas {
     pub(super) logs: Vec<Log>,
@@ -65,7 +65,7 @@ impl Atlas {
             closures: Vec::new(),
             owners: Vec::new(),
         };
-        atlas.add_chains(collection);
+        atlas.add_odometry(collection);
         atlas.segments = Segment::cut(&atlas.nodes, 0);
         let rest = atlas.segments.last().map_or(0, |s| s.nodes.end)..atlas.nodes.len();
         // The end of each robot's way counts too, short as it may be.
@@ -81,7 +81,7 @@ impl Atlas {
         atlas
     }
 
-    fn add_chains(&mut self, collection: &Collection) {
+    fn add_odometry(&mut self, collection: &Collection) {
         let mut stretches: Vec<(&RobotId, u64, &Stretch)> = Vec::new();
         for record in collection.records() {
             if let Content::Stretch(stretch) = &record.content
@@ -102,9 +102,9 @@ impl Atlas {
                     }
                     let before =
                         if place == 0 { stretch.previous } else { Some(stretch.nodes[place - 1].sequence) };
-                    let follows = last.is_some() && last == before.map(|before| (before, stretch.chain));
+                    let follows = last.is_some() && last == before.map(|before| (before, stretch.trajectory));
                     self.add_node(node, follows, unique(robot, *epoch, node.sequence));
-                    last = Some((node.sequence, stretch.chain));
+                    last = Some((node.sequence, stretch.trajectory));
                 }
             }
             let (robot, epoch, nodes) = (log[0].0.clone(), log[0].1, first..self.nodes.len());
@@ -126,12 +126,12 @@ impl Atlas {
                 let motion = Placement::from(new.motion);
                 let information = new.information.map(f64::from);
                 self.edges.push(Edge { from: to - 1, to, motion, information });
-                let chain = last.chain.compose(motion);
-                let way_m = chain.distance_m(&last.chain);
+                let local_pose = last.local_pose.compose(motion);
+                let way_m = local_pose.distance_m(&last.local_pose);
                 let drift_bound_m = last.drift_bound_m + way_m + f64::from(new.drift_bound_m);
                 Node {
-                    chain,
-                    start: chain,
+                    local_pose,
+                    start: local_pose,
                     travel_m: last.travel_m + way_m,
                     drift_bound_m,
                     scan,
@@ -141,10 +141,10 @@ impl Atlas {
                 }
             }
             Some(last) => {
-                let motion = last.chain.to(odom);
+                let motion = last.local_pose.to(odom);
                 self.edges.push(Edge { from: to - 1, to, motion, information: UNKNOWN });
                 Node {
-                    chain: odom,
+                    local_pose: odom,
                     start: odom,
                     travel_m: last.travel_m,
                     drift_bound_m: last.drift_bound_m + BROKEN_M,
@@ -155,7 +155,7 @@ impl Atlas {
                 }
             }
             None => Node {
-                chain: odom,
+                local_pose: odom,
                 start: odom,
                 travel_m: 0.0,
                 drift_bound_m: 0.0,

@@ -126,7 +126,7 @@ impl<'a> Compared<'a> {
         clique.len()
     }
 
-    /// Of these groups, the largest first, those that stand by what was seen, or that one that does confirms.
+    /// Of these groups, the largest first, those that are on standby what was seen, or that one that does confirms.
     fn believed(
         &self,
         groups: Vec<Vec<usize>>,
@@ -217,9 +217,9 @@ fn way_m(a: &Closure, b: &Closure, nodes: &[Node]) -> f64 {
 
 /// Whether the cycle over two closures closes as well as the way between them can be trusted.
 fn are_related(a: &Closure, b: &Closure, nodes: &[Node], way_m: f64) -> bool {
-    let chain = |i: usize, k: usize| nodes[i].chain.to(nodes[k].chain);
-    let around = a.edge.motion.compose(chain(a.edge.to, b.edge.to));
-    let along = chain(a.edge.from, b.edge.from).compose(b.edge.motion);
+    let driven = |i: usize, k: usize| nodes[i].local_pose.to(nodes[k].local_pose);
+    let around = a.edge.motion.compose(driven(a.edge.to, b.edge.to));
+    let along = driven(a.edge.from, b.edge.from).compose(b.edge.motion);
     let ((gap_m, share, bend), (turn_rad, turn_rad_m)) = BENT;
     along.distance_m(&around) <= gap_m + (share + bend * way_m) * way_m
         && along.turn_rad(&around) <= turn_rad + turn_rad_m * way_m
@@ -243,7 +243,7 @@ mod tests {
                 scan: k,
                 sequence: k as u64,
                 odom: at,
-                chain: at,
+                local_pose: at,
                 start: at,
                 travel_m: along,
                 drift_bound_m,
@@ -255,7 +255,7 @@ mod tests {
 
     /// The closure between nodes of both trajectories if the second lies to the first like this.
     fn closure(nodes: &[Node], from: usize, to: usize, first_from_second: Placement) -> Closure {
-        let motion = nodes[from].chain.to(first_from_second.compose(nodes[NODES + to].chain));
+        let motion = nodes[from].local_pose.to(first_from_second.compose(nodes[NODES + to].local_pose));
         let information = [600.0, 0.0, 0.0, 600.0, 0.0, 1e4];
         Closure { edge: Edge { from, to: NODES + to, motion, information }, reach_m: 14.0, shift_m: 2.0 }
     }
@@ -337,10 +337,10 @@ mod tests {
             let mut inliers = 0;
             for (place, i) in order.iter().enumerate() {
                 prop_assert_eq!(a[*i], b[place]);
-                let (is_true, told) = closures[*i];
+                let (is_true, false_closure) = closures[*i];
                 inliers += usize::from(is_true && a[*i]);
-                let honest = closure(&nodes, told.edge.from, told.edge.to - NODES, at(0.0)).edge.motion;
-                let off = (honest.distance_m(&told.edge.motion), honest.turn_rad(&told.edge.motion));
+                let honest = closure(&nodes, false_closure.edge.from, false_closure.edge.to - NODES, at(0.0)).edge.motion;
+                let off = (honest.distance_m(&false_closure.edge.motion), honest.turn_rad(&false_closure.edge.motion));
                 prop_assert!(!a[*i] || off.0 < 1.5 && off.1 < 0.2, "a lie acts that is off by {:?}", off);
             }
             prop_assert!(inliers > 0 || !is_dense(&truths), "no truth acts of {}", truths.len());

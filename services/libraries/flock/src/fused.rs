@@ -1,6 +1,6 @@
-//! The fused map of the flock: the evidence of all recorded submaps at their places in a layout, without the cells that were found stale.
+//! The fused map of the flock: the evidence of all recorded submaps at their places in a solution, without the cells that were found stale.
 
-use super::{Flock, FlockLayout};
+use super::{Flock, FlockSolution};
 use flockslam_evidence::Submap;
 use flockslam_map_fusion::FusedMap;
 use flockslam_records::{Clearance, Content, RobotId};
@@ -23,15 +23,15 @@ pub struct FlockMap {
 impl Flock {
     /// The sum of the evidence of all robots that are part of the flock's frame, each submap once, without the cells that somebody
     /// found stale (Dempster's rule; the order does not matter).
-    pub fn map(&self, layout: &FlockLayout) -> FlockMap {
+    pub fn map(&self, solution: &FlockSolution) -> FlockMap {
         let cleared = self.cleared();
         let mut fused = FlockMap::default();
         for record in self.collection().records() {
             let Content::Submap(content) = &record.content else { continue };
             let key = (record.name.robot.clone(), record.name.epoch);
-            let placed = layout.submaps.get(&key).and_then(|submaps| {
+            let placed = solution.submaps.get(&key).and_then(|submaps| {
                 let place = submaps.binary_search_by_key(&content.number, |placed| placed.submap).ok()?;
-                Some(submaps[place]).filter(|placed| placed.part == layout.main_part)
+                Some(submaps[place]).filter(|placed| placed.part == solution.main_part)
             });
             let Some(placed) = placed else { continue };
             let Ok(mut submap) = content.submap() else {

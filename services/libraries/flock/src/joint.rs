@@ -1,8 +1,8 @@
 //! Closures between robots that are tied already: those that lie where the solution expects them may act with less confirmation.
 
 use super::Atlas;
+use super::flock_solution::Solved;
 use super::inspection::Inspected;
-use super::layout::Solved;
 use flockslam_loop_closure::agreement::eligible;
 use flockslam_loop_closure::closure::Closure;
 use flockslam_loop_closure::finder::{graph_distances, window};
@@ -47,7 +47,7 @@ impl Atlas {
         expected
     }
 
-    /// Metres from a node to every other over the chains and the inlier closures.
+    /// Metres from a node to every other over the trajectories and the inlier closures.
     pub(super) fn distances_m(&self, solved: &Solved, node: usize) -> Vec<f64> {
         let inliers = self.closures.iter().zip(&solved.is_inlier).filter(|(_, is_inlier)| **is_inlier);
         let loops: Vec<_> = inliers.map(|(c, _)| (c.edge.from, c.edge.to)).collect();

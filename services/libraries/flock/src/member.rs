@@ -2,7 +2,7 @@
 
 use super::inspection::Inspected;
 use super::search::Search;
-use super::{Atlas, News};
+use super::{Atlas, Findings};
 use flockslam_geometry::Pose;
 use flockslam_records::{
     CONSTRAINTS_MAX, Collection, Constraint, Content, Limits, Message, NodeName, Presence, Record,
@@ -13,12 +13,12 @@ use std::sync::Arc;
 
 /// What one robot knows of its flock, and what it says.
 ///
-/// A pure function of its calls: news of its own back end and messages of others in, records and messages out.
+/// A pure function of its calls: findings of its own back end and messages of others in, records and messages out.
 ///
 /// ```
 /// use flockslam_geometry::Pose;
 /// use flockslam_records::{Descriptor, Limits, RecordedNode, RobotKey, Stretch};
-/// use flockslam_flock::{Flock, News};
+/// use flockslam_flock::{Flock, Findings};
 ///
 /// let robot = |key| Flock::new(key, 1, Limits::default());
 /// let (mut a, mut b) = (robot(RobotKey::of_replay("a")?), robot(RobotKey::of_replay("b")?));
@@ -33,15 +33,15 @@ use std::sync::Arc;
 ///     points: vec![[2000, 0]],
 /// };
 /// let (descriptor, nodes) = (Descriptor::default(), vec![node(0), node(1)]);
-/// let stretch = Stretch { chain: 0, previous: None, descriptor, nodes };
-/// a.say_news(&News { stretches: vec![stretch], loops: Vec::new() })?;
+/// let stretch = Stretch { trajectory: 0, previous: None, descriptor, nodes };
+/// a.publish(&Findings { stretches: vec![stretch], loops: Vec::new() })?;
 /// // Robot b says what it has, and is sent what it lacks, here at most 20 kB.
 /// for answer in a.answer(&b.have(), 20_000) {
 ///     b.answer(&answer, 0);
 /// }
-/// // Who knows the same records has the same layout.
-/// assert_eq!(b.layout(false), a.layout(false));
-/// assert_eq!(b.layout(false).members(), [a.robot()]);
+/// // Who knows the same records has the same solution.
+/// assert_eq!(b.solution(false), a.solution(false));
+/// assert_eq!(b.solution(false).members(), [a.robot()]);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub struct Flock {
@@ -100,9 +100,9 @@ impl Flock {
     ///
     /// # Errors
     /// As [`Self::say`].
-    pub fn say_news(&mut self, news: &News) -> Result<Vec<Arc<[u8]>>, RecordError> {
+    pub fn publish(&mut self, findings: &Findings) -> Result<Vec<Arc<[u8]>>, RecordError> {
         let mut said = Vec::new();
-        for stretch in &news.stretches {
+        for stretch in &findings.stretches {
             said.push(self.say(&Content::Stretch(stretch.clone()))?);
         }
         let node = |sequence| NodeName { robot: self.key.id().clone(), epoch: self.epoch, sequence };
@@ -114,7 +114,7 @@ impl Flock {
             reach_m: own.closure.reach_m as f32,
             shift_m: own.closure.shift_m as f32,
         };
-        let constraints: Vec<Constraint> = news.loops.iter().map(constraint).collect();
+        let constraints: Vec<Constraint> = findings.loops.iter().map(constraint).collect();
         said.extend(self.say_constraints(&constraints)?);
         Ok(said)
     }

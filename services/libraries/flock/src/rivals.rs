@@ -60,7 +60,7 @@ impl Tie {
 pub(super) struct Place {
     /// The tie in its middle.
     middle: Tie,
-    /// Ends of the closures around it in the second robot's way, in order, each with what takes the frame of the second's chain to that of the
+    /// Ends of the closures around it in the second robot's way, in order, each with what takes the frame of the second's odometry to that of the
     /// first's.
     pub ties: Vec<(usize, Placement)>,
     /// Nodes of both that it is judged by.
@@ -79,7 +79,7 @@ impl Place {
         let near: Vec<&Tie> = group.iter().filter(is_near).take(TIES_MAX).collect();
         let first_from_second = |tie: &&Tie| {
             let (from, to) = (&atlas.nodes[tie.from], &atlas.nodes[tie.to]);
-            (tie.to, from.chain.compose(tie.motion).compose(to.chain.inverse()))
+            (tie.to, from.local_pose.compose(tie.motion).compose(to.local_pose.inverse()))
         };
         let mut ties: Vec<(usize, Placement)> = near.iter().map(first_from_second).collect();
         ties.sort_by_key(|(to, _)| *to);
@@ -111,16 +111,16 @@ impl Place {
     }
 
     fn overlap<'a>(&self, atlas: &'a Atlas) -> Overlap<'a> {
-        let first = self.nodes[0].clone().map(|node| (node, atlas.nodes[node].chain));
+        let first = self.nodes[0].clone().map(|node| (node, atlas.nodes[node].local_pose));
         let second = self.nodes[1].clone().map(|node| (node, self.placed(atlas, node)));
         Overlap::new(atlas, first, second)
     }
 
-    /// A node of the second robot in the frame of the first's chain, by the nearest closure.
+    /// A node of the second robot in the frame of the first's odometry, by the nearest closure.
     fn placed(&self, atlas: &Atlas, node: usize) -> Placement {
         let nearest =
             self.ties.iter().min_by_key(|(to, _)| to.abs_diff(node)).expect("a place has a closure");
-        nearest.1.compose(atlas.nodes[node].chain)
+        nearest.1.compose(atlas.nodes[node].local_pose)
     }
 
     /// How what lies around the middle would have to be moved to lie where else it fits best to what the first robot has seen.
@@ -129,7 +129,7 @@ impl Place {
         let at = self.placed(atlas, query);
         let mut points = Vec::new();
         for node in &atlas.nodes[self.nodes[0].clone()] {
-            let from = at.to(node.chain);
+            let from = at.to(node.local_pose);
             points.extend(atlas.scans.points(node.scan).iter().map(|p| from.apply(p.x_m(), p.y_m())));
         }
         let field = PooledField::new(&cell_means(&points));

@@ -2,8 +2,8 @@
 //! so far say. Gives constraints.
 
 use super::Atlas;
+use super::flock_solution::Solved;
 use super::inspection::Inspected;
-use super::layout::Solved;
 use super::resemblance::Resemblance;
 use flockslam_loop_closure::closure::Closure;
 use flockslam_loop_closure::connectivity::TrajectoryConnectivity;
@@ -190,9 +190,14 @@ impl Search {
         let (from, to) = (closure.edge.from, closure.edge.to);
         let nodes = &atlas.nodes;
         let along_m = |a: usize, b: usize| (nodes[a].drift_bound_m - nodes[b].drift_bound_m).abs();
-        let moved = nodes[from].chain.compose(closure.edge.motion).compose(nodes[to].chain.inverse());
+        let moved =
+            nodes[from].local_pose.compose(closure.edge.motion).compose(nodes[to].local_pose.inverse());
         let place = |node: &Node| {
-            if node.trajectory == nodes[to].trajectory { moved.compose(node.chain) } else { node.chain }
+            if node.trajectory == nodes[to].trajectory {
+                moved.compose(node.local_pose)
+            } else {
+                node.local_pose
+            }
         };
         let poses: Vec<Placement> = nodes.iter().map(place).collect();
         let mut candidates: Vec<(usize, usize, Window)> = Vec::new();

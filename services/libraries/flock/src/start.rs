@@ -92,7 +92,7 @@ mod tests {
                 scan: k,
                 sequence: k as u64,
                 odom: at,
-                chain: at,
+                local_pose: at,
                 start: at,
                 travel_m: k as f64,
                 drift_bound_m: k as f64,

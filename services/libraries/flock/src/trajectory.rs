@@ -1,4 +1,4 @@
-//! A robot's own poses brought into the layout of the flock, between those of its nodes that are in it.
+//! A robot's own poses brought into the solution of the flock, between those of its nodes that are in it.
 
 use super::PlacedNode;
 use flockslam_geometry::Pose;
@@ -17,7 +17,7 @@ pub struct Carried {
 
 /// A robot's own trajectory in the frame of the flock: carried over from node to node, in proportion to the way between them.
 ///
-/// `anchors` are the robot's nodes in its own map, by sequence; `placed` the same nodes in the layout of the flock. Gives the poses
+/// `anchors` are the robot's nodes in its own map, by sequence; `placed` the same nodes in the solution of the flock. Gives the poses
 /// of `scans`, which are in order; none when the flock has none of the robot's nodes.
 pub fn carried(scans: &[Carried], anchors: &[(u64, Pose)], placed: &[PlacedNode]) -> Vec<Pose> {
     let known: Vec<(u64, Placement)> = anchors

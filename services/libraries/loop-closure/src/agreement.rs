@@ -1,4 +1,4 @@
-//! Which loop closures are eligible: those found in wide windows need others that agree with them over the cycle of chain and closures.
+//! Which loop closures are eligible: those found in wide windows need others that agree with them over the cycle of odometry and closures.
 
 use crate::closure::Closure;
 use crate::node::Node;
@@ -12,21 +12,21 @@ const PARTNERS_MIN: usize = 2;
 /// the usual drift does not account for: a share of the window.
 ///
 /// What looks alike over a few metres, the ends of two aisles or the doors of two rooms, differs over more; and where places that
-/// look alike lie as far apart as the chain may have drifted, the place meant may never have been seen, so that no better match
+/// look alike lie as far apart as the odometry may have drifted, the place meant may never have been seen, so that no better match
 /// speaks against a false one.
 const EXTENT_PER_SHIFT: f64 = 2.0;
 const EXTENT_PER_SURPRISE: f64 = 5.0;
 const USUAL_SHARE: f64 = 0.25;
-/// Two closures are compared when the chain between them is no longer than this, both sides together, metres.
+/// Two closures are compared when the odometry between them is no longer than this, both sides together, metres.
 const COMPARED_WITHIN_M: f64 = 20.0;
-/// Two closures agree when their cycle closes within this, plus a share of the chain in it, and this turn.
+/// Two closures agree when their cycle closes within this, plus a share of the odometry in it, and this turn.
 const CYCLE: (f64, f64, f64) = (0.2, 0.02, 0.05);
 
 /// Which closures may take part in a solution: those found near where they were expected, and those from wide
 /// windows that at least two others confirm, that fewer than half as many contradict, and that hold over the longer a stretch
 /// the farther they would move the robot.
 ///
-/// In a long corridor with a door every few metres a single match is wrong easily, and what the chain knows
+/// In a long corridor with a door every few metres a single match is wrong easily, and what the odometry knows
 /// after a hundred metres cannot contradict it.
 pub fn eligible(closures: &[Closure], nodes: &[Node]) -> Vec<bool> {
     let neighbours = Neighbours::new(closures, nodes);
@@ -123,7 +123,7 @@ impl Groups {
     }
 }
 
-/// Whether the cycle over two closures and the chain between their ends closes; `None` when they lie too far
+/// Whether the cycle over two closures and the odometry between their ends closes; `None` when they lie too far
 /// apart.
 pub fn agree(a: &Closure, b: &Closure, nodes: &[Node]) -> Option<bool> {
     let between = |i: usize, k: usize| (nodes[i].drift_bound_m - nodes[k].drift_bound_m).abs();
@@ -131,9 +131,9 @@ pub fn agree(a: &Closure, b: &Closure, nodes: &[Node]) -> Option<bool> {
     if way_m > COMPARED_WITHIN_M {
         return None;
     }
-    let chain = |i: usize, k: usize| nodes[i].chain.to(nodes[k].chain);
-    let around = a.edge.motion.compose(chain(a.edge.to, b.edge.to));
-    let along = chain(a.edge.from, b.edge.from).compose(b.edge.motion);
+    let driven = |i: usize, k: usize| nodes[i].local_pose.to(nodes[k].local_pose);
+    let around = a.edge.motion.compose(driven(a.edge.to, b.edge.to));
+    let along = driven(a.edge.from, b.edge.from).compose(b.edge.motion);
     let gap: Placement = along.to(around);
     let length_m = (gap.x_m * gap.x_m + gap.y_m * gap.y_m).sqrt();
     Some(length_m <= CYCLE.0 + CYCLE.1 * way_m && gap.heading_rad.abs() <= CYCLE.2)
@@ -152,7 +152,7 @@ mod tests {
                 scan: k,
                 sequence: k as u64,
                 odom: pose,
-                chain: pose,
+                local_pose: pose,
                 start: pose,
                 travel_m,
                 drift_bound_m: travel_m,

@@ -1,4 +1,4 @@
-//! Trajectories, the chains of submaps between which nothing was measured while driving: which of them closures connect, and where each starts in the solver.
+//! Trajectories, the trajectories between which nothing was measured while driving: which of them closures connect, and where each starts in the solver.
 
 use crate::node::Node;
 use flockslam_pose_graph::Edge;
@@ -114,7 +114,7 @@ mod tests {
                 scan: k,
                 sequence: k as u64,
                 odom: at,
-                chain: at,
+                local_pose: at,
                 start: at,
                 travel_m: k as f64,
                 drift_bound_m: k as f64,
@@ -142,12 +142,14 @@ mod tests {
     fn a_strand_starts_where_most_of_its_closures_say() {
         let turned = Placement::new(20.0, 5.0, 2.0);
         let nodes = nodes();
-        let right =
-            |from: usize, to: usize| edge(from, to, nodes[from].chain.to(turned.compose(nodes[to].chain)));
+        let right = |from: usize, to: usize| {
+            edge(from, to, nodes[from].local_pose.to(turned.compose(nodes[to].local_pose)))
+        };
         let loops = [edge(0, 5, Placement::IDENTITY), right(1, 6), right(2, 8)];
         let poses = start(&nodes, &loops);
         for (pose, node) in poses.iter().zip(&nodes) {
-            let expected = if node.trajectory == 2 { turned.compose(node.chain) } else { node.chain };
+            let expected =
+                if node.trajectory == 2 { turned.compose(node.local_pose) } else { node.local_pose };
             assert!(pose.distance_m(&expected) < 1e-9 && pose.turn_rad(&expected) < 1e-9);
         }
     }

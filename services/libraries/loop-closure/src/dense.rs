@@ -23,7 +23,7 @@ const SLACK: (f64, f64) = (0.04, 0.01);
 /// Squared Mahalanobis error from which a match is an outlier.
 const CHI_SQUARED_MAX: f64 = 25.0;
 
-/// Re-measures the whole layout once loops have brought it close: each node against the segments near it, in
+/// Re-measures the whole solution once loops have brought it close: each node against the segments near it, in
 /// place of the loops.
 pub struct DensePass<'a> {
     /// The nodes.
@@ -32,8 +32,8 @@ pub struct DensePass<'a> {
     pub scans: &'a ScanStore,
     /// All segments, none missing.
     pub segments: &'a [Segment],
-    /// The chain's edges.
-    pub chain: &'a [Edge],
+    /// The odometry edges.
+    pub odometry: &'a [Edge],
     /// Which trajectories are connected: only among those does nearness mean anything.
     pub connectivity: &'a TrajectoryConnectivity,
 }
@@ -41,7 +41,7 @@ pub struct DensePass<'a> {
 impl DensePass<'_> {
     /// Measures and solves, from the poses given to the poses left.
     pub fn run(&self, grid: &mut MomentGrid, poses: &mut [Placement]) {
-        let mut edges = self.chain.to_vec();
+        let mut edges = self.odometry.to_vec();
         let wanted = self.pairs(poses);
         let aligner = Aligner::new(AlignSettings { gate_wide_m: 0.4, ..AlignSettings::default() });
         for (segment, nodes) in self.segments.iter().zip(&wanted) {
@@ -54,7 +54,7 @@ impl DensePass<'_> {
         }
         let settings =
             RobustSettings { chi_squared_max: CHI_SQUARED_MAX, growth: 2.0, rounds: 12, warm_up: 2 };
-        solve(self.nodes.len(), &edges, self.chain.len(), &settings, poses);
+        solve(self.nodes.len(), &edges, self.odometry.len(), &settings, poses);
     }
 
     /// For each segment the nodes to match to it.
@@ -64,7 +64,7 @@ impl DensePass<'_> {
         for (node, at) in poses.iter().enumerate() {
             let mut near: Vec<(f64, usize)> = Vec::new();
             for (number, segment) in self.segments.iter().enumerate() {
-                // The node's own segment and the one before it are what the chain was matched to.
+                // The node's own segment and the one before it are what the odometry was matched to.
                 if segment.nodes.contains(&node)
                     || (segment.nodes.end..segment.nodes.end + segment.nodes.len()).contains(&node)
                 {

@@ -211,8 +211,8 @@ impl ClosureFinder {
         };
         let found = self.search(world, points, number, guess, window)?;
         let (nodes, scans) = (world.nodes, world.scans);
-        let anchor = nodes[segment.anchor].chain;
-        let at = |i: usize| anchor.to(nodes[i].chain);
+        let anchor = nodes[segment.anchor].local_pose;
+        let at = |i: usize| anchor.to(nodes[i].local_pose);
         load(&mut self.grid, nodes, scans, segment.nodes.clone(), at);
         let refined =
             self.aligner.align(&mut self.grid, &packed(&picked(points, REFINE_POINTS)), found.placement);
@@ -341,7 +341,7 @@ fn edge(query: usize, nearest: usize, at: &Placement, refined: &Alignment) -> Op
     Some(Edge { from: nearest, to: query, motion, information: in_frame(&information, at) })
 }
 
-/// Distances along the graph from `from` to every node, metres: along the chain, and across loops in force.
+/// Distances along the graph from `from` to every node, metres: along the odometry, and across loops that are inliers.
 pub fn graph_distances(nodes: &[Node], loops: &[(usize, usize)], from: usize) -> Vec<f64> {
     let mut across = vec![Vec::new(); nodes.len()];
     for &(a, b) in loops {

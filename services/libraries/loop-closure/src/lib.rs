@@ -2,13 +2,13 @@
 //! constraint when enough others agree with it.
 
 pub mod agreement;
-pub mod chain;
 pub mod closure;
 pub mod connectivity;
 pub mod dense;
 mod fields;
 pub mod finder;
 pub mod node;
+pub mod odometry_graph;
 pub mod place;
 pub mod polar;
 pub mod refine;

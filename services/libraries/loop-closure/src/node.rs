@@ -18,15 +18,15 @@ pub struct Node {
     /// Pose from the front end, continuous.
     pub odom: Placement,
     /// Pose from matching each node to the ones before it; never corrected by a loop.
-    pub chain: Placement,
-    /// Where a solver starts from: the chain, or, where the layout is frozen, the solution.
+    pub local_pose: Placement,
+    /// Where a solver starts from: the local_pose, or, where the solution is frozen, the solution.
     pub start: Placement,
     /// Length of the path up to here, metres.
     pub travel_m: f64,
     /// The same, and more where a node could not be matched: what the size of a search window grows with,
     /// metres.
     pub drift_bound_m: f64,
-    /// Chain of submaps that it belongs to, counted from 0: how trajectories lie to each other is known from closures alone.
+    /// Trajectory that it belongs to, counted from 0: how trajectories lie to each other is known from closures alone.
     pub trajectory: u32,
 }
 
@@ -39,15 +39,15 @@ pub struct NewNode {
     pub scan: usize,
     /// Pose from the front end.
     pub odom: Placement,
-    /// Its chain of submaps.
+    /// Its trajectory.
     pub trajectory: u32,
 }
 
 impl NewNode {
-    /// The node at its place in the chain, at the beginning of the path.
-    pub(crate) fn at(self, chain: Placement, start_from_chain: Placement) -> Node {
+    /// The node at its place in the local_pose, at the beginning of the path.
+    pub(crate) fn at(self, local_pose: Placement, start_from_local: Placement) -> Node {
         let NewNode { sequence, scan, odom, trajectory } = self;
-        let start = start_from_chain.compose(chain);
-        Node { scan, sequence, odom, chain, start, travel_m: 0.0, drift_bound_m: 0.0, trajectory }
+        let start = start_from_local.compose(local_pose);
+        Node { scan, sequence, odom, local_pose, start, travel_m: 0.0, drift_bound_m: 0.0, trajectory }
     }
 }

@@ -25,7 +25,7 @@ pub struct KeptScan {
     pub is_node: bool,
 }
 
-/// Places scans one after the other in a finished layout.
+/// Places scans one after the other in a finished solution.
 pub struct Placer<'a> {
     /// The nodes.
     pub nodes: &'a [Node],

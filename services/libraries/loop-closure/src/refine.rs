@@ -26,14 +26,14 @@ const CHI_SQUARED_MAX: f64 = 25.0;
 /// Matches scans to the map that all of them make together, in place of the few around each.
 ///
 /// Alternates between the map as the points of all nodes at their poses, and the poses as what fits this map best, held together
-/// by the chain.
+/// by the odometry.
 pub struct Refinement<'a> {
     /// The nodes.
     pub nodes: &'a [Node],
     /// Their points.
     pub scans: &'a ScanStore,
-    /// The edges of the chain.
-    pub chain: &'a [Edge],
+    /// The odometry edges.
+    pub odometry: &'a [Edge],
     /// By node: whether it is part of the map.
     pub in_map: &'a [bool],
 }
@@ -45,7 +45,7 @@ impl Refinement<'_> {
     /// Matches every node to the map of the present poses, and solves all poses anew. `grid` is lent empty and given back so.
     pub fn run(&self, grid: &mut MomentGrid, poses: &mut [Placement]) {
         let aligner = Aligner::new(AlignSettings { iterations: 6, ..AlignSettings::default() });
-        let mut edges = self.chain.to_vec();
+        let mut edges = self.odometry.to_vec();
         self.for_each_node(grid, poses, |grid, around, node| {
             let points = self.scans.points(self.nodes[node].scan);
             let place = around.binary_search_by_key(&node, |(i, _)| *i);
@@ -59,7 +59,7 @@ impl Refinement<'_> {
         });
         let settings =
             RobustSettings { chi_squared_max: CHI_SQUARED_MAX, growth: 2.0, rounds: 12, warm_up: 2 };
-        solve(self.nodes.len(), &edges, self.chain.len(), &settings, poses);
+        solve(self.nodes.len(), &edges, self.odometry.len(), &settings, poses);
     }
 
     /// Calls `visit` for each node of the map but the first, which is held, with the map around it in the grid.

@@ -1,4 +1,4 @@
-//! Segments: stretches of the chain, a few metres long, as clouds of points that scans are matched against; and the clouds of single scans.
+//! Segments: stretches of the trajectory, a few metres long, as clouds of points that scans are matched against; and the clouds of single scans.
 
 use crate::node::Node;
 use crate::scans::ScanStore;
@@ -13,7 +13,7 @@ const LENGTH_M: f64 = 5.0;
 /// Most nodes of a segment: a robot that turns on the spot makes nodes without travel.
 const NODES_MAX: usize = 64;
 
-/// A piece of the chain, a few metres long, that closures are measured against.
+/// A piece of the trajectory, a few metres long, that closures are measured against.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Segment {
     /// Its nodes.
@@ -50,12 +50,12 @@ impl Segment {
     }
 }
 
-/// The points of some nodes, near them, in the frame of node `origin` by the chain, the mean of each cell of
+/// The points of some nodes, near them, in the frame of node `origin` by the odometry, the mean of each cell of
 /// 0.1 m.
 pub fn cloud(nodes: &[Node], scans: &ScanStore, range: Range<usize>, origin: usize) -> Vec<(f64, f64)> {
     let mut points = Vec::new();
     for node in &nodes[range] {
-        let at = nodes[origin].chain.to(node.chain);
+        let at = nodes[origin].local_pose.to(node.local_pose);
         let near =
             scans.points(node.scan).iter().filter(|p| p.squared_range_m2() <= CLOUD_RANGE_M * CLOUD_RANGE_M);
         points.extend(near.map(|p| at.apply(p.x_m(), p.y_m())));
@@ -128,7 +128,7 @@ mod tests {
             sequence: k as u64,
             odom: Placement::IDENTITY,
             start: Placement::IDENTITY,
-            chain: Placement::new(0.3 * k as f64, 0.0, 0.0),
+            local_pose: Placement::new(0.3 * k as f64, 0.0, 0.0),
             travel_m: 0.3 * k as f64,
             drift_bound_m: 0.0,
             trajectory: u32::from(k >= 30),

@@ -46,7 +46,7 @@ fn submap_of_a_wall(number: u32, scans: u32) -> Submap {
     }
     Submap {
         number,
-        chain: 0,
+        trajectory: 0,
         insertions: scans,
         first: 0,
         last: u64::from(scans) - 1,

@@ -205,7 +205,7 @@ mod tests {
         };
         let submap = Submap {
             number: 0,
-            chain: 0,
+            trajectory: 0,
             insertions: 1,
             first: 0,
             last: 0,

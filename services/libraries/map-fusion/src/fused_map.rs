@@ -9,7 +9,7 @@ use flockslam_evidence::{
 use flockslam_geometry::{Point, Pose};
 use flockslam_results::StoredMap;
 
-/// The sum of submaps at the poses of a layout, in a lattice of its own.
+/// The sum of submaps at the poses of a solution, in a lattice of its own.
 ///
 /// Each submap is resampled to the nearest cell and added as integers: the order does not matter, and a submap can be
 /// taken out again exactly. Fusing the same submap twice counts its evidence twice: keys are the caller's duty.
@@ -22,8 +22,8 @@ use flockslam_results::StoredMap;
 /// let mut cells = Box::new([PackedCell::UNKNOWN; TILE_CELLS]);
 /// cells[wall.offset()] = PackedCell { occupied: 900, free: 20 };
 /// # let (tiles, odom_from_submap) = (vec![SubmapTile::new(wall.tile(), cells)], Pose::IDENTITY);
-/// # let (number, chain, insertions, first, last, cell_size_m) = (0, 0, 1, 0, 0, 0.05);
-/// let submap = Submap { number, chain, insertions, first, last, odom_from_submap, cell_size_m, tiles };
+/// # let (number, trajectory, insertions, first, last, cell_size_m) = (0, 0, 1, 0, 0, 0.05);
+/// let submap = Submap { number, trajectory, insertions, first, last, odom_from_submap, cell_size_m, tiles };
 /// let map_from_submap = Pose::new(1.0, 0.0, 0.0);
 /// let mut map = FusedMap::new(0.05);
 /// map.add(&submap, map_from_submap)?;
@@ -273,7 +273,7 @@ mod tests {
                 let tiles = tiles.into_values().collect();
                 Submap {
                     number: 3,
-                    chain: 0,
+                    trajectory: 0,
                     insertions: 7,
                     first: 40,
                     last: 61,
@@ -354,7 +354,7 @@ mod tests {
         let tiles = [0, 1, 1 << 20].map(|x| SubmapTile::new(TileKey { x, y: 0 }, cells()));
         let near = Submap {
             number: 4,
-            chain: 0,
+            trajectory: 0,
             insertions: 1,
             first: 0,
             last: 0,
@@ -377,7 +377,7 @@ mod tests {
         tile.clear(7);
         let mut submap = Submap {
             number: 4,
-            chain: 0,
+            trajectory: 0,
             insertions: 1,
             first: 0,
             last: 0,

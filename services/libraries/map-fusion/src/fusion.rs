@@ -1,4 +1,4 @@
-//! The fused map, kept up step by step with a layout that changes: takes submaps and where they belong, says which submaps it needs next.
+//! The fused map, kept up step by step with a solution that changes: takes submaps and where they belong, says which submaps it needs next.
 
 use crate::FusedMap;
 use crate::coverage::Coverage;
@@ -15,7 +15,7 @@ pub struct PlacedSubmap {
     pub map_from_odom: Pose,
 }
 
-/// A submap is moved in the map once one of its corners lies this many cells away from where the layout has it: resampling to
+/// A submap is moved in the map once one of its corners lies this many cells away from where the solution has it: resampling to
 /// whole cells displaces evidence by as much anyway.
 const MOVED_CELLS: f64 = 0.5;
 /// Submaps that are brought in or moved after each closed one.
@@ -25,7 +25,7 @@ const CHECKS_PER_SUBMAP: usize = 4;
 /// Share of a submap's blocks that newer ones must know before it retires.
 const COVERED_SHARE: f64 = 0.98;
 
-/// The fused map, kept up with the layout while the robot drives: submaps come in as they are closed, move when the layout
+/// The fused map, kept up with the solution while the robot drives: submaps come in as they are closed, move when the solution
 /// moves them, and retire when newer ones know all that they know.
 ///
 /// It holds no submaps: it says which it needs, and is handed them. What it does depends on these calls alone, and the map after
@@ -57,9 +57,9 @@ struct Fused {
 /// What is to be done to one submap.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Step {
-    /// Bring it to its place in the layout.
+    /// Bring it to its place in the solution.
     Place(PlacedSubmap),
-    /// Take it out: the layout has no place for it.
+    /// Take it out: the solution has no place for it.
     Remove(u32),
 }
 
@@ -102,32 +102,32 @@ impl Fusion {
         self.retired.iter().copied()
     }
 
-    /// A few steps towards a layout, of which the first `closed` submaps can be had: those missing first, then those farthest from
+    /// A few steps towards a solution, of which the first `closed` submaps can be had: those missing first, then those farthest from
     /// their places.
-    pub fn steps(&self, layout: &[PlacedSubmap], closed: u32) -> Vec<Step> {
+    pub fn steps(&self, submaps_in_map: &[PlacedSubmap], closed: u32) -> Vec<Step> {
         let mut steps: Vec<(f64, Step)> = self
-            .wanted(layout, closed)
+            .wanted(submaps_in_map, closed)
             .map(|placed| (self.displacement_cells(placed), Step::Place(*placed)))
             .filter(|(cells, _)| *cells > MOVED_CELLS)
             .collect();
-        steps.extend(self.strays(layout).map(|number| (f64::INFINITY, Step::Remove(number))));
+        steps.extend(self.strays(submaps_in_map).map(|number| (f64::INFINITY, Step::Remove(number))));
         steps.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.number().cmp(&b.1.number())));
         steps.into_iter().take(STEPS_PER_SUBMAP).map(|(_, step)| step).collect()
     }
 
-    /// The map begins anew for a final layout, of which the first `closed` submaps can be had: all that is to be done, the newest
+    /// The map begins anew for a final solution, of which the first `closed` submaps can be had: all that is to be done, the newest
     /// first, so that the map holds all newer ones when the turn of a submap comes.
-    pub fn last_steps(&mut self, layout: &[PlacedSubmap], closed: u32) -> Vec<Step> {
+    pub fn last_steps(&mut self, submaps_in_map: &[PlacedSubmap], closed: u32) -> Vec<Step> {
         self.start_over();
-        self.wanted(layout, closed).rev().copied().map(Step::Place).collect()
+        self.wanted(submaps_in_map, closed).rev().copied().map(Step::Place).collect()
     }
 
-    /// The submaps of a layout that are in the map, each as the step that leaves it where it is.
-    pub fn present(&self, layout: &[PlacedSubmap]) -> Vec<Step> {
+    /// The submaps of a solution that are in the map, each as the step that leaves it where it is.
+    pub fn present(&self, submaps_in_map: &[PlacedSubmap]) -> Vec<Step> {
         let is_there = |placed: &&PlacedSubmap| {
             self.fused.get(&placed.number).is_some_and(|fused| fused.map_from_odom == placed.map_from_odom)
         };
-        layout.iter().filter(is_there).copied().map(Step::Place).collect()
+        submaps_in_map.iter().filter(is_there).copied().map(Step::Place).collect()
     }
 
     /// Does a step with its submap. Cells of it may have been cleared since it was last handed in.
@@ -174,10 +174,12 @@ impl Fusion {
 
     fn wanted<'a>(
         &'a self,
-        layout: &'a [PlacedSubmap],
+        submaps_in_map: &'a [PlacedSubmap],
         closed: u32,
     ) -> impl DoubleEndedIterator<Item = &'a PlacedSubmap> {
-        layout.iter().filter(move |placed| placed.number < closed && !self.retired.contains(&placed.number))
+        submaps_in_map
+            .iter()
+            .filter(move |placed| placed.number < closed && !self.retired.contains(&placed.number))
     }
 
     fn is_covered(&self, number: u32) -> bool {
@@ -196,9 +198,9 @@ impl Fusion {
         })
     }
 
-    /// Submaps in the map that a layout has no place for.
-    fn strays<'a>(&'a self, layout: &'a [PlacedSubmap]) -> impl Iterator<Item = u32> + 'a {
-        let placed: BTreeSet<u32> = layout.iter().map(|placed| placed.number).collect();
+    /// Submaps in the map that a solution has no place for.
+    fn strays<'a>(&'a self, submaps_in_map: &'a [PlacedSubmap]) -> impl Iterator<Item = u32> + 'a {
+        let placed: BTreeSet<u32> = submaps_in_map.iter().map(|placed| placed.number).collect();
         self.fused.keys().copied().filter(move |number| !placed.contains(number))
     }
 
@@ -259,7 +261,7 @@ mod tests {
         };
         let submap = |number: u32| Submap {
             number,
-            chain: 0,
+            trajectory: 0,
             insertions: 1,
             first: u64::from(number),
             last: u64::from(number),
@@ -270,23 +272,23 @@ mod tests {
         (0..count).map(submap).collect()
     }
 
-    fn from_scratch(submaps: &[Submap], layout: &[PlacedSubmap], without: &[u32]) -> FusedMap {
+    fn from_scratch(submaps: &[Submap], submaps_in_map: &[PlacedSubmap], without: &[u32]) -> FusedMap {
         let mut map = FusedMap::new(0.05);
-        for placed in layout.iter().filter(|placed| !without.contains(&placed.number)) {
+        for placed in submaps_in_map.iter().filter(|placed| !without.contains(&placed.number)) {
             let submap = &submaps[placed.number as usize];
             map.add(submap, placed.map_from_odom * submap.odom_from_submap).unwrap();
         }
         map
     }
 
-    fn follow(fusion: &mut Fusion, submaps: &[Submap], layout: &[PlacedSubmap], closed: u32) {
-        for step in fusion.steps(layout, closed) {
+    fn follow(fusion: &mut Fusion, submaps: &[Submap], submaps_in_map: &[PlacedSubmap], closed: u32) {
+        for step in fusion.steps(submaps_in_map, closed) {
             fusion.take(step, submaps[step.number() as usize].clone()).unwrap();
         }
     }
 
-    fn finish(fusion: &mut Fusion, submaps: &[Submap], layout: &[PlacedSubmap]) {
-        for step in fusion.last_steps(layout, submaps.len() as u32) {
+    fn finish(fusion: &mut Fusion, submaps: &[Submap], submaps_in_map: &[PlacedSubmap]) {
+        for step in fusion.last_steps(submaps_in_map, submaps.len() as u32) {
             fusion.take(step, submaps[step.number() as usize].clone()).unwrap();
         }
     }
@@ -304,22 +306,22 @@ mod tests {
             last in 0.0..0.1f64,
         ) {
             let mut submaps = store(6);
-            let mut layout: Vec<PlacedSubmap> = (0..6).map(|number| placed(number, 0.0, 0.0, 0.0)).collect();
+            let mut submaps_in_map: Vec<PlacedSubmap> = (0..6).map(|number| placed(number, 0.0, 0.0, 0.0)).collect();
             let mut fusion = Fusion::new(0);
             for (round, (number, shift, turn, detached)) in moves.iter().enumerate() {
-                let moved = &mut layout[*number as usize];
+                let moved = &mut submaps_in_map[*number as usize];
                 moved.map_from_odom = Pose::new(*shift, 2.0 * turn, *turn) * moved.map_from_odom;
                 for (submap, when, cell) in cleared.iter().filter(|(_, when, _)| *when == round) {
                     submaps[*submap].tiles[when % 2].clear(*cell);
                 }
-                let partly = layout.iter().filter(|placed| !detached || placed.number != 2).copied();
+                let partly = submaps_in_map.iter().filter(|placed| !detached || placed.number != 2).copied();
                 follow(&mut fusion, &submaps, &partly.collect::<Vec<_>>(), round as u32 + 1);
             }
-            for at in &mut layout[..if last < 0.05 { 1 } else { 6 }] {
+            for at in &mut submaps_in_map[..if last < 0.05 { 1 } else { 6 }] {
                 at.map_from_odom.x_m += last;
             }
-            finish(&mut fusion, &submaps, &layout);
-            prop_assert!(fusion.map() == Some(&from_scratch(&submaps, &layout, &[])));
+            finish(&mut fusion, &submaps, &submaps_in_map);
+            prop_assert!(fusion.map() == Some(&from_scratch(&submaps, &submaps_in_map, &[])));
         }
     }
 
@@ -327,14 +329,18 @@ mod tests {
     fn a_submap_moves_only_when_it_is_worth_it_and_the_farthest_first() {
         let submaps = store(4);
         let mut fusion = Fusion::new(0);
-        let layout: Vec<_> = (0..4).map(|number| placed(number, 0.0, 0.0, 0.0)).collect();
-        assert_eq!(fusion.steps(&layout, 1), [Step::Place(layout[0])]);
-        (0..3).for_each(|_| follow(&mut fusion, &submaps, &layout, 4));
-        assert_eq!(fusion.steps(&layout, 4), []);
-        let moved =
-            [placed(0, 0.02, 0.0, 0.0), placed(1, 0.1, 0.0, 0.0), placed(2, 0.0, -0.3, 0.0), layout[3]];
+        let submaps_in_map: Vec<_> = (0..4).map(|number| placed(number, 0.0, 0.0, 0.0)).collect();
+        assert_eq!(fusion.steps(&submaps_in_map, 1), [Step::Place(submaps_in_map[0])]);
+        (0..3).for_each(|_| follow(&mut fusion, &submaps, &submaps_in_map, 4));
+        assert_eq!(fusion.steps(&submaps_in_map, 4), []);
+        let moved = [
+            placed(0, 0.02, 0.0, 0.0),
+            placed(1, 0.1, 0.0, 0.0),
+            placed(2, 0.0, -0.3, 0.0),
+            submaps_in_map[3],
+        ];
         assert_eq!(fusion.steps(&moved, 4), [Step::Place(moved[2]), Step::Place(moved[1])]);
-        assert_eq!(fusion.steps(&layout[1..], 4), [Step::Remove(0)]);
+        assert_eq!(fusion.steps(&submaps_in_map[1..], 4), [Step::Remove(0)]);
     }
 
     #[test]
@@ -345,11 +351,11 @@ mod tests {
             submap.tiles.iter_mut().zip(0..).for_each(|(tile, x)| tile.key = TileKey { x, y: 0 });
         }
         submaps[4].tiles.iter_mut().for_each(|tile| tile.key.x += 9);
-        let layout: Vec<_> = (0..5).map(|number| placed(number, 0.0, 0.0, 0.0)).collect();
+        let submaps_in_map: Vec<_> = (0..5).map(|number| placed(number, 0.0, 0.0, 0.0)).collect();
         let mut fusion = Fusion::new(2);
         let mut retired = Vec::new();
         for closed in 1..=5 {
-            follow(&mut fusion, &submaps, &layout, closed);
+            follow(&mut fusion, &submaps, &submaps_in_map, closed);
             for number in fusion.covered() {
                 let emptied = fusion.retire(submaps[number as usize].clone());
                 assert!(emptied.tiles.is_empty() && emptied.number == number);
@@ -357,19 +363,19 @@ mod tests {
             }
         }
         assert_eq!(retired, [0, 1]);
-        finish(&mut fusion, &submaps, &layout);
-        assert!(fusion.map() == Some(&from_scratch(&submaps, &layout, &retired)));
+        finish(&mut fusion, &submaps, &submaps_in_map);
+        assert!(fusion.map() == Some(&from_scratch(&submaps, &submaps_in_map, &retired)));
         assert_eq!(fusion.retired().collect::<Vec<_>>(), retired);
     }
 
     #[test]
     fn a_submap_that_is_not_the_one_that_came_in_makes_the_map_anew() {
         let mut submaps = store(2);
-        let layout: Vec<_> = (0..2).map(|number| placed(number, 0.0, 0.0, 0.0)).collect();
+        let submaps_in_map: Vec<_> = (0..2).map(|number| placed(number, 0.0, 0.0, 0.0)).collect();
         let mut fusion = Fusion::new(0);
-        follow(&mut fusion, &submaps, &layout, 2);
+        follow(&mut fusion, &submaps, &submaps_in_map, 2);
         submaps[1].tiles[0].cells[700].free += 100;
-        let moved = [layout[0], placed(1, 1.0, 0.0, 0.0)];
+        let moved = [submaps_in_map[0], placed(1, 1.0, 0.0, 0.0)];
         follow(&mut fusion, &submaps, &moved, 2);
         let anew = from_scratch(&submaps, &moved, &[0]);
         assert!(fusion.map() == Some(&anew), "the map holds nothing but the submap that was moved");

@@ -98,7 +98,7 @@ mod tests {
         let cells = Box::new(std::array::from_fn::<_, TILE_CELLS, _>(cell));
         Submap {
             number,
-            chain: 0,
+            trajectory: 0,
             insertions: 9,
             first: 0,
             last: 1,

@@ -59,8 +59,8 @@ mod tests {
 
     #[test]
     fn a_chain_fills_nothing_in_and_a_ring_one_link_a_step() {
-        let chain: Vec<_> = (1..50).map(|i| (i - 1, i)).collect();
-        assert!(minimum_degree(50, &chain).iter().all(|(_, around)| around.len() <= 1));
+        let trajectory: Vec<_> = (1..50).map(|i| (i - 1, i)).collect();
+        assert!(minimum_degree(50, &trajectory).iter().all(|(_, around)| around.len() <= 1));
         let ring: Vec<_> = (0..50).map(|i| (i, (i + 1) % 50)).collect();
         let steps = minimum_degree(50, &ring);
         assert!(steps.iter().all(|(_, around)| around.len() <= 2));

@@ -14,7 +14,7 @@ pub struct RobustSettings {
     pub growth: f64,
     /// Most rounds.
     pub rounds: usize,
-    /// Gauss–Newton steps before the first round, with all loops in force.
+    /// Gauss–Newton steps before the first round, with all loops that are inliers.
     pub warm_up: usize,
 }
 

@@ -1,4 +1,4 @@
-//! The protocol of meetings (Filatov 2021), for comparison with the layout of records: two robots match each other's current scan and exchange their
+//! The protocol of meetings (Filatov 2021), for comparison with the solution of records: two robots match each other's current scan and exchange their
 //! maps. Takes snapshots, gives one map in layers.
 
 use flockslam_evidence::{Cell, CellIndex, Masses, PackedCell, Submap, SubmapTile, TILE_CELLS, TileKey};
@@ -242,7 +242,7 @@ fn one(cells: &[Cell], fusion: CellFusion) -> Cell {
 fn of_tiles(cell_size_m: f64, tiles: Vec<SubmapTile>) -> Submap {
     Submap {
         number: 0,
-        chain: 0,
+        trajectory: 0,
         insertions: 0,
         first: 0,
         last: 0,
@@ -316,14 +316,14 @@ fn refined(walls: &[(f64, f64)], scan: &[PackedPoint], guess: Placement) -> Opti
 
 impl Snapshot {
     /// What a robot hands over that knows its own records only, at the end of its way; nothing when it has seen nothing. Its frame is that of its
-    /// layout alone.
+    /// solution alone.
     pub fn of(flock: &Flock) -> Option<Self> {
-        let layout = flock.layout(true);
-        let map = flock.map(&layout).map?;
+        let solution = flock.solution(true);
+        let map = flock.map(&solution).map?;
         let atlas = Atlas::new(flock.collection());
         let nodes =
-            layout.nodes.iter().find(|((robot, _), _)| robot == flock.robot()).map(|(_, nodes)| nodes)?;
-        let last = nodes.iter().rposition(|node| node.part == layout.main_part)?;
+            solution.nodes.iter().find(|((robot, _), _)| robot == flock.robot()).map(|(_, nodes)| nodes)?;
+        let last = nodes.iter().rposition(|node| node.part == solution.main_part)?;
         let scan = atlas.points(last).to_vec();
         Some(Self {
             robot: flock.robot().clone(),

@@ -18,7 +18,7 @@ use terms::{Terms, add_derivatives, newton_step};
 pub struct NdtSettings {
     /// Side of an NDT cell, metres (rounded to a whole number of eight grid cells).
     pub cell_size_m: f64,
-    /// Pull towards the distance from the pose before that the prediction has, whatever the direction, per m² and point: wheels
+    /// Pull towards the distance from the pose before that the prediction has, whatever the direction, per m² and point: odometry
     /// measure how far better than whither.
     pub prior_travel: f64,
     /// Standard deviation of the direction of each beam for itself, radians: its end is blurred across the beam, so that of a wall
@@ -387,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn wheels_say_how_far_and_not_whither() {
+    fn odometry_says_how_far_and_not_whither() {
         let expected = Expected { pose: Pose::new(3.0, 0.0, 0.0), from: Some(Point::new(1.0, 0.0)) };
         let cost = |pose: Pose| {
             let (gradient, hessian) = (Vector3::zeros(), Matrix3::zeros());

@@ -7,7 +7,7 @@ use flockslam_evidence::Level;
 use flockslam_geometry::{Covariance, Point, Pose, Twist, wrap_angle};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
-/// How far the velocity during a scan may be from the one that the wheels gave before it: standard deviations.
+/// How far the velocity during a scan may be from the one that odometry gave before it: standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TwistSigma {
     /// Along x, m/s.
@@ -195,15 +195,15 @@ mod tests {
     }
 
     #[test]
-    fn pose_and_turn_rate_are_found_when_the_wheels_are_wrong() {
+    fn pose_and_turn_rate_are_found_when_odometry_is_wrong() {
         let grid = room::grid(&room::ROOM);
         let field = room::field(&grid);
         let start = Pose::new(0.3, -0.2, 0.4);
         for (forward, turn) in [(0.5, 0.0), (0.6, 0.4), (0.45, -0.5)] {
-            let wheels = Twist { x_m_s: 0.5, ..Twist::default() };
+            let odometry = Twist { x_m_s: 0.5, ..Twist::default() };
             let truth =
-                MotionState { pose: start, twist: Twist { x_m_s: forward, turn_rad_s: turn, ..wheels } };
-            let predicted = MotionState { pose: start, twist: wheels };
+                MotionState { pose: start, twist: Twist { x_m_s: forward, turn_rad_s: turn, ..odometry } };
+            let predicted = MotionState { pose: start, twist: odometry };
             let mut now = predicted;
             for _ in 0..12 {
                 let (points, times_s) = sweep(truth, now.twist);

@@ -214,7 +214,7 @@ impl StageContext {
         self.report.dropped(reason);
     }
 
-    /// A process that stands by has followed the one that acts for so many more scans.
+    /// A process that is on standby has followed the active one for so many more scans.
     pub fn followed(&mut self, scans: u64) {
         self.followed += scans;
         self.alive();

@@ -41,7 +41,7 @@ impl GridReader {
     /// # Errors
     /// When the bus fails.
     pub fn ask_for_tiles(&self) -> Result<(), StageError> {
-        self.control.send(&Control { kind: ControlKind::TilesWanted as u32, epoch: 0, value: 0 })?;
+        self.control.send(&Control { kind: ControlKind::TilesWanted as u32, run: 0, value: 0 })?;
         self.mapper.ring();
         Ok(())
     }

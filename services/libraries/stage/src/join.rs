@@ -12,7 +12,7 @@ pub struct Join<M: Topic + Named> {
     /// Scans in the memory of their publisher.
     pub scans: Inbox<ScanSubscriber>,
     /// What is said of each.
-    pub told: Inbox<Subscriber<M>>,
+    pub messages: Inbox<Subscriber<M>>,
     /// What was said about the stream.
     pub stream: StreamEnd,
     /// Sequence of the scan that comes next when none is missed.
@@ -41,7 +41,7 @@ impl<M: Topic + Named> Join<M> {
     pub fn open(context: &StageContext, deadline_ns: u64) -> Result<Self, StageError> {
         Ok(Self {
             scans: Inbox::new(context.bus.scan_subscriber()?, context.capacity.window),
-            told: Inbox::unlimited(context.bus.subscriber()?),
+            messages: Inbox::unlimited(context.bus.subscriber()?),
             stream: StreamEnd::open(context)?,
             expected: 0,
             deadline: Deadline::live(context.mode, deadline_ns),
@@ -56,7 +56,7 @@ impl<M: Topic + Named> Join<M> {
     /// When the bus fails.
     pub fn drain(&mut self) -> Result<(), StageError> {
         self.scans.drain()?;
-        self.told.drain()
+        self.messages.drain()
     }
 
     /// Takes in what has arrived, and gives the oldest of what was said. It stays until its scan is finished.
@@ -65,7 +65,7 @@ impl<M: Topic + Named> Join<M> {
     /// When the bus fails.
     pub fn oldest(&mut self) -> Result<Option<M>, StageError> {
         self.drain()?;
-        Ok(self.told.front().copied())
+        Ok(self.messages.front().copied())
     }
 
     /// Live: whether something was said about scans before this one that has not arrived. The journal has it.
@@ -102,7 +102,7 @@ impl<M: Topic + Named> Join<M> {
     /// Another process has finished all scans before this sequence.
     pub fn release_before(&mut self, sequence: u64) {
         self.scans.release_before(sequence);
-        self.told.release_before(sequence);
+        self.messages.release_before(sequence);
     }
 
     /// Whether this process speaks for the stage, as it does unless another one is said to: then it acknowledges nothing.

@@ -13,17 +13,17 @@ pub struct LastWord {
 }
 
 impl LastWord {
-    /// What will be said, of this epoch, and whose events will ring.
+    /// What will be said, of this run, and whose events will ring.
     ///
     /// # Errors
     /// When the topic does not exist.
     pub fn open(
         context: &StageContext,
         kind: ControlKind,
-        epoch: u32,
+        run: u32,
         listeners: Notifiers,
     ) -> Result<Self, StageError> {
-        let message = Control { kind: kind as u32, epoch, value: 0 };
+        let message = Control { kind: kind as u32, run, value: 0 };
         Ok(Self { control: context.bus.publisher()?, listeners, message, is_said: false })
     }
 

@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-/// Who stands by looks around so often when nothing rings.
+/// Who is on standby looks around so often when nothing rings.
 const LOOK: Duration = Duration::from_millis(100);
 
 /// The right to act for a stage of which several processes run, one of them at a time: a lock on a file, which the kernel takes

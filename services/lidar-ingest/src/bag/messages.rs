@@ -18,7 +18,7 @@ pub enum MessageProblem {
     NotFinite,
 }
 
-/// A pose of the wheels.
+/// A pose of odometry.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OdometryMessage {
     /// When, nanoseconds.

@@ -1,4 +1,4 @@
-//! ROS 1 bags: `sensor_msgs/LaserScan` messages become scans, `nav_msgs/Odometry` their wheels.
+//! ROS 1 bags: `sensor_msgs/LaserScan` messages become scans, `nav_msgs/Odometry` their odometry.
 //!
 //! The records of a file are looked through ([`check_bag`]) before anything else reads it: no length is believed that leads out of the
 //! file, and no chunk that claims to be huge is unpacked.

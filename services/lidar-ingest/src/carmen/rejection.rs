@@ -30,7 +30,7 @@ pub enum Rejection {
     /// The scan is stamped seconds before scans that came earlier.
     #[error("the scan is older than those before it")]
     TimeReversed,
-    /// The wheels have moved and every range is the same as before.
+    /// Odometry has moved and every range is the same as before.
     #[error("the scan repeats the one before it although the robot has moved")]
     Frozen,
 }

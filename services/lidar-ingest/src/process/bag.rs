@@ -10,7 +10,7 @@ use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
-/// A pose of the wheels belongs to a scan that is taken at most this much later, nanoseconds.
+/// A pose of odometry belongs to a scan that is taken at most this much later, nanoseconds.
 const ODOMETRY_AGE_NS: u64 = 100_000_000;
 
 /// Why a bag is not read to its end: one line with place and reason.
@@ -75,7 +75,7 @@ pub struct BagReader {
     chunks: VecDeque<u64>,
     /// By number of the connection: its topic and type.
     connections: BTreeMap<u32, (String, Kind)>,
-    wheels: Option<(i64, Pose)>,
+    odometry: Option<(i64, Pose)>,
     ready: VecDeque<ScanBuffer>,
     last_stamp_ns: Option<i64>,
     tally: Tally,
@@ -109,7 +109,7 @@ impl BagReader {
             name,
             chunks: chunks.into(),
             connections: BTreeMap::new(),
-            wheels: None,
+            odometry: None,
             ready: VecDeque::new(),
             last_stamp_ns: None,
             tally: Tally::default(),
@@ -177,11 +177,11 @@ impl BagReader {
                         Kind::Scans => {
                             let mut scan = ScanBuffer::default();
                             laser_scan(message.data, &mut scan).map_err(wrong)?;
-                            self.ready.push_back(with_wheels(scan, self.wheels));
+                            self.ready.push_back(with_odometry(scan, self.odometry));
                         }
                         Kind::Odometry => {
                             let found = odometry(message.data).map_err(wrong)?;
-                            self.wheels = Some((found.stamp_ns, found.pose));
+                            self.odometry = Some((found.stamp_ns, found.pose));
                         }
                         Kind::Other => self.tally.unknown += 1,
                     }
@@ -196,9 +196,9 @@ impl BagReader {
     }
 }
 
-/// A scan with the pose of the wheels, where that is not too old.
-fn with_wheels(mut scan: ScanBuffer, wheels: Option<(i64, Pose)>) -> ScanBuffer {
-    if let Some((stamp_ns, pose)) = wheels
+/// A scan with the pose of odometry, where that is not too old.
+fn with_odometry(mut scan: ScanBuffer, odometry: Option<(i64, Pose)>) -> ScanBuffer {
+    if let Some((stamp_ns, pose)) = odometry
         && scan.header.times.sensor_ns.abs_diff(stamp_ns) <= ODOMETRY_AGE_NS
     {
         (scan.header.odometry, scan.header.has_odometry) = (pose, 1);

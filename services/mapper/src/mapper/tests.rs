@@ -1,4 +1,4 @@
-//! Tests of the mapper: evidence, submaps, windows, chains, shares and newcomers.
+//! Tests of the mapper: evidence, submaps, windows, trajectories, shares and newcomers.
 
 use super::*;
 use crate::settings::HIT_NAT;
@@ -134,10 +134,10 @@ fn clears_for_good(window_m: f64) {
 fn a_new_chain_begins_with_an_empty_window_and_leaves_the_old_submaps_as_they_are() {
     let mut mapper = Mapper::new(Settings::default());
     let before = drive(&mut mapper, 0..40);
-    let start = PoseEstimate { chain: 1, ..pose(3.0, 1.0, 0.5) };
+    let start = PoseEstimate { trajectory: 1, ..pose(3.0, 1.0, 0.5) };
     let insertion = mapper.insert(scan(40, &[3.0; 100]).view().unwrap(), &start, &[]);
     assert_eq!((insertion.closed.len(), insertion.closed[0].last), (1, 39));
-    assert_eq!(insertion.closed[0].chain, 0);
+    assert_eq!(insertion.closed[0].trajectory, 0);
     assert!(!insertion.retired.is_empty());
     assert!(insertion.changed.iter().all(|key| !insertion.retired.contains(key)));
     let closed = insertion.closed[0].clone();
@@ -145,7 +145,7 @@ fn a_new_chain_begins_with_an_empty_window_and_leaves_the_old_submaps_as_they_ar
     alone.insert(scan(40, &[3.0; 100]).view().unwrap(), &start, &[]);
     assert_eq!(window_of(&mapper), window_of(&alone));
     let last = mapper.close().unwrap();
-    assert_eq!((last.chain, last.number), (1, closed.number + 1));
+    assert_eq!((last.trajectory, last.number), (1, closed.number + 1));
 
     let mut resumed = Mapper::new(Settings::default());
     [before, vec![closed, last]].concat().into_iter().for_each(|submap| resumed.resume(submap, 41));

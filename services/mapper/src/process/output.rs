@@ -71,7 +71,7 @@ impl Output {
     }
 
     /// Tells of a submap that is stored.
-    pub fn tell_submap(&self, notice: &SubmapClosed) -> Result<(), StageError> {
+    pub fn publish_submap(&self, notice: &SubmapClosed) -> Result<(), StageError> {
         self.submaps.send(notice)?;
         self.sync_manager.ring();
         Ok(())

@@ -10,7 +10,7 @@ use flockslam_stage::{StageContext, StageError};
 pub(super) struct Parts {
     part: u32,
     parts: u32,
-    told: Publisher<PartInserted>,
+    publisher: Publisher<PartInserted>,
     others: Subscriber<PartInserted>,
     first: Notifier,
     /// By share: scans with a sequence below this are in it, and tiles that were sent for the last of them.
@@ -25,7 +25,7 @@ impl Parts {
         Ok(Self {
             part: context.replica,
             parts,
-            told: bus.publisher()?,
+            publisher: bus.publisher()?,
             others: bus.subscriber()?,
             first: bus.notifier(Stage::Mapper.name())?,
             inserted: vec![(0, 0); parts as usize],
@@ -49,23 +49,23 @@ impl Parts {
     }
 
     /// Tells the first mapper that tiles are out: those that a scan has changed, or all.
-    pub fn tell(&self, pose: &PoseEstimate, tiles: usize, all_tiles: bool) -> Result<(), StageError> {
+    pub fn publish(&self, pose: &PoseEstimate, tiles: usize, all_tiles: bool) -> Result<(), StageError> {
         let (id, tiles) = (pose.id, tiles as u32);
-        let told =
+        let message =
             PartInserted { id, tiles, part: self.part, parts: self.parts, all_tiles: all_tiles.into() };
-        self.told.send(&told)?;
+        self.publisher.send(&message)?;
         self.first.ring();
         Ok(())
     }
 
     /// Hears of the others.
     pub fn drain(&mut self) -> Result<(), StageError> {
-        while let Some(told) = self.others.receive()? {
-            let of_share = self.inserted.get_mut(told.part as usize);
-            let Some(inserted) = of_share.filter(|_| told.parts == self.parts) else { continue };
-            self.republished += told.all_tiles;
-            if told.id.sequence >= inserted.0 {
-                *inserted = (told.id.sequence + 1, told.tiles);
+        while let Some(message) = self.others.receive()? {
+            let of_share = self.inserted.get_mut(message.part as usize);
+            let Some(inserted) = of_share.filter(|_| message.parts == self.parts) else { continue };
+            self.republished += message.all_tiles;
+            if message.id.sequence >= inserted.0 {
+                *inserted = (message.id.sequence + 1, message.tiles);
             }
         }
         Ok(())

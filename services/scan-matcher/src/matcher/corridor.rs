@@ -1,4 +1,4 @@
-//! A straight corridor without features, then its end: what the scan cannot tell is left to the wheels.
+//! A straight corridor without features, then its end: what the scan cannot tell is left to odometry.
 
 use super::tests::FrontEnd;
 use super::*;
@@ -9,8 +9,8 @@ use flockslam_messages::ScanBuffer;
 const END_M: f64 = 24.03;
 /// The lidar's reach.
 const REACH_M: f64 = 8.0;
-/// The wheels say this much of what was driven.
-const WHEELS: f64 = 0.97;
+/// Odometry says this much of what was driven.
+const ODOMETRY: f64 = 0.97;
 
 fn noise(state: &mut u64) -> f64 {
     let mut uniform = || {
@@ -44,14 +44,14 @@ fn truth(i: u64) -> Pose {
 }
 
 #[test]
-fn along_a_corridor_the_wheels_are_followed_and_across_it_the_walls() {
+fn along_a_corridor_odometry_is_followed_and_across_it_the_walls() {
     for strategy in [Strategy::GaussNewton] {
         let mut front_end = FrontEnd::new(Settings { strategy, ..Settings::default() });
         let (mut state, mut odometry, mut last) = (1, truth(0), truth(0));
         for i in 0..220 {
             if i > 0 {
                 let step = truth(i - 1).to(truth(i));
-                odometry = odometry * Pose::new(WHEELS * step.x_m, step.y_m, step.heading_rad);
+                odometry = odometry * Pose::new(ODOMETRY * step.x_m, step.y_m, step.heading_rad);
             }
             let estimate = front_end.step(&look(i, truth(i), odometry, &mut state), true);
             let pose = truth(0) * estimate.odom_from_base;
@@ -60,7 +60,7 @@ fn along_a_corridor_the_wheels_are_followed_and_across_it_the_walls() {
             assert!((pose.y_m - truth(i).y_m).abs() < 0.05, "{strategy:?} {i}: {pose:?}");
             assert!(pose.turn_rad(truth(i)) < 0.01, "{strategy:?} {i}: {pose:?} for {:?}", truth(i));
             if in_corridor && i > 0 {
-                let slipped = (WHEELS - 1.0) * truth(i).x_m;
+                let slipped = (ODOMETRY - 1.0) * truth(i).x_m;
                 assert!((along - slipped).abs() < 0.1, "{strategy:?} {i}: {along} for {slipped}");
                 assert_eq!(estimate.quality, Quality::Degraded as u32, "{strategy:?} {i}");
                 // The odom frame is turned by the first heading.

@@ -1,6 +1,6 @@
 //! How a scan is fitted: strategy, velocity, and what the fit is worth.
 
-use super::TELLING_POINTS;
+use super::POINTS_MIN_FOR_SHARE;
 use super::points::{MoverMask, ScanPoints};
 use super::state::Confidence;
 use crate::motion::Prediction;
@@ -15,7 +15,7 @@ use flockslam_registration::{
 };
 use nalgebra::Vector2;
 
-/// Window of `correlative` around a prediction: what wheels miss between two scans, metres and radians.
+/// Window of `correlative` around a prediction: what odometry misses between two scans, metres and radians.
 const NEAR_REACH: (f64, f64) = (0.25, 0.2);
 /// Window around the prediction of a scan without odometry: a robot that speeds up or turns in between two scans, metres and radians.
 const BLIND_REACH: (f64, f64) = (0.3, 0.35);
@@ -26,13 +26,13 @@ const RESCUE_CANDIDATES: usize = 3;
 /// A pose of a wide search is kept when its score is better by this, 0 … 1: by less, noise would make a robot jump.
 const RESCUE_GAIN: f64 = 0.05;
 /// A direction that the surfaces of the scan face less than this (mean squared cosine, 0 … ½) is one that the scan tells nothing about:
-/// along bare corridors and walls the wheels are followed. Noise alone makes about as much.
+/// along bare corridors and walls odometry is followed. Noise alone makes about as much.
 const DEGENERATE_BELOW: f64 = 0.005;
 /// A wide search that found nothing is repeated only after this much motion, metres and radians.
 const SEARCH_AGAIN: (f64, f64) = (0.1, 0.1);
-/// Wheels are not believed when the velocity so far leads to a fit that scores better by this, 0 … 1.
+/// Odometry is not believed when the velocity so far leads to a fit that scores better by this, 0 … 1.
 const JUMPED: f64 = 0.05;
-/// How far the velocity during a scan may be from that of the wheels before it: a robot that speeds up by 1 m/s² and turns in
+/// How far the velocity during a scan may be from that of odometry before it: a robot that speeds up by 1 m/s² and turns in
 /// by 5 rad/s² within a tenth of a second.
 const TWIST_SIGMA: TwistSigma = TwistSigma { x_m_s: 0.1, y_m_s: 0.05, turn_rad_s: 0.5 };
 /// Steps at most to pose and velocity together.
@@ -48,7 +48,7 @@ const PRIOR_SIGMA: (f64, f64) = (0.3, 0.15);
 /// A scan fitted to the grid.
 #[derive(Debug)]
 pub(super) struct Fitted {
-    /// Where the fit began: by the wheels, or by the velocity so far where the wheels have jumped.
+    /// Where the fit began: by odometry, or by the velocity so far where odometry has jumped.
     pub(super) prediction: Prediction,
     /// The points that were fitted, straightened by `twist`.
     pub(super) points: ScanPoints,
@@ -115,7 +115,7 @@ impl<F: ScoreField> Fitter<'_, F> {
         self.weighed(fitted)
     }
 
-    /// Decides between wheels and velocity where they contradict each other: whichever leads to the better fit, which is
+    /// Decides between odometry and velocity where they contradict each other: whichever leads to the better fit, which is
     /// given along.
     fn settled(
         &mut self,
@@ -123,14 +123,14 @@ impl<F: ScoreField> Fitter<'_, F> {
         prediction: Prediction,
     ) -> (Prediction, ScanPoints, Option<Fit>) {
         let Some(steady) = prediction.steady else { return (prediction, points, None) };
-        let by_wheels = self.refine(&points, prediction.pose, prediction.pose);
+        let by_odometry = self.refine(&points, prediction.pose, prediction.pose);
         let points = self.retaken(points, steady.twist);
         let by_velocity = self.refine(&points, steady.pose, steady.pose);
-        if by_velocity.score > by_wheels.score + JUMPED {
+        if by_velocity.score > by_odometry.score + JUMPED {
             let prediction = Prediction { pose: steady.pose, twist: steady.twist, ..prediction };
             return (prediction, points, Some(by_velocity));
         }
-        (prediction, self.retaken(points, prediction.twist), Some(by_wheels))
+        (prediction, self.retaken(points, prediction.twist), Some(by_odometry))
     }
 
     /// The same points straightened by another velocity.
@@ -205,7 +205,7 @@ impl<F: ScoreField> Fitter<'_, F> {
     /// A wide search when the fit scores badly, which gives its best pose when that is better.
     fn rescue(&mut self, points: &ScanPoints, prediction: Pose, fit: Fit) -> Placed {
         let Confidence { mean_score, lost, searched, .. } = *self.confidence;
-        if fit.score >= self.settings.rescue.below * mean_score || points.len() < TELLING_POINTS {
+        if fit.score >= self.settings.rescue.below * mean_score || points.len() < POINTS_MIN_FOR_SHARE {
             return Placed { fit, is_rescued: false, searched: None };
         }
         let near =
@@ -258,7 +258,7 @@ fn window(center: Pose, (reach_m, reach_rad): (f64, f64)) -> Window {
     Window { center, reach_m, reach_rad }
 }
 
-/// A fit's covariance, widened along the direction that the scan's surfaces leave open: single cells along a bare wall
+/// A fit's covariance, inflated along the direction that the scan's surfaces leave open: single cells along a bare wall
 /// have slopes, which hold nothing.
 fn inflated(covariance: Covariance, points: &[Point], pose: Pose) -> Covariance {
     let Some((held, axis)) = degenerate_direction(points) else { return covariance };

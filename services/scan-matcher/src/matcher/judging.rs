@@ -33,7 +33,7 @@ pub(super) struct Judgement {
 
 impl ScanMatcher {
     /// A poor fit whose points end in free space is not believed: there the robot is somewhere else. One whose points end
-    /// where nothing is known is a new place, and the wheels say where it is.
+    /// where nothing is known is a new place, and odometry says where it is.
     pub(super) fn judge<H: Deref<Target = Tile>>(
         &self,
         fitted: &Fitted,
@@ -74,7 +74,7 @@ impl ScanMatcher {
 
 /// Whether too many points of a poor fit end in space known to be free; those that were set aside do.
 fn is_contradicted<H: Deref<Target = Tile>>(fitted: &Fitted, mask: &MoverMask, grid: &TileGrid<H>) -> bool {
-    // Where the wheels have the robot, a good part of a scan may be new or have changed; anywhere else it must fit.
+    // Where odometry has the robot, a good part of a scan may be new or have changed; anywhere else it must fit.
     let share_max = if fitted.is_rescued { CONTRADICTED.1 } else { CONTRADICTED.1.max(fitted.fit.score) };
     let (matched, aside) = (fitted.points.len() as f64, mask.aside as f64);
     let contradicting = matched * contradicted(grid, &fitted.points.ends, fitted.fit.pose) + aside;

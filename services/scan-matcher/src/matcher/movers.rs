@@ -2,7 +2,7 @@
 
 use super::bodies::without_bodies;
 use super::points::add_beams;
-use super::{MoverMask, ScanMatcher, ScanPoints, TELLING_POINTS};
+use super::{MoverMask, POINTS_MIN_FOR_SHARE, ScanMatcher, ScanPoints};
 use crate::motion::Prediction;
 use flockslam_evidence::{CellIndex, PackedCell, TILE_SIDE, Tile, TileGrid, WEIGHT_SCALE};
 use flockslam_geometry::{Point, Pose};
@@ -47,7 +47,7 @@ impl ScanMatcher {
     ) -> (ScanPoints, MoverMask) {
         let (mut points, mut mask) = (points, std::mem::take(&mut self.buffers.mask));
         let share_max = self.settings.moving_share_max;
-        if self.knows_its_place(scan, prediction) && points.len() >= TELLING_POINTS {
+        if self.knows_its_place(scan, prediction) && points.len() >= POINTS_MIN_FOR_SHARE {
             (points, mask) = self.without_companions(scan, points, mask, prediction.pose);
             (points, mask) = without_movers(points, mask, prediction.pose, grid, share_max);
         }

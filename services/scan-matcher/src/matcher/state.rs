@@ -1,6 +1,6 @@
 //! What the matcher knows from scan to scan: how the map lies, and how well the robot knows its place in it.
 
-use super::{Fitted, Judgement, MEAN_RATE, SLIPPED, START_SCANS, TELLING_POINTS};
+use super::{Fitted, Judgement, MEAN_RATE, POINTS_MIN_FOR_SHARE, SLIPPED, START_SCANS};
 use flockslam_geometry::Pose;
 use flockslam_messages::{PoseEstimate, Quality};
 
@@ -12,12 +12,12 @@ pub(super) struct MapState {
     pub(super) active_submap: u32,
     /// The last correction by sync-manager.
     pub(super) map_from_odom: Pose,
-    pub(super) layout_revision: u32,
-    /// Number of the chain of submaps.
-    pub(super) chain: u32,
-    /// Nothing but driving connects the chain with the map.
+    pub(super) corrections: u32,
+    /// Number of the trajectory.
+    pub(super) trajectory: u32,
+    /// Nothing but driving connects the trajectory with the map.
     pub(super) detached: bool,
-    /// The grid belongs to a chain before this one: it is not matched.
+    /// The grid belongs to a trajectory before this one: it is not matched.
     pub(super) begins_elsewhere: bool,
     /// Pose in odom of the last scan that entered the map.
     pub(super) inserted: Option<Pose>,
@@ -33,7 +33,7 @@ pub(super) struct Confidence {
     pub(super) matched: u64,
     /// Scans in a row whose fit was not believed.
     pub(super) lost: u32,
-    /// Whether the last fit was far from where the wheels had it.
+    /// Whether the last fit was far from where odometry had it.
     pub(super) slips: bool,
     /// Around where the last wide search looked; it is forgotten after a good fit.
     pub(super) searched: Option<Pose>,
@@ -46,8 +46,8 @@ impl MapState {
             generation: 0,
             active_submap: 0,
             map_from_odom: Pose::IDENTITY,
-            layout_revision: 0,
-            chain: 0,
+            corrections: 0,
+            trajectory: 0,
             detached: false,
             begins_elsewhere: false,
             inserted: None,
@@ -57,11 +57,11 @@ impl MapState {
     /// The map as it was when this pose was published.
     pub(super) fn resume(&mut self, last: &PoseEstimate) {
         self.map_from_odom = last.map_from_odom;
-        self.layout_revision = last.layout_revision;
+        self.corrections = last.corrections;
         self.generation = last.generation;
         self.active_submap = last.submap;
         self.inserted = Some(last.odom_from_base);
-        self.chain = last.chain;
+        self.trajectory = last.trajectory;
     }
 }
 
@@ -69,12 +69,12 @@ impl Confidence {
     /// Counts a fit and what was made of it.
     pub(super) fn count(&mut self, fitted: &Fitted, judgement: &Judgement) {
         let Judgement { pose, quality, .. } = *judgement;
-        let wheels = fitted.prediction.pose;
-        self.slips = pose.distance_m(wheels) > SLIPPED.0 || pose.turn_rad(wheels) > SLIPPED.1;
+        let odometry = fitted.prediction.pose;
+        self.slips = pose.distance_m(odometry) > SLIPPED.0 || pose.turn_rad(odometry) > SLIPPED.1;
         self.searched = fitted.searched;
         self.last_score = fitted.fit.score;
         if quality == Quality::Lost {
-            self.lost += u32::from(fitted.points.len() >= TELLING_POINTS);
+            self.lost += u32::from(fitted.points.len() >= POINTS_MIN_FOR_SHARE);
             return;
         }
         self.lost = 0;

@@ -6,7 +6,7 @@ use flockslam_geometry::wrap_angle;
 use flockslam_mapper::Mapper;
 use flockslam_messages::{DropReason, FlockRobot, ScanBuffer};
 
-/// A room of 8 × 6 m with a pillar, seen from `pose`; odometry is what the wheels claim.
+/// A room of 8 × 6 m with a pillar, seen from `pose`; odometry is what the robot claims.
 fn look(sequence: u64, pose: Pose, odometry: Option<Pose>) -> ScanBuffer {
     let walls = [(1.0, 0.0, 5.02), (1.0, 0.0, -3.04), (0.0, 1.0, 2.53), (0.0, 1.0, -3.48)];
     let range = |i: u32| {
@@ -72,7 +72,7 @@ fn truth(i: u64) -> Pose {
 }
 
 /// Wheels that turn too much and slip.
-fn wheels(i: u64) -> Pose {
+fn odometry(i: u64) -> Pose {
     let turn = Pose::new(0.0, 0.0, 1.3);
     (1..=i).fold(turn, |pose, k| {
         let step = truth(k - 1).to(truth(k));
@@ -89,7 +89,7 @@ fn in_odom(i: u64) -> Pose {
 fn follows_the_robot_with_wheels_that_slip_and_turn_too_much() {
     let mut front_end = FrontEnd::new(Settings::default());
     for i in 0..80 {
-        let estimate = front_end.step(&look(i, truth(i), Some(wheels(i))), true);
+        let estimate = front_end.step(&look(i, truth(i), Some(odometry(i))), true);
         let expected = in_odom(i);
         assert!(estimate.odom_from_base.distance_m(expected) < 0.03, "{i}: {estimate:?} for {expected:?}");
         assert!(estimate.odom_from_base.turn_rad(expected) < 0.01);
@@ -101,18 +101,18 @@ fn follows_the_robot_with_wheels_that_slip_and_turn_too_much() {
 }
 
 #[test]
-fn an_experiment_may_start_where_the_wheels_say() {
+fn an_experiment_may_start_where_odometry_says() {
     let mut front_end = FrontEnd::new(Settings::default());
     for i in 0..40 {
-        let mut scan = look(i, truth(i), Some(wheels(i)));
+        let mut scan = look(i, truth(i), Some(odometry(i)));
         scan.header.starts_at_odometry = 1;
         let estimate = front_end.step(&scan, true);
-        assert!(estimate.odom_from_base.distance_m(wheels(0) * in_odom(i)) < 0.03, "{i}: {estimate:?}");
+        assert!(estimate.odom_from_base.distance_m(odometry(0) * in_odom(i)) < 0.03, "{i}: {estimate:?}");
     }
 }
 
 #[test]
-fn needs_no_wheels_and_no_sensible_stamps() {
+fn needs_no_odometry_and_no_sensible_stamps() {
     let mut front_end = FrontEnd::new(Settings::default());
     for i in 0..80 {
         let mut scan = look(i, truth(i), None);
@@ -156,7 +156,7 @@ fn a_withheld_scan_is_never_matched() {
 }
 
 #[test]
-fn wheels_that_jump_are_seen_through_a_kick_is_rescued_and_nonsense_never_enters_the_map() {
+fn odometry_that_jumps_is_seen_through_a_kick_is_rescued_and_nonsense_never_enters_the_map() {
     let mut front_end = FrontEnd::new(Settings::default());
     for i in 0..28 {
         front_end.step(&look(i, truth(i), Some(truth(i))), true);
@@ -189,13 +189,13 @@ fn a_robot_that_stays_lost_begins_a_new_chain_and_leaves_the_map_alone() {
         front_end.step(&look(i, truth(i), Some(truth(i))), true);
     }
     let generation = front_end.mapper.generation();
-    // Carried to the other end of the room, while the wheels notice nothing.
+    // Carried to the other end of the room, while odometry notices nothing.
     let carried = |i: u64| Pose::new(4.3, -1.0, 2.5) * truth(i);
     let mut lost = 0;
     let mut estimates = (30..).map(|i| front_end.step(&look(i, carried(i), Some(truth(i))), true));
     let begun = estimates.by_ref().take(40).find(|estimate| {
         lost += u32::from(estimate.quality == Quality::Lost as u32);
-        estimate.chain == 1
+        estimate.trajectory == 1
     });
     let begun = begun.expect("a new chain");
     drop(estimates);
@@ -208,9 +208,13 @@ fn a_robot_that_stays_lost_begins_a_new_chain_and_leaves_the_map_alone() {
         let moved = carried(first).to(carried(i));
         let seen = begun.odom_from_base.to(estimate.odom_from_base);
         assert!(seen.distance_m(moved) < 0.05, "{i} {estimate:?}");
-        assert_eq!((estimate.chain, estimate.quality), (1, Quality::Degraded as u32), "its place is a guess");
+        assert_eq!(
+            (estimate.trajectory, estimate.quality),
+            (1, Quality::Degraded as u32),
+            "its place is a guess"
+        );
     }
-    let attached = LayoutHeader { chain: 1, attached: 1, ..LayoutHeader::default() };
+    let attached = Correction { trajectory: 1, attached: 1, ..Correction::default() };
     front_end.matcher.corrected(&attached);
     let i = first + 30;
     let estimate = front_end.step(&look(i, carried(i), Some(truth(i))), true);
@@ -220,25 +224,25 @@ fn a_robot_that_stays_lost_begins_a_new_chain_and_leaves_the_map_alone() {
 #[test]
 fn inserts_nothing_after_a_restart_until_the_grid_is_there() {
     let mut front_end = FrontEnd::new(Settings::default());
-    let last = (0..30).map(|i| front_end.step(&look(i, truth(i), Some(wheels(i))), true)).last().unwrap();
+    let last = (0..30).map(|i| front_end.step(&look(i, truth(i), Some(odometry(i))), true)).last().unwrap();
     let nothing = TileGrid::new(front_end.grid.cell_size_m());
     let there = std::mem::replace(&mut front_end.grid, nothing);
     front_end.matcher = ScanMatcher::new(Settings::default());
     front_end.matcher.resume(&last);
-    let blind = front_end.step(&look(30, truth(30), Some(wheels(30))), true);
+    let blind = front_end.step(&look(30, truth(30), Some(odometry(30))), true);
     assert!(!blind.has(PoseFlags::INSERT) && blind.quality == Quality::Degraded as u32, "{blind:?}");
     front_end.grid = there;
-    assert!(front_end.step(&look(31, truth(31), Some(wheels(31))), true).has(PoseFlags::MATCHED));
+    assert!(front_end.step(&look(31, truth(31), Some(odometry(31))), true).has(PoseFlags::MATCHED));
 }
 
 #[test]
 fn continues_where_its_predecessor_stopped() {
     let mut front_end = FrontEnd::new(Settings::default());
-    let last = (0..30).map(|i| front_end.step(&look(i, truth(i), Some(wheels(i))), true)).last().unwrap();
-    front_end.matcher.corrected(&LayoutHeader { revision: 2, ..LayoutHeader::default() });
+    let last = (0..30).map(|i| front_end.step(&look(i, truth(i), Some(odometry(i))), true)).last().unwrap();
+    front_end.matcher.corrected(&Correction { revision: 2, ..Correction::default() });
     front_end.matcher = ScanMatcher::new(Settings::default());
     front_end.matcher.resume(&last);
-    let estimate = front_end.step(&look(30, truth(30), Some(wheels(30))), true);
+    let estimate = front_end.step(&look(30, truth(30), Some(odometry(30))), true);
     assert!(estimate.odom_from_base.distance_m(in_odom(30)) < 0.03 && estimate.has(PoseFlags::MATCHED));
     assert_eq!((estimate.generation, estimate.submap), (last.generation, last.submap));
 }
@@ -303,14 +307,14 @@ fn scans_that_take_time_and_end_outside_the_map_are_fitted_by_every_strategy() {
 #[test]
 fn a_continued_map_begins_a_chain_of_its_own_wherever_the_robot_is_by_now() {
     let mut before = FrontEnd::new(Settings::default());
-    let last = (0..40).map(|i| before.step(&look(i, truth(i), Some(wheels(i))), true)).last().unwrap();
+    let last = (0..40).map(|i| before.step(&look(i, truth(i), Some(odometry(i))), true)).last().unwrap();
     let mut after = FrontEnd { matcher: ScanMatcher::new(Settings::default()), ..before };
     after.matcher.resume_elsewhere(&last);
-    // Carried to the start of the drive and turned; the wheels count from somewhere else.
+    // Carried to the start of the drive and turned; odometry counts from somewhere else.
     let carried = |i: u64| Pose::new(-1.0, -1.0, 2.0) * truth(i);
     for i in 0..30 {
         let estimate = after.step(&look(40 + i, carried(i), Some(truth(i))), true);
-        assert_eq!((estimate.chain, estimate.has(PoseFlags::MATCHED)), (last.chain + 1, i > 0));
+        assert_eq!((estimate.trajectory, estimate.has(PoseFlags::MATCHED)), (last.trajectory + 1, i > 0));
         assert_eq!(estimate.quality, Quality::Degraded as u32, "nothing connects it with the map yet");
         let moved = last.odom_from_base.to(estimate.odom_from_base);
         let expected = carried(0).to(carried(i));
@@ -319,11 +323,11 @@ fn a_continued_map_begins_a_chain_of_its_own_wherever_the_robot_is_by_now() {
 }
 
 #[test]
-fn without_a_grid_the_wheels_are_followed() {
+fn without_a_grid_odometry_is_followed() {
     let mut matcher = ScanMatcher::new(Settings::default());
     for i in 0..20 {
-        let estimate = matcher.follow_wheels(look(i, truth(i), Some(wheels(i))).view().unwrap());
-        let expected = wheels(0).to(wheels(i));
+        let estimate = matcher.follow_odometry(look(i, truth(i), Some(odometry(i))).view().unwrap());
+        let expected = odometry(0).to(odometry(i));
         assert!(estimate.odom_from_base.distance_m(expected) < 1e-9, "{i}: {estimate:?}");
         assert_eq!((estimate.quality, estimate.flags), (Quality::Degraded as u32, PoseFlags::HAS_ODOMETRY));
     }

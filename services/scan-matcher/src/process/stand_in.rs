@@ -1,4 +1,4 @@
-//! What goes on when the matcher cannot: poses by the wheels alone, so that a robot that has lost its matcher is not blind.
+//! What goes on when the matcher cannot: poses by odometry alone, so that a robot that has lost its matcher is not blind.
 
 use super::last_pose;
 use super::metrics::PoseMetrics;
@@ -52,7 +52,7 @@ impl Actor for StandIn {
             if header.id.sequence < self.acknowledger.done() {
                 continue;
             }
-            let pose = self.logic.follow_wheels(scan);
+            let pose = self.logic.follow_odometry(scan);
             let journaled = self.journal.as_mut().is_some_and(|journal| journal.append(&pose, scan).is_ok());
             if !journaled {
                 context.dropped("not-journaled");

@@ -6,6 +6,6 @@ use crate::ClosureCounts;
 impl SyncManager {
     /// What has become of the loops so far.
     pub fn closure_counts(&self) -> ClosureCounts {
-        self.counts(&self.connectivity(self.chain.nodes().len()))
+        self.counts(&self.connectivity(self.odometry.nodes().len()))
     }
 }

@@ -32,12 +32,12 @@ impl SyncManager {
         if self.settings.visits_kept == 0 {
             return;
         }
-        let Some(newest_m) = known.checked_sub(1).map(|last| self.chain.nodes()[last].travel_m) else {
+        let Some(newest_m) = known.checked_sub(1).map(|last| self.odometry.nodes()[last].travel_m) else {
             return;
         };
         while let Some(segment) = self.segments.get(self.next_frozen) {
             let nodes = segment.nodes.clone();
-            if newest_m - self.chain.nodes()[nodes.end - 1].travel_m < HORIZON_M {
+            if newest_m - self.odometry.nodes()[nodes.end - 1].travel_m < HORIZON_M {
                 break;
             }
             match self.host(self.next_frozen) {
@@ -54,7 +54,7 @@ impl SyncManager {
     fn host(&self, number: usize) -> Option<usize> {
         let segment = &self.segments[number];
         let connectivity = self.connectivity(self.poses.len());
-        let part = |node: usize| connectivity.part(self.chain.nodes()[node].trajectory);
+        let part = |node: usize| connectivity.part(self.odometry.nodes()[node].trajectory);
         let middle = self.poses[segment.anchor];
         let same = |older: &&flockslam_loop_closure::segment::Segment| {
             let at = &self.poses[older.anchor];
@@ -74,7 +74,7 @@ impl SyncManager {
         let kept = self.kept_of(&nodes);
         let records = self.kept[kept.start].record..self.kept[kept.end].record;
         let poses = self.placed_records(&kept, &records);
-        let (anchor, host_pose) = (self.chain.nodes()[host].sequence, self.poses[host]);
+        let (anchor, host_pose) = (self.odometry.nodes()[host].sequence, self.poses[host]);
         for (record, pose) in self.records[records.clone()].iter().zip(&poses) {
             let anchor_from_base = host_pose.to(*pose);
             self.frozen.push(FrozenScan {
@@ -104,8 +104,12 @@ impl SyncManager {
         let nodes: Vec<_> =
             stretch.filter(|k| k.is_node).map(|k| (k.record - first, self.poses[k.node])).collect();
         let scans = expected(&self.records[first..=next.record], &self.kept[kept.clone()], &nodes);
-        let placer =
-            Placer { nodes: self.chain.nodes(), scans: &self.scans, poses: &self.poses, reach: FINAL_NODES };
+        let placer = Placer {
+            nodes: self.odometry.nodes(),
+            scans: &self.scans,
+            poses: &self.poses,
+            reach: FINAL_NODES,
+        };
         let placed = placer.place_all(&scans, self.finder.scratch());
         let mut pairs: Vec<_> =
             self.kept[kept.clone()].iter().zip(placed).map(|(k, pose)| (k.record - first, pose)).collect();
@@ -116,7 +120,7 @@ impl SyncManager {
     }
 
     fn remove(&mut self, number: usize, nodes: &Range<usize>, kept: &Range<usize>, records: &Range<usize>) {
-        self.chain.take_out(nodes.clone(), &self.poses, BRIDGE);
+        self.odometry.take_out(nodes.clone(), &self.poses, BRIDGE);
         self.poses.drain(nodes.clone());
         self.gone_scans += kept.len();
         self.kept.drain(kept.clone());
@@ -152,7 +156,7 @@ impl SyncManager {
         self.kept.iter().for_each(|k| wanted[k.scan] = true);
         let renamed = self.scans.retain(&wanted);
         self.kept.iter_mut().for_each(|k| k.scan = renamed[k.scan]);
-        self.chain.rename_scans(&renamed);
+        self.odometry.rename_scans(&renamed);
         self.gone_scans = 0;
     }
 
@@ -162,8 +166,8 @@ impl SyncManager {
     }
 
     /// Where submaps lie whose scans are all frozen, in the present solution.
-    pub(super) fn frozen_layout(&self) -> impl Iterator<Item = (u32, Placement)> + '_ {
-        let (nodes, connectivity) = (self.chain.nodes(), self.connectivity(self.poses.len()));
+    pub(super) fn frozen_poses(&self) -> impl Iterator<Item = (u32, Placement)> + '_ {
+        let (nodes, connectivity) = (self.odometry.nodes(), self.connectivity(self.poses.len()));
         self.frozen_submaps.iter().filter_map(move |(number, frozen)| {
             let node = nodes.partition_point(|node| node.sequence < frozen.anchor);
             let attached = connectivity.is_attached(nodes[node].trajectory);
@@ -173,6 +177,6 @@ impl SyncManager {
 
     /// Nodes, records and scans that are held in memory.
     pub fn held(&self) -> (usize, usize, usize) {
-        (self.chain.nodes().len(), self.records.len(), self.scans.len())
+        (self.odometry.nodes().len(), self.records.len(), self.scans.len())
     }
 }

@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 impl SyncManager {
     /// The solution with these poses for all records, turned so that the first of the map is where the front end put it.
     pub(super) fn solution(&self, poses: &[Placement]) -> Solution {
-        let connectivity = self.connectivity(self.chain.nodes().len());
+        let connectivity = self.connectivity(self.odometry.nodes().len());
         let begin = self.records.iter().position(|r| connectivity.is_attached(r.trajectory)).unwrap_or(0);
         let gauge = match (self.records.get(begin), poses.get(begin)) {
             (Some(record), Some(pose)) => record.odom.compose(pose.inverse()),
@@ -25,9 +25,9 @@ impl SyncManager {
             map_from_base: pose.pose(),
         };
         let mut submaps: BTreeMap<u32, Pose> =
-            self.frozen_layout().map(|(number, at)| (number, gauge.compose(at).pose())).collect();
+            self.frozen_poses().map(|(number, at)| (number, gauge.compose(at).pose())).collect();
         submaps.extend(self.place_submaps(&poses, &connectivity));
-        let anchors = self.chain.nodes().iter().zip(&self.poses);
+        let anchors = self.odometry.nodes().iter().zip(&self.poses);
         Solution {
             trajectory: self.records.iter().zip(&poses).map(place).collect(),
             anchors: anchors.map(|(node, at)| (node.sequence, gauge.compose(*at).pose())).collect(),

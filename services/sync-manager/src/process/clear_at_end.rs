@@ -17,7 +17,7 @@ const SCANS_MAX: u64 = 20_000;
 /// When journal or store fail.
 pub(super) fn clear_at_end(
     fuser: &mut Fuser,
-    layout: &[PlacedSubmap],
+    submaps_in_map: &[PlacedSubmap],
     scans: &[NamedPose],
     accepted: u64,
     context: &mut StageContext,
@@ -40,7 +40,7 @@ pub(super) fn clear_at_end(
             continue;
         }
         number += 1;
-        let in_map = layout.binary_search_by_key(&record.pose.submap, |placed| placed.number).is_ok();
+        let in_map = submaps_in_map.binary_search_by_key(&record.pose.submap, |placed| placed.number).is_ok();
         if number % every != 0 || !in_map || sequence < next {
             continue;
         }
@@ -55,7 +55,7 @@ pub(super) fn clear_at_end(
     }
     let free = final_cleaning.free();
     tracing::debug!(cells = free.len(), scans = number, "looked back");
-    fuser.clear(&free, layout)
+    fuser.clear(&free, submaps_in_map)
 }
 
 /// As how many views a scan counts that stands for all of these: scans that showed about the same are not in the journal.

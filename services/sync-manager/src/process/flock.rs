@@ -13,8 +13,8 @@ use std::path::Path;
 const WATCHED: u32 = 8;
 
 /// How a robot tells others what it finds out.
-pub enum Voice {
-    /// It is alone, or stands by.
+pub enum Outbox {
+    /// It is alone, or is on standby.
     Silent,
     /// It keeps what it would say.
     Recording(Box<RecordPublisher>),
@@ -22,8 +22,8 @@ pub enum Voice {
     Talking(FlockThread),
 }
 
-impl Voice {
-    /// The voice of the process that acts; `directory` is where what it says is kept.
+impl Outbox {
+    /// The outbox of the active process; `directory` is where what it says is kept.
     ///
     /// # Errors
     /// When the robot's key cannot be had, or the system refuses.
@@ -46,7 +46,7 @@ impl Voice {
     ///
     /// # Errors
     /// When the store or the disk fails.
-    pub fn tell(
+    pub fn publish(
         &mut self,
         logic: &mut SyncManager,
         number: u32,
@@ -55,17 +55,17 @@ impl Voice {
         match self {
             Self::Silent => Ok(()),
             Self::Recording(publisher) => {
-                publisher.tell(logic.take_news())?;
-                if publisher.told_submaps().contains(&number) {
+                publisher.publish(logic.take_unpublished())?;
+                if publisher.published_submaps().contains(&number) {
                     return Ok(());
                 }
-                publisher.tell_submap(&store.load(number)?)
+                publisher.publish_submap(&store.load(number)?)
             }
             Self::Talking(thread) => {
-                thread.give(Task::News(logic.take_news()));
-                thread.tell_submap(number, || Ok(store.load(number)?))?;
+                thread.give(Task::Findings(logic.take_unpublished()));
+                thread.publish_submap(number, || Ok(store.load(number)?))?;
                 thread.give(Task::Clearances(store.clone(), number.saturating_sub(WATCHED)..number));
-                thread.give(Task::Layout(places(logic)));
+                thread.give(Task::SubmapPoses(places(logic)));
                 Ok(())
             }
         }
@@ -110,13 +110,14 @@ impl Voice {
         match self {
             Self::Silent => return Ok(()),
             Self::Recording(publisher) => {
-                publisher.tell(logic.take_news())?;
-                (0..store.count()).try_for_each(|number| publisher.tell_clearances(&store.load(number)?))?;
+                publisher.publish(logic.take_unpublished())?;
+                (0..store.count())
+                    .try_for_each(|number| publisher.publish_clearances(&store.load(number)?))?;
             }
             Self::Talking(thread) => {
-                thread.give(Task::News(logic.take_news()));
+                thread.give(Task::Findings(logic.take_unpublished()));
                 thread.give(Task::Clearances(store.clone(), 0..store.count()));
-                thread.give(Task::Layout(places(logic)));
+                thread.give(Task::SubmapPoses(places(logic)));
             }
         }
         let row = |(sequence, pose): &(u64, _)| NamedPose { sequence: *sequence, stamp_ns: 0, pose: *pose };
@@ -135,5 +136,5 @@ impl Voice {
 
 /// Where submaps lie in the robot's own map.
 fn places(logic: &SyncManager) -> Vec<(u32, Pose)> {
-    logic.layout().iter().map(|placed| (placed.number, placed.map_from_odom)).collect()
+    logic.submap_poses().iter().map(|placed| (placed.number, placed.map_from_odom)).collect()
 }

@@ -4,7 +4,7 @@ use crate::ClosureCounts;
 use flockslam_telemetry::{Counter, Gauge, Histogram, StageMetrics, names};
 
 /// What the stage tells of loop closures, its time and the map.
-pub struct LayoutMetrics {
+pub struct CorrectionMetrics {
     searches: Counter,
     accepted: Counter,
     revoked: Gauge,
@@ -13,7 +13,7 @@ pub struct LayoutMetrics {
     seen: ClosureCounts,
 }
 
-impl LayoutMetrics {
+impl CorrectionMetrics {
     /// Adds them to the stage's metrics.
     pub fn new(metrics: &StageMetrics) -> Self {
         Self {

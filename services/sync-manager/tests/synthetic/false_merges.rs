@@ -18,8 +18,16 @@ fn meetings_merge_and_strangers_stay_apart() {
         let outcome = run(&trial);
         assert!(!outcome.is_false_merge(), "{number} ({}): {} m", trial.kind, outcome.worst_m);
         assert_eq!(trial.is_meeting, number <= 4, "{number} ({})", trial.kind);
-        assert_eq!(outcome.merged, trial.is_meeting, "{number} ({}), {:?} told", trial.kind, outcome.told);
-        assert!(outcome.told.1 >= outcome.told.0.max(12), "{number}: lies are told, {:?}", outcome.told);
+        assert_eq!(
+            outcome.merged, trial.is_meeting,
+            "{number} ({}), {:?} told",
+            trial.kind, outcome.closures
+        );
+        assert!(
+            outcome.closures.1 >= outcome.closures.0.max(12),
+            "{number}: lies are told, {:?}",
+            outcome.closures
+        );
         assert!(outcome.searches > 0);
     }
 }

@@ -2,7 +2,7 @@
 
 use super::flocks::{hear, meet, robot, worst_m};
 use super::support::{Building, Noise, laps, path};
-use flockslam_flock::{Flock, FlockLayout};
+use flockslam_flock::{Flock, FlockSolution};
 use flockslam_geometry::Pose;
 use flockslam_records::{Constraint, Content, Limits, NodeName, RobotKey};
 
@@ -14,18 +14,20 @@ fn robots_with_unknown_starts_find_each_other_and_all_have_the_same_layout() {
     let names = ["a", "b", "c"];
     let mut flocks: Vec<Flock> =
         (0..3).map(|k| robot(names[k], &building, &way, k * third..(k + 1) * third, origins[k])).collect();
-    assert_eq!(flocks[0].layout(false).members().len(), 1);
+    assert_eq!(flocks[0].solution(false).members().len(), 1);
     meet(&mut flocks);
     for flock in &mut flocks {
         assert!(!flock.search(u64::MAX).unwrap().is_empty());
         assert!(flock.search(u64::MAX).unwrap().is_empty(), "what was compared is not compared again");
     }
     meet(&mut flocks);
-    let layouts: Vec<FlockLayout> = flocks.iter().map(|flock| flock.layout(true)).collect();
-    assert!(layouts.iter().all(|layout| *layout == layouts[0] && layout.hash() == layouts[0].hash()));
-    assert_eq!(layouts[0].members().len(), 3);
+    let solutions: Vec<FlockSolution> = flocks.iter().map(|flock| flock.solution(true)).collect();
+    assert!(
+        solutions.iter().all(|solution| *solution == solutions[0] && solution.hash() == solutions[0].hash())
+    );
+    assert_eq!(solutions[0].members().len(), 3);
     let ways: Vec<(&str, &[Pose])> = (0..3).map(|k| (names[k], &way[k * third..(k + 1) * third])).collect();
-    let worst = worst_m(&layouts[0], &ways);
+    let worst = worst_m(&solutions[0], &ways);
     assert!(worst < 0.06, "{worst}");
 
     // A robot that hears everything late, in small portions and over others, works out the same.
@@ -34,12 +36,12 @@ fn robots_with_unknown_starts_find_each_other_and_all_have_the_same_layout() {
     let mut noise = Noise(3);
     hear(&mut late, 0, 1, || noise.next() > 0.2);
     hear(&mut late, 0, 1, || false);
-    assert_eq!(late[0].layout(true), layouts[0]);
+    assert_eq!(late[0].solution(true), solutions[0]);
 
     // A robot that is not believed any more takes its ties with it.
     let liar = *RobotKey::of_replay("b").unwrap().id().public_key();
     late[0].collection_mut().ban(liar);
-    assert!(!late[0].layout(false).members().iter().any(|robot| robot.name() == "b"));
+    assert!(!late[0].solution(false).members().iter().any(|robot| robot.name() == "b"));
 }
 
 #[test]
@@ -55,9 +57,9 @@ fn buildings_that_only_look_alike_are_not_merged() {
     meet(&mut flocks);
     flocks.iter_mut().for_each(|flock| drop(flock.search(u64::MAX).unwrap()));
     meet(&mut flocks);
-    let layout = flocks[0].layout(true);
-    assert_eq!(layout.members().len(), 1, "{:?}", layout.across);
-    assert_eq!(layout.across.0, 0, "no closure between any two of them acts: {:?}", layout.across);
+    let solution = flocks[0].solution(true);
+    assert_eq!(solution.members().len(), 1, "{:?}", solution.across);
+    assert_eq!(solution.across.0, 0, "no closure between any two of them acts: {:?}", solution.across);
 }
 
 #[test]
@@ -73,7 +75,7 @@ fn lies_about_how_robots_lie_to_each_other_do_not_act() {
     let found: usize = flocks.iter_mut().map(|flock| flock.search(u64::MAX).unwrap().len()).sum();
     assert!(found > 0);
     meet(&mut flocks);
-    let honest = flocks[0].layout(true);
+    let honest = flocks[0].solution(true);
     let nodes = |name: &str| -> Vec<NodeName> {
         let ((robot, epoch), nodes) =
             honest.nodes.iter().find(|((robot, _), _)| robot.name() == name).unwrap();
@@ -101,13 +103,13 @@ fn lies_about_how_robots_lie_to_each_other_do_not_act() {
         flocks[1].say(&Content::Constraints(vec![lie])).unwrap();
     }
     meet(&mut flocks);
-    let layout = flocks[0].layout(true);
+    let solution = flocks[0].solution(true);
     let ways = [("a", &way[..half]), ("b", &way[half..])];
     // A lie for each record of true constraints neither keeps the robots apart nor bends the map.
-    assert_eq!(layout.members().len(), 2, "{:?} of {found} true records", layout.across);
-    assert!(layout.across.1 >= found as u64, "{:?} of {found} true records", layout.across);
-    let worst = worst_m(&layout, &ways);
-    assert!(worst < 0.06, "{worst}, {:?} of {found} true records", layout.across);
+    assert_eq!(solution.members().len(), 2, "{:?} of {found} true records", solution.across);
+    assert!(solution.across.1 >= found as u64, "{:?} of {found} true records", solution.across);
+    let worst = worst_m(&solution, &ways);
+    assert!(worst < 0.06, "{worst}, {:?} of {found} true records", solution.across);
 }
 
 #[test]
@@ -115,13 +117,13 @@ fn where_robots_are_tied_few_matches_act_that_are_expected_there() {
     let (building, way) = (Building::ring(), laps(2));
     let half = way.len() / 2;
     let (of_a, of_b) = (&way[..half], &way[half..]);
-    let layout = |told: &[(usize, usize, Pose)]| {
+    let solution = |moves: &[(usize, usize, Pose)]| {
         let mut flocks = vec![
             robot("a", &building, &way, 0..half, Pose::IDENTITY),
             robot("b", &building, &way, half..way.len(), Pose::new(9.0, 9.0, 2.0)),
         ];
         meet(&mut flocks);
-        for (at_a, at_b, moved) in told {
+        for (at_a, at_b, moved) in moves {
             let from = node_near(&flocks[1], "a", of_a, of_a[*at_a]);
             let to = node_near(&flocks[1], "b", of_b, of_b[*at_b]);
             let motion = of_a[from.sequence as usize].inverse() * of_b[to.sequence as usize] * *moved;
@@ -130,22 +132,22 @@ fn where_robots_are_tied_few_matches_act_that_are_expected_there() {
             flocks[1].say(&Content::Constraints(vec![constraint])).unwrap();
         }
         meet(&mut flocks);
-        flocks[0].layout(false)
+        flocks[0].solution(false)
     };
     let group: Vec<_> = (0..6).map(|k| (40 + 25 * k, 40 + 25 * k, Pose::IDENTITY)).collect();
     let few = |moved: Pose| [300, 306, 312].map(|at| (at, at, moved));
-    let with = |more: &[(usize, usize, Pose)]| layout(&[&group, more].concat()).across;
+    let with = |more: &[(usize, usize, Pose)]| solution(&[&group, more].concat()).across;
     assert_eq!(with(&[]), (6, 0));
     assert_eq!(with(&few(Pose::IDENTITY)), (9, 0), "over a metre, far from the others");
     assert_eq!(with(&few(Pose::new(0.6, -0.5, 0.2))), (6, 3), "what does not fit does not act");
-    let alone = layout(&few(Pose::IDENTITY));
+    let alone = solution(&few(Pose::IDENTITY));
     assert_eq!((alone.across, alone.members().len()), ((0, 3), 1), "so few tie nobody");
 }
 
 /// The node of a robot that was nearest to a pose.
 fn node_near(flock: &Flock, name: &str, way: &[Pose], pose: Pose) -> NodeName {
-    let layout = flock.layout(false);
-    let ((robot, epoch), nodes) = layout.nodes.iter().find(|((robot, _), _)| robot.name() == name).unwrap();
+    let solution = flock.solution(false);
+    let ((robot, epoch), nodes) = solution.nodes.iter().find(|((robot, _), _)| robot.name() == name).unwrap();
     let at = |sequence: u64| way[sequence as usize];
     let nearest = nodes
         .iter()

@@ -1,7 +1,7 @@
 //! Robots that map synthetic buildings and tell each other.
 
 use super::support::{Building, Noise, drifting};
-use flockslam_flock::{Flock, FlockLayout};
+use flockslam_flock::{Flock, FlockSolution};
 use flockslam_geometry::Pose;
 use flockslam_messages::{PoseEstimate, PoseFlags, ScanId, SubmapClosed};
 use flockslam_records::{Limits, Message, RobotKey};
@@ -13,7 +13,7 @@ pub fn robot(name: &str, building: &Building, way: &[Pose], range: Range<usize>,
     let key = RobotKey::of_replay(name).unwrap();
     let mut flock = Flock::new(key, 1, Limits::default());
     let mut manager = SyncManager::new(Settings::default());
-    manager.tell_the_flock();
+    manager.publish_to_flock();
     let mut noise = Noise(name.bytes().map(u64::from).sum());
     let truth = &way[range];
     for (i, (at, odom)) in truth.iter().zip(drifting(truth, 0.001, 1.002)).enumerate() {
@@ -33,11 +33,11 @@ pub fn robot(name: &str, building: &Building, way: &[Pose], range: Range<usize>,
                 number: i as u32 / 60,
                 ..SubmapClosed::default()
             });
-            flock.say_news(&manager.take_news()).unwrap();
+            flock.publish(&manager.take_unpublished()).unwrap();
         }
     }
     manager.finish();
-    flock.say_news(&manager.take_news()).unwrap();
+    flock.publish(&manager.take_unpublished()).unwrap();
     flock
 }
 
@@ -66,9 +66,9 @@ pub fn meet(flocks: &mut [Flock]) {
 }
 
 /// Largest error of nodes of other robots as the first robot sees them, metres.
-pub fn worst_m(layout: &FlockLayout, ways: &[(&str, &[Pose])]) -> f64 {
+pub fn worst_m(solution: &FlockSolution, ways: &[(&str, &[Pose])]) -> f64 {
     let placed = |name: &str| {
-        let nodes = layout.nodes.iter().find(|((robot, _), _)| robot.name() == name).unwrap().1;
+        let nodes = solution.nodes.iter().find(|((robot, _), _)| robot.name() == name).unwrap().1;
         nodes.iter().map(|node| (node.sequence as usize, node.flock_from_base)).collect::<Vec<_>>()
     };
     let (first, start) = placed(ways[0].0)[0];

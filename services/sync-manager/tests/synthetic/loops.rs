@@ -2,7 +2,7 @@
 
 use super::support::{Building, Noise, drifting, laps, path};
 use flockslam_geometry::{Point, Pose};
-use flockslam_messages::{LayoutHeader, PoseEstimate, PoseFlags, ScanId, SubmapClosed};
+use flockslam_messages::{Correction, PoseEstimate, PoseFlags, ScanId, SubmapClosed};
 use flockslam_sync_manager::{Settings, Solution, SyncManager};
 use std::f64::consts::FRAC_PI_2;
 
@@ -12,18 +12,18 @@ fn replay(
     truth: &[Pose],
     odom: &[Pose],
     settings: Settings,
-) -> (Vec<LayoutHeader>, Solution) {
-    replay_chains(building, truth, odom, |_| 0, settings)
+) -> (Vec<Correction>, Solution) {
+    replay_trajectories(building, truth, odom, |_| 0, settings)
 }
 
-/// The same, with scan i in chain `chain(i)` of submaps.
-fn replay_chains(
+/// The same, with scan i in trajectory `trajectory(i)` of submaps.
+fn replay_trajectories(
     building: &Building,
     truth: &[Pose],
     odom: &[Pose],
-    chain: impl Fn(usize) -> u32,
+    trajectory: impl Fn(usize) -> u32,
     settings: Settings,
-) -> (Vec<LayoutHeader>, Solution) {
+) -> (Vec<Correction>, Solution) {
     let mut manager = SyncManager::new(settings);
     let mut noise = Noise(7);
     let mut headers = Vec::new();
@@ -31,7 +31,7 @@ fn replay_chains(
         let id = ScanId { sequence: i as u64, ..ScanId::default() };
         let mut pose =
             PoseEstimate { id, odom_from_base: *odom, submap: i as u32 / 60, ..PoseEstimate::default() };
-        pose.chain = chain(i);
+        pose.trajectory = trajectory(i);
         pose.times.sensor_ns = i as i64 * 100_000_000;
         pose.flags = if i % 2 == 0 { PoseFlags::MATCHED | PoseFlags::INSERT } else { PoseFlags::MATCHED };
         manager.pose(&pose);
@@ -90,15 +90,15 @@ fn a_robot_that_was_carried_away_is_found_by_its_own_past() {
     let elsewhere = Pose::new(30.0, -20.0, 2.2);
     let odom: Vec<Pose> =
         truth.iter().enumerate().map(|(i, at)| if i < carried { *at } else { elsewhere * *at }).collect();
-    let chain = |i: usize| u32::from(i >= carried);
-    let (headers, solution) = replay_chains(&building, &truth, &odom, chain, Settings::default());
+    let trajectory = |i: usize| u32::from(i >= carried);
+    let (headers, solution) = replay_trajectories(&building, &truth, &odom, trajectory, Settings::default());
     assert_eq!((solution.closures.trajectories, solution.closures.detached_scans), (2, 0));
     let worst = worst_error_m(&solution, &truth);
     assert!(worst < 0.05, "{worst} {:?}", solution.closures);
     let last = headers[headers.len() - 1];
-    assert_eq!((last.chain, last.attached), (1, 1), "found while driving");
+    assert_eq!((last.trajectory, last.attached), (1, 1), "found while driving");
     assert!((last.map_from_odom * elsewhere).distance_m(Pose::IDENTITY) < 0.3, "{last:?}");
-    assert!(headers.iter().any(|header| (header.chain, header.attached) == (1, 0)));
+    assert!(headers.iter().any(|header| (header.trajectory, header.attached) == (1, 0)));
     let all = headers.len() as u32;
     assert!(solution.submaps.iter().map(|placed| placed.number).eq(0..=all), "all submaps are in the map");
 }
@@ -125,7 +125,8 @@ fn a_place_never_seen_before_stays_apart() {
     let mut all = truth.clone();
     all.extend(far.iter().map(|at| Pose::new(at.x_m + 500.0, at.y_m, at.heading_rad)));
     let begun = truth.len();
-    let (_, solution) = replay_chains(&both, &all, &odom, |i| u32::from(i >= begun), Settings::default());
+    let (_, solution) =
+        replay_trajectories(&both, &all, &odom, |i| u32::from(i >= begun), Settings::default());
     assert_eq!((solution.closures.trajectories, solution.trajectory.len()), (2, all.len()));
     assert_eq!(solution.closures.detached_scans, far.len() as u64, "{:?}", solution.closures);
     let highest = solution.submaps.iter().map(|placed| placed.number).max();
@@ -241,14 +242,14 @@ fn scans_without_points_and_an_empty_run_do_no_harm() {
 fn a_chain_that_runs_back_counts_as_the_newest() {
     let (ring, mut manager, mut noise) = (Building::ring(), SyncManager::new(Settings::default()), Noise(7));
     let mut pose = PoseEstimate { flags: PoseFlags::MATCHED | PoseFlags::INSERT, ..PoseEstimate::default() };
-    for (k, chain) in [0, 0, 1, 1, 0, 0].into_iter().enumerate() {
+    for (k, trajectory) in [0, 0, 1, 1, 0, 0].into_iter().enumerate() {
         pose.id.sequence = k as u64;
-        pose.chain = chain;
+        pose.trajectory = trajectory;
         pose.odom_from_base = Pose::new(0.3 * k as f64, 0.0, 0.0);
         manager.pose(&pose);
         manager.node(ring.scan(pose.odom_from_base, &mut noise).view().unwrap(), &pose, &[]);
         assert_eq!(
-            manager.submap_closed(&SubmapClosed { last: pose.id, ..SubmapClosed::default() }).chain,
+            manager.submap_closed(&SubmapClosed { last: pose.id, ..SubmapClosed::default() }).trajectory,
             [0, 0, 1, 1, 1, 1][k]
         );
     }

@@ -26,7 +26,7 @@ pub struct Outcome {
     /// Largest error between them when they were the same building's, metres; infinite in different buildings.
     pub worst_m: f64,
     /// Records of constraints that the robots found (each holds up to 64 of them), and lies that were told beside them.
-    pub told: (usize, usize),
+    pub closures: (usize, usize),
     /// Branch-and-bound searches.
     pub searches: u64,
 }
@@ -120,42 +120,42 @@ pub fn run(trial: &Trial) -> Outcome {
     }
     let lies = lie(&mut flocks[1], found.max(12), a.len() as u64);
     meet(&mut flocks);
-    let layout = flocks[0].layout(true);
-    let merged = layout.members().len() == 2;
+    let solution = flocks[0].solution(true);
+    let merged = solution.members().len() == 2;
     let in_one_building = trial.is_meeting || trial.kind == "one corridor of niches";
     let worst_m = match (merged, in_one_building) {
-        (true, true) => worst_m(&layout, &[("a", a), ("b", b)]),
+        (true, true) => worst_m(&solution, &[("a", a), ("b", b)]),
         (true, false) => f64::INFINITY,
         (false, _) => 0.0,
     };
-    Outcome { merged, worst_m, told: (found, lies), searches: flocks.iter().map(Flock::searches).sum() }
+    Outcome { merged, worst_m, closures: (found, lies), searches: flocks.iter().map(Flock::searches).sum() }
 }
 
 /// Robot b tells lies about how it lies to a.
 fn lie(flock: &mut Flock, count: usize, seed: u64) -> usize {
-    let layout = flock.layout(false);
+    let solution = flock.solution(false);
     let nodes = |name: &str| -> Vec<(NodeName, Pose)> {
         let ((robot, epoch), nodes) =
-            layout.nodes.iter().find(|((robot, _), _)| robot.name() == name).unwrap();
+            solution.nodes.iter().find(|((robot, _), _)| robot.name() == name).unwrap();
         let named = |sequence| NodeName { robot: robot.clone(), epoch: *epoch, sequence };
         nodes.iter().map(|node| (named(node.sequence), node.flock_from_base)).collect()
     };
     let (of_a, of_b) = (nodes("a"), nodes("b"));
     let mut random = Random(Noise(seed));
-    let mut told = 0;
+    let mut published = 0;
     let mut tell = |from: &NodeName, to: &NodeName, motion: Pose| {
         let information = [600.0, 0.0, 0.0, 600.0, 0.0, 1e4];
         let (from, to) = (from.clone(), to.clone());
         let lie = Constraint { from, to, motion, information, reach_m: 0.5, shift_m: 0.0 };
         flock.say(&Content::Constraints(vec![lie])).unwrap();
     };
-    while told < count {
+    while published < count {
         let motion =
             Pose::new(random.between(-8.0, 8.0), random.between(-8.0, 8.0), random.between(-3.1, 3.1));
         let (from, to) = (random.below(of_a.len()), random.below(of_b.len()));
         if random.below(3) > 0 {
             tell(&of_a[from].0, &of_b[to].0, motion);
-            told += 1;
+            published += 1;
             continue;
         }
         // As many agreeing lies as stay less than half of what is true: of equal stories nobody knows the right one.
@@ -163,10 +163,10 @@ fn lie(flock: &mut Flock, count: usize, seed: u64) -> usize {
         for k in 0..(count / 8).clamp(2, 5) {
             let (from, to) = ((from + 4 * k) % of_a.len(), (to + 4 * k) % of_b.len());
             tell(&of_a[from].0, &of_b[to].0, of_a[from].1.inverse() * a_from_b * of_b[to].1);
-            told += 1;
+            published += 1;
         }
     }
-    told
+    published
 }
 
 /// Draws from a seed.

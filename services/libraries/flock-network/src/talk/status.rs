@@ -38,7 +38,7 @@ impl Talk {
             robots: flock.collection().robots().map(|robot| robot.name().to_owned()).collect(),
             records: (records, flock.collection().bytes()),
             records_hash: hexadecimal(&known[..16]),
-            settled: known == self.searched && (self.is_alone() || known == self.common.of_records),
+            converged: known == self.searched && (self.is_alone() || known == self.common.of_records),
             members: self.common.members.clone(),
             merged: self.common.merged,
             map_hash: match self.common.map_hash {

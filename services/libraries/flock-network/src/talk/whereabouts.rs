@@ -33,11 +33,13 @@ impl Talk {
     }
 
     /// Tells those who are near where this robot is, when it is somewhere else than before and knows where.
-    pub(super) fn tell_place(&mut self) {
+    pub(super) fn publish_place(&mut self) {
         let now = Instant::now();
         let Some(pose) = locked(&self.shared.pose).filter(|_| !self.near.is_empty()) else { return };
-        let is_told = |(at, sequence)| now - at < PERIOD || sequence >= pose.id.sequence;
-        let Some(link) = self.link.as_ref().filter(|_| !self.was_here.is_some_and(is_told)) else { return };
+        let is_published = |(at, sequence)| now - at < PERIOD || sequence >= pose.id.sequence;
+        let Some(link) = self.link.as_ref().filter(|_| !self.was_here.is_some_and(is_published)) else {
+            return;
+        };
         if pose.quality != Quality::Tracking as u32 {
             return;
         }

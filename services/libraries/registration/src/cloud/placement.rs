@@ -4,7 +4,7 @@ use flockslam_geometry::{Pose, wrap_angle};
 
 /// A pose with its rotation worked out, for placing many points.
 ///
-/// Sine and cosine come from crate `libm`, so that a layout computed from placements is the same to the bit
+/// Sine and cosine come from crate `libm`, so that a solution computed from placements is the same to the bit
 /// on every machine; [`Pose`] uses the platform's functions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {

@@ -1,4 +1,4 @@
-//! The chain of nodes: each inserted scan, some decimetres apart, is matched to the nodes before it. Gives nodes with poses that drift smoothly, and an
+//! The odometry graph: each inserted scan, some decimetres apart, is matched to the nodes before it. Gives nodes with poses that drift smoothly, and an
 //! edge with its information from each node to the next.
 
 use crate::node::{BROKEN_M, NewNode, Node, POINT_INFORMATION};
@@ -53,27 +53,27 @@ enum Link {
 /// A front end that matches to a large map snaps to old parts of it, and each snap is an error in its
 /// relative poses. Matching again to a short window gives edges that drift smoothly, which a graph can
 /// correct.
-pub struct Chain {
+pub struct OdometryGraph {
     nodes: Vec<Node>,
     edges: Vec<Edge>,
     grid: MomentGrid,
     /// First node whose points are in the grid.
     first: usize,
-    /// Takes chain poses to where the solver starts.
-    start_from_chain: Placement,
+    /// Takes local poses to where the solver starts.
+    start_from_local: Placement,
     aligner: Aligner,
     searcher: Searcher,
     unmatched: usize,
 }
 
-impl Default for Chain {
+impl Default for OdometryGraph {
     fn default() -> Self {
         Self {
             nodes: Vec::new(),
             edges: Vec::new(),
             grid: MomentGrid::default(),
             first: 0,
-            start_from_chain: Placement::IDENTITY,
+            start_from_local: Placement::IDENTITY,
             aligner: Aligner::new(AlignSettings::default()),
             searcher: Searcher::default(),
             unmatched: 0,
@@ -81,7 +81,7 @@ impl Default for Chain {
     }
 }
 
-impl Chain {
+impl OdometryGraph {
     /// The nodes.
     pub fn nodes(&self) -> &[Node] {
         &self.nodes
@@ -100,7 +100,7 @@ impl Chain {
     /// Adds a node: the next in time, with the points of its scan.
     pub fn extend(&mut self, new: NewNode, scans: &ScanStore) {
         let node = match self.nodes.last() {
-            None => new.at(new.odom, self.start_from_chain),
+            None => new.at(new.odom, self.start_from_local),
             Some(&last) => self.matched(last, new, scans),
         };
         self.nodes.push(node);
@@ -114,12 +114,12 @@ impl Chain {
         assert!(range.start > 0 && range.end < self.first, "nodes in use stay");
         let (before, after) = (range.start - 1, range.end);
         let bridge = poses[before].to(poses[after]);
-        self.start_from_chain = poses[after].compose(self.nodes[after].chain.inverse());
+        self.start_from_local = poses[after].compose(self.nodes[after].local_pose.inverse());
         for (node, pose) in self.nodes.iter_mut().zip(poses).take(range.start) {
             node.start = *pose;
         }
         for node in &mut self.nodes[after..] {
-            node.start = self.start_from_chain.compose(node.chain);
+            node.start = self.start_from_local.compose(node.local_pose);
         }
         self.nodes.drain(range.clone());
         self.edges.drain(range.clone());
@@ -138,31 +138,31 @@ impl Chain {
 
     fn matched(&mut self, last: Node, new: NewNode, scans: &ScanStore) -> Node {
         let motion = last.odom.to(new.odom);
-        let guess = last.chain.compose(motion);
+        let guess = last.local_pose.compose(motion);
         let link = if new.trajectory == last.trajectory {
             self.link(&guess, new.scan, scans)
         } else {
             self.withdraw_all(scans);
             Link::Broken
         };
-        let (chain, drift_bound_m) = match link {
+        let (local_pose, drift_bound_m) = match link {
             Link::Matched(found) | Link::Rescued(found) => (found.placement, 0.0),
             Link::Predicted => (guess, UNMATCHED_DRIFT_M),
             Link::Broken => (guess, BROKEN_M),
         };
         self.unmatched += usize::from(matches!(link, Link::Predicted));
         let to = self.nodes.len();
-        let information = in_frame(&information(&link, &motion), &last.chain);
-        self.edges.push(Edge { from: to - 1, to, motion: last.chain.to(chain), information });
-        let way_m = chain.distance_m(&last.chain);
+        let information = in_frame(&information(&link, &motion), &last.local_pose);
+        self.edges.push(Edge { from: to - 1, to, motion: last.local_pose.to(local_pose), information });
+        let way_m = local_pose.distance_m(&last.local_pose);
         let (travel_m, drift_bound_m) = (last.travel_m + way_m, last.drift_bound_m + way_m + drift_bound_m);
-        Node { travel_m, drift_bound_m, ..new.at(chain, self.start_from_chain) }
+        Node { travel_m, drift_bound_m, ..new.at(local_pose, self.start_from_local) }
     }
 
     /// Empties the window: nothing before here is to be matched to.
     fn withdraw_all(&mut self, scans: &ScanStore) {
         for node in &self.nodes[self.first..] {
-            self.grid.withdraw(&node.chain, scans.points(node.scan));
+            self.grid.withdraw(&node.local_pose, scans.points(node.scan));
         }
         self.first = self.nodes.len();
     }
@@ -189,7 +189,7 @@ impl Chain {
         let origin = self.nodes.len() - 1;
         let field = PooledField::new(&cloud(&self.nodes, scans, self.first..self.nodes.len(), origin));
         let points = picked(&scan_cloud(scans.points(scan)), RESCUE_POINTS);
-        let root = self.nodes[origin].chain;
+        let root = self.nodes[origin].local_pose;
         let local = root.to(*guess);
         let found = self.searcher.best(&field, &points, local, RESCUE, RESCUE_MIN.0, None)?;
         let exclude = Some((found.placement, APART));
@@ -206,20 +206,20 @@ impl Chain {
     /// Brings the newest node's points into the grid and takes out those that fall out of the window.
     fn slide(&mut self, scans: &ScanStore) {
         let newest = self.nodes.len() - 1;
-        let at = self.nodes[newest].chain;
+        let at = self.nodes[newest].local_pose;
         while self.first < newest
             && (newest - self.first >= WINDOW_NODES
-                || self.nodes[self.first].chain.distance_m(&at) > WINDOW_MAX_M)
+                || self.nodes[self.first].local_pose.distance_m(&at) > WINDOW_MAX_M)
         {
             let old = &self.nodes[self.first];
-            self.grid.withdraw(&old.chain, scans.points(old.scan));
+            self.grid.withdraw(&old.local_pose, scans.points(old.scan));
             self.first += 1;
         }
         self.grid.add(&at, scans.points(self.nodes[newest].scan));
     }
 }
 
-/// Information of a chain edge, in the grid's axes.
+/// Information of an odometry edge, in the grid's axes.
 fn information(link: &Link, motion: &Placement) -> Symmetric {
     let way = (motion.x_m * motion.x_m + motion.y_m * motion.y_m).sqrt();
     let turn = motion.heading_rad.abs();

@@ -2,7 +2,7 @@
 //! and stays as it was told.
 
 use super::SyncManager;
-use flockslam_flock::{News, OwnLoop};
+use flockslam_flock::{Findings, OwnLoop};
 use flockslam_loop_closure::closure::Closure;
 use flockslam_loop_closure::node::Node;
 use flockslam_records::{Descriptor, RecordedNode, Stretch, rounded_point};
@@ -13,39 +13,42 @@ const STRETCH_NODES: usize = 48;
 
 /// What waits to be told.
 #[derive(Debug, Default)]
-pub(super) struct Telling {
+pub(super) struct Unpublished {
     /// Sequence and trajectory of the last node told.
     last: Option<(u64, u32)>,
-    news: News,
+    findings: Findings,
 }
 
-impl Telling {
+impl Unpublished {
     pub(super) fn found(&mut self, closures: &[Closure], nodes: &[Node]) {
         let named = |closure: &Closure| OwnLoop {
             from: nodes[closure.edge.from].sequence,
             to: nodes[closure.edge.to].sequence,
             closure: *closure,
         };
-        self.news.loops.extend(closures.iter().map(named));
+        self.findings.loops.extend(closures.iter().map(named));
     }
 }
 
 impl SyncManager {
     /// Keeps account from now on of what the flock is to be told. To be asked for before the first pose.
-    pub fn tell_the_flock(&mut self) {
-        self.telling = Some(Telling::default());
+    pub fn publish_to_flock(&mut self) {
+        self.unpublished = Some(Unpublished::default());
     }
 
     /// What is new since the last call.
-    pub fn take_news(&mut self) -> News {
-        self.telling.as_mut().map_or_else(News::default, |telling| std::mem::take(&mut telling.news))
+    pub fn take_unpublished(&mut self) -> Findings {
+        self.unpublished
+            .as_mut()
+            .map_or_else(Findings::default, |unpublished| std::mem::take(&mut unpublished.findings))
     }
 
     /// Takes note of the nodes below `known` that have not been told.
-    pub(super) fn tell(&mut self, known: usize) {
-        let Some(telling) = &mut self.telling else { return };
-        let (nodes, edges) = (self.chain.nodes(), self.chain.edges());
-        let first = nodes.partition_point(|node| telling.last.is_some_and(|(last, _)| node.sequence <= last));
+    pub(super) fn collect_findings(&mut self, known: usize) {
+        let Some(unpublished) = &mut self.unpublished else { return };
+        let (nodes, edges) = (self.odometry.nodes(), self.odometry.edges());
+        let first =
+            nodes.partition_point(|node| unpublished.last.is_some_and(|(last, _)| node.sequence <= last));
         let submap_of = |node: usize| {
             // Nodes stand among the kept scans in their order, each before the scans that follow it.
             let place = self.kept.partition_point(|kept| kept.node < node);
@@ -56,7 +59,7 @@ impl SyncManager {
             let before = i.checked_sub(1).map(|before| &nodes[before]);
             let edge = i.checked_sub(1).map(|before| &edges[before]);
             let drift_bound_m = before.map_or(0.0, |before| {
-                node.drift_bound_m - before.drift_bound_m - node.chain.distance_m(&before.chain)
+                node.drift_bound_m - before.drift_bound_m - node.local_pose.distance_m(&before.local_pose)
             });
             RecordedNode {
                 sequence: node.sequence,
@@ -82,14 +85,14 @@ impl SyncManager {
                 .unwrap_or(known.min(start + STRETCH_NODES));
             let seen = (start..end).flat_map(|i| self.scans.points(nodes[i].scan));
             let previous =
-                telling.last.filter(|(_, chain)| *chain == trajectory).map(|(sequence, _)| sequence);
-            telling.news.stretches.push(Stretch {
-                chain: trajectory,
+                unpublished.last.filter(|(_, last)| *last == trajectory).map(|(sequence, _)| sequence);
+            unpublished.findings.stretches.push(Stretch {
+                trajectory,
                 previous,
                 descriptor: Descriptor::of(seen.map(|p| (p.x_m(), p.y_m()))),
                 nodes: (start..end).map(recorded).collect(),
             });
-            telling.last = Some((nodes[end - 1].sequence, trajectory));
+            unpublished.last = Some((nodes[end - 1].sequence, trajectory));
             start = end;
         }
     }

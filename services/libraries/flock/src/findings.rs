@@ -16,7 +16,7 @@ pub struct OwnLoop {
 
 /// What is new since the flock was told last.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct News {
+pub struct Findings {
     /// New nodes, in order.
     pub stretches: Vec<Stretch>,
     /// New loops among nodes that have been told.

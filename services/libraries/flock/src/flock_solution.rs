@@ -1,4 +1,4 @@
-//! The common layout: solves the atlas, with closures between robots on trial, and gives the poses of all nodes and submaps in one frame.
+//! The common solution: solves the atlas, with closures between robots on trial, and gives the poses of all nodes and submaps in one frame.
 
 use super::inspection::Inspected;
 use super::start::start;
@@ -33,14 +33,14 @@ pub struct Solved {
     pub connectivity: TrajectoryConnectivity,
 }
 
-/// A node in the layout.
+/// A node in the solution.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlacedNode {
     /// Sequence of its scan.
     pub sequence: u64,
     /// Pose of the robot there, in the frame of the flock (or, for those that are not part of it, of their own part).
     pub flock_from_base: Pose,
-    /// The part of the layout that it belongs to: poses of different parts have nothing to do with each other.
+    /// The part of the solution that it belongs to: poses of different parts have nothing to do with each other.
     pub part: u32,
 }
 
@@ -51,13 +51,13 @@ pub struct PlacedRecord {
     pub submap: u32,
     /// Takes the coordinates that its evidence was inserted in to the flock's frame.
     pub flock_from_odom: Pose,
-    /// The part of the layout that it belongs to.
+    /// The part of the solution that it belongs to.
     pub part: u32,
 }
 
 /// Where everything lies that a collection of records tells of.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct FlockLayout {
+pub struct FlockSolution {
     /// The nodes of each log, in order.
     pub nodes: BTreeMap<(RobotId, u64), Vec<PlacedNode>>,
     /// The submaps of each log, in order.
@@ -68,8 +68,8 @@ pub struct FlockLayout {
     pub across: (u64, u64),
 }
 
-impl FlockLayout {
-    /// A hash over all poses, to the bit: equal for equal layouts.
+impl FlockSolution {
+    /// A hash over all poses, to the bit: equal for equal solutions.
     pub fn hash(&self) -> u64 {
         let mut hash = 0xcbf2_9ce4_8422_2325u64;
         let mut mix = |word: u64| {
@@ -94,7 +94,7 @@ impl FlockLayout {
 }
 
 impl Atlas {
-    /// Solves the graph from the chains: what ties robots together first, then with all that this leads one to expect.
+    /// Solves the graph from the trajectories: what ties robots together first, then with all that this leads one to expect.
     pub(super) fn solve(&self, inspected: &mut Inspected) -> Solved {
         let (tied, mut more) = self.tied(inspected);
         let mut solved = tied.clone();
@@ -153,7 +153,7 @@ impl Atlas {
         TrajectoryConnectivity::new(&self.nodes, inliers.map(|(c, _)| (c.edge.from, c.edge.to)))
     }
 
-    /// Measures the solved layout again, all of it: what is near each other is matched, whoever saw it.
+    /// Measures the solved solution again, all of it: what is near each other is matched, whoever saw it.
     fn measure_again(&self, solved: &mut Solved, grid: &mut MomentGrid) {
         let connectivity = &solved.connectivity;
         let held = self.held_together(&solved.is_inlier);
@@ -161,7 +161,7 @@ impl Atlas {
             nodes: &self.nodes,
             scans: &self.scans,
             segments: &self.segments,
-            chain: &held,
+            odometry: &held,
             connectivity,
         };
         pass.run(grid, &mut solved.poses);
@@ -173,12 +173,12 @@ impl Atlas {
             let in_map: Vec<bool> =
                 self.nodes.iter().map(|node| connectivity.part(node.trajectory) == part).collect();
             let refinement =
-                Refinement { nodes: &self.nodes, scans: &self.scans, chain: &held, in_map: &in_map };
+                Refinement { nodes: &self.nodes, scans: &self.scans, odometry: &held, in_map: &in_map };
             refinement.run(grid, &mut solved.poses);
         }
     }
 
-    /// The chains, and the closures between robots that are inliers. A chain is not enough: nothing else that is trusted connects robots, and where they
+    /// The trajectories, and the closures between robots that are inliers. Odometry is not enough: nothing else that is trusted connects robots, and where they
     /// met once, what is measured again may be too little to do so.
     fn held_together(&self, is_inlier: &[bool]) -> Vec<Edge> {
         let across = self
@@ -192,22 +192,22 @@ impl Atlas {
 
     /// Where everything lies. With `finely`, after all of it has been matched again: for the end, since it takes a multiple of the
     /// time.
-    pub fn layout(&self, finely: bool, inspected: &mut Inspected) -> FlockLayout {
+    pub fn solution(&self, finely: bool, inspected: &mut Inspected) -> FlockSolution {
         if self.is_empty() {
-            return FlockLayout::default();
+            return FlockSolution::default();
         }
         let mut solved = self.solve(inspected);
         if finely {
             self.measure_again(&mut solved, &mut MomentGrid::default());
         }
-        self.told(&solved)
+        self.placed(&solved)
     }
 
     /// A solution in the names of the records, each part in the frame of its first node.
-    fn told(&self, solved: &Solved) -> FlockLayout {
+    fn placed(&self, solved: &Solved) -> FlockSolution {
         let connectivity = &solved.connectivity;
         let mut gauges: BTreeMap<u32, Placement> = BTreeMap::new();
-        let mut layout = FlockLayout::default();
+        let mut solution = FlockSolution::default();
         let mut sizes: BTreeMap<u32, usize> = BTreeMap::new();
         for log in &self.logs {
             let mut nodes = Vec::with_capacity(log.nodes.len());
@@ -233,23 +233,23 @@ impl Atlas {
                 PlacedRecord { submap, flock_from_odom, part }
             };
             let key = (log.robot.clone(), log.epoch);
-            layout.submaps.insert(key.clone(), submaps.into_iter().map(place).collect());
-            layout.nodes.insert(key, nodes);
+            solution.submaps.insert(key.clone(), submaps.into_iter().map(place).collect());
+            solution.nodes.insert(key, nodes);
         }
         let largest = sizes.iter().max_by_key(|(part, size)| (**size, std::cmp::Reverse(**part)));
-        layout.main_part = largest.map_or(0, |(part, _)| *part);
+        solution.main_part = largest.map_or(0, |(part, _)| *part);
         let across =
             self.closures.iter().zip(&solved.is_inlier).filter(|(closure, _)| self.is_across(closure));
         let (inliers, other): (Vec<_>, Vec<_>) = across.partition(|(_, is_inlier)| **is_inlier);
-        layout.across = (inliers.len() as u64, other.len() as u64);
-        layout
+        solution.across = (inliers.len() as u64, other.len() as u64);
+        solution
     }
 }
 
 impl Flock {
     /// Where everything lies that this robot has heard of; with `finely`, matched again as a whole.
-    pub fn layout(&self, finely: bool) -> FlockLayout {
+    pub fn solution(&self, finely: bool) -> FlockSolution {
         let atlas = Atlas::new(self.collection());
-        atlas.layout(finely, &mut self.inspected())
+        atlas.solution(finely, &mut self.inspected())
     }
 }

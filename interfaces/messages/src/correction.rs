@@ -1,0 +1,25 @@
+//! The message of a correction of the front end after a closed submap.
+
+use crate::message::message;
+use flockslam_geometry::Pose;
+
+message! {
+    /// What sync-manager concluded after a closed submap, as far as the front end needs it; the whole solution lies in
+    /// the store.
+    pub struct Correction = "flockslam/correction/v1" {
+        /// The new correction of the front end.
+        pub map_from_odom: Pose,
+        /// Cold start that it belongs to.
+        pub run: u32,
+        /// Submap after whose closing it was computed: finished up to and including this one.
+        pub submap: u32,
+        /// Counts the corrections of this run from 1.
+        pub revision: u32,
+        /// Loop closures that are inliers.
+        pub closures: u32,
+        /// The newest trajectory that it knows.
+        pub trajectory: u32,
+        /// 1 when closures connect that trajectory with the map; 0 while its place in the map is a guess.
+        pub attached: u32,
+    }
+}
