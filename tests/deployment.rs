@@ -1,11 +1,13 @@
-//! What is deployed: the systemd unit is well formed, and the example sets can be read and do not clash.
+//! What is deployed: the systemd unit is well formed, the example sets can be read and do not clash, and the service manager is notified.
 
 use crate::support;
-use crate::support::{not_tested, repository};
+use crate::support::{Drive, LiveSet, not_tested, repository, share};
 use flockslam::supervisor::SetDescription;
 use std::fs;
+use std::os::unix::net::UnixDatagram;
 use std::path::PathBuf;
 use std::process::Command;
+use std::time::Duration;
 
 fn deploy_dir() -> PathBuf {
     repository().join("orchestration/deploy")
@@ -57,4 +59,27 @@ fn systemd_accepts_the_unit() {
         }
         Err(_) => not_tested("the systemd unit", "there is no systemd-analyze"),
     }
+}
+
+#[test]
+fn the_service_manager_is_notified_of_ready_alive_and_stopping() {
+    share::mostly_waits();
+    let directory = tempfile::tempdir().unwrap();
+    let address = directory.path().join("notify");
+    let manager = UnixDatagram::bind(&address).unwrap();
+    manager.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    let mut command = support::flockslam();
+    command.env("NOTIFY_SOCKET", &address).env("WATCHDOG_USEC", "200000");
+    let drive = Drive { scan_rate_hz: 5.0, duration_s: 600.0, rate: 1.0 };
+    let mut set = LiveSet::start_by(command, "notified", directory.path(), drive, "");
+    let next = || {
+        let mut bytes = [0; 64];
+        let length = manager.recv(&mut bytes).expect("the supervisor notifies");
+        String::from_utf8_lossy(&bytes[..length]).trim().to_owned()
+    };
+    assert_eq!([next(), next(), next()], ["READY=1", "WATCHDOG=1", "WATCHDOG=1"]);
+    set.command_well(&["down"]);
+    let last = std::iter::repeat_with(next).find(|state| state != "WATCHDOG=1");
+    assert_eq!(last.as_deref(), Some("STOPPING=1"));
+    assert_eq!(set.wait(), Some(0));
 }

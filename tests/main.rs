@@ -36,6 +36,7 @@ mod stopped_stage;
 mod support;
 mod torn_logs;
 mod tracking;
+mod words;
 mod worlds;
 
 #[allow(dead_code, unused_imports, reason = "the test runs a part of the benchmark's sections")]

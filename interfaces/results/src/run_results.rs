@@ -31,7 +31,7 @@ pub const FUSED_MAP: &str = "fused.map";
 pub const SUMMARY: &str = "summary.json";
 
 /// Where submaps lie and which loops are closed, as of the last closed submap, as JSON.
-const LIVE_POSES: &str = "live_layout.json";
+const LIVE_POSES: &str = "live_poses.json";
 
 /// What sync-manager tells about the whole run.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
