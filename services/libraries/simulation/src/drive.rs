@@ -34,12 +34,12 @@ pub(super) struct Drive {
     way: VecDeque<Point>,
     pose: Pose,
     twist: Twist,
-    turn: LeaderLock,
+    turn: Turn,
 }
 
 /// The motion during one turn of the lidar.
 #[derive(Clone, Debug, Default)]
-pub(super) struct LeaderLock {
+pub(super) struct Turn {
     tick_s: f64,
     /// `world_from_base` at the beginning of each tick, and the body's velocity during it.
     ticks: Vec<(Pose, Twist)>,
@@ -67,12 +67,12 @@ impl Drive {
             way,
             pose: Pose::new(start.x_m, start.y_m, heading_rad),
             twist: Twist::default(),
-            turn: LeaderLock::default(),
+            turn: Turn::default(),
         }
     }
 
     /// Drives on for so many ticks (pure pursuit: Coulter 1992).
-    pub(super) fn advance(&mut self, ticks: usize) -> &LeaderLock {
+    pub(super) fn advance(&mut self, ticks: usize) -> &Turn {
         self.turn.tick_s = self.tick_s;
         self.turn.ticks.clear();
         for _ in 0..ticks {
@@ -86,7 +86,7 @@ impl Drive {
     }
 
     /// The motion during the turn that was driven last.
-    pub(super) fn last_turn(&self) -> &LeaderLock {
+    pub(super) fn last_turn(&self) -> &Turn {
         &self.turn
     }
 
@@ -124,7 +124,7 @@ impl Drive {
     }
 }
 
-impl LeaderLock {
+impl Turn {
     /// `world_from_base` at its beginning.
     pub(super) fn start(&self) -> Pose {
         self.ticks[0].0

@@ -1,6 +1,6 @@
 //! The simulated lidar: casts the beams of a scan and adds the errors of a real sensor.
 
-use super::drive::LeaderLock;
+use super::drive::Turn;
 use super::dynamics::Dynamics;
 use super::{BeamLabel, Settings, World};
 use flockslam_geometry::{Point, Pose};
@@ -50,13 +50,7 @@ impl Lidar {
     }
 
     /// Takes a scan during a turn. Its name, times and odometry are left to the caller.
-    pub(super) fn take(
-        &mut self,
-        world: &World,
-        dynamics: &Dynamics,
-        turn: &LeaderLock,
-        scan: &mut ScanBuffer,
-    ) {
+    pub(super) fn take(&mut self, world: &World, dynamics: &Dynamics, turn: &Turn, scan: &mut ScanBuffer) {
         scan.header = ScanHeader {
             base_from_laser: self.mount,
             angle_min_rad: self.angle_min_rad,
@@ -85,7 +79,7 @@ impl Lidar {
         &self.labels
     }
 
-    fn cast_all(&mut self, world: &World, dynamics: &Dynamics, turn: &LeaderLock) {
+    fn cast_all(&mut self, world: &World, dynamics: &Dynamics, turn: &Turn) {
         self.ranges_m.clear();
         self.labels.clear();
         for beam in 0..self.settings.beams {

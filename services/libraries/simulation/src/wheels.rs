@@ -1,7 +1,7 @@
 //! The simulated wheels: odometry with scale errors, random walk and slips.
 
 use super::Settings;
-use super::drive::LeaderLock;
+use super::drive::Turn;
 use flockslam_geometry::{Pose, Twist};
 use flockslam_random::Random;
 use std::collections::VecDeque;
@@ -58,7 +58,7 @@ impl Wheels {
     }
 
     /// Feels a motion.
-    pub(super) fn advance(&mut self, turn: &LeaderLock) {
+    pub(super) fn advance(&mut self, turn: &Turn) {
         for twist in turn.twists() {
             let time_s = self.ticks as f64 * turn.tick_s();
             while self.slips.front().is_some_and(|slip| slip.end_s <= time_s) {

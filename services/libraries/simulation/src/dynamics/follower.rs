@@ -1,7 +1,7 @@
 //! A simulated person who follows the robot.
 
 use super::body::{Body, squeezed};
-use crate::drive::LeaderLock;
+use crate::drive::Turn;
 use flockslam_geometry::{Point, Pose};
 use std::collections::VecDeque;
 
@@ -26,7 +26,7 @@ impl Follower {
     }
 
     /// Follows the robot on its turn.
-    pub(super) fn follow(&mut self, turn: &LeaderLock) -> Body {
+    pub(super) fn follow(&mut self, turn: &Turn) -> Body {
         if self.trail.back().is_some_and(|last| last.distance_m(turn.start().position()) > CARRIED_M) {
             *self = Self::new(turn.start());
         }

@@ -9,7 +9,7 @@ mod walker;
 
 pub use body::MoverTruth;
 
-use super::drive::LeaderLock;
+use super::drive::Turn;
 use super::room::Room;
 use super::{BeamLabel, Settings, World};
 use body::Body;
@@ -55,7 +55,7 @@ impl Dynamics {
     }
 
     /// Goes on by one turn of the lidar, during which the robot drives `turn`.
-    pub(super) fn advance(&mut self, world: &World, turn: &LeaderLock) {
+    pub(super) fn advance(&mut self, world: &World, turn: &Turn) {
         let robot = turn.start().position();
         self.bodies.clear();
         for walker in &mut self.walkers {
