@@ -1,7 +1,7 @@
 //! Each check of the fault suite fails when the protection that it looks after is taken away, or what it reads is damaged.
 
 use crate::support::faults::{Trial, descriptors, left_behind, too_much_is_left, with_failpoint};
-use crate::support::share;
+use crate::support::machine_share;
 use crate::support::{Drive, LiveSet};
 use flockslam_messages::Stage;
 
@@ -16,26 +16,26 @@ fn complains(trial: &Trial, of: &str) {
 
 #[test]
 fn a_set_as_it_is_gives_no_reason_to_complain() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     let trial = with_failpoint("nothing", &[Stage::Mapper], &[]);
     assert!(trial.complaints().is_empty(), "{:#?}", trial.complaints());
 }
 
 #[test]
 fn a_mapper_that_does_not_replay_the_journal_loses_accepted_scans() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     complains(&with_failpoint("no-replay", &[Stage::Mapper], &[]), "accepted scans are not in the map");
 }
 
 #[test]
 fn a_mapper_that_replays_what_it_has_in_store_has_scans_twice() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     complains(&with_failpoint("replay-twice", &[Stage::Mapper], &[]), "scans are in the map twice");
 }
 
 #[test]
 fn a_matcher_that_begins_anew_is_not_where_it_was() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     // Without odometry that would tell it.
     let trial = with_failpoint("no-resume", &[Stage::ScanMatcher], &["lidar_ingest.odometry=false"]);
     complains(&trial, "the pose jumps");
@@ -44,7 +44,7 @@ fn a_matcher_that_begins_anew_is_not_where_it_was() {
 
 #[test]
 fn a_source_and_a_matcher_that_forget_where_they_were_repeat_scans() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     let trial = with_failpoint("no-resume,no-cursor", &[Stage::ScanMatcher, Stage::LidarIngest], &[]);
     complains(&trial, "comes after scan");
     complains(&trial, "lidar-ingest was restarted with scan-matcher");
@@ -52,7 +52,7 @@ fn a_source_and_a_matcher_that_forget_where_they_were_repeat_scans() {
 
 #[test]
 fn litter_in_shared_memory_is_noticed() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let drive = Drive { scan_rate_hz: 20.0, duration_s: 600.0, rate: 1.0 };
     let mut set = LiveSet::start("litter", directory.path(), drive, "");

@@ -3,7 +3,7 @@
 
 use crate::support;
 use crate::support::flocks::FlockRobot;
-use crate::support::share;
+use crate::support::machine_share;
 use crate::support::{
     Browser, Drive, RunningSet, free_port, http_get, keep_picture, live_building, not_tested, wait_for,
 };
@@ -269,7 +269,7 @@ fn now_s() -> f64 {
 /// page of the tests' own, since Grafana is not where tests run: the same panels, queries, units and legends.
 #[test]
 fn boards_are_drawn_from_a_real_run() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     let Some(browser) = Browser::start("pictures of the boards") else { return };
     let directory = tempfile::tempdir().unwrap();
     let (metrics_port, scraped) = (free_port(), directory.path().join("prometheus"));

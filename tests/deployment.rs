@@ -1,7 +1,7 @@
 //! What is deployed: the systemd unit is well formed, the example sets can be read and do not clash, and the service manager is notified.
 
 use crate::support;
-use crate::support::{Drive, LiveSet, not_tested, repository, share};
+use crate::support::{Drive, LiveSet, machine_share, not_tested, repository};
 use flockslam::supervisor::SetDescription;
 use std::fs;
 use std::os::unix::net::UnixDatagram;
@@ -63,7 +63,7 @@ fn systemd_accepts_the_unit() {
 
 #[test]
 fn the_service_manager_is_notified_of_ready_alive_and_stopping() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let address = directory.path().join("notify");
     let manager = UnixDatagram::bind(&address).unwrap();

@@ -5,7 +5,7 @@ use crate::support::faults::{
     Evidence, Trial, corrupt_scans, crashing_starts, endless_loop, everything_at_once, jumping_clock,
     kills_of_each_stage, kills_while_saving, stops_of_each_stage, storm, terminations, torn_files,
 };
-use crate::support::share;
+use crate::support::machine_share;
 use flockslam_geometry::Pose;
 use flockslam_messages::{PoseEstimate, PoseFlags, Stage};
 
@@ -17,7 +17,7 @@ fn judge(trial: &Trial) {
 
 #[test]
 fn any_stage_may_be_killed() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     let trial = kills_of_each_stage(&Stage::ALL, 1, 1);
     judge(&trial);
     assert_eq!((trial.runs, trial.lost), (Stage::ALL.len(), 0), "each stage is killed and nothing is lost");
@@ -25,7 +25,7 @@ fn any_stage_may_be_killed() {
 
 #[test]
 fn a_filter_and_a_cleaner_that_hang_are_replaced() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     let trial = stops_of_each_stage(&[Stage::CorrelationFilter, Stage::DynamicCleaner], 1, 2);
     judge(&trial);
     assert_eq!((trial.runs, trial.lost), (2, 0));
@@ -33,19 +33,19 @@ fn a_filter_and_a_cleaner_that_hang_are_replaced() {
 
 #[test]
 fn an_endless_loop_is_a_hang() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     judge(&endless_loop(Stage::Mapper));
 }
 
 #[test]
 fn the_wall_clock_may_jump_by_hours() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     judge(&jumping_clock(10.0));
 }
 
 #[test]
 fn a_storm_of_kills() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     let trial = storm(8.0, 3);
     judge(&trial);
     assert!(trial.runs > 1 && trial.lost == 0, "{} kills, {} accepted scans lost", trial.runs, trial.lost);
@@ -53,7 +53,7 @@ fn a_storm_of_kills() {
 
 #[test]
 fn all_stages_and_the_supervisor_may_be_killed() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     judge(&everything_at_once(1));
 }
 
@@ -64,7 +64,7 @@ fn kills_while_a_stage_starts_leave_nothing_that_grows() {
 
 #[test]
 fn a_kill_while_the_map_is_saved_leaves_a_good_map() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     judge(&kills_while_saving(5, 5));
 }
 
@@ -82,7 +82,7 @@ fn corrupt_scans_are_counted_and_cost_little() {
 
 #[test]
 fn termination_saves_everything_in_time() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     judge(&terminations(2, 9));
 }
 

@@ -1,7 +1,7 @@
 //! Robots that meet: real process sets, each with its own root and names, over the real network on this machine.
 
 use crate::support::flocks::{FlockRobot, Namespace, hostile, own_certificates};
-use crate::support::share;
+use crate::support::machine_share;
 use crate::support::slow_link::SlowLink;
 use crate::support::{Drive, LiveSet, flockslam, free_port, of, send, stderr, wait_for};
 use flockslam_messages::Stage;
@@ -122,14 +122,14 @@ fn saved_maps_are_merged() {
 /// What a late joiner has to hear goes through a slow radio link: 10 Mbit/s. How long that takes is printed.
 #[test]
 fn a_late_joiner_hears_all_over_a_slow_link() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     join_late("office", 400.0, |late| drop(wait_until_merged(late, 2)));
 }
 
 /// The same of a map of more than 1000 m²: the demo that drives so long there maps 1281.
 #[test]
 fn a_late_joiner_hears_of_a_large_building_over_a_slow_link() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     join_late("warehouse", 500.0, |_| ());
 }
 

@@ -246,6 +246,23 @@ fn system_tests_are_one_executable() {
 }
 
 /// Each bullet of the section on invariants ends in `FILE.rs::NAME`: a function that asserts it, in the product or in a test.
+/// Names that every crate or folder may have.
+const COMMON_NAMES: [&str; 7] = ["lib", "mod", "main", "process", "settings", "metrics", "tests"];
+
+#[test]
+fn a_file_name_names_one_file() {
+    let mut files: BTreeMap<String, Vec<PathBuf>> = BTreeMap::new();
+    for file in all_files().into_iter().filter(|file| file.extension().is_some_and(|kind| kind == "rs")) {
+        let name = file.file_stem().unwrap().to_string_lossy().into_owned();
+        if !COMMON_NAMES.contains(&name.as_str()) {
+            files.entry(name).or_default().push(file);
+        }
+    }
+    assert!(files.len() > 300, "{} names", files.len());
+    let doubled: Vec<_> = files.iter().filter(|(_, files)| files.len() > 1).collect();
+    assert!(doubled.is_empty(), "{doubled:#?}");
+}
+
 #[test]
 fn each_invariant_names_what_asserts_it() {
     let text = fs::read_to_string(repository().join("ARCHITECTURE.md")).unwrap();
@@ -282,19 +299,14 @@ fn asserts(text: &str, name: &str) -> bool {
 fn the_architecture_is_described_briefly_and_names_files_that_exist() {
     let text = fs::read_to_string(repository().join("ARCHITECTURE.md")).expect("ARCHITECTURE.md is there");
     assert!(text.lines().count() <= 200, "{} lines", text.lines().count());
-    let more = ["decisions", "seeing", "flock", "front-end", "processes"]
+    let more = ["decisions", "exact-and-live", "seeing", "flock", "front-end", "processes"]
         .map(|name| repository().join(format!("docs/{name}.md")));
     let more = more.map(|path| fs::read_to_string(path).expect("a page of its own"));
     let named = [text, more.join("\n")].join("\n");
-    let named = named
-        .split('`')
-        .filter(|word| word.ends_with(".rs") && word.contains('/') && !word.contains(['*', '<', ' ', '{']));
+    let named = named.split('`').filter(|word| word.ends_with(".rs") && !word.contains(['*', '<', ' ', '{']));
     // Where the directory is clear from the text only the end of a path is given.
     let files = all_files();
     for path in named {
-        assert!(
-            files.iter().any(|file| file.ends_with(path)),
-            "ARCHITECTURE.md names {path}, which does not exist"
-        );
+        assert!(files.iter().any(|file| file.ends_with(path)), "{path} is named and does not exist");
     }
 }

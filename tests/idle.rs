@@ -2,7 +2,7 @@
 
 use crate::support;
 use crate::support::RunningSet;
-use crate::support::share;
+use crate::support::machine_share;
 use flockslam_messages::Stage;
 use rustix::process::Signal;
 use std::time::{Duration, Instant};
@@ -26,7 +26,7 @@ fn cpu_s(pid: u32) -> f64 {
 
 #[test]
 fn a_set_whose_pipe_is_silent_uses_under_one_hundredth_of_a_core() {
-    share::alone();
+    machine_share::alone();
     let directory = tempfile::tempdir().unwrap();
     let args = ["map", "--source", "-"].map(str::to_owned);
     let mut set = RunningSet::start_with_pipe("idle", directory.path(), &args);

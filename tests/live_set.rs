@@ -1,7 +1,7 @@
 //! A live set: it takes orders, replaces what hangs, goes on without what does not get up, and outlives its supervisor.
 
 use crate::support;
-use crate::support::share;
+use crate::support::machine_share;
 use crate::support::{Drive, LiveSet, PoseWatch, of, send, truth_error_m, wait_for};
 use flockslam::store::SavedMap;
 use flockslam::supervisor::{SetState, StageState};
@@ -22,7 +22,7 @@ fn pids(status: &flockslam::supervisor::SetStatus) -> Vec<(String, Option<u32>)>
 
 #[test]
 fn orders_are_carried_out_and_wrong_ones_refused() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let mut set = LiveSet::start("orders", directory.path(), LONG, "");
     let before = set.wait_until_handled(Stage::Mapper, 3);
@@ -64,7 +64,7 @@ fn down_after() -> Duration {
 
 #[test]
 fn within_two_seconds_of_the_order_a_set_has_saved_its_map_and_ended() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     let mut tries: Vec<Duration> = Vec::new();
     while tries.len() < DOWN_TRIES && tries.iter().all(|took| *took > DOWN_WITHIN) {
         tries.push(down_after());
@@ -75,7 +75,7 @@ fn within_two_seconds_of_the_order_a_set_has_saved_its_map_and_ended() {
 
 #[test]
 fn a_second_set_of_the_same_name_and_a_missing_set_are_refused() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let mut set = LiveSet::start("twice", directory.path(), LONG, "");
     set.pid(Stage::Mapper);
@@ -90,7 +90,7 @@ fn a_second_set_of_the_same_name_and_a_missing_set_are_refused() {
 
 #[test]
 fn a_process_gets_the_limits_that_its_stage_is_given() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let more = "stages.dynamic-cleaner = { nice = 7, cpus = [0], memory_max_bytes = 300_000_000 }";
     let mut set = LiveSet::start("limits", directory.path(), LONG, more);
@@ -112,7 +112,7 @@ fn a_process_gets_the_limits_that_its_stage_is_given() {
 
 #[test]
 fn the_filter_gets_a_second_process_and_loses_it_again_without_a_lost_scan() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let mut set = LiveSet::start("scale", directory.path(), LONG, "");
     let before = set.wait_until_handled(Stage::ScanMatcher, 20);
@@ -159,25 +159,25 @@ fn a_stopped_stage_is_replaced(stage: Stage) {
 
 #[test]
 fn a_stopped_source_is_replaced() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     a_stopped_stage_is_replaced(Stage::LidarIngest);
 }
 
 #[test]
 fn a_stopped_matcher_is_replaced() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     a_stopped_stage_is_replaced(Stage::ScanMatcher);
 }
 
 #[test]
 fn a_stopped_mapper_is_replaced() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     a_stopped_stage_is_replaced(Stage::Mapper);
 }
 
 #[test]
 fn without_a_matcher_odometry_is_followed_until_it_gets_up() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let mut set = LiveSet::start("degraded", directory.path(), LONG, "retry_s = 2.0");
     set.wait_until_handled(Stage::ScanMatcher, 5);
@@ -206,7 +206,7 @@ fn without_a_matcher_odometry_is_followed_until_it_gets_up() {
 
 #[test]
 fn a_set_whose_supervisor_was_killed_goes_on_with_what_it_knew() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let drive = Drive { scan_rate_hz: 20.0, duration_s: 40.0, rate: 4.0 };
     let mut set = LiveSet::start("heir", directory.path(), drive, "");

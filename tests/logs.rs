@@ -1,7 +1,7 @@
 //! The three benchmark logs with one configuration: accuracy against their relations, every scan present, the same
 //! bytes again, and the published program reproduced by its profile.
 
-use crate::support::logs::{ACES, FR079, INTEL, LOGS, Log};
+use crate::support::public_logs::{ACES, FR079, INTEL, LOGS, Log};
 use crate::support::{Outputs, data_dir, evaluate_relations, not_tested};
 use std::process::Command;
 

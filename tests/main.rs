@@ -5,11 +5,10 @@
 mod bad_input;
 mod benchmarks;
 mod checkers;
-mod consistency;
 mod dashboards;
 mod deployment;
 mod faults;
-mod filter;
+mod filter_stage;
 mod flock;
 mod fuzzing;
 mod house;
@@ -21,13 +20,15 @@ mod logs;
 mod metrics;
 mod moving_world;
 mod ndt_experiments;
+mod old_words;
 mod overload;
 mod page;
 mod panics;
-mod recording;
+mod published_covariance;
+mod recorder;
 mod replay;
 mod replicas;
-mod saved_map;
+mod saved_maps;
 mod seeing;
 mod shared_memory;
 mod spill;
@@ -36,7 +37,6 @@ mod stopped_stage;
 mod support;
 mod torn_logs;
 mod tracking;
-mod words;
 mod worlds;
 
 #[allow(dead_code, unused_imports, reason = "the test runs a part of the benchmark's sections")]

@@ -1,7 +1,7 @@
 //! Worlds that move: people, doors and pallets leave neither ghosts nor holes in the map that navigation reads, and do not
 //! lead the robot astray.
 
-use crate::support::seeds::alone_and_among_twenty_m;
+use crate::support::seeded_drives::alone_and_among_twenty_m;
 use crate::support::{MapFigures, MovingDrive, lively, moving_building};
 use flockslam_simulation::Settings;
 

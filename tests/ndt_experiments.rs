@@ -1,8 +1,8 @@
 //! The two experiments of the published NDT system (Trubin et al. 2020), with `--profile ndt`.
 
 use crate::support;
-use crate::support::ndt_system::{PLAIN, run_ndt};
-use crate::support::seeds::flat_worst;
+use crate::support::ndt_runs::{PLAIN, run_ndt};
+use crate::support::seeded_drives::flat_worst;
 use flockslam_drives::experiments::{BEARING_SIGMA_RAD, Experiment, flat, one_mover};
 use flockslam_drives::ndt_system::{MoveError, errors};
 use flockslam_geometry::{Point, Pose};

@@ -3,7 +3,7 @@
 //! scan is lost.
 
 use crate::support::faults::{Overload, overload};
-use crate::support::share;
+use crate::support::machine_share;
 use flockslam_messages::Stage;
 
 fn judge(kind: Overload) {
@@ -13,18 +13,18 @@ fn judge(kind: Overload) {
 
 #[test]
 fn a_matcher_a_hundred_times_slower_leaves_poses_new_and_the_map_complete() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     judge(Overload::Slow(Stage::ScanMatcher, 100));
 }
 
 #[test]
 fn a_mapper_ten_times_slower_leaves_poses_new_and_the_map_complete() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     judge(Overload::Slow(Stage::Mapper, 10));
 }
 
 #[test]
 fn processors_that_are_busy_with_something_else_leave_poses_new_and_the_map_complete() {
-    share::alone();
+    machine_share::alone();
     judge(Overload::Hog);
 }

@@ -242,7 +242,7 @@ fn a_token_file_that_is_missing_is_refused_at_the_start() {
 #[test]
 fn a_browser_shows_the_other_robots_of_the_flock() {
     // Three robots look for each other with what is left of the processors.
-    crate::support::share::alone();
+    crate::support::machine_share::alone();
     let Some(browser) = Browser::start("the flock on the live page") else { return };
     let (directory, port) = (tempfile::tempdir().unwrap(), free_port());
     let drive = Drive { scan_rate_hz: 5.0, duration_s: 2000.0, rate: 5.0 };

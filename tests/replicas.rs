@@ -1,7 +1,7 @@
 //! Several processes of a stage: the same bytes in exact replay, and none is missed when they come, go or die in a live set.
 
 use crate::support::faults::Evidence;
-use crate::support::share;
+use crate::support::machine_share;
 use crate::support::{Drive, LiveSet, Outputs, PoseWatch, building, run_well, send, wait_for};
 use flockslam::store::SavedMap;
 use flockslam::supervisor::{SetStatus, StageState};
@@ -101,7 +101,7 @@ impl Subject {
 
 #[test]
 fn each_stage_gets_a_second_process_and_loses_it_again_without_a_lost_scan() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let mut subject = Subject::start(directory.path(), "");
     for stage in Stage::ALL {
@@ -117,7 +117,7 @@ fn each_stage_gets_a_second_process_and_loses_it_again_without_a_lost_scan() {
 
 #[test]
 fn who_stands_by_goes_on_with_the_next_scan_when_the_one_that_acts_is_killed() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let stages = [Stage::ScanMatcher, Stage::SyncManager, Stage::LidarIngest];
     let twice: String =

@@ -1,7 +1,7 @@
 //! What operators see of a running set: its log lines, whose levels change while it runs, and `flockslam top`.
 
 use crate::support;
-use crate::support::share;
+use crate::support::machine_share;
 use crate::support::{Drive, LiveSet, send, stderr, stdout, wait_for};
 use flockslam::supervisor::set_metrics_socket;
 use flockslam::top::TopState;
@@ -26,7 +26,7 @@ fn poses_in(lines: &[Value]) -> Vec<u64> {
 
 #[test]
 fn levels_change_while_a_set_runs_and_lines_name_their_stage_and_scan() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let mut set = LiveSet::start("levels", directory.path(), DRIVE, "");
     set.wait_until_handled(Stage::ScanMatcher, 20);
@@ -70,7 +70,7 @@ fn levels_change_while_a_set_runs_and_lines_name_their_stage_and_scan() {
 
 #[test]
 fn top_sees_rates_latencies_and_restarts_of_a_running_set() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let mut set = LiveSet::start("top", directory.path(), DRIVE, "");
     set.wait_until_handled(Stage::SyncManager, 20);

@@ -1,7 +1,7 @@
 //! The benchmark logs with every scan processed, as they are and made harder: accuracy, odometry that jumps, false beams,
 //! scans that are missing, and a robot that is carried elsewhere.
 
-use crate::support::logs::{ACES, FILTER_OFF, FR079, INTEL, LOGS, Log};
+use crate::support::public_logs::{ACES, FILTER_OFF, FR079, INTEL, LOGS, Log};
 use flockslam_geometry::Pose;
 use std::fmt::Write;
 use std::path::Path;

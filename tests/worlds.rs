@@ -2,7 +2,7 @@
 //! kilometre driven in each, and a way outdoors on which most beams return nothing.
 
 use crate::support;
-use crate::support::seeds::{YardDrive, absolute_error_m};
+use crate::support::seeded_drives::{YardDrive, absolute_error_m};
 use crate::support::{Outputs, building};
 
 /// Mean error of the final trajectory in a building, metres.

@@ -3,19 +3,19 @@
 //! A recorder is one more reader of the bus. It holds nobody up: what it is too slow for is replaced by newer messages, and the
 //! gap is counted.
 
+mod foxglove_messages;
 mod live_grid;
 mod mcap_file;
-mod messages;
-mod reader;
 mod scene;
+mod set_reader;
 mod topics;
 mod websocket;
 
+pub use foxglove_messages::{Recorded, log, pose, scan, transforms};
 pub use live_grid::LiveGrid;
 pub use mcap_file::McapFile;
-pub use messages::{Recorded, log, pose, scan, transforms};
-pub use reader::SetReader;
 pub use scene::tracks;
+pub use set_reader::SetReader;
 pub use topics::RecordTopic;
 pub use websocket::FoxgloveServer;
 

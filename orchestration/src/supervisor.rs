@@ -1,27 +1,27 @@
 //! Process sets: starting, watching, restarting and stopping the stages of one robot.
 
 mod child;
-mod control;
-mod description;
-mod error;
+mod control_socket;
 mod hang;
 mod metrics;
 mod notify;
-mod page;
+mod page_process;
 mod restarts;
 mod set;
+mod set_description;
+mod set_error;
 mod set_file;
 mod stage_command;
 mod status;
 mod supervision;
 
-pub use control::{ControlError, ControlSocket, Order, Reply, Request, ask, known_stage};
-pub use description::{SetDescription, SourceDescription};
-pub use error::SetError;
+pub use control_socket::{ControlError, ControlSocket, Order, Reply, Request, ask, known_stage};
 pub use metrics::{MetricsService, set_metrics_socket};
 pub use notify::ServiceManager;
-pub use page::PageProcess;
+pub use page_process::PageProcess;
 pub use set::{EXIT_BAD_SOURCE, ProcessSet, SetEvent, error_file};
+pub use set_description::{SetDescription, SourceDescription};
+pub use set_error::SetError;
 pub use set_file::SetFile;
 pub use stage_command::{run_in, run_stage};
 pub use status::{SaveStatus, SetState, SetStatus, StageState, StageStatus};

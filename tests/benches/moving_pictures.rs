@@ -7,7 +7,7 @@ mod support;
 use flockslam_drives::experiments::{BEARING_SIGMA_RAD, flat, one_mover};
 use flockslam_drives::followed::followed_from_a_stand;
 use std::path::Path;
-use support::ndt_system::{PLAIN, run_ndt};
+use support::ndt_runs::{PLAIN, run_ndt};
 use support::{UNCLEANED, montage, panel, picture_of_ways, store_picture};
 
 fn experiments(to: &Path) {

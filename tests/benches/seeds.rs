@@ -6,7 +6,7 @@
 mod support;
 
 use flockslam_drives::experiments::BEARING_SIGMA_RAD;
-use support::seeds::{YardDrive, alone_and_among_twenty_m, flat_worst};
+use support::seeded_drives::{YardDrive, alone_and_among_twenty_m, flat_worst};
 
 fn main() {
     // Cargo adds an option of its own.

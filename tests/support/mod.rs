@@ -5,31 +5,30 @@ mod benchmark;
 mod browser;
 pub mod faults;
 pub mod flocks;
-mod http;
+mod http_get;
 mod later_free;
 mod live;
-mod log;
-pub mod logs;
+pub mod machine_share;
 mod montage;
 mod moved_map;
 mod moving_drive;
-pub mod ndt_system;
+pub mod ndt_runs;
 mod not_tested;
 mod outputs;
 mod pictures;
 mod poses;
+pub mod public_logs;
 mod running;
-pub mod seeds;
-pub mod share;
+pub mod seeded_drives;
+mod simulated_log;
 pub mod slow_link;
 pub mod source;
 
 pub use benchmark::{benchmark_file, evaluate_relations};
 pub use browser::Browser;
-pub use http::{free_port, http_get};
+pub use http_get::{free_port, http_get};
 pub use later_free::later_free;
 pub use live::{Drive, LiveSet, of};
-pub use log::simulated_log;
 pub use montage::{montage, panel, picture_of_ways, store_picture};
 pub use moved_map::{MapFigures, occupied_cells};
 pub use moving_drive::{BUILDINGS, MovingDrive, MovingRun, UNCLEANED, lively, moving_building};
@@ -38,6 +37,7 @@ pub use outputs::{Outputs, known_truth_error_m, truth_error_m};
 pub use pictures::keep_picture;
 pub use poses::{PoseWatch, SeenPose};
 pub use running::{RunningSet, send, try_send};
+pub use simulated_log::simulated_log;
 
 use flockslam_messages::Stage;
 use std::path::{Path, PathBuf};
@@ -67,7 +67,7 @@ pub fn flockslam() -> Command {
 
 /// A name for a process set that no other test and no other run has.
 pub fn robot(test: &str) -> String {
-    share::computes();
+    machine_share::computes();
     static COUNT: AtomicU32 = AtomicU32::new(0);
     // The last letter keeps one name from being the beginning of another.
     format!("{test}-{}-{}t", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed))

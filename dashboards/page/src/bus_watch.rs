@@ -1,7 +1,7 @@
 //! The thread that reads the bus while somebody looks at the page, and leaves the bus some time after the last browser has gone.
 
 use crate::session::Session;
-use crate::shared::{Place, Shared};
+use crate::shared_view::{Place, Shared};
 use std::thread;
 use std::time::{Duration, Instant};
 

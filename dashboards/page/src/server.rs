@@ -5,7 +5,7 @@ use crate::connection::BoundedListener;
 use crate::guard::Guard;
 use crate::outbox::{OrderReply, Outbox};
 use crate::set_watch::watch_set;
-use crate::shared::{Place, SetAccess, Shared, Viewer};
+use crate::shared_view::{Place, SetAccess, Shared, Viewer};
 use axum::Router;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
 use axum::extract::{Request, State};

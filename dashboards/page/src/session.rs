@@ -1,10 +1,10 @@
 //! Reads the bus and the files of a set and puts what is new into the view.
 
-use crate::fused::FusedPicture;
+use crate::fused_picture::FusedPicture;
 use crate::health::{Event, EventKind};
 use crate::path::Path;
 use crate::shade::{Shader, Shades};
-use crate::shared::{Place, Shared};
+use crate::shared_view::{Place, Shared};
 use crate::view::{Companion, Graph, RobotNow, SCAN_UNIT_M, ScanNow, Track, numbers};
 use flockslam_bus::{
     Bus, Publisher, RuntimeDir, Sample, ScanSample, ScanSubscriber, SliceSubscriber, Subscriber,

@@ -1,8 +1,8 @@
 //! The thread that asks the supervisor how the set is and reads the latencies of its stages.
 
 use crate::health::{Health, events_between};
-use crate::latency::{LatencySample, LatencyWatch, StageLatency};
-use crate::shared::{Place, Shared};
+use crate::shared_view::{Place, Shared};
+use crate::stage_latency::{LatencySample, LatencyWatch, StageLatency};
 use flockslam_stage::metrics_socket;
 use flockslam_telemetry::scrape;
 use std::collections::BTreeMap;

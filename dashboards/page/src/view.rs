@@ -1,9 +1,9 @@
 //! The state that browsers are shown. Each part has a version or a count, so that an outbox can tell what is new.
 
 use crate::health::{Event, Health};
-use crate::latency::LatencySample;
 use crate::layer::Layer;
 use crate::path::Path;
+use crate::stage_latency::LatencySample;
 use flockslam_geometry::Pose;
 use serde::Serialize;
 use std::collections::VecDeque;

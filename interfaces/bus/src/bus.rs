@@ -1,10 +1,10 @@
 //! The way to all topics and events of a set: what is opened through it is typed, what carries it is not.
 
 use crate::event::{Listener, Notifier};
-use crate::memory::MemoryBus;
-use crate::shared::SharedBus;
+use crate::memory_bus::MemoryBus;
+use crate::shared_memory_bus::SharedBus;
 use crate::transport::{TopicSpec, Transport};
-use crate::words::{words_of, words_of_slice};
+use crate::word_rows::{words_of, words_of_slice};
 use crate::{
     BusError, Capacity, LargeScanHeader, Publisher, RuntimeDir, ScanPublisher, ScanSubscriber,
     SlicePublisher, SliceSubscriber, SliceTopic, Subscriber, Topic,

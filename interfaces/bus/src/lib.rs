@@ -5,25 +5,25 @@
 //! creation of a service can wedge its name for good. Stages [`Bus::join`] and only open.
 
 mod bus;
-mod error;
+mod bus_error;
 mod event;
-mod memory;
+mod memory_bus;
 mod orphans;
 mod patience;
 mod port;
 mod runtime;
 mod scan_port;
 mod service;
-mod shared;
 mod shared_event;
+mod shared_memory_bus;
 mod shared_sample;
 mod tile_port;
 mod topic;
 mod transport;
-mod words;
+mod word_rows;
 
 pub use bus::{Bus, SUPERVISOR_EVENT};
-pub use error::BusError;
+pub use bus_error::BusError;
 pub use event::{Listener, Notifier, Wake};
 pub use orphans::OrphanedNodes;
 pub use patience::half_made_publishers;

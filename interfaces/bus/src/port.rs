@@ -1,7 +1,7 @@
 //! Typed ports: publishers and subscribers of a topic, and the messages that they read in place.
 
 use crate::transport::{Held, Lender, Source};
-use crate::words::{plain, plain_mut, slice, slice_mut, words_of, words_of_slice};
+use crate::word_rows::{plain, plain_mut, slice, slice_mut, words_of, words_of_slice};
 use crate::{BusError, SliceTopic, Topic};
 use std::marker::PhantomData;
 use std::ops::Deref;

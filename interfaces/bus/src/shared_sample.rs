@@ -1,7 +1,7 @@
 //! A message in shared memory, held as long as it is read.
 
 use crate::service::Service;
-use crate::words::Words;
+use crate::word_rows::Words;
 use std::mem::ManuallyDrop;
 
 /// A message in the publisher's memory. It is dropped by hand, so that iceoryx2's part of that is compiled here and not in each

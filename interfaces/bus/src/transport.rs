@@ -5,7 +5,7 @@
 
 use crate::event::{Listener, Notifier};
 use crate::shared_sample::SharedSample;
-use crate::words::Words;
+use crate::word_rows::Words;
 use crate::{BusError, Limits};
 use std::sync::Arc;
 

@@ -1,8 +1,8 @@
 //! The model by which the cells of a submap are range coded: each cell is predicted from its neighbours to the left and
 //! below. The same code writes and reads.
 
-use crate::levels::CellLevels;
 use crate::range_coder::{BinaryCoder, Likelihood};
+use crate::weight_levels::CellLevels;
 use crate::{TILE_CELLS, TILE_SIDE};
 
 /// Cells of a row that are said to be empty with one bit.

@@ -5,12 +5,12 @@ mod cell_coder;
 mod cell_table;
 mod directory;
 mod grid;
-mod levels;
 mod masses;
 pub mod range_coder;
 mod submap;
 mod submap_bytes;
 mod tile;
+mod weight_levels;
 
 pub use cell::{Cell, PACKED_WEIGHT_MAX_NAT, PackedCell, WEIGHT_SCALE};
 pub use cell_table::CellTable;

@@ -16,14 +16,11 @@ use flockslam_geometry::Pose;
 /// let mut cells = Box::new([PackedCell::UNKNOWN; TILE_CELLS]);
 /// cells[wall.offset()] = PackedCell { occupied: 900, free: 20 };
 /// let mut submap = Submap {
-///     number: 0,
-///     trajectory: 0,
 ///     insertions: 1,
-///     first: 0,
-///     last: 0,
 ///     odom_from_submap: Pose::IDENTITY,
 ///     cell_size_m: 0.05,
 ///     tiles: vec![SubmapTile::new(wall.tile(), cells)],
+///     ..Submap::default()
 /// };
 /// assert_eq!(Submap::decode(&submap.encode())?, submap.quantised());
 /// // A cell that is found stale is masked; the evidence itself stays.
@@ -31,7 +28,7 @@ use flockslam_geometry::Pose;
 /// assert!(submap.cell(wall).is_unknown() && submap.has_cleared());
 /// # Ok::<(), flockslam_evidence::SubmapBytesError>(())
 /// ```
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Submap {
     /// Its number within the run, from 0.
     pub number: u32,

@@ -6,8 +6,8 @@
 //! the cells, as places among the levels, range coded by [`CellModel`].
 
 use crate::cell_coder::{CellModel, Symbol};
-use crate::levels::{CellLevels, Levels};
 use crate::range_coder::{RangeDecoder, RangeEncoder};
+use crate::weight_levels::{CellLevels, Levels};
 use crate::{PackedCell, Submap, SubmapTile, TILE_CELLS, TileKey};
 use flockslam_geometry::Pose;
 

@@ -3,14 +3,14 @@
 //! A process may be killed at any instant and a disk may lose power: what is read back afterwards is the old or the
 //! new file, and all records of a journal up to the last whole one.
 
-mod error;
 mod format;
-mod reader;
+mod journal_error;
+mod record_reader;
 mod replace;
 mod writer;
 
-pub use error::JournalError;
 pub use format::{PARTS_MAX, RECORD_BYTES_MAX, VERSION};
-pub use reader::{Ending, Record, RecordReader};
+pub use journal_error::JournalError;
+pub use record_reader::{Ending, Record, RecordReader};
 pub use replace::{Durability, remove_leftovers, replace_file, replace_file_by_parts};
 pub use writer::RecordWriter;

@@ -2,17 +2,17 @@
 //! answers to other robots come out.
 
 use crate::content::Content;
+use crate::flock_message::{MESSAGE_BYTES_MAX, Message};
 use crate::kind::Kind;
-use crate::message::{MESSAGE_BYTES_MAX, Message};
 use crate::{LogState, Numbers, Record, RecordError, RecordName, RobotId, Vector};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-mod log;
+mod robot_log;
 #[cfg(test)]
 mod tests;
 
-use log::Log;
+use robot_log::Log;
 
 /// How much a collection takes in: what is beyond is refused and counted, so that no robot can fill another's memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -6,16 +6,16 @@ use crate::{RecordError, RobotId};
 
 mod clearance;
 mod constraint;
-mod points;
+mod packed_points;
 mod stretch;
-mod submap;
+mod submap_record;
 mod withdrawal;
 
 pub use clearance::Clearance;
 pub use constraint::{CONSTRAINTS_MAX, Constraint, NodeName};
-pub use points::rounded as rounded_point;
+pub use packed_points::rounded as rounded_point;
 pub use stretch::{Descriptor, RecordedNode, Stretch};
-pub use submap::SubmapRecord;
+pub use submap_record::SubmapRecord;
 pub use withdrawal::Withdrawal;
 
 /// What a record says.

@@ -10,12 +10,12 @@
 mod codec;
 mod collection;
 mod content;
-mod error;
+mod flock_message;
 mod kind;
-mod message;
 mod numbers;
 mod presence;
 mod record;
+mod record_error;
 mod robot;
 mod sealed;
 mod vector;
@@ -25,12 +25,12 @@ pub use content::{
     CONSTRAINTS_MAX, Clearance, Constraint, Content, Descriptor, NodeName, RecordedNode, Stretch,
     SubmapRecord, Withdrawal, rounded_point,
 };
-pub use error::RecordError;
+pub use flock_message::{MESSAGE_BYTES_MAX, Message};
 pub use kind::Kind;
-pub use message::{MESSAGE_BYTES_MAX, Message};
 pub use numbers::Numbers;
 pub use presence::Presence;
 pub use record::{Record, RecordName};
+pub use record_error::RecordError;
 pub use robot::{RobotId, RobotKey};
 pub use sealed::{PAYLOAD_BYTES_MAX, RECORD_BYTES_MAX, SCHEMA_VERSION};
 pub use vector::{LogState, Vector};

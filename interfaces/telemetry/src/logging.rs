@@ -14,12 +14,12 @@ use tracing_subscriber::registry::LookupSpan;
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, Registry, reload};
 
-mod levels;
-mod line;
+mod log_levels;
+mod log_line;
 mod stream;
 
 use crate::clock::log_time_ns;
-pub use levels::LogLevels;
+pub use log_levels::LogLevels;
 use stream::StreamLayer;
 pub use stream::log_stream_file;
 
@@ -155,13 +155,13 @@ where
         event: &Event<'_>,
     ) -> fmt::Result {
         match self.look {
-            Look::Json => write!(to, "{}", line::json_line(&self.stage, log_time_ns(), event)),
+            Look::Json => write!(to, "{}", log_line::json_line(&self.stage, log_time_ns(), event)),
             Look::Journal => {
                 let metadata = event.metadata();
                 write!(
                     to,
                     "<{}>[{}] {}: ",
-                    line::priority(*metadata.level()),
+                    log_line::priority(*metadata.level()),
                     self.stage,
                     metadata.target()
                 )?;

@@ -1,7 +1,7 @@
 //! Robots that have mapped for themselves meet once at the end of their ways, and take over each other's maps.
 
 use super::CommandError;
-use super::join::{Member, alone, stored_or_empty, track, write};
+use super::joined_map::{Member, alone, stored_or_empty, track, write};
 use crate::arguments::FusionArg;
 use crate::outputs::{TrajectoryPoint, map_hash};
 use flockslam_geometry::Pose;

@@ -1,7 +1,7 @@
 //! `flockslam swarm`: several robots map together.
 
 use super::contacts::Contacts;
-use super::join::{Member, Order, join, join_met};
+use super::joined_map::{Member, Order, join, join_met};
 use super::meetings::meet;
 use super::run::prepare_directory;
 use super::{CommandError, say};

@@ -3,9 +3,9 @@
 mod relations;
 mod spread;
 mod text;
-mod truth;
+mod truth_errors;
 
 pub use relations::{Relation, RelationGroup, RelationsReport, evaluate_relations, parse_relations};
 pub use spread::Spread;
 pub use text::{EvaluationError, parse_tum};
-pub use truth::{TruthErrors, TruthReport, evaluate_truth};
+pub use truth_errors::{TruthErrors, TruthReport, evaluate_truth};

@@ -7,15 +7,15 @@ mod map_files;
 mod map_hash;
 mod occupancy;
 mod picture;
-mod report;
-mod trajectory;
+mod run_report;
+mod tum_text;
 
 pub use map_files::{render_pgm, render_yaml, write_map};
 pub use map_hash::map_hash;
 pub use occupancy::{CellState, OccupancyImage};
 pub use picture::{PictureTracks, render_picture, write_flock_picture, write_picture};
-pub use report::{LatencyMicroseconds, LoopClosures, ProcessUse, Report, StageReport, write_report};
-pub use trajectory::{TrajectoryPoint, render_trajectory, write_trajectory};
+pub use run_report::{LatencyMicroseconds, LoopClosures, ProcessUse, Report, StageReport, write_report};
+pub use tum_text::{TrajectoryPoint, render_trajectory, write_trajectory};
 
 use flockslam_journal::{Durability, JournalError, replace_file};
 use std::path::Path;

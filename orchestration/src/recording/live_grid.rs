@@ -1,7 +1,7 @@
 //! Keeps a copy of the grid that is being built. Takes tiles in; gives one grid of bytes, bounded in size.
 
 use super::Recorded;
-use super::messages::grid;
+use super::foxglove_messages::grid;
 use flockslam_evidence::{PackedCell, TILE_CELLS, TILE_SIDE, TileKey};
 use flockslam_messages::{Commit, TileMessage};
 use std::collections::BTreeMap;

@@ -1,7 +1,7 @@
 //! Turns the tracks of moving bodies into a scene of a recording: one cylinder and one arrow for each track.
 
 use super::RecordTopic;
-use super::messages::{Recorded, SpatialPose, Time, Vector3, recorded, time, wall};
+use super::foxglove_messages::{Recorded, SpatialPose, Time, Vector3, recorded, time, wall};
 use flockslam_geometry::Pose;
 use flockslam_messages::{Times, Track};
 use serde::Serialize;

@@ -1,8 +1,8 @@
 //! A running process set: it starts the stages, watches them, starts again what died or hung, and stops all of them.
 
 use super::child::{StageChild, StartOrder};
-use super::error::{READY_LIMIT, SetError};
 use super::hang::HangWatch;
+use super::set_error::{READY_LIMIT, SetError};
 use super::status::{SetState, SetStatus, StageState, StageStatus};
 use super::{ProcessLimits, SetFile, Supervision};
 use crate::configuration::Configuration;
@@ -18,8 +18,8 @@ use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
 use std::time::{Duration, Instant};
 
-mod levels;
-mod scaling;
+mod set_log_levels;
+mod set_scaling;
 
 /// Exit code of a stage whose source is not usable: a mistake of the user's.
 pub const EXIT_BAD_SOURCE: i32 = 2;

@@ -1,7 +1,7 @@
 //! The logic of the stage: takes scans one by one, gives a verdict with its reason for each.
 
 use crate::description::Description;
-use crate::lidar::{Judgement, Lidar, Limits};
+use crate::lidar_history::{Judgement, Lidar, Limits};
 use crate::tally::tally;
 use crate::{Mode, Settings};
 use flockslam_messages::{DropReason, KeepReason, ScanTally, ScanView, Verdict};

@@ -4,7 +4,7 @@
 mod correlation;
 mod description;
 mod filter;
-mod lidar;
+mod lidar_history;
 pub mod process;
 mod settings;
 mod tally;

@@ -2,16 +2,16 @@
 //!
 //! Replica 0 judges. The others describe their parts of large scans and send it what those add up to.
 
-mod shares;
+mod tally_shares;
 
-pub use shares::tally_part;
+pub use tally_shares::tally_part;
 
 use crate::{CorrelationFilter, Settings};
 use flockslam_bus::{Notifier, Publisher, ScanSample, ScanSubscriber, Subscriber};
 use flockslam_messages::{DropReason, KeepReason, Progress, ScanTally, Stage, Verdict};
 use flockslam_stage::{Acknowledger, Actor, Mode, Shares, StageContext, StageError, run};
 use flockslam_telemetry::{LabelledCounters, names};
-use shares::is_shared;
+use tally_shares::is_shared;
 
 /// A part that another replica has not sent after this is described here: the same numbers, only later.
 const SHARE_DEADLINE_NS: u64 = 50_000_000;

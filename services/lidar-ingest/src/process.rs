@@ -6,7 +6,7 @@ mod cursor;
 mod feed;
 mod pacer;
 mod pipe;
-mod truth;
+mod truth_file;
 mod world_file;
 
 use crate::Settings;

@@ -5,10 +5,10 @@ mod newcomers;
 pub mod process;
 mod score;
 mod settings;
-mod share;
+mod tile_share;
 mod window;
 mod window_tile;
 
 pub use mapper::{Insertion, Mapper};
 pub use settings::{ReadOut, SensorModelKind, Settings};
-pub use share::TileShare;
+pub use tile_share::TileShare;

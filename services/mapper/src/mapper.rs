@@ -2,7 +2,7 @@
 
 use crate::newcomers::Newcomers;
 use crate::settings::{SUBMAP_LENGTH_M, Settings};
-use crate::share::TileShare;
+use crate::tile_share::TileShare;
 use crate::window::Window;
 use flockslam_evidence::{CellIndex, Submap, Tile, TileKey, floor};
 use flockslam_geometry::{Point, Pose};

@@ -2,7 +2,7 @@
 
 use crate::score::Scores;
 use crate::settings::Settings;
-use crate::share::TileShare;
+use crate::tile_share::TileShare;
 use crate::window_tile::WindowTile;
 use flockslam_evidence::{
     Cell, CellIndex, PackedCell, Submap, SubmapTile, TILE_CELLS, Tile, TileDirectory, TileKey, WEIGHT_SCALE,

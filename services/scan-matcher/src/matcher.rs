@@ -13,8 +13,8 @@ use flockslam_messages::{
 };
 use flockslam_registration::GridField;
 use judging::Judgement;
+use matcher_state::{Confidence, MapState};
 use points::{MoverMask, ScanPoints};
-use state::{Confidence, MapState};
 use std::ops::Deref;
 
 /// Fewer points than this fix no pose.
@@ -34,12 +34,12 @@ const MEAN_RATE: f64 = 0.02;
 const SLIPPED: (f64, f64) = (0.15, 0.08);
 
 mod bodies;
-mod companions;
 mod fitting;
+mod flock_robots;
 mod judging;
+mod matcher_state;
 mod movers;
 mod points;
-mod state;
 
 /// Fits scans to the grid. A pure function of its calls.
 #[derive(Debug)]

@@ -2,13 +2,13 @@
 //!
 //! `cargo bench -p flockslam-sync-manager --bench false_merges -- [FIRST] [COUNT]` prints a line for each trial and the sum; 200 from 0 on by default.
 
-#[path = "../tests/synthetic/flocks.rs"]
-mod flocks;
+#[path = "../tests/synthetic/meeting_trials.rs"]
+mod meeting_trials;
 #[allow(dead_code, reason = "what several tests share, one of them does not need all of")]
 #[path = "../tests/synthetic/support.rs"]
 mod support;
-#[path = "../tests/synthetic/trials.rs"]
-mod trials;
+#[path = "../tests/synthetic/synthetic_flock.rs"]
+mod synthetic_flock;
 
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -30,8 +30,8 @@ fn main() {
     let (first, count): (u64, u64) = (arguments.next().unwrap_or(0), arguments.next().unwrap_or(200));
     let mut tallies: BTreeMap<(bool, &str), Tally> = BTreeMap::new();
     for number in first..first + count {
-        let (trial, started) = (trials::trial(number), Instant::now());
-        let outcome = trials::run(&trial);
+        let (trial, started) = (meeting_trials::trial(number), Instant::now());
+        let outcome = meeting_trials::run(&trial);
         let tally = tallies.entry((trial.is_meeting, trial.kind)).or_default();
         tally.trials += 1;
         tally.merged += u32::from(outcome.merged);

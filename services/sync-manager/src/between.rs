@@ -171,7 +171,7 @@ fn stamps(records: &[PoseRecord]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::trajectory::{Between, filled};
+    use crate::filled_trajectory::{Between, filled};
     use flockslam_messages::ScanId;
     use proptest::prelude::*;
 

@@ -6,13 +6,13 @@
 //! time.
 
 mod between;
+mod filled_trajectory;
 mod fuse;
 mod manager;
 mod pose_record;
 pub mod process;
 mod settings;
 mod solution;
-mod trajectory;
 
 pub use manager::SyncManager;
 pub use settings::Settings;

@@ -1,9 +1,10 @@
 //! The back end of one robot as a state machine: poses, scans and closed submaps in; corrections, and at the end the solution, out.
 
+use crate::filled_trajectory::{Between, filled};
 use crate::pose_record::PoseRecord;
 use crate::settings::Settings;
 use crate::solution::{ClosureCounts, FrozenScan, Solution};
-use crate::trajectory::{Between, filled};
+use final_solution::placed;
 use flockslam_geometry::Pose;
 use flockslam_loop_closure::agreement::eligible;
 use flockslam_loop_closure::closure::{CHI_SQUARED_MAX, Closure};
@@ -24,14 +25,13 @@ use flockslam_pose_graph::Edge;
 use flockslam_pose_graph::{RobustSettings, solve};
 use flockslam_registration::cloud::Placement;
 use freeze::FrozenSubmap;
-use solution::placed;
 use std::collections::{BTreeMap, BTreeSet};
 use unpublished::Unpublished;
 
 mod counts;
+mod final_solution;
 mod freeze;
 mod shown;
-mod solution;
 mod unpublished;
 
 /// A scan this close to the last one kept tells nothing new, metres and radians.

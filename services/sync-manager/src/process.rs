@@ -7,7 +7,7 @@
 use crate::fuse::Fuser;
 use crate::{Settings, SyncManager};
 use clear_at_end::clear_at_end;
-use flock::Outbox;
+use flock_outbox::Outbox;
 use flockslam_bus::{Notifier, Publisher, SUPERVISOR_EVENT, Subscriber};
 use flockslam_flock_network::FlockMetrics;
 use flockslam_geometry::Pose;
@@ -29,7 +29,7 @@ use std::path::PathBuf;
 use trajectories::Trajectories;
 
 mod clear_at_end;
-mod flock;
+mod flock_outbox;
 mod metrics;
 mod trajectories;
 

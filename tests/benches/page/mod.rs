@@ -3,19 +3,19 @@
 mod accuracy;
 mod cost;
 mod document;
-mod filter;
+mod filter_modes;
 mod front_end;
 mod hop;
 mod long_run;
 mod machine;
-mod moving;
+mod moving_bodies;
 mod robustness;
 mod runs;
 mod separation;
+mod simulated_worlds;
 mod small_computer;
 mod strategies;
 mod table;
-mod worlds;
 
 pub use document::{Page, SECTIONS};
 pub use hop::echo;
@@ -74,15 +74,15 @@ pub fn generate<E>(plan: &Plan, page: &mut Page, keep: impl Fn(&Page) -> Result<
             "machine" => machine::section(),
             "accuracy" => accuracy::section(&mut bench),
             "strategies" => strategies::section(&mut bench),
-            "filter" => filter::section(&mut bench),
+            "filter" => filter_modes::section(&mut bench),
             "robustness" => robustness::section(&mut bench),
             "cost" => cost::section(&mut bench),
             "front-end" => front_end::section(&mut bench),
             "separation" => separation::section(&mut bench),
             "small-computer" => small_computer::section(&mut bench),
-            "worlds" => worlds::section(&mut bench),
-            "moving" => moving::worlds(&mut bench),
-            "movers" => moving::movers(&mut bench),
+            "worlds" => simulated_worlds::section(&mut bench),
+            "moving" => moving_bodies::worlds(&mut bench),
+            "movers" => moving_bodies::movers(&mut bench),
             "long-run" => long_run::section(),
             other => unreachable!("{other} is not a section"),
         };

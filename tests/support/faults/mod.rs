@@ -2,23 +2,23 @@
 //! one (a table) are made of these.
 
 mod evidence;
+mod fault_trials;
 mod input;
 mod journal_cost;
-mod overload;
+mod overload_trial;
 mod storage;
-mod trials;
 
 pub use evidence::Evidence;
-use flockslam_random::Random;
-pub use input::{corrupt_scans, repetitions};
-pub use journal_cost::JournalCost;
-pub use overload::{Overload, overload};
-pub use storage::{refusing_disk, terminations, torn_files};
-pub use trials::{
+pub use fault_trials::{
     Trial, crashing_starts, descriptors, endless_loop, everything_at_once, jumping_clock,
     kills_of_each_stage, kills_of_the_leader, kills_while_saving, left_behind, stops_of_each_stage, storm,
     too_much_is_left, with_failpoint,
 };
+use flockslam_random::Random;
+pub use input::{corrupt_scans, repetitions};
+pub use journal_cost::JournalCost;
+pub use overload_trial::{Overload, overload};
+pub use storage::{refusing_disk, terminations, torn_files};
 
 /// Seeded random numbers: the same seed, the same faults.
 pub struct Seeded(Random);

@@ -1,7 +1,7 @@
 //! The content of a stretch of a pose graph: nodes with motions, their information and points, and a descriptor of the place.
 
 use super::constraint::is_information;
-use super::points;
+use super::packed_points;
 use crate::RecordError;
 use crate::codec::{Reader, Writer, stored};
 use crate::sealed::PAYLOAD_BYTES_MAX;
@@ -84,7 +84,7 @@ impl Stretch {
             last = node.sequence + 1;
             node.write(out);
         }
-        let coded = points::encode(self.nodes.iter().map(|node| node.points.as_slice()));
+        let coded = packed_points::encode(self.nodes.iter().map(|node| node.points.as_slice()));
         out.varint(coded.len() as u64);
         out.bytes(&coded);
     }
@@ -110,7 +110,7 @@ impl Stretch {
             last = Some(sequence + 1);
         }
         let length = input.count("bytes of points", PAYLOAD_BYTES_MAX, 1)?;
-        for (node, points) in nodes.iter_mut().zip(points::decode(input.take(length)?, &counts)?) {
+        for (node, points) in nodes.iter_mut().zip(packed_points::decode(input.take(length)?, &counts)?) {
             node.points = points;
         }
         Ok(Self { trajectory, previous, descriptor, nodes })

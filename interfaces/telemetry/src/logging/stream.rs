@@ -1,6 +1,6 @@
 //! The log file that all processes of a set append to, with a limit on its size.
 
-use super::line::json_line;
+use super::log_line::json_line;
 use crate::clock::log_time_ns;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};

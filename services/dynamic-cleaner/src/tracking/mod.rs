@@ -1,12 +1,12 @@
 //! Who moves around the robot: clusters of points in known-free space, followed from scan to scan.
 
 mod cluster;
-mod motion;
+mod track_filter;
 
 use cluster::find_centers;
 use flockslam_geometry::Point;
 use flockslam_messages::Track;
-use motion::Motion;
+use track_filter::Motion;
 
 /// A sighting farther from a track than this, squared Mahalanobis distance, is somebody else (χ², two degrees of freedom,
 /// 99 %) …

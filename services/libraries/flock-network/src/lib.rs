@@ -12,12 +12,12 @@ mod proximity;
 mod record_publisher;
 mod relay;
 mod settings;
-mod shared;
 mod talk;
 mod thread;
+mod thread_state;
 
 pub use metrics::FlockMetrics;
 pub use record_publisher::RecordPublisher;
 pub use settings::{FlockSettings, ProximitySource};
-pub use shared::Task;
 pub use thread::FlockThread;
+pub use thread_state::Task;

@@ -1,7 +1,7 @@
 //! The one place that opens the network between robots.
 
 use super::drops::{Dropped, Drops};
-use super::shared::locked;
+use super::thread_state::locked;
 use crate::settings::FlockSettings;
 use flockslam_records::{MESSAGE_BYTES_MAX, Message, RobotId};
 use std::collections::{BTreeMap, BTreeSet};

@@ -9,7 +9,7 @@ use super::pace::{Budget, Pace};
 use super::proximity::Proximity;
 use super::record_publisher::RecordPublisher;
 use super::relay::Relay;
-use super::shared::{Shared, Task, locked};
+use super::thread_state::{Shared, Task, locked};
 use crate::settings::FlockSettings;
 use flockslam_flock::Flock;
 use flockslam_geometry::Pose;
@@ -21,7 +21,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
-mod status;
+mod talk_status;
 mod whereabouts;
 
 /// How long the thread sleeps when nothing happens.

@@ -3,8 +3,8 @@
 use super::metrics::FlockMetrics;
 use super::proximity::proximity;
 use super::record_publisher::RecordPublisher;
-use super::shared::{Shared, Task, locked};
 use super::talk::Talk;
+use super::thread_state::{Shared, Task, locked};
 use crate::settings::FlockSettings;
 use flockslam_evidence::Submap;
 use flockslam_messages::{FlockFrame, FlockRobots, PoseEstimate};

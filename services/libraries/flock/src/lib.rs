@@ -8,22 +8,22 @@
 mod atlas;
 mod consistency;
 mod findings;
+mod flock_map;
 mod flock_solution;
-mod fused;
+mod flock_trajectory;
 mod inspection;
 mod joint;
 mod member;
 mod overlap;
 mod resemblance;
 mod rivals;
-mod search;
 mod start;
-mod trajectory;
+mod tie_search;
 
 pub use atlas::Atlas;
 pub use findings::{Findings, OwnLoop};
+pub use flock_map::FlockMap;
 pub use flock_solution::{FlockSolution, PlacedNode, PlacedRecord};
-pub use fused::FlockMap;
+pub use flock_trajectory::{Carried, carried};
 pub use inspection::Inspected;
 pub use member::Flock;
-pub use trajectory::{Carried, carried};

@@ -1,7 +1,7 @@
 //! One robot's state in the flock: its key, the records that it has, its search; messages in, messages and records out.
 
 use super::inspection::Inspected;
-use super::search::Search;
+use super::tie_search::Search;
 use super::{Atlas, Findings};
 use flockslam_geometry::Pose;
 use flockslam_records::{

@@ -204,14 +204,9 @@ mod tests {
             SubmapTile::new(key, Box::new(std::array::from_fn::<_, TILE_CELLS, _>(cell)))
         };
         let submap = Submap {
-            number: 0,
-            trajectory: 0,
-            insertions: 1,
-            first: 0,
-            last: 0,
-            odom_from_submap: Pose::IDENTITY,
             cell_size_m: CELL_M,
             tiles: [(-1, -1), (0, -1), (-1, 0), (0, 0)].map(tile).into_iter().collect(),
+            ..Submap::default()
         };
         let mut map = FusedMap::new(CELL_M);
         map.add(&submap, Pose::IDENTITY).unwrap();

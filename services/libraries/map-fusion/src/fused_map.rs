@@ -254,35 +254,30 @@ mod tests {
     use flockslam_evidence::SubmapTile;
     use proptest::prelude::*;
 
-    /// A submap with a few cells of evidence and some of them cleared.
+    fn of_tiles(tiles: Vec<SubmapTile>) -> Submap {
+        Submap { number: 4, cell_size_m: 0.05, tiles, ..Submap::default() }
+    }
+
+    /// A submap with a few cells of evidence, a third of them cleared.
     fn submap() -> impl Strategy<Value = Submap> {
-        let cell = (-90i32..90, -90i32..90, 0u16..9000, 1u16..9000, any::<bool>());
-        (proptest::collection::vec(cell, 0..60), -3.0..3.0f64, -2.0..2.0f64).prop_map(
-            |(cells, heading, x)| {
-                let mut tiles = std::collections::BTreeMap::new();
-                for (x, y, occupied, free, cleared) in cells {
-                    let index = CellIndex::new(x, y);
-                    let empty = || SubmapTile::new(index.tile(), Box::new([PackedCell::UNKNOWN; TILE_CELLS]));
-                    let tile = tiles.entry(index.tile()).or_insert_with(empty);
-                    tile.cells[index.offset()] = PackedCell { occupied, free };
-                    if cleared {
-                        tile.clear(index.offset());
-                    }
+        let cells = proptest::collection::vec((-90i32..90, -90i32..90, 0u16..9000, 1u16..9000), 0..60);
+        (cells, pose()).prop_map(|(cells, odom_from_submap)| {
+            let mut submap = Submap { odom_from_submap, ..of_tiles(Vec::new()) };
+            for (x, y, occupied, free) in cells {
+                let cell = CellIndex::new(x, y);
+                if submap.tile(cell.tile()).is_none() {
+                    let unknown = Box::new([PackedCell::UNKNOWN; TILE_CELLS]);
+                    submap.tiles.push(SubmapTile::new(cell.tile(), unknown));
+                    submap.tiles.sort_by_key(|tile| tile.key);
                 }
-                let odom_from_submap = Pose::new(x, 0.5, heading);
-                let tiles = tiles.into_values().collect();
-                Submap {
-                    number: 3,
-                    trajectory: 0,
-                    insertions: 7,
-                    first: 40,
-                    last: 61,
-                    odom_from_submap,
-                    cell_size_m: 0.05,
-                    tiles,
+                let tile = submap.tile_mut(cell.tile()).unwrap();
+                tile.cells[cell.offset()] = PackedCell { occupied, free };
+                if occupied % 3 == 0 {
+                    tile.clear(cell.offset());
                 }
-            },
-        )
+            }
+            submap
+        })
     }
 
     fn pose() -> impl Strategy<Value = Pose> {
@@ -352,16 +347,7 @@ mod tests {
     fn a_submap_that_reaches_too_far_leaves_no_trace() {
         let cells = || Box::new([PackedCell { occupied: 5, free: 1 }; TILE_CELLS]);
         let tiles = [0, 1, 1 << 20].map(|x| SubmapTile::new(TileKey { x, y: 0 }, cells()));
-        let near = Submap {
-            number: 4,
-            trajectory: 0,
-            insertions: 1,
-            first: 0,
-            last: 0,
-            odom_from_submap: Pose::IDENTITY,
-            cell_size_m: 0.05,
-            tiles: tiles[1..2].to_vec(),
-        };
+        let near = of_tiles(tiles[1..2].to_vec());
         let far = Submap { tiles: tiles.to_vec(), ..near.clone() };
         let mut map = FusedMap::new(0.05);
         map.add(&near, Pose::IDENTITY).unwrap();
@@ -375,16 +361,7 @@ mod tests {
         let key = TileKey { x: 0, y: 0 };
         let mut tile = SubmapTile::new(key, Box::new([PackedCell { occupied: 5, free: 1 }; TILE_CELLS]));
         tile.clear(7);
-        let mut submap = Submap {
-            number: 4,
-            trajectory: 0,
-            insertions: 1,
-            first: 0,
-            last: 0,
-            odom_from_submap: Pose::IDENTITY,
-            cell_size_m: 0.05,
-            tiles: vec![tile],
-        };
+        let mut submap = of_tiles(vec![tile]);
         let mut map = FusedMap::new(0.05);
         map.add(&submap, Pose::IDENTITY).unwrap();
         let before = map.clone();

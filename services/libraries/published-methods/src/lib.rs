@@ -2,8 +2,6 @@
 //! these (the profiles `vinyslam` and `ndt`, `correlation_filter.mode`, `dynamic_cleaner.method`, `flockslam swarm --protocol`).
 
 mod meeting;
-#[cfg(test)]
-mod room;
 mod sampling;
 mod sector_scan;
 mod seed_exact;

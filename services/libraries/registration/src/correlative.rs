@@ -232,7 +232,7 @@ pub(crate) fn node_bound(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{field::ScoreField, room};
+    use crate::{field::ScoreField, test_room};
 
     /// Every pose of the lattice, one by one.
     fn best_by_brute_force(
@@ -243,7 +243,7 @@ mod tests {
         let mut search = CorrelativeSearch::default();
         search.take_sample(points, 0.1);
         let (step_m, step_rad) = (0.1, search.heading_step(0.1));
-        let field = room::field(grid);
+        let field = test_room::field(grid);
         let mut read = field.reader(Level::Half);
         let (headings, reach) =
             ((window.reach_rad / step_rad).ceil() as i32, (window.reach_m / 0.2).ceil() as i32);
@@ -259,17 +259,17 @@ mod tests {
 
     #[test]
     fn finds_the_best_pose_of_the_window_and_no_worse_than_trying_all() {
-        let grid = room::grid(&room::ROOM);
+        let grid = test_room::grid(&test_room::ROOM);
         for (truth, off) in [
             (Pose::new(0.4, -0.3, 0.7), Pose::new(0.4, 0.3, 0.3)),
             (Pose::new(1.0, 0.2, -2.0), Pose::new(-0.5, 0.1, -0.2)),
         ] {
-            let points = room::scan(truth);
+            let points = test_room::scan(truth);
             let center =
                 Pose::new(truth.x_m + off.x_m, truth.y_m + off.y_m, truth.heading_rad + off.heading_rad);
             let window = Window { center, reach_m: 0.6, reach_rad: 0.35 };
             let mut search = CorrelativeSearch::default();
-            let found = search.search(&room::field(&grid), &points, window, (center, 0.0), 3).to_vec();
+            let found = search.search(&test_room::field(&grid), &points, window, (center, 0.0), 3).to_vec();
             assert!(found.len() == 3 && found[0].0 >= found[1].0 && found[1].0 >= found[2].0);
             assert!((found[0].0 - best_by_brute_force(&grid, &points, window)).abs() < 1e-12);
             assert!(
@@ -282,11 +282,15 @@ mod tests {
 
     #[test]
     fn a_rival_that_cannot_be_beaten_and_a_scan_without_points_find_nothing() {
-        let grid = room::grid(&room::ROOM);
+        let grid = test_room::grid(&test_room::ROOM);
         let truth = Pose::new(0.4, -0.3, 0.7);
         let window = Window { center: truth, reach_m: 0.6, reach_rad: 0.35 };
         let mut search = CorrelativeSearch::default();
-        assert!(search.search(&room::field(&grid), &room::scan(truth), window, (truth, 0.2), 3).is_empty());
-        assert!(search.search(&room::field(&grid), &[], window, (truth, 0.0), 3).is_empty());
+        assert!(
+            search
+                .search(&test_room::field(&grid), &test_room::scan(truth), window, (truth, 0.2), 3)
+                .is_empty()
+        );
+        assert!(search.search(&test_room::field(&grid), &[], window, (truth, 0.0), 3).is_empty());
     }
 }

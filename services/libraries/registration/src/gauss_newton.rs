@@ -196,7 +196,7 @@ pub fn inflated_along(covariance: Covariance, axis: Vector2<f64>, sigma_m: f64) 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{bilinear, room};
+    use crate::{bilinear, test_room};
     use proptest::prelude::*;
 
     fn solver() -> GaussNewton {
@@ -210,10 +210,10 @@ mod tests {
             x in -1.0..2.0f64, y in -1.0..0.5f64, heading in -3.0..3.0f64,
             dx in -0.12..0.12f64, dy in -0.12..0.12f64, turn in -0.04..0.04f64
         ) {
-            let grid = room::grid(&room::ROOM);
+            let grid = test_room::grid(&test_room::ROOM);
             let truth = Pose::new(x, y, heading);
             let start = Pose::new(x + dx, y + dy, heading + turn);
-            let fit = solver().fit(&room::field(&grid), &room::scan(truth), start, start);
+            let fit = solver().fit(&test_room::field(&grid), &test_room::scan(truth), start, start);
             prop_assert!(fit.pose.distance_m(truth) < 0.015 && fit.pose.turn_rad(truth) < 0.005, "{:?}", fit.pose);
             prop_assert!(fit.score > 0.8 && fit.weakest_direction() > 1.0);
             let c = fit.covariance(0.3, 0.15);
@@ -223,8 +223,8 @@ mod tests {
 
     #[test]
     fn derivatives_are_those_of_the_score() {
-        let grid = room::grid(&room::ROOM);
-        let field = room::field(&grid);
+        let grid = test_room::grid(&test_room::ROOM);
+        let field = test_room::field(&grid);
         let mut read = crate::ScoreField::reader(&field, Level::Full);
         let step = 1e-7;
         for (x, y) in [(3.931, 0.273), (-1.957, -0.328), (0.812, 1.468)] {
@@ -239,13 +239,13 @@ mod tests {
     #[test]
     fn a_corridor_is_weak_along_itself_and_keeps_the_prediction_there() {
         let walls = [(0.0, 1.0, 1.02), (0.0, 1.0, -0.97)];
-        let grid = room::grid(&walls);
+        let grid = test_room::grid(&walls);
         let points: Vec<Point> = (-60..60)
             .map(|i| f64::from(i) * 0.1)
             .flat_map(|x| [Point::new(x, 1.02), Point::new(x, -0.97)])
             .collect();
         let start = Pose::new(0.07, 0.06, 0.01);
-        let fit = solver().fit(&room::field(&grid), &points, start, start);
+        let fit = solver().fit(&test_room::field(&grid), &points, start, start);
         assert!(fit.weakest_direction() < 0.1, "{}", fit.weakest_direction());
         assert!(
             (fit.pose.x_m - 0.07).abs() < 0.01
@@ -261,7 +261,7 @@ mod tests {
         let grid: flockslam_evidence::TileGrid<Box<flockslam_evidence::Tile>> =
             flockslam_evidence::TileGrid::new(0.05);
         let start = Pose::new(1.0, 2.0, 0.5);
-        let fit = solver().fit(&room::field(&grid), &[Point::new(1.0, 0.0)], start, start);
+        let fit = solver().fit(&test_room::field(&grid), &[Point::new(1.0, 0.0)], start, start);
         assert_eq!((fit.pose, fit.score), (start, 0.0));
     }
 }

@@ -227,7 +227,7 @@ fn finer(level: Level) -> Option<Level> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{nearest, room};
+    use crate::{nearest, test_room};
 
     fn window(center: Pose) -> Window {
         Window { center, reach_m: 0.25, reach_rad: 0.2 }
@@ -245,13 +245,13 @@ mod tests {
 
     #[test]
     fn no_pose_of_the_lattice_is_better_than_the_one_found() {
-        let grid = room::grid(&room::ROOM);
-        let field = room::field(&grid);
+        let grid = test_room::grid(&test_room::ROOM);
+        let field = test_room::field(&grid);
         for (truth, off) in [
             (Pose::new(0.4, -0.3, 0.7), Pose::new(0.2, 0.13, 0.11)),
             (Pose::new(1.0, 0.2, -2.0), Pose::new(-0.18, 0.1, -0.15)),
         ] {
-            let points: Vec<Point> = room::scan(truth).into_iter().step_by(2).collect();
+            let points: Vec<Point> = test_room::scan(truth).into_iter().step_by(2).collect();
             let center =
                 Pose::new(truth.x_m + off.x_m, truth.y_m + off.y_m, truth.heading_rad + off.heading_rad);
             let mut matcher = Correlative::default();
@@ -277,13 +277,13 @@ mod tests {
 
     #[test]
     fn where_nothing_is_better_the_prediction_stays() {
-        let grid = room::grid(&[]);
+        let grid = test_room::grid(&[]);
         let start = Pose::new(0.3, 0.2, 0.1);
-        let points = room::scan(start);
+        let points = test_room::scan(start);
         let mut matcher = Correlative::default();
-        assert!(matcher.search(&room::field(&grid), &points, window(start)).is_none());
-        assert!(matcher.search(&room::field(&grid), &[], window(start)).is_none());
-        let fit = matcher.fit(&room::field(&grid), &points, window(start));
+        assert!(matcher.search(&test_room::field(&grid), &points, window(start)).is_none());
+        assert!(matcher.search(&test_room::field(&grid), &[], window(start)).is_none());
+        let fit = matcher.fit(&test_room::field(&grid), &points, window(start));
         assert_eq!(fit.pose, start);
     }
 }

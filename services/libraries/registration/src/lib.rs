@@ -3,17 +3,17 @@
 mod batch;
 mod bounds;
 pub mod cloud;
-#[cfg(test)]
-mod consistency;
 mod correlative;
+#[cfg(test)]
+mod covariance_consistency;
 mod degenerate;
 mod field;
 mod gauss_newton;
 mod lattice;
 mod ndt;
-#[cfg(test)]
-mod room;
 mod sweep;
+#[cfg(test)]
+mod test_room;
 
 pub use correlative::{CorrelativeSearch, Window};
 pub use degenerate::degenerate_direction;

@@ -321,8 +321,8 @@ fn place(at: CellIndex) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::consistency::{self, Noise, World};
-    use crate::room;
+    use crate::covariance_consistency::{self, Noise, World};
+    use crate::test_room;
     use nalgebra::Matrix2;
 
     #[test]
@@ -332,15 +332,16 @@ mod tests {
         for seed in 0..12 {
             let mut noise = Noise(seed);
             let world = World::new(&mut noise);
-            let grid = consistency::map(&world, &mut noise);
-            let truth = consistency::random_pose(&mut noise);
+            let grid = covariance_consistency::map(&world, &mut noise);
+            let truth = covariance_consistency::random_pose(&mut noise);
             let mut off = |reach: f64| noise.between(-reach, reach);
             let start =
                 Pose::new(truth.x_m + off(0.08), truth.y_m + off(0.08), truth.heading_rad + off(0.03));
             let points = world.scan(truth, &mut noise);
-            let found = ndt.fit(&settings, &room::field(&grid), &points, Expected::at(start), start).unwrap();
+            let found =
+                ndt.fit(&settings, &test_room::field(&grid), &points, Expected::at(start), start).unwrap();
             let again = Ndt::default()
-                .fit(&settings, &room::field(&grid), &points, Expected::at(start), start)
+                .fit(&settings, &test_room::field(&grid), &points, Expected::at(start), start)
                 .unwrap();
             assert_eq!(found, again);
             assert!(
@@ -354,8 +355,8 @@ mod tests {
 
     #[test]
     fn gradient_and_hessian_are_those_of_the_cost() {
-        let grid = room::grid(&room::ROOM);
-        let (field, settings) = (room::field(&grid), NdtSettings::default());
+        let grid = test_room::grid(&test_room::ROOM);
+        let (field, settings) = (test_room::field(&grid), NdtSettings::default());
         // Few points, none of which crosses into another block within the difference.
         let points = [Point::new(3.93, 0.3), Point::new(-1.9, -0.33), Point::new(0.8, 1.5)];
         let expected = Expected::at(Pose::IDENTITY);
@@ -401,11 +402,11 @@ mod tests {
 
     #[test]
     fn no_cell_hit_is_no_match() {
-        let grid = room::grid(&room::ROOM);
+        let grid = test_room::grid(&test_room::ROOM);
         let far = [Point::new(500.0, 0.0)];
         let found = Ndt::default().fit(
             &NdtSettings::default(),
-            &room::field(&grid),
+            &test_room::field(&grid),
             &far,
             Expected::at(Pose::IDENTITY),
             Pose::IDENTITY,

@@ -177,14 +177,14 @@ impl System {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::room;
+    use crate::test_room;
 
     const SIGMA: TwistSigma = TwistSigma { x_m_s: 0.1, y_m_s: 0.05, turn_rad_s: 0.5 };
     const PERIOD_S: f64 = 0.1;
 
     /// The room seen while moving, each beam from where the robot was by then, straightened by `assumed`.
     fn sweep(truth: MotionState, assumed: Twist) -> (Vec<Point>, Vec<f64>) {
-        let at_once = room::scan(truth.pose);
+        let at_once = test_room::scan(truth.pose);
         let step_s = PERIOD_S / at_once.len() as f64;
         let seen = |(i, point): (usize, &Point)| {
             let time_s = i as f64 * step_s;
@@ -196,8 +196,8 @@ mod tests {
 
     #[test]
     fn pose_and_turn_rate_are_found_when_odometry_is_wrong() {
-        let grid = room::grid(&room::ROOM);
-        let field = room::field(&grid);
+        let grid = test_room::grid(&test_room::ROOM);
+        let field = test_room::field(&grid);
         let start = Pose::new(0.3, -0.2, 0.4);
         for (forward, turn) in [(0.5, 0.0), (0.6, 0.4), (0.45, -0.5)] {
             let odometry = Twist { x_m_s: 0.5, ..Twist::default() };
@@ -219,8 +219,8 @@ mod tests {
 
     #[test]
     fn a_velocity_that_is_not_known_makes_the_pose_less_certain() {
-        let grid = room::grid(&room::ROOM);
-        let field = room::field(&grid);
+        let grid = test_room::grid(&test_room::ROOM);
+        let field = test_room::field(&grid);
         let still = MotionState { pose: Pose::new(0.3, -0.2, 0.4), twist: Twist::default() };
         let (points, times_s) = sweep(still, still.twist);
         let sweep = Sweep { points: &points, times_s: &times_s };

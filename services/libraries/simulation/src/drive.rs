@@ -1,6 +1,6 @@
 //! The exact motion of the simulated robot along its tour: pure pursuit with bounded accelerations (Coulter 1992).
 
-use super::room::Room;
+use super::free_space::FreeSpace;
 use super::tour::Tour;
 use flockslam_geometry::{Point, Pose, Twist, wrap_angle};
 use flockslam_random::Random;
@@ -105,7 +105,7 @@ impl Drive {
     }
 
     /// The free space that it drives in.
-    pub(super) fn room(&self) -> &Arc<Room> {
+    pub(super) fn room(&self) -> &Arc<FreeSpace> {
         self.tour.room()
     }
 

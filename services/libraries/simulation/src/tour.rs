@@ -1,8 +1,8 @@
 //! The robot's way without end: legs between given points or random ones.
 
 use super::SimulationError;
+use super::free_space::FreeSpace;
 use super::planner::PlanningGrid;
-use super::room::Room;
 use flockslam_geometry::Point;
 use flockslam_random::Random;
 use std::sync::Arc;
@@ -22,7 +22,7 @@ const VISITED_MAX: usize = 4096;
 #[derive(Clone, Debug)]
 pub(super) struct Tour {
     /// All places that can be reached from the tour.
-    room: Arc<Room>,
+    room: Arc<FreeSpace>,
     plan: Plan,
 }
 
@@ -42,13 +42,13 @@ impl Tour {
             .map(|(from, to)| grid.path(*from, *to))
             .collect::<Option<_>>()
             .ok_or(SimulationError::NoRoom)?;
-        let room = Arc::new(Room::around(grid, points[0]));
+        let room = Arc::new(FreeSpace::around(grid, points[0]));
         Ok(Self { room, plan: Plan::Guided { points: points.to_vec(), legs, next: 0 } })
     }
 
     /// Visits random points of the largest room, and every now and then one of those again.
     pub(super) fn random(grid: PlanningGrid, mut random: Random) -> Result<Self, SimulationError> {
-        let room = Arc::new(Room::largest(grid));
+        let room = Arc::new(FreeSpace::largest(grid));
         let places = room.places();
         if !places.iter().any(|place| place.distance_m(places[0]) >= EXTENT_MIN_M) {
             return Err(SimulationError::NoRoom);
@@ -96,7 +96,7 @@ impl Tour {
     }
 
     /// The free space that the tour leads through.
-    pub(super) fn room(&self) -> &Arc<Room> {
+    pub(super) fn room(&self) -> &Arc<FreeSpace> {
         &self.room
     }
 }

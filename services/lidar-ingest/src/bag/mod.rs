@@ -4,10 +4,10 @@
 //! file, and no chunk that claims to be huge is unpacked.
 
 mod check;
-mod messages;
+mod ros_messages;
 
 pub use check::{BagProblem, check_bag};
-pub use messages::{MessageProblem, OdometryMessage, laser_scan, odometry};
+pub use ros_messages::{MessageProblem, OdometryMessage, laser_scan, odometry};
 
 /// What every bag begins with, whatever its version.
 pub const MAGIC: &[u8] = b"#ROSBAG V";

@@ -4,13 +4,13 @@
 //! carries the robot's and the laser's pose itself. The order of the lines is the order of the scans, whatever the stamps
 //! say.
 
-mod line;
-mod reader;
+mod carmen_line;
+mod carmen_reader;
+mod line_tally;
 mod rejection;
-mod tally;
 mod write;
 
-pub use reader::{CarmenReader, ReadError};
+pub use carmen_reader::{CarmenReader, ReadError};
+pub use line_tally::Tally;
 pub use rejection::Rejection;
-pub use tally::Tally;
 pub use write::write_scan;

@@ -2,7 +2,7 @@
 
 use super::bag::{BagError, BagReader, is_bag};
 use super::pipe::{Pipe, Piped};
-use super::truth::TruthWriter;
+use super::truth_file::TruthWriter;
 use super::{Source, Task, first_stages, world_file};
 use crate::carmen::{CarmenReader, Tally};
 use crate::experiment::Experiment;

@@ -1,8 +1,8 @@
 //! How a scan is fitted: strategy, velocity, and what the fit is worth.
 
 use super::POINTS_MIN_FOR_SHARE;
+use super::matcher_state::Confidence;
 use super::points::{MoverMask, ScanPoints};
-use super::state::Confidence;
 use crate::motion::Prediction;
 use crate::settings::{Settings, Strategy};
 use flockslam_evidence::Level;

@@ -2,8 +2,8 @@
 //! and for all, relative to a node that stays, and its nodes leave the graph.
 
 use super::{FINAL_NODES, SyncManager, expected};
+use crate::filled_trajectory::{Between, filled};
 use crate::solution::FrozenScan;
-use crate::trajectory::{Between, filled};
 use flockslam_loop_closure::place::Placer;
 use flockslam_pose_graph::Symmetric;
 use flockslam_registration::cloud::Placement;

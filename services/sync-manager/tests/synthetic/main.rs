@@ -4,9 +4,9 @@
 //! `support` has the buildings and front ends, `flocks` the robots that tell each other, `trials` the trials of `false_merges`. The
 //! examples `false_merges` and `scaling` use these three as well.
 
-mod false_merges;
-mod flock;
-mod flocks;
 mod loops;
+mod meeting_trials;
+mod meetings_of_robots;
+mod merge_trials;
 mod support;
-mod trials;
+mod synthetic_flock;

@@ -3,7 +3,7 @@
 use super::Talk;
 use crate::drops::Dropped;
 use crate::link::address;
-use crate::shared::locked;
+use crate::thread_state::locked;
 use flockslam_messages::{PoseEstimate, Quality};
 use flockslam_records::Presence;
 use flockslam_telemetry::monotonic_ns;

@@ -5,15 +5,15 @@
 //! come from crate `libm`, and nothing depends on the order of a hash table.
 
 mod align;
-mod field;
+mod cloud_point;
+mod cloud_search;
 mod moments;
 mod placement;
-mod point;
-mod search;
+mod pooled_field;
 
 pub use align::{AlignSettings, Aligner, Alignment};
-pub use field::PooledField;
+pub use cloud_point::PackedPoint;
+pub use cloud_search::{Found, Searcher, Window};
 pub use moments::{Line, MomentGrid};
 pub use placement::Placement;
-pub use point::PackedPoint;
-pub use search::{Found, Searcher, Window};
+pub use pooled_field::PooledField;

@@ -1,8 +1,8 @@
 //! Simulated doors: where they hang, and when they open and close.
 
 use crate::World;
+use crate::free_space::FreeSpace;
 use crate::index::{Segment, from_to};
-use crate::room::Room;
 use flockslam_geometry::Point;
 use flockslam_random::Random;
 use std::f64::consts::PI;
@@ -33,7 +33,7 @@ pub(super) struct Door {
 }
 
 /// Hangs up to `count` doors into passages on ways through a world.
-pub(super) fn hang(count: u32, world: &World, room: &Room, robot: Point, seed: u64) -> Vec<Door> {
+pub(super) fn hang(count: u32, world: &World, room: &FreeSpace, robot: Point, seed: u64) -> Vec<Door> {
     let (mut doors, mut random) = (Vec::<Door>::new(), Random::new(seed, "doors"));
     for _ in 0..WAYS_PER_DOOR * count {
         if doors.len() == count as usize {

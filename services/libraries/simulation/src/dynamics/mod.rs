@@ -10,7 +10,7 @@ mod walker;
 pub use body::MoverTruth;
 
 use super::drive::Turn;
-use super::room::Room;
+use super::free_space::FreeSpace;
 use super::{BeamLabel, Settings, World};
 use body::Body;
 use door::Door;
@@ -24,7 +24,7 @@ use walker::Walker;
 /// Everything that moves or changes.
 #[derive(Clone, Debug)]
 pub(super) struct Dynamics {
-    room: Arc<Room>,
+    room: Arc<FreeSpace>,
     walkers: Vec<Walker>,
     follower: Option<Follower>,
     doors: Vec<Door>,
@@ -37,7 +37,13 @@ pub(super) struct Dynamics {
 
 impl Dynamics {
     /// The settings' people, doors and pallets in a world whose robot stands at `robot`. A turn of the lidar takes `turn_s`.
-    pub(super) fn new(settings: &Settings, world: &World, room: Arc<Room>, robot: Pose, turn_s: f64) -> Self {
+    pub(super) fn new(
+        settings: &Settings,
+        world: &World,
+        room: Arc<FreeSpace>,
+        robot: Pose,
+        turn_s: f64,
+    ) -> Self {
         let start = room.nearest(robot.position());
         let walker =
             |i| Walker::new(&room, robot.position(), Random::new(settings.seed, &format!("walker {i}")));

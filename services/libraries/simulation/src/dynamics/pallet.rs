@@ -1,7 +1,7 @@
 //! Simulated pallets that appear, stand and vanish.
 
+use crate::free_space::FreeSpace;
 use crate::index::{Segment, from_to};
-use crate::room::Room;
 use flockslam_geometry::{Point, Pose};
 use flockslam_random::Random;
 use std::f64::consts::PI;
@@ -32,7 +32,7 @@ impl Pallet {
     }
 
     /// Comes and goes by its own schedule, and goes when the robot comes.
-    pub(super) fn decide(&mut self, now_s: f64, room: &Room, robot: Point) {
+    pub(super) fn decide(&mut self, now_s: f64, room: &FreeSpace, robot: Point) {
         let blocks =
             self.standing.as_ref().is_some_and(|(middle, _)| middle.distance_m(robot) < IN_THE_WAY_M);
         if now_s < self.changes_at_s && !blocks {
@@ -45,7 +45,7 @@ impl Pallet {
         };
     }
 
-    fn put_down(&mut self, room: &Room, robot: Point) -> Option<(Point, [Segment; 4])> {
+    fn put_down(&mut self, room: &FreeSpace, robot: Point) -> Option<(Point, [Segment; 4])> {
         let suits = |place: Point| (PUT_DOWN_M.0..PUT_DOWN_M.1).contains(&place.distance_m(robot));
         let place = room.place_where(&mut self.random, suits);
         let pose = Pose::new(place.x_m, place.y_m, self.random.between(-PI, PI));

@@ -2,7 +2,7 @@
 
 use super::body::{Body, RADIUS_M, squeezed};
 use crate::World;
-use crate::room::Room;
+use crate::free_space::FreeSpace;
 use flockslam_geometry::Point;
 use flockslam_random::Random;
 use std::collections::VecDeque;
@@ -38,7 +38,7 @@ pub(super) struct Walker {
 
 impl Walker {
     /// Stands at a random place.
-    pub(super) fn new(room: &Room, robot: Point, mut random: Random) -> Self {
+    pub(super) fn new(room: &FreeSpace, robot: Point, mut random: Random) -> Self {
         let suits = |place: Point| (2.0 * MAKE_WAY_M..HAUNT_M).contains(&place.distance_m(robot));
         let position = room.place_where(&mut random, suits);
         let speed_m_s = random.between(SPEEDS_M_S.0, SPEEDS_M_S.1);
@@ -46,7 +46,7 @@ impl Walker {
     }
 
     /// Walks on for a turn of the lidar.
-    pub(super) fn walk(&mut self, world: &World, room: &Room, robot: Point, turn_s: f64) -> Body {
+    pub(super) fn walk(&mut self, world: &World, room: &FreeSpace, robot: Point, turn_s: f64) -> Body {
         let wanted = self.wanted(room, robot, turn_s);
         let velocity = shortened(make_way(wanted, self.position, robot), SPEED_MAX_M_S);
         let start = self.position;
@@ -61,7 +61,7 @@ impl Walker {
     }
 
     /// The velocity that leads along the way.
-    fn wanted(&mut self, room: &Room, robot: Point, turn_s: f64) -> Point {
+    fn wanted(&mut self, room: &FreeSpace, robot: Point, turn_s: f64) -> Point {
         if self.stays_s > 0.0 {
             self.stays_s -= turn_s;
             return Point::default();
@@ -78,7 +78,7 @@ impl Walker {
         Point::new(scale * (ahead.x_m - self.position.x_m), scale * (ahead.y_m - self.position.y_m))
     }
 
-    fn set_out(&mut self, room: &Room, robot: Point) {
+    fn set_out(&mut self, room: &FreeSpace, robot: Point) {
         let to = room.place_where(&mut self.random, |place| place.distance_m(robot) < HAUNT_M);
         self.way = room.way(std::mem::replace(&mut self.destination, to), to).into();
         if self.random.happens(STAYS.0) {

@@ -79,7 +79,7 @@ fn consistency() -> String {
     table.row(["asked", "2.36 … 3.72"]);
     format!(
         "Normalised estimation error squared of the last pose of {NEES_DRIVES} independent drives through two buildings, three degrees of freedom; scans enter the map at \
-         their true poses, since the covariance is that of the pose against the map (`tests/consistency.rs`):\n\n{table}"
+         their true poses, since the covariance is that of the pose against the map (`tests/published_covariance.rs`):\n\n{table}"
     )
 }
 

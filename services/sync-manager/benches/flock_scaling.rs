@@ -1,14 +1,14 @@
 //! What a flock costs as it grows: records, memory and time of the common solution, for so many robots that drive the same ring of
 //! corridors, each tied to the next.
 //!
-//! `cargo bench -p flockslam-sync-manager --bench scaling -- [ROBOTS]` prints one line; a process for each number, so that memory is that of one.
+//! `cargo bench -p flockslam-sync-manager --bench flock_scaling -- [ROBOTS]` prints one line; a process for each number, so that memory is that of one.
 
-#[path = "../tests/synthetic/flocks.rs"]
-#[allow(dead_code, reason = "what several programs share, one of them does not need all of")]
-mod flocks;
 #[allow(dead_code, reason = "what several programs share, one of them does not need all of")]
 #[path = "../tests/synthetic/support.rs"]
 mod support;
+#[path = "../tests/synthetic/synthetic_flock.rs"]
+#[allow(dead_code, reason = "what several programs share, one of them does not need all of")]
+mod synthetic_flock;
 
 use flockslam_flock::Flock;
 use flockslam_geometry::Pose;
@@ -76,7 +76,7 @@ fn drive(number: usize) -> Drive {
     let way = laps(1);
     let name = format!("d{number}");
     let origin = Pose::new(7.0 * number as f64, 3.0, 0.5 * number as f64);
-    let flock = flocks::robot(&name, &Building::ring(), &way, 0..way.len(), origin);
+    let flock = synthetic_flock::robot(&name, &Building::ring(), &way, 0..way.len(), origin);
     let contents: Vec<Content> =
         flock.collection().records().filter_map(|record: &Arc<Record>| own(&record.content)).collect();
     let mut nodes = Vec::new();

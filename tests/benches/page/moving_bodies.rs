@@ -1,7 +1,7 @@
 //! Sections `moving` and `movers`: maps, ghosts and tracks where people walk, and the published NDT experiment (Trubin et al. 2020).
 
 use super::{Bench, Table, figure, mean};
-use crate::support::ndt_system::ndt_settings;
+use crate::support::ndt_runs::ndt_settings;
 use crate::support::{BUILDINGS, MovingDrive, Outputs, later_free, lively, moving_building, run_well};
 use flockslam_drives::experiments::{BEARING_SIGMA_RAD, flat, flat_seeded};
 use flockslam_drives::followed::TrackFigures;

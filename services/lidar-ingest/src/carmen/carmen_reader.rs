@@ -1,6 +1,6 @@
 //! Reads a CARMEN log line by line: bytes in, scans out, with bounds on bad lines and on the memory for one.
 
-use super::line::{Line, begins_a_message, parse_line};
+use super::carmen_line::{Line, begins_a_message, parse_line};
 use super::{Rejection, Tally};
 use crate::Settings;
 use crate::continuity::Continuity;

@@ -1,7 +1,7 @@
 //! Outcomes that depend on a seed: one drive with one seed, measured. `cargo bench -p flockslam --bench seeds` shows how they are spread
 //! over many seeds; tests run some of them and judge by that.
 
-use super::ndt_system::ndt_settings;
+use super::ndt_runs::ndt_settings;
 use super::{MovingDrive, Outputs, RunningSet, building, moving_building};
 use flockslam::evaluation::{Spread, evaluate_truth};
 use flockslam_drives::experiments::flat_seeded;

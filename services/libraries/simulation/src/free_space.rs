@@ -9,12 +9,12 @@ const DRAWS_MAX: usize = 100;
 
 /// Connected free space: all places that can be reached from each other, and the ways between them.
 #[derive(Clone, Debug)]
-pub(super) struct Room {
+pub(super) struct FreeSpace {
     grid: PlanningGrid,
     places: Vec<Point>,
 }
 
-impl Room {
+impl FreeSpace {
     /// The free space around a point; without places when nobody fits there.
     pub(super) fn around(grid: PlanningGrid, point: Point) -> Self {
         let places = grid.room_around(point);

@@ -1,6 +1,6 @@
 //! `flockslam log`: what the processes of a running set have logged, and what they shall log.
 
-use super::control::{choose, order};
+use super::control_command::{choose, order};
 use super::{CommandError, say};
 use crate::arguments::LogArgs;
 use crate::supervisor::Request;

@@ -3,7 +3,7 @@
 use crate::BusError;
 use crate::event::{Hear, Listener, Notifier, Ring, Wake};
 use crate::transport::{Held, Lender, Source, TopicSpec, Transport};
-use crate::words::Words;
+use crate::word_rows::Words;
 use crossbeam::channel::{self, Receiver, Sender};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};

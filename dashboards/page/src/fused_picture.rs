@@ -111,13 +111,10 @@ mod tests {
         let cells = Box::new([PackedCell { occupied: 0, free: 900 }; TILE_CELLS]);
         Submap {
             number,
-            trajectory: 0,
-            insertions: 1,
-            first: 0,
-            last: 0,
             odom_from_submap: Pose::new(1.0, 0.0, 0.2),
             cell_size_m: 0.05,
             tiles: vec![SubmapTile::new(TileKey { x: number as i32, y: 0 }, cells)],
+            ..Submap::default()
         }
     }
 

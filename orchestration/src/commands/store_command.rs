@@ -1,7 +1,7 @@
 //! `flockslam store`: saved maps are checked, saved, loaded and exported.
 
-use super::control::{choose, order};
-use super::join::{Order, join};
+use super::control_command::{choose, order};
+use super::joined_map::{Order, join};
 use super::run::{Run, run as run_set, summary};
 use super::{CommandError, say};
 use crate::arguments::{ExportArgs, MapDirArgs, MapOrderArgs, MergeArgs, RunArgs, StoreCommand};

@@ -2,7 +2,7 @@
 
 use super::{Talk, kept};
 use crate::link::hexadecimal;
-use crate::shared::locked;
+use crate::thread_state::locked;
 use flockslam_geometry::Pose;
 use flockslam_results::FlockStatus;
 use flockslam_stage::StageError;

@@ -1,7 +1,7 @@
 //! The filter as a stage of a set: replicas that share large scans, rest, and load that is shed.
 
 use crate::support;
-use crate::support::share;
+use crate::support::machine_share;
 use crate::support::{Outputs, RunningSet, building, live_building, run_well, wait_for};
 use flockslam_messages::Stage;
 use flockslam_stage::metrics_socket;
@@ -99,7 +99,7 @@ fn standing_still(scans: u32) -> String {
 
 #[test]
 fn a_stopped_matcher_makes_the_filter_shed_load_until_it_is_back() {
-    share::mostly_waits();
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let mut running = RunningSet::start("late", directory.path(), &live_building(120, 4));
     running.wait_until_handled(Stage::ScanMatcher, 50);

@@ -1,6 +1,6 @@
 //! Robots that share a place are merged, and no others, though lies are told about how they lie to each other.
 
-use super::trials::{run, trial};
+use super::meeting_trials::{run, trial};
 
 /// One trial of each kind: 0 – two robots in one office; 2 – in an office, on opposite ways; 3 – in an office of equal rooms; 4 –
 /// in a ring of corridors; 5 – in two different offices; 6 – in two different offices of equal rooms; 7 – in one corridor of equal

@@ -1,7 +1,7 @@
 //! `flockslam page`: the live page of a running set.
 
 use super::CommandError;
-use super::control::choose;
+use super::control_command::choose;
 use super::stage::die_with;
 use crate::arguments::PageArgs;
 use crate::supervisor::{Reply, Request, SetFile, ask};

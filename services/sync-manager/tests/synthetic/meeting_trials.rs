@@ -1,7 +1,7 @@
 //! Trials of meetings: do robots that share a place find each other, and do those that share none stay apart?
 
-use super::flocks::{meet, robot, worst_m};
 use super::support::{Building, Noise, path};
+use super::synthetic_flock::{meet, robot, worst_m};
 use flockslam_flock::Flock;
 use flockslam_geometry::Pose;
 use flockslam_records::{Constraint, Content, NodeName};

@@ -6,7 +6,7 @@ use crate::service::Service;
 use crate::shared_event::{SharedListener, SharedNotifier};
 use crate::shared_sample::SharedSample;
 use crate::transport::{Held, Lender, Source, TopicSpec, Transport};
-use crate::words::Words;
+use crate::word_rows::Words;
 use crate::{BusError, Capacity, Limits};
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::port::{publisher, subscriber};

@@ -1,6 +1,6 @@
 //! `flockslam record`: what a running set says, into a file and to Foxglove.
 
-use super::control::choose;
+use super::control_command::choose;
 use super::run::count_interrupts;
 use super::{CommandError, say};
 use crate::arguments::RecordArgs;

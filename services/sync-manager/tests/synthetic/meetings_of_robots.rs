@@ -1,7 +1,7 @@
 //! Robots that map for themselves and then meet, in synthetic buildings.
 
-use super::flocks::{hear, meet, robot, worst_m};
 use super::support::{Building, Noise, laps, path};
+use super::synthetic_flock::{hear, meet, robot, worst_m};
 use flockslam_flock::{Flock, FlockSolution};
 use flockslam_geometry::Pose;
 use flockslam_records::{Constraint, Content, Limits, NodeName, RobotKey};

@@ -1,7 +1,7 @@
 //! `flockslam top`: how a set is, live in a terminal.
 
 use super::CommandError;
-use super::control::choose;
+use super::control_command::choose;
 use crate::arguments::RobotArgs;
 use crate::supervisor::set_metrics_socket;
 use crate::top::{TopState, draw};
