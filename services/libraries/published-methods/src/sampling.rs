@@ -129,9 +129,13 @@ mod tests {
     use super::*;
     use flockslam_evidence::CellIndex;
 
-    /// A room of 6 × 4 m: the score of a cell falls off with the distance to the nearest wall.
+    /// A room of 6 × 4 m: the score of a cell falls off with the distance to the nearest wall. (Walls on the edge between two
+    /// cells would have no slope.)
     #[derive(Clone, Copy)]
     struct Walls;
+
+    /// Distances of the walls from the middle, metres.
+    const HALF_M: (f64, f64) = (2.98, 2.02);
 
     const CELL_M: f64 = 0.05;
 
@@ -155,7 +159,7 @@ mod tests {
         fn cell(&mut self, cell: CellIndex) -> u16 {
             let center = |index: i32| (f64::from(index) + 0.5) * CELL_M;
             let to_wall = |x_m: f64, half_m: f64| (x_m.abs() - half_m).abs();
-            let wall_m = to_wall(center(cell.x), 3.0).min(to_wall(center(cell.y), 2.0));
+            let wall_m = to_wall(center(cell.x), HALF_M.0).min(to_wall(center(cell.y), HALF_M.1));
             (65_535.0 * (-0.5 * (wall_m / 0.06).powi(2)).exp()) as u16
         }
 
@@ -173,8 +177,8 @@ mod tests {
     /// What a lidar at `pose` sees of the walls: points in its own frame.
     fn scan(pose: Pose) -> Vec<Point> {
         let along = |length_m: f64| (0..40).map(move |i| (f64::from(i) / 39.0 - 0.5) * length_m);
-        let east_west = along(4.0).flat_map(|y| [Point::new(3.0, y), Point::new(-3.0, y)]);
-        let north_south = along(6.0).flat_map(|x| [Point::new(x, 2.0), Point::new(x, -2.0)]);
+        let east_west = along(4.0).flat_map(|y| [Point::new(HALF_M.0, y), Point::new(-HALF_M.0, y)]);
+        let north_south = along(6.0).flat_map(|x| [Point::new(x, HALF_M.1), Point::new(x, -HALF_M.1)]);
         east_west.chain(north_south).map(|point| pose.inverse().apply(point)).collect()
     }
 
