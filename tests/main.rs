@@ -21,6 +21,7 @@ mod metrics;
 mod moving_world;
 mod ndt_experiments;
 mod old_words;
+mod one_thread;
 mod overload;
 mod page;
 mod panics;

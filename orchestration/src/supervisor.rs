@@ -23,6 +23,6 @@ pub use set::{EXIT_BAD_SOURCE, ProcessSet, SetEvent, error_file};
 pub use set_description::{SetDescription, SourceDescription};
 pub use set_error::SetError;
 pub use set_file::SetFile;
-pub use stage_command::{run_in, run_stage};
+pub use stage_command::{run_in, run_stage, shell_in};
 pub use status::{SaveStatus, SetState, SetStatus, StageState, StageStatus};
 pub use supervision::{ProcessLimits, Supervision};

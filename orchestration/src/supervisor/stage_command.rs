@@ -4,7 +4,7 @@ use super::SetFile;
 use flockslam_bus::RuntimeDir;
 use flockslam_lidar_ingest::process::Task;
 use flockslam_messages::Stage;
-use flockslam_stage::{StageContext, StageError, StopFlag};
+use flockslam_stage::{Actor, StageContext, StageError, StopFlag};
 use std::path::Path;
 
 /// Runs one stage of the set in `set_dir`, or what stands in for it, in this process, until SIGTERM.
@@ -49,5 +49,32 @@ pub fn run_in(context: &mut StageContext, set: SetFile) -> Result<(), StageError
             flockslam_dynamic_cleaner::process::run_stage(context, configuration.dynamic_cleaner, cell_size_m)
         }
         Stage::SyncManager => flockslam_sync_manager::process::run_stage(context, configuration.sync_manager),
+    }
+}
+
+/// A stage as steps, on a context that is already there: one thread can drive a whole set under a virtual clock.
+///
+/// # Errors
+/// As [`run_stage`].
+pub fn shell_in(context: &mut StageContext, set: SetFile) -> Result<Box<dyn Actor>, StageError> {
+    let SetFile { source, rate, world, configuration, .. } = set;
+    let cell_size_m = configuration.mapper.cell_size_m;
+    match context.stage {
+        Stage::LidarIngest => {
+            let (settings, simulation) = (configuration.lidar_ingest, configuration.simulation);
+            let task = Task { source, rate, settings, simulation, world };
+            flockslam_lidar_ingest::process::shell(context, task)
+        }
+        Stage::CorrelationFilter => {
+            flockslam_correlation_filter::process::shell(context, configuration.correlation_filter)
+        }
+        Stage::ScanMatcher => {
+            flockslam_scan_matcher::process::shell(context, configuration.scan_matcher, cell_size_m)
+        }
+        Stage::Mapper => flockslam_mapper::process::shell(context, configuration.mapper),
+        Stage::DynamicCleaner => {
+            flockslam_dynamic_cleaner::process::shell(context, configuration.dynamic_cleaner, cell_size_m)
+        }
+        Stage::SyncManager => flockslam_sync_manager::process::shell(context, configuration.sync_manager),
     }
 }

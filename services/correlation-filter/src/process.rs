@@ -31,13 +31,21 @@ const SHARE_LATE: &str = "share-late";
 /// When the bus fails.
 pub fn run_stage(context: &mut StageContext, settings: Settings) -> Result<(), StageError> {
     let event = context.bus.listener(Stage::CorrelationFilter.name())?;
+    let mut shell = shell(context, settings)?;
+    run(context, &mut *shell, &event)
+}
+
+/// The stage as steps, for whoever calls them.
+///
+/// # Errors
+/// When the bus fails.
+pub fn shell(context: &mut StageContext, settings: Settings) -> Result<Box<dyn Actor>, StageError> {
     let describer = Describer::open(context, &settings)?;
     if context.replica > 0 {
         let first = context.bus.notifier(Stage::CorrelationFilter.name())?;
-        let mut helper = Helper { describer, tallies: context.bus.publisher()?, first };
-        return run(context, &mut helper, &event);
+        return Ok(Box::new(Helper { describer, tallies: context.bus.publisher()?, first }));
     }
-    let mut actor = Filter {
+    Ok(Box::new(Filter {
         verdicts: context.bus.publisher()?,
         matcher: context.bus.notifier(Stage::ScanMatcher.name())?,
         acknowledger: Acknowledger::open(context, 0)?,
@@ -46,8 +54,7 @@ pub fn run_stage(context: &mut StageContext, settings: Settings) -> Result<(), S
         shares: Shares::new(context.bus.subscriber()?, describer.parts, SHARES_HELD_MAX, SHARE_DEADLINE_NS),
         describer,
         logic: CorrelationFilter::new(settings),
-    };
-    run(context, &mut actor, &event)
+    }))
 }
 
 /// What describes scans, alone or together with other replicas.

@@ -28,15 +28,28 @@ const SECTOR_LATE: &str = "sector-late";
 /// When the bus fails.
 pub fn run_stage(context: &mut StageContext, settings: Settings, cell_size_m: f64) -> Result<(), StageError> {
     let event = context.bus.listener(Stage::DynamicCleaner.name())?;
+    let mut shell = shell(context, settings, cell_size_m)?;
+    run(context, &mut *shell, &event)
+}
+
+/// The stage as steps, for whoever calls them.
+///
+/// # Errors
+/// When the bus fails.
+pub fn shell(
+    context: &mut StageContext,
+    settings: Settings,
+    cell_size_m: f64,
+) -> Result<Box<dyn Actor>, StageError> {
     let parts = settings.replicas.max(1) as u32;
     let mut inputs = Inputs::open(context, settings, cell_size_m)?;
     if context.replica > 0 {
         inputs.join.speak(false);
         // A number beyond the shares has none; it only waits to be told to end.
         let sector = (context.replica < parts).then(|| Sector::new(context.replica, parts));
-        return run(context, &mut Helper::open(context, inputs, sector, parts)?, &event);
+        return Ok(Box::new(Helper::open(context, inputs, sector, parts)?));
     }
-    let mut actor = Cleaner {
+    Ok(Box::new(Cleaner {
         inputs,
         sectors: Shares::new(context.bus.slice_subscriber()?, parts, SECTORS_HELD_MAX, SECTOR_DEADLINE_NS),
         marks: context.bus.slice_publisher()?,
@@ -45,8 +58,7 @@ pub fn run_stage(context: &mut StageContext, settings: Settings, cell_size_m: f6
         cleared: 0,
         cleared_cells: context.metrics.counter(names::CLEARED_CELLS),
         moving_beams: context.metrics.counter(names::MOVING_BEAMS),
-    };
-    run(context, &mut actor, &event)
+    }))
 }
 
 /// What every replica joins.

@@ -20,7 +20,7 @@ use flockslam_messages::{ControlKind, DropReason, LARGE_SCAN_BEAMS, Progress, Sc
 use flockslam_stage::{
     Actor, LastWord, LeaderLock, Mode, Notifiers, Pause, StageContext, StageError, StreamEnd, run, step_aside,
 };
-use flockslam_telemetry::{failpoint, monotonic_ns, utc_ns};
+use flockslam_telemetry::{failpoint, utc_ns};
 use pacer::Pacer;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -88,8 +88,16 @@ pub fn run_stage(context: &mut StageContext, task: Task) -> Result<(), StageErro
     if !lock.stand_by(context, &event, |context| followed(context, &mut sent))? {
         return Ok(());
     }
-    let mut ingest = Ingest::open(context, task)?;
-    run(context, &mut ingest, &event)
+    let mut shell = shell(context, task)?;
+    run(context, &mut *shell, &event)
+}
+
+/// The stage as steps, for whoever calls them.
+///
+/// # Errors
+/// As [`run_stage`].
+pub fn shell(context: &mut StageContext, task: Task) -> Result<Box<dyn Actor>, StageError> {
+    Ok(Box::new(Ingest::open(context, task)?))
 }
 
 /// Scans that the active process has sent since the last look. Nothing else is to be kept up with: where it is lies in the cursor.
@@ -182,9 +190,9 @@ impl Ingest {
     }
 
     /// Until the loaded scan is due.
-    fn ahead(&self) -> Option<Duration> {
+    fn ahead(&self, now_ns: u64) -> Option<Duration> {
         let pacer = self.pacer.as_ref().filter(|_| self.loaded)?;
-        Some(pacer.wait(self.scan.header.times.sensor_ns, monotonic_ns()))
+        Some(pacer.wait(self.scan.header.times.sensor_ns, now_ns))
     }
 
     /// Live: whether the set is to rest. What a sensor says meanwhile is dropped, for it does not wait; a replay goes on where it
@@ -202,8 +210,8 @@ impl Ingest {
         rests
     }
 
-    fn announce(&mut self) {
-        if !self.announced && self.ahead().is_some_and(|ahead| ahead <= ANNOUNCED_AHEAD) {
+    fn announce(&mut self, now_ns: u64) {
+        if !self.announced && self.ahead(now_ns).is_some_and(|ahead| ahead <= ANNOUNCED_AHEAD) {
             self.announced = true;
             self.first.announce();
         }
@@ -281,7 +289,7 @@ impl Actor for Ingest {
                 continue;
             }
             if !self.is_due(context) {
-                self.announce();
+                self.announce(context.now_ns());
                 return Ok(any);
             }
             self.publish(context)?;
@@ -296,12 +304,12 @@ impl Actor for Ingest {
         self.end.repeat()
     }
 
-    fn patience(&self) -> Duration {
+    fn patience(&self, now_ns: u64) -> Duration {
         if self.rests {
             return Duration::from_millis(100);
         }
         let until_announcement = if self.announced { Duration::ZERO } else { ANNOUNCED_AHEAD };
-        let ahead = self.ahead().map(|ahead| ahead.saturating_sub(until_announcement));
+        let ahead = self.ahead(now_ns).map(|ahead| ahead.saturating_sub(until_announcement));
         ahead.unwrap_or(Duration::from_millis(100))
     }
 }

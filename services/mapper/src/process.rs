@@ -37,12 +37,20 @@ const PART_LATE: &str = "part-late";
 /// When the bus, the journal or the store fails.
 pub fn run_stage(context: &mut StageContext, settings: Settings) -> Result<(), StageError> {
     let event = context.bus.listener(Stage::Mapper.name())?;
+    let mut shell = shell(context, settings)?;
+    run(context, &mut *shell, &event)
+}
+
+/// The stage as steps, for whoever calls them.
+///
+/// # Errors
+/// As [`run_stage`].
+pub fn shell(context: &mut StageContext, settings: Settings) -> Result<Box<dyn Actor>, StageError> {
     let parts = settings.replicas.max(1) as u32;
     if context.replica >= parts {
-        return run(context, &mut Shareless, &event);
+        return Ok(Box::new(Shareless));
     }
-    let mut actor = MapperProcess::open(context, settings, Parts::open(context, parts)?)?;
-    run(context, &mut actor, &event)
+    Ok(Box::new(MapperProcess::open(context, settings, Parts::open(context, parts)?)?))
 }
 
 /// A process with a number beyond the shares: it only waits to be told to end.

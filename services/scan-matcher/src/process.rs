@@ -53,6 +53,20 @@ pub fn run_stage(context: &mut StageContext, settings: Settings, cell_size_m: f6
     run(context, &mut actor, &event)
 }
 
+/// The stage as steps, for whoever calls them.
+///
+/// # Errors
+/// As [`run_stage`].
+pub fn shell(
+    context: &mut StageContext,
+    settings: Settings,
+    cell_size_m: f64,
+) -> Result<Box<dyn Actor>, StageError> {
+    let mut actor = Matcher::open(context, settings, cell_size_m)?;
+    actor.begin(context)?;
+    Ok(Box::new(actor))
+}
+
 struct Matcher {
     logic: ScanMatcher,
     join: Join<Verdict>,

@@ -7,7 +7,6 @@
 
 mod between;
 mod filled_trajectory;
-mod fuse;
 mod manager;
 mod pose_record;
 pub mod process;

@@ -4,7 +4,6 @@
 //! Of several processes one speaks. The others take in the same and come to the same conclusions in silence, so that one of them
 //! goes on when it dies: recovering what it knew takes as long as all its searches.
 
-use crate::fuse::Fuser;
 use crate::{Settings, SyncManager};
 use clear_at_end::clear_at_end;
 use flock_outbox::Outbox;
@@ -22,7 +21,7 @@ use flockslam_stage::{
     Actor, Copies, Inbox, Join, JournalReader, LastWord, LeaderLock, Mode, Notifiers, StageContext,
     StageError, run,
 };
-use flockslam_telemetry::monotonic_ns;
+use fuser::Fuser;
 use metrics::CorrectionMetrics;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -30,6 +29,7 @@ use trajectories::Trajectories;
 
 mod clear_at_end;
 mod flock_outbox;
+mod fuser;
 mod metrics;
 mod trajectories;
 
@@ -45,6 +45,15 @@ pub fn run_stage(context: &mut StageContext, settings: Settings) -> Result<(), S
     }
     let mut actor = SyncProcess::open(context, settings, lock)?;
     run(context, &mut actor, &event)
+}
+
+/// The stage as steps, for whoever calls them.
+///
+/// # Errors
+/// As [`run_stage`].
+pub fn shell(context: &mut StageContext, settings: Settings) -> Result<Box<dyn Actor>, StageError> {
+    let lock = LeaderLock::ask(context)?;
+    Ok(Box::new(SyncProcess::open(context, settings, lock)?))
 }
 
 struct SyncProcess {
@@ -185,7 +194,7 @@ impl SyncProcess {
             for number in self.next_submap..record.pose.submap.min(self.store.count()) {
                 let submap = self.store.load(number)?;
                 let notice = self.store.notice(&submap)?;
-                self.conclude(&notice)?;
+                self.conclude(&notice, context)?;
             }
             let scan = record.scan.as_ref().and_then(|scan| scan.view().ok());
             self.take_in(&record.pose, scan, &[])?;
@@ -221,10 +230,10 @@ impl SyncProcess {
     }
 
     /// Hands a closed submap to the logic and publishes the correction.
-    fn conclude(&mut self, notice: &SubmapClosed) -> Result<(), StageError> {
-        let started_ns = monotonic_ns();
+    fn conclude(&mut self, notice: &SubmapClosed, context: &StageContext) -> Result<(), StageError> {
+        let started_ns = context.now_ns();
         let correction = self.logic.submap_closed(notice);
-        let took_ns = monotonic_ns().saturating_sub(started_ns);
+        let took_ns = context.now_ns().saturating_sub(started_ns);
         self.trajectories.frozen(&self.logic.take_frozen())?;
         self.outbox.publish(&mut self.logic, notice.number, &self.store)?;
         self.next_submap = notice.number + 1;
@@ -296,7 +305,7 @@ impl SyncProcess {
         }
         while self.next_submap < pose.submap && pose.has(PoseFlags::INSERT) {
             match self.waiting_submaps.remove(&self.next_submap) {
-                Some(notice) => self.conclude(&notice)?,
+                Some(notice) => self.conclude(&notice, context)?,
                 None if context.mode == Mode::Exact => return Ok(false),
                 None => break,
             }
@@ -335,7 +344,7 @@ impl SyncProcess {
     fn finish(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         for number in self.next_submap..self.store.count() {
             let submap = self.store.load(number)?;
-            self.conclude(&self.store.notice(&submap)?)?;
+            self.conclude(&self.store.notice(&submap)?, context)?;
         }
         let solution = self.logic.finish();
         let directory = &context.result_dir.clone();

@@ -25,8 +25,8 @@ pub trait Actor {
         false
     }
 
-    /// The longest sleep that is allowed now (a deadline, the next paced scan).
-    fn patience(&self) -> Duration {
+    /// The longest sleep that is allowed at `now_ns` (a deadline, the next paced scan).
+    fn patience(&self, _now_ns: u64) -> Duration {
         if self.waits() { WAITING } else { REFRESH }
     }
 
@@ -64,7 +64,7 @@ const TIMER_SLACK_NS: NonZeroU64 = NonZeroU64::MIN;
 ///
 /// # Errors
 /// What the actor could not go on from.
-pub fn run(context: &mut StageContext, actor: &mut impl Actor, event: &Listener) -> Result<(), StageError> {
+pub fn run(context: &mut StageContext, actor: &mut dyn Actor, event: &Listener) -> Result<(), StageError> {
     let loops = loops_after(context.stage);
     let (mut refreshed_ns, mut worked_ns, mut awake_until_ns) = (0, 0, 0);
     // Where that cannot be had, waiting takes longer and nothing else changes.
@@ -96,7 +96,7 @@ pub fn run(context: &mut StageContext, actor: &mut impl Actor, event: &Listener)
             step_aside();
             continue;
         }
-        let patience = actor.patience();
+        let patience = actor.patience(now_ns);
         // A stage that has had nothing to do for a while is called by its event when there is.
         let rests = now_ns.saturating_sub(worked_ns) > RESTING_NS && patience >= REFRESH;
         if event.wait(if rests { RESTING } else { patience.min(REFRESH) })? == Wake::Announced {

@@ -1,10 +1,10 @@
 //! What surrounds a stage's logic: bus, directories, mode, metrics, heartbeat and report.
 
 use crate::report::ReportWriter;
-use crate::{GridReader, StageError};
+use crate::{Clock, GridReader, StageError};
 use flockslam_bus::{Bus, Capacity, RuntimeDir};
 use flockslam_messages::{DropReason, ScanView, Stage};
-use flockslam_telemetry::{Heartbeat, LogLevels, MetricsEndpoint, StageMetrics, monotonic_ns};
+use flockslam_telemetry::{Heartbeat, LogLevels, MetricsEndpoint, StageMetrics};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -98,6 +98,8 @@ pub struct StageContext {
     pub status_dir: PathBuf,
     /// When to end.
     pub stop: StopFlag,
+    /// The clock of latency and deadlines.
+    pub clock: Clock,
     /// The stage's metrics.
     pub metrics: StageMetrics,
     /// What the stage reports about itself at the end.
@@ -157,6 +159,7 @@ impl StageContext {
             submap_dir: runtime.submaps(),
             result_dir: runtime.results(),
             stop,
+            clock: Clock::System,
             metrics,
             report: ReportWriter::new(&status_dir, &name),
             followed: 0,
@@ -176,7 +179,7 @@ impl StageContext {
 
     /// The clock of latency and deadlines, nanoseconds; comparable between the processes of a set.
     pub fn now_ns(&self) -> u64 {
-        monotonic_ns()
+        self.clock.now_ns()
     }
 
     /// Tests only: where the numbers of a scan lie in this process, for a look at which memory that is.

@@ -3,6 +3,7 @@
 //! scans and poses, acknowledgements, and the report about itself.
 
 mod actor;
+mod clock;
 mod context;
 mod deadline;
 mod grid_reader;
@@ -20,6 +21,7 @@ mod shares;
 mod stage_error;
 
 pub use actor::{Actor, run, step_aside};
+pub use clock::Clock;
 pub use context::{Mode, StageContext, StageOptions, StopFlag, heartbeat_file, metrics_socket};
 pub use deadline::Deadline;
 pub use grid_reader::GridReader;

@@ -1,9 +1,8 @@
 //! Acknowledgements to the source, and the end of the stream.
 
-use crate::{Mode, StageContext, StageError};
+use crate::{Clock, Mode, StageContext, StageError};
 use flockslam_bus::{Notifier, Publisher, Subscriber};
 use flockslam_messages::{Control, ControlKind, Progress, Stage};
-use flockslam_telemetry::monotonic_ns;
 
 /// Live: so long after the end of the stream nothing is waited for any more.
 const PATIENCE_NS: u64 = 2_000_000_000;
@@ -87,6 +86,7 @@ pub struct StreamEnd {
     /// A reader has asked for all live tiles since the last look.
     pub tiles_wanted: bool,
     heard_ns: Option<u64>,
+    clock: Clock,
 }
 
 impl StreamEnd {
@@ -102,6 +102,7 @@ impl StreamEnd {
             end_wanted: false,
             tiles_wanted: false,
             heard_ns: None,
+            clock: context.clock.clone(),
         })
     }
 
@@ -114,7 +115,7 @@ impl StreamEnd {
             match control.kind {
                 kind if kind == ControlKind::StreamEnd as u32 => {
                     self.scans = Some(control.value);
-                    self.heard_ns.get_or_insert_with(monotonic_ns);
+                    self.heard_ns.get_or_insert_with(|| self.clock.now_ns());
                 }
                 kind if kind == ControlKind::MapClosed as u32 => self.submaps = Some(control.value),
                 kind if kind == ControlKind::EndWanted as u32 => self.end_wanted = true,
@@ -128,7 +129,8 @@ impl StreamEnd {
     /// Whether all scans of the stream have a sequence below `done`. Live, what is still missing a while after the end
     /// was lost with a stage that died.
     pub fn reached(&self, done: u64, mode: Mode) -> bool {
-        let late = |heard_ns| mode == Mode::Live && monotonic_ns().saturating_sub(heard_ns) > PATIENCE_NS;
+        let late =
+            |heard_ns| mode == Mode::Live && self.clock.now_ns().saturating_sub(heard_ns) > PATIENCE_NS;
         self.scans.is_some_and(|scans| done >= scans) || self.heard_ns.is_some_and(late)
     }
 }

@@ -1,6 +1,6 @@
 //! The journal read once more at the end, at the final poses.
 
-use crate::fuse::Fuser;
+use super::fuser::Fuser;
 use flockslam_map_fusion::PlacedSubmap;
 use flockslam_map_fusion::{APART_NS, FinalCleaning, VIEWS};
 use flockslam_messages::Deskew;
