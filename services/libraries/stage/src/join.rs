@@ -132,3 +132,6 @@ impl<M: Topic + Named> Join<M> {
         self.deadline.runs()
     }
 }
+
+#[cfg(test)]
+mod tests;
