@@ -4,6 +4,7 @@ use crate::ResultsError;
 use flockslam_evidence::Cell;
 use flockslam_geometry::{Point, Pose};
 use flockslam_journal::{Durability, replace_file, replace_file_by_parts};
+use flockslam_messages::{DropReason, PoseEstimate, PoseFlags};
 use std::fs;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -72,6 +73,29 @@ pub struct Summary {
     pub closures_accepted: u64,
     /// Of those, closures that do not act in the final solution.
     pub closures_revoked: u64,
+}
+
+impl Summary {
+    /// Counts a published pose.
+    pub fn count(&mut self, pose: &PoseEstimate) {
+        self.scans += 1;
+        for (flag, counter) in [
+            (PoseFlags::MATCHED, &mut self.matched),
+            (PoseFlags::INSERT, &mut self.inserted),
+            (PoseFlags::OVERRIDDEN, &mut self.overridden),
+            (PoseFlags::RESCUED, &mut self.rescued),
+        ] {
+            *counter += u64::from(pose.has(flag));
+        }
+        let dropped = DropReason::from_number(pose.drop_reason);
+        if let Some(reason) = dropped.filter(|_| !pose.has(PoseFlags::OVERRIDDEN)) {
+            match self.dropped.get_mut(reason.name()) {
+                Some(count) => *count += 1,
+                // The name is made once for each reason, not for each scan.
+                None => drop(self.dropped.insert(reason.name().to_owned(), 1)),
+            }
+        }
+    }
 }
 
 /// Where a stored submap lies in the final map.

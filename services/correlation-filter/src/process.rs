@@ -2,24 +2,24 @@
 //!
 //! Replica 0 judges. The others describe their parts of large scans and send it what those add up to.
 
+mod describer;
+mod kept_counts;
+mod matcher_load;
 mod tally_shares;
 
 pub use tally_shares::tally_part;
 
 use crate::{CorrelationFilter, Settings};
-use flockslam_bus::{Notifier, Publisher, ScanSample, ScanSubscriber, Subscriber};
-use flockslam_messages::{DropReason, KeepReason, Progress, ScanTally, Stage, Verdict};
+use describer::{Describer, Helper};
+use flockslam_bus::{Notifier, Publisher, ScanSample, Subscriber};
+use flockslam_messages::{DropReason, KeepReason, ScanTally, Stage, Verdict};
 use flockslam_stage::{Acknowledger, Actor, Mode, Shares, StageContext, StageError, run};
-use flockslam_telemetry::{LabelledCounters, names};
+use kept_counts::KeptCounts;
+use matcher_load::MatcherLoad;
 use tally_shares::is_shared;
 
 /// A part that another replica has not sent after this is described here: the same numbers, only later.
 const SHARE_DEADLINE_NS: u64 = 50_000_000;
-/// Threads of each process that describe a large scan, one for each 100 thousand beams at most: the other stages need processors too.
-const THREADS: usize = 2;
-/// Live: scans that the matcher may be behind before every scan is dropped but one in four, until it has caught up. A quarter of what
-/// may be on its way.
-const SHED_BEHIND_SCANS: u64 = 16;
 /// Parts of later scans that are remembered.
 const SHARES_HELD_MAX: usize = 16;
 /// Counts parts that had to be described here.
@@ -49,112 +49,12 @@ pub fn shell(context: &mut StageContext, settings: Settings) -> Result<Box<dyn A
         verdicts: context.bus.publisher()?,
         matcher: context.bus.notifier(Stage::ScanMatcher.name())?,
         acknowledger: Acknowledger::open(context, 0)?,
-        load: if context.mode == Mode::Live { Some(Load::open(context)?) } else { None },
-        kept: Kept::new(context),
+        load: if context.mode == Mode::Live { Some(MatcherLoad::open(context)?) } else { None },
+        kept: KeptCounts::new(context),
         shares: Shares::new(context.bus.subscriber()?, describer.parts, SHARES_HELD_MAX, SHARE_DEADLINE_NS),
         describer,
         logic: CorrelationFilter::new(settings),
     }))
-}
-
-/// What describes scans, alone or together with other replicas.
-struct Describer {
-    scans: ScanSubscriber,
-    part: u32,
-    parts: u32,
-    threads: usize,
-}
-
-impl Describer {
-    fn open(context: &StageContext, settings: &Settings) -> Result<Self, StageError> {
-        let wants_tallies = CorrelationFilter::new(settings.clone()).wants_tallies();
-        Ok(Self {
-            scans: context.bus.scan_subscriber()?,
-            part: context.replica,
-            parts: if wants_tallies { settings.replicas.max(1) as u32 } else { 1 },
-            threads: THREADS,
-        })
-    }
-}
-
-/// Another replica than the first.
-struct Helper {
-    describer: Describer,
-    tallies: Publisher<ScanTally>,
-    first: Notifier,
-}
-
-impl Actor for Helper {
-    fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
-        let Describer { scans, part, parts, threads } = &self.describer;
-        let mut any = false;
-        while let Some(sample) = scans.receive()? {
-            any = true;
-            let started_ns = context.now_ns();
-            let Ok(scan) = sample.view() else { continue };
-            if is_shared(scan, *parts) && part < parts {
-                self.tallies.send(&tally_part(scan, *part, *parts, *threads))?;
-                self.first.ring();
-                let times = scan.header().times;
-                context.handled(scan.header().id.sequence, started_ns, times.monotonic_ns);
-            }
-        }
-        Ok(any)
-    }
-
-    fn refresh(&mut self, _context: &mut StageContext) -> Result<(), StageError> {
-        self.tallies.refresh();
-        Ok(())
-    }
-}
-
-/// How far the matcher is behind, live.
-struct Load {
-    progress: Subscriber<Progress>,
-    matched: u64,
-}
-
-impl Load {
-    fn open(context: &StageContext) -> Result<Self, StageError> {
-        Ok(Self { progress: context.bus.subscriber()?, matched: 0 })
-    }
-
-    /// Whether this scan comes while the matcher has too many before it.
-    fn is_too_much(&mut self, sequence: u64) -> Result<bool, StageError> {
-        while let Some(progress) = self.progress.receive()? {
-            if progress.stage == Stage::ScanMatcher as u32 {
-                self.matched = self.matched.max(progress.done);
-            }
-        }
-        Ok(sequence.saturating_sub(self.matched) > SHED_BEHIND_SCANS)
-    }
-}
-
-/// Counts kept scans by reason.
-struct Kept {
-    counts: [u64; KeepReason::ALL.len()],
-    metrics: LabelledCounters,
-}
-
-impl Kept {
-    fn new(context: &StageContext) -> Self {
-        let reasons = KeepReason::ALL.map(KeepReason::name);
-        let metrics = context.metrics.counters(names::KEPT, names::LABEL_REASON, &reasons);
-        Self { counts: [0; KeepReason::ALL.len()], metrics }
-    }
-
-    fn count(&mut self, reason: KeepReason) {
-        if let Some(place) = KeepReason::ALL.iter().position(|known| *known == reason) {
-            self.counts[place] += 1;
-            self.metrics.count(place);
-        }
-    }
-
-    fn report(&self, context: &mut StageContext) {
-        for (reason, count) in KeepReason::ALL.iter().zip(self.counts).filter(|(_, count)| *count > 0) {
-            context.report.count(&format!("kept/{}", reason.name()), count);
-        }
-    }
 }
 
 /// The replica that judges.
@@ -164,8 +64,8 @@ struct Filter {
     verdicts: Publisher<Verdict>,
     matcher: Notifier,
     acknowledger: Acknowledger,
-    load: Option<Load>,
-    kept: Kept,
+    load: Option<MatcherLoad>,
+    kept: KeptCounts,
     shares: Shares<Subscriber<ScanTally>, Shared>,
 }
 

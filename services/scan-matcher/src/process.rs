@@ -4,10 +4,10 @@
 //! goes on with the next scan when it dies.
 
 use crate::{ScanMatcher, Settings};
+use corrections::Corrections;
 use flockslam_bus::{Publisher, ScanSample, SlicePublisher, Subscriber};
 use flockslam_messages::{
-    Correction, DropReason, FlockRobots, KeepReason, MovingBeamsHeader, PoseEstimate, PoseFlags, Stage,
-    Verdict,
+    DropReason, FlockRobots, KeepReason, MovingBeamsHeader, PoseEstimate, PoseFlags, Stage, Verdict,
 };
 use flockslam_stage::{
     Actor, Deadline, GridReader, Join, JournalReader, JournalWriter, LeaderLock, Mode, Notifiers,
@@ -17,6 +17,7 @@ use flockslam_telemetry::failpoint;
 use metrics::PoseMetrics;
 use std::collections::VecDeque;
 
+mod corrections;
 mod metrics;
 mod stand_in;
 
@@ -70,12 +71,7 @@ pub fn shell(
 struct Matcher {
     logic: ScanMatcher,
     join: Join<Verdict>,
-    corrections: Subscriber<Correction>,
-    waiting_corrections: VecDeque<Correction>,
-    /// The one in force.
-    correction: Option<Correction>,
-    /// sync-manager has finished with all submaps below this.
-    finished_submaps: u32,
+    corrections: Corrections,
     companions: Subscriber<FlockRobots>,
     grid: GridReader,
     /// Sequences of the accepted scans whose commits are awaited, and since when, oldest first.
@@ -105,10 +101,7 @@ impl Matcher {
         Ok(Self {
             logic: ScanMatcher::new(settings),
             join: Join::open(context, VERDICT_DEADLINE_NS)?,
-            corrections: bus.subscriber()?,
-            waiting_corrections: VecDeque::new(),
-            correction: None,
-            finished_submaps: 0,
+            corrections: Corrections::open(context)?,
             companions: bus.subscriber()?,
             grid: GridReader::open(context, cell_size_m)?,
             awaited: VecDeque::with_capacity(2 + LAG_LIVE),
@@ -176,9 +169,8 @@ impl Matcher {
         } else {
             self.grid.ask_for_tiles()?;
         }
-        if let Some(correction) = self.correction.filter(|correction| correction.revision > last.corrections)
-        {
-            self.logic.corrected(&correction);
+        if let Some(newer) = self.corrections.last.filter(|newer| newer.revision > last.corrections) {
+            self.logic.corrected(&newer);
         }
         // Without it the grid is that of a moment ago, or empty.
         self.awaited.extend(self.accepted.map(|sequence| (sequence, context.now_ns())));
@@ -194,27 +186,19 @@ impl Matcher {
         if let Some(commit) = self.grid.drain()? {
             self.logic.committed(&commit);
         }
-        while let Some(correction) = self.corrections.receive()? {
-            self.finished_submaps = self.finished_submaps.max(correction.submap + 1);
-            self.waiting_corrections.push_back(*correction);
+        self.corrections.drain()?;
+        while let Some(correction) = self.corrections.next_due(context.mode, self.active_submap()) {
+            self.logic.corrected(&correction);
         }
-        self.apply_corrections(context.mode);
         while let Some(robots) = self.companions.receive()? {
             self.logic.companions_are(&robots);
         }
         Ok(())
     }
 
-    /// In replay a correction takes effect at a named place: with the first scan of the submap after the next.
-    fn apply_corrections(&mut self, mode: Mode) {
-        let active = self.grid.committed().map_or(0, |commit| commit.active_submap);
-        while let Some(correction) = self.waiting_corrections.front() {
-            if mode == Mode::Exact && correction.submap + 2 > active {
-                return;
-            }
-            self.logic.corrected(correction);
-            self.correction = self.waiting_corrections.pop_front();
-        }
+    /// The submap that accepted scans enter.
+    fn active_submap(&self) -> u32 {
+        self.grid.committed().map_or(0, |commit| commit.active_submap)
     }
 
     /// Whether the grid that the next scan needs is there: in replay all accepted scans in it, and sync-manager not more
@@ -228,18 +212,15 @@ impl Matcher {
         let may_lag = context.mode == Mode::Live && committed >= Some(self.trajectory_began);
         let lag = if may_lag { LAG_LIVE } else { 0 };
         let oldest = self.awaited.front().filter(|_| self.awaited.len() > lag);
-        let Some((_, since_ns)) = oldest else { return self.corrections_are_ready(context.mode) };
+        let Some((_, since_ns)) = oldest else {
+            return self.corrections.are_ready(context.mode, self.active_submap());
+        };
         let late = self.commit_deadline.is_over(*since_ns, context.now_ns());
         if late {
             self.awaited.pop_front();
             context.dropped(DropReason::Deadline.name());
         }
         late
-    }
-
-    fn corrections_are_ready(&self, mode: Mode) -> bool {
-        let active = self.grid.committed().map_or(0, |commit| commit.active_submap);
-        mode == Mode::Live || active < 2 || self.finished_submaps >= active - 1
     }
 
     /// The verdict on the oldest scan, when there is one or it is not waited for any longer.

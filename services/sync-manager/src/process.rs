@@ -12,8 +12,8 @@ use flockslam_flock_network::FlockMetrics;
 use flockslam_geometry::Pose;
 use flockslam_map_fusion::PlacedSubmap;
 use flockslam_messages::{
-    BeamRange, ControlKind, Correction, DropReason, FlockFrame, FlockRobots, MovingBeamsHeader, PoseEstimate,
-    PoseFlags, ScanView, Stage, SubmapClosed,
+    BeamRange, ControlKind, Correction, FlockFrame, FlockRobots, MovingBeamsHeader, PoseEstimate, PoseFlags,
+    ScanView, Stage, SubmapClosed,
 };
 use flockslam_results::SubmapStore;
 use flockslam_results::{self as results, LivePoses, SubmapRow, Summary};
@@ -212,17 +212,7 @@ impl SyncProcess {
         self.logic.pose(pose);
         self.pose = Some(*pose);
         self.trajectories.published(pose)?;
-        let count = |flag, counter: &mut u64| *counter += u64::from(pose.has(flag));
-        self.summary.scans += 1;
-        count(PoseFlags::MATCHED, &mut self.summary.matched);
-        count(PoseFlags::INSERT, &mut self.summary.inserted);
-        count(PoseFlags::OVERRIDDEN, &mut self.summary.overridden);
-        count(PoseFlags::RESCUED, &mut self.summary.rescued);
-        if let Some(reason) =
-            DropReason::from_number(pose.drop_reason).filter(|_| !pose.has(PoseFlags::OVERRIDDEN))
-        {
-            *self.summary.dropped.entry(reason.name().to_owned()).or_default() += 1;
-        }
+        self.summary.count(pose);
         if let Some(scan) = scan.filter(|_| self.optimises && pose.has(PoseFlags::MATCHED)) {
             self.logic.node(scan, pose, moving);
         }
@@ -275,14 +265,14 @@ impl SyncProcess {
             return;
         }
         let counts = self.logic.closure_counts();
-        let correction = LivePoses {
+        let live = LivePoses {
             submaps: rows(&self.logic.submap_poses()),
             closures: self.logic.loops(),
             searches: counts.searches,
             accepted: counts.accepted,
         };
-        if let Err(error) = results::write_live_poses(&self.result_dir, &correction) {
-            tracing::warn!(%error, "the layout is not shown");
+        if let Err(error) = results::write_live_poses(&self.result_dir, &live) {
+            tracing::warn!(%error, "the solution is not shown");
         }
     }
 
