@@ -1,6 +1,6 @@
 //! The shell of correlation-filter: scans in, verdicts out.
 //!
-//! Replica 0 judges. The others describe their parts of large scans and send it what those add up to.
+//! Replica 0 judges. The others describe their parts of large scans and send it the sums.
 
 mod describer;
 mod kept_counts;
@@ -18,11 +18,11 @@ use kept_counts::KeptCounts;
 use matcher_load::MatcherLoad;
 use tally_shares::is_shared;
 
-/// A part that another replica has not sent after this is described here: the same numbers, only later.
+/// Replica 0 waits so long for a part of another replica; then it describes the part itself, with the same result.
 const SHARE_DEADLINE_NS: u64 = 50_000_000;
 /// Parts of later scans that are remembered.
 const SHARES_HELD_MAX: usize = 16;
-/// Counts parts that had to be described here.
+/// Counts parts that replica 0 had to describe itself.
 const SHARE_LATE: &str = "share-late";
 
 /// Runs the stage until it is asked to stop.

@@ -100,7 +100,7 @@ pub fn shell(context: &mut StageContext, task: Task) -> Result<Box<dyn Actor>, S
     Ok(Box::new(Ingest::open(context, task)?))
 }
 
-/// Scans that the active process has sent since the last look. Nothing else is to be kept up with: where it is lies in the cursor.
+/// Scans that the active process has sent since the last call. Nothing else is to be followed: the cursor has its position.
 fn followed(context: &StageContext, sent: &mut u64) -> Result<u64, StageError> {
     let next = Cursor::open(&context.status_dir, context.first_sequence)?.next_sequence();
     let before = std::mem::replace(sent, next);
@@ -112,10 +112,10 @@ struct Ingest {
     pacer: Option<Pacer>,
     cursor: Option<Cursor>,
     scans: ScanPublisher,
-    /// Tells how many scans there were.
+    /// Publishes the number of scans.
     end: LastWord,
     progress: Subscriber<Progress>,
-    /// Who looks at a scan first.
+    /// The stages that read a scan first.
     first: Notifiers,
     done: [u64; CONSUMERS.len()],
     scan: ScanBuffer,

@@ -1,7 +1,7 @@
 //! The shell of mapper: joins accepted scans with marks, publishes changed tiles and then one commit, stores closed
 //! submaps, and rebuilds itself from journal and store when it starts.
 //!
-//! Of several processes each inserts every scan and publishes its share of the tiles; the first commits for all.
+//! Of several processes each inserts every scan and publishes its share of the tiles. The first commits for all.
 
 mod metrics;
 mod output;
@@ -23,10 +23,10 @@ use metrics::MapMetrics;
 use output::Output;
 use parts::Parts;
 
-/// Live: marks that are not there by then are not waited for; the scan is inserted without.
+/// Live: the mapper waits so long for marks; then it inserts the scan without them.
 const MARKS_DEADLINE_NS: u64 = 50_000_000;
 
-/// Live: tiles of another mapper that are not out by then are not waited for; they become valid with a later commit.
+/// Live: the first mapper waits so long for the tiles of the others; later ones become valid with a later commit.
 const PARTS_DEADLINE_NS: u64 = 50_000_000;
 /// Counts commits without the tiles of another mapper.
 const PART_LATE: &str = "part-late";
@@ -53,7 +53,7 @@ pub fn shell(context: &mut StageContext, settings: Settings) -> Result<Box<dyn A
     Ok(Box::new(MapperProcess::open(context, settings, Parts::open(context, parts)?)?))
 }
 
-/// A process with a number beyond the shares: it only waits to be told to end.
+/// A process with a number beyond the shares: it only waits for the end.
 struct Shareless;
 
 impl Actor for Shareless {
@@ -69,19 +69,19 @@ impl Actor for Shareless {
 struct MapperProcess {
     logic: Mapper,
     parts: Parts,
-    /// An insertion of which the others have not sent their tiles yet.
+    /// An insertion whose tiles the others have not sent yet.
     uncommitted: Option<Commit>,
     commit_deadline: Deadline,
     /// Submaps that it closed.
     unstored: Vec<Submap>,
-    /// All tiles are sent once more: so many others have not done it yet.
+    /// All tiles are sent once more: number of other mappers that have not done it yet.
     republishing: Option<u32>,
     republish_deadline: Deadline,
     store: SubmapStore,
     join: Join<PoseEstimate>,
     marks: Inbox<Copies<MarksHeader>>,
     output: Output,
-    /// Tells that the last submap is closed.
+    /// Publishes that the last submap is closed.
     map_closed: LastWord,
     /// Accepted scans with a sequence below this are in the map.
     applied: u64,
@@ -112,13 +112,13 @@ impl MapperProcess {
             metrics: MapMetrics::new(&context.metrics),
             parts,
         };
-        // The first mapper speaks for all.
+        // The first mapper publishes for all.
         process.join.speak(process.parts.is_first());
         process.recover(context)?;
         Ok(process)
     }
 
-    /// Rebuilds the map that a predecessor had: its closed submaps from the store, the active one from the journal.
+    /// Rebuilds the map of the predecessor: closed submaps from the store, the active one from the journal.
     fn recover(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         let count = self.store.count();
         let mut inserted = 0;
@@ -152,7 +152,7 @@ impl MapperProcess {
             };
             let Ok(scan) = scan.view() else { continue };
             self.apply(scan, &record.pose, &[])?;
-            // What the others have of it becomes valid with a later commit.
+            // The others' tiles of it become valid with a later commit.
             self.commit()?;
             self.store()?;
         }
@@ -190,7 +190,7 @@ impl MapperProcess {
         Ok(())
     }
 
-    /// Makes the last insertion valid when all have sent their tiles, or, live, are not waited for any longer; false while they are.
+    /// Commits the last insertion when all mappers have sent their tiles, or, live, after the deadline; false while it waits.
     fn commit_when_whole(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
         let Some(commit) = &mut self.uncommitted else { return Ok(true) };
         if self.parts.others() > 0 {
@@ -211,7 +211,7 @@ impl MapperProcess {
         self.output.commit(&commit)
     }
 
-    /// Stores submaps that were closed, and those anew in which cells were cleared since. Nobody waits for it: the scan is committed.
+    /// Stores closed submaps, and again those in which cells were cleared since. No stage waits for it: the scan is committed.
     fn store(&mut self) -> Result<(), StageError> {
         for submap in self.unstored.drain(..) {
             self.store.save(&submap)?;
@@ -235,7 +235,7 @@ impl MapperProcess {
         self.commit_again(context)
     }
 
-    /// Makes all tiles valid once every mapper has sent its own again, or is not waited for any longer.
+    /// Commits all tiles again once every mapper has sent its own, or the deadline has passed.
     fn commit_again_when_whole(&mut self, context: &StageContext) -> Result<(), StageError> {
         if self.parts.others() == 0 {
             return Ok(());
@@ -280,7 +280,7 @@ impl MapperProcess {
     fn step(&mut self, pose: &PoseEstimate, context: &mut StageContext) -> Result<bool, StageError> {
         let sequence = pose.id.sequence;
         if self.join.has_missed(sequence) {
-            // Poses were missed while this process was held up; what they accepted is in the journal.
+            // Poses were missed while this process was held up; the journal has the accepted scans.
             self.catch_up(sequence, context)?;
         }
         if !pose.has(PoseFlags::INSERT) || sequence < self.applied {
@@ -303,7 +303,7 @@ impl MapperProcess {
                 context.probe_scan(scan);
                 self.apply(scan, pose, &cleared)?;
             }
-            // It was sent before this process listened; the journal has every accepted scan.
+            // The scan was sent before this process listened; the journal has every accepted scan.
             None => self.catch_up(sequence + 1, context)?,
         }
         self.metrics.inserted(sequence, cleared.len());

@@ -1,4 +1,4 @@
-//! What describes scans, alone or together with other replicas.
+//! Describes scans, alone or together with other replicas.
 
 use super::tally_shares::{is_shared, tally_part};
 use crate::{CorrelationFilter, Settings};
@@ -9,7 +9,7 @@ use flockslam_stage::{Actor, StageContext, StageError};
 /// Threads of each process that describe a large scan, one for each 100 thousand beams at most: the other stages need processors too.
 const THREADS: usize = 2;
 
-/// What describes scans, alone or together with other replicas.
+/// Describes scans, alone or together with other replicas.
 pub(super) struct Describer {
     pub scans: ScanSubscriber,
     pub part: u32,

@@ -78,7 +78,7 @@ impl FlockThread {
         Ok(())
     }
 
-    /// How the robot's map lies in that of the flock, while it is part of it.
+    /// `flock_from_map`, while the robot is part of the flock's map.
     pub fn frame(&self) -> Option<FlockFrame> {
         *locked(&self.shared.frame)
     }

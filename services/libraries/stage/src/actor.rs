@@ -20,7 +20,7 @@ pub trait Actor {
     /// When the stage cannot go on.
     fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError>;
 
-    /// Whether something is waited for, so that a deadline may pass while nothing rings.
+    /// Whether the stage waits for something, so that a deadline may pass without a notification.
     fn waits(&self) -> bool {
         false
     }
@@ -45,29 +45,29 @@ pub trait Actor {
 }
 
 const REFRESH: Duration = Duration::from_millis(100);
-/// A stage that waits for something looks this often whether its deadline has passed.
+/// A stage that waits for something checks its deadline this often.
 const WAITING: Duration = Duration::from_millis(5);
 /// After so long without work, nanoseconds …
 const RESTING_NS: u64 = 1_000_000_000;
 /// … it looks only so often.
 const RESTING: Duration = Duration::from_millis(300);
-/// What was announced is waited for awake, at most so long: going to sleep and waking up takes a processor longer than
+/// A stage waits awake for an announced message, at most so long: going to sleep and waking up takes a processor longer than
 /// the matching of a scan.
 const AWAKE_NS: u64 = 1_000_000;
 
-/// How long that moment is …
+/// How long one short sleep of such a wait takes …
 const ASIDE: Duration = Duration::from_micros(20);
-/// … and how exactly it is kept, nanoseconds: Linux takes 50 µs more if nothing is said.
+/// … and its timer slack, nanoseconds: the default of Linux adds 50 µs.
 const TIMER_SLACK_NS: NonZeroU64 = NonZeroU64::MIN;
 
 /// Runs a stage until it is asked to stop: work while there is work, sleep on the event while there is none.
 ///
 /// # Errors
-/// What the actor could not go on from.
+/// The error that the actor could not recover from.
 pub fn run(context: &mut StageContext, actor: &mut dyn Actor, event: &Listener) -> Result<(), StageError> {
     let loops = loops_after(context.stage);
     let (mut refreshed_ns, mut worked_ns, mut awake_until_ns) = (0, 0, 0);
-    // Where that cannot be had, waiting takes longer and nothing else changes.
+    // Without it waiting takes longer, and nothing else changes.
     let _ = rustix::thread::set_current_timer_slack(Some(TIMER_SLACK_NS));
     context.ready();
     while !context.stop.is_set() {
@@ -76,7 +76,7 @@ pub fn run(context: &mut StageContext, actor: &mut dyn Actor, event: &Listener) 
         if loops.is_some_and(|scans| context.metrics.handled_count() >= scans) {
             loop_once(context);
         }
-        // Behind the work: a scan that has just arrived does not wait for the housekeeping.
+        // After the work: a scan that has just arrived does not wait for the housekeeping.
         let now_ns = context.now_ns();
         if now_ns.saturating_sub(refreshed_ns) >= REFRESH.as_nanos() as u64 {
             refreshed_ns = now_ns;
@@ -92,12 +92,12 @@ pub fn run(context: &mut StageContext, actor: &mut dyn Actor, event: &Listener) 
             continue;
         }
         if now_ns < awake_until_ns {
-            // Whoever brings it may wait for this very processor.
+            // The process that sends it may wait for this very processor.
             step_aside();
             continue;
         }
         let patience = actor.patience(now_ns);
-        // A stage that has had nothing to do for a while is called by its event when there is.
+        // A stage that has been idle for a while is woken by its event.
         let rests = now_ns.saturating_sub(worked_ns) > RESTING_NS && patience >= REFRESH;
         if event.wait(if rests { RESTING } else { patience.min(REFRESH) })? == Wake::Announced {
             awake_until_ns = context.now_ns() + AWAKE_NS;
@@ -108,15 +108,15 @@ pub fn run(context: &mut StageContext, actor: &mut dyn Actor, event: &Listener) 
     Ok(())
 }
 
-/// Leaves the processor to whoever is needed first, for a moment.
+/// Leaves the processor to other processes for a moment.
 ///
-/// Not by yielding: that hands it to anyone who waits for it, threads of the lowest priority included, and they keep it up to the
-/// next tick of the scheduler, four milliseconds later. Who sleeps takes it back from them when it wakes up.
+/// It does not yield: a yield gives the processor to any thread that waits for it, also one of the lowest priority, up to the
+/// next tick of the scheduler, four milliseconds later. A thread that sleeps gets the processor back when it wakes up.
 pub fn step_aside() {
     std::thread::sleep(ASIDE);
 }
 
-/// The first process of a set that comes here does not leave.
+/// The first process of a set that calls this never returns.
 fn loop_once(context: &StageContext) {
     if std::fs::File::create_new(context.status_dir.join("endless-loop")).is_ok() {
         loop {

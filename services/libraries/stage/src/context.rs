@@ -15,7 +15,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub enum Mode {
     /// Replay at full speed: every stage waits for exactly its inputs, no scan is lost, the result is the same to the bit.
     Exact,
-    /// Live operation: nobody waits past a deadline, the newest data wins, every loss is counted.
+    /// Live operation: no stage waits past a deadline, the newest data wins, every loss is counted.
     Live,
 }
 
@@ -107,7 +107,7 @@ pub struct StageContext {
     runtime: PathBuf,
     heartbeat: Heartbeat,
     levels: LogLevels,
-    /// Scans that were followed while another process acted.
+    /// Scans that were followed while another process was active.
     followed: u64,
     _endpoint: MetricsEndpoint,
 }
@@ -170,7 +170,7 @@ impl StageContext {
         })
     }
 
-    /// What a thread of the stage needs to join the bus by itself: ports stay within their thread.
+    /// Gives a thread of the stage what it needs to join the bus: ports stay within their thread.
     pub fn joiner(&self) -> impl FnOnce() -> Option<Bus> + Send + 'static {
         let (runtime, capacity) = (self.runtime.clone(), self.capacity);
         let name = format!("{}-{}-thread", self.stage.name(), self.replica);
@@ -182,7 +182,7 @@ impl StageContext {
         self.clock.now_ns()
     }
 
-    /// Tests only: where the numbers of a scan lie in this process, for a look at which memory that is.
+    /// Tests only: reports the address of a scan's numbers in this process.
     pub fn probe_scan(&mut self, _scan: ScanView<'_>) {
         #[cfg(debug_assertions)]
         {
@@ -190,7 +190,7 @@ impl StageContext {
         }
     }
 
-    /// Tests only: where a tile lies in this process.
+    /// Tests only: reports the address of a tile in this process.
     pub fn probe_tile(&mut self, _grid: &GridReader) {
         #[cfg(debug_assertions)]
         if let Some((_, tile)) = _grid.grid().tiles().next() {
@@ -223,7 +223,7 @@ impl StageContext {
         self.alive();
     }
 
-    /// The stage has recovered what a predecessor knew, and works from now on.
+    /// The stage has recovered the state of its predecessor, and works from now on.
     pub fn ready(&mut self) {
         self.heartbeat.set_ready();
         self.alive();

@@ -1,8 +1,8 @@
-//! How long something is waited for.
+//! A limit on waiting.
 
 use crate::Mode;
 
-/// A limit on waiting, and since when something is waited for. Times are of the monotonic clock, nanoseconds.
+/// A limit on waiting, and when the wait began. Times are of the monotonic clock, nanoseconds.
 #[derive(Clone, Copy, Debug)]
 pub struct Deadline {
     /// `None` waits for ever.
@@ -11,22 +11,22 @@ pub struct Deadline {
 }
 
 impl Deadline {
-    /// Nothing is waited for longer than this.
+    /// A limit in any mode.
     pub fn new(limit_ns: u64) -> Self {
         Self { limit_ns: Some(limit_ns), since_ns: None }
     }
 
-    /// A limit that holds live; exact replay waits for what it needs.
+    /// A limit that holds in live operation; exact replay has none.
     pub fn live(mode: Mode, limit_ns: u64) -> Self {
         Self { limit_ns: Some(limit_ns).filter(|_| mode == Mode::Live), since_ns: None }
     }
 
-    /// Whether what is waited for since then is not waited for any more.
+    /// Whether a wait that began at `since_ns` is over at `now_ns`.
     pub fn is_over(&self, since_ns: u64, now_ns: u64) -> bool {
         self.limit_ns.is_some_and(|limit_ns| now_ns.saturating_sub(since_ns) > limit_ns)
     }
 
-    /// Waits: since now, unless it does already. True once the limit has passed.
+    /// Begins the wait, unless it has begun. True once the limit has passed.
     pub fn passes(&mut self, now_ns: u64) -> bool {
         let since_ns = *self.since_ns.get_or_insert(now_ns);
         self.is_over(since_ns, now_ns)
@@ -37,7 +37,7 @@ impl Deadline {
         self.since_ns = None;
     }
 
-    /// Whether something is waited for.
+    /// Whether a wait has begun.
     pub fn runs(&self) -> bool {
         self.since_ns.is_some()
     }

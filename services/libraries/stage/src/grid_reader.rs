@@ -1,4 +1,4 @@
-//! The grid as its readers hold it: takes tiles and commits from the bus, gives one whole generation.
+//! The grid as its readers hold it: reads tiles and commits from the bus, gives one whole generation.
 
 use crate::{StageContext, StageError};
 use flockslam_bus::{Notifier, Publisher, Sample, Subscriber, TileHandle};
@@ -36,7 +36,7 @@ impl GridReader {
         })
     }
 
-    /// Asks the mapper for all live tiles: after a restart nothing comes by itself.
+    /// Asks the mapper for all live tiles: after a restart it sends only changed ones by itself.
     ///
     /// # Errors
     /// When the bus fails.

@@ -15,9 +15,9 @@ pub trait Named {
     fn scan(&self) -> ScanId;
 }
 
-/// What messages about scans come out of.
+/// A source of messages about scans.
 pub trait Port {
-    /// What is held of a message until its join.
+    /// The form in which a message is held until its join.
     type Message: Named;
 
     /// The next message, if one has arrived.
@@ -27,7 +27,7 @@ pub trait Port {
     fn next(&self) -> Result<Option<Self::Message>, BusError>;
 }
 
-/// A slice topic of which the messages are copied: few samples of it may be held at once.
+/// A slice topic whose messages are copied, because only few samples of it may be held at once.
 pub struct Copies<H: SliceTopic>(pub SliceSubscriber<H>);
 
 impl Port for ScanSubscriber {
@@ -96,7 +96,7 @@ pub struct Inbox<P: Port> {
     port: P,
     held: VecDeque<P::Message>,
     limit: usize,
-    /// What is about an earlier scan comes too late, or for the second time.
+    /// A message about an earlier scan is late or a repetition.
     next: u64,
 }
 
@@ -129,7 +129,7 @@ impl<P: Port> Inbox<P> {
         if sequence < self.next {
             return;
         }
-        // Nearly always the newest; one of another publisher or topic may come a little late.
+        // A message is nearly always the newest; one of another publisher or topic may come a little late.
         match self.held.iter().rposition(|held| held.scan().sequence <= sequence) {
             Some(place) if self.held[place].scan().sequence == sequence => {}
             Some(place) => self.held.insert(place + 1, message),

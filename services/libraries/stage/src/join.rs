@@ -1,40 +1,40 @@
-//! What a stage needs for a scan, brought together by the scan's identity.
+//! Joins the inputs that a stage needs for a scan, by the scan's identity.
 
 use crate::inbox::{Inbox, Named};
 use crate::{Acknowledger, Deadline, Mode, StageContext, StageError, StreamEnd};
 use flockslam_bus::{ScanSubscriber, Subscriber, Topic};
 
-/// Scans, and the message that says of each what is to be done with it: its verdict or its pose.
+/// Joins scans with one message each: the verdict or the pose.
 ///
 /// A shell takes the oldest with [`Join::oldest`], waits with [`Join::wait`] for what else belongs to it, takes the scan out of
 /// [`Join::scans`], and ends with [`Join::finished`], which releases both and gives the source its credit.
 pub struct Join<M: Topic + Named> {
     /// Scans in the memory of their publisher.
     pub scans: Inbox<ScanSubscriber>,
-    /// What is said of each.
+    /// The message about each scan.
     pub messages: Inbox<Subscriber<M>>,
-    /// What was said about the stream.
+    /// The state of the stream.
     pub stream: StreamEnd,
-    /// Sequence of the scan that comes next when none is missed.
+    /// Sequence of the next scan, if none is missed.
     pub expected: u64,
     deadline: Deadline,
     acknowledger: Acknowledger,
     mode: Mode,
 }
 
-/// What has become of a wait.
+/// The state of a wait.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Waited<T> {
     /// It is there.
     For(T),
-    /// Live: it is not waited for any more.
+    /// Live: the deadline has passed.
     TooLong,
     /// It may still come.
     NotYet,
 }
 
 impl<M: Topic + Named> Join<M> {
-    /// Opens the topics; live, nothing is waited for longer than this, nanoseconds.
+    /// Opens the topics. `deadline_ns` limits each wait in live operation, nanoseconds.
     ///
     /// # Errors
     /// When a topic does not exist.
@@ -59,7 +59,7 @@ impl<M: Topic + Named> Join<M> {
         self.messages.drain()
     }
 
-    /// Takes in what has arrived, and gives the oldest of what was said. It stays until its scan is finished.
+    /// Reads what has arrived, and gives the oldest message. It stays until its scan is finished.
     ///
     /// # Errors
     /// When the bus fails.
@@ -68,12 +68,12 @@ impl<M: Topic + Named> Join<M> {
         Ok(self.messages.front().copied())
     }
 
-    /// Live: whether something was said about scans before this one that has not arrived. The journal has it.
+    /// Live: whether messages about earlier scans were missed. The journal has them.
     pub fn has_missed(&self, sequence: u64) -> bool {
         self.mode == Mode::Live && sequence > self.expected
     }
 
-    /// Waits for what belongs to the oldest scan: `found` once it is there, `None` before.
+    /// Waits for an input of the oldest scan. `found` is this input once it is there.
     pub fn wait<T>(&mut self, found: Option<T>, now_ns: u64) -> Waited<T> {
         let waited = match found {
             Some(found) => Waited::For(found),
@@ -84,12 +84,12 @@ impl<M: Topic + Named> Join<M> {
         waited
     }
 
-    /// As [`Join::wait`], for what is waited for since a moment that the shell knows: whether that takes too long.
+    /// Whether a wait that began at `since_ns` has passed its deadline at `now_ns`.
     pub fn is_over(&self, since_ns: u64, now_ns: u64) -> bool {
         self.deadline.is_over(since_ns, now_ns)
     }
 
-    /// All scans before this sequence are finished: releases what is held of them, and gives the source its credit.
+    /// All scans before this sequence are finished: releases them and their messages, and acknowledges them to the source.
     ///
     /// # Errors
     /// When the bus fails.
@@ -105,12 +105,12 @@ impl<M: Topic + Named> Join<M> {
         self.messages.release_before(sequence);
     }
 
-    /// Whether this process speaks for the stage, as it does unless another one is said to: then it acknowledges nothing.
+    /// Sets whether this process acknowledges scans for its stage. It does unless another process does.
     pub fn speak(&mut self, speaks: bool) {
         self.acknowledger.speaks = speaks;
     }
 
-    /// Repeats to a source that has just started how far the stage is.
+    /// Repeats the last acknowledgement, for a source that has just started.
     ///
     /// # Errors
     /// When the bus fails.
@@ -118,7 +118,7 @@ impl<M: Topic + Named> Join<M> {
         self.acknowledger.send()
     }
 
-    /// Takes in what was said about the stream; whether all of its scans are finished.
+    /// Reads the control topic; true when all scans of the stream are finished.
     ///
     /// # Errors
     /// When the bus fails.
@@ -127,7 +127,7 @@ impl<M: Topic + Named> Join<M> {
         Ok(self.stream.reached(self.acknowledger.done(), self.mode))
     }
 
-    /// Whether anything is waited for, so that a deadline may pass.
+    /// Whether a wait has begun, so that a deadline may pass.
     pub fn waits(&self) -> bool {
         self.deadline.runs()
     }

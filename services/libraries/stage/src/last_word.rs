@@ -1,10 +1,10 @@
-//! What a stage says at the end, again and again: whoever starts late hears it too.
+//! The last message of a stage. It is repeated, so that processes that start late read it too.
 
 use crate::{Notifiers, StageContext, StageError};
 use flockslam_bus::Publisher;
 use flockslam_messages::{Control, ControlKind};
 
-/// The last thing that a stage has to say on the control topic.
+/// The last message of a stage on the control topic.
 pub struct LastWord {
     control: Publisher<Control>,
     listeners: Notifiers,
@@ -13,7 +13,7 @@ pub struct LastWord {
 }
 
 impl LastWord {
-    /// What will be said, of this run, and whose events will ring.
+    /// Prepares the message of this run and the events that it notifies.
     ///
     /// # Errors
     /// When the topic does not exist.
@@ -27,7 +27,7 @@ impl LastWord {
         Ok(Self { control: context.bus.publisher()?, listeners, message, is_said: false })
     }
 
-    /// Says it for the first time.
+    /// Sends it for the first time.
     ///
     /// # Errors
     /// When the bus fails.
@@ -36,7 +36,7 @@ impl LastWord {
         self.repeat()
     }
 
-    /// Says it again, if it was said.
+    /// Repeats it, if it was sent.
     ///
     /// # Errors
     /// When the bus fails.
@@ -49,7 +49,7 @@ impl LastWord {
         Ok(())
     }
 
-    /// Whether it was said.
+    /// Whether it was sent.
     pub fn is_said(&self) -> bool {
         self.is_said
     }

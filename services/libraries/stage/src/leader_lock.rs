@@ -1,4 +1,4 @@
-//! Which of several processes of a stage acts, decided by a file lock.
+//! Which of several processes of a stage is active: a file lock decides.
 
 use crate::{Mode, StageContext, StageError};
 use flockslam_bus::{Listener, Notifier};
@@ -10,11 +10,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-/// Who is on standby looks around so often when nothing rings.
+/// A process on standby looks this often without a notification.
 const LOOK: Duration = Duration::from_millis(100);
 
-/// The right to act for a stage of which several processes run, one of them at a time: a lock on a file, which the kernel takes
-/// from a process that dies, however it dies, and hands on to the next at once.
+/// The right to be the active process of a stage: a lock on a file. The kernel takes it
+/// from a process that dies, however it dies, and gives it to the next one at once.
 pub struct LeaderLock {
     ours: Arc<AtomicBool>,
     // Held as long as the process lives.
@@ -22,8 +22,8 @@ pub struct LeaderLock {
 }
 
 impl LeaderLock {
-    /// Asks for the turn of the process' stage. Should another process have it, a thread waits for that one's end and rings the
-    /// stage's event then.
+    /// Asks for the lock of the stage. While another process holds it, a thread waits for the end of that process and then notifies the
+    /// stage's event.
     ///
     /// # Errors
     /// When the lock cannot be had for another reason than that.
@@ -57,16 +57,16 @@ impl LeaderLock {
         Ok(Self { ours, _file: file })
     }
 
-    /// Whether it is this process that acts.
+    /// Whether this process is the active one.
     pub fn is_ours(&self) -> bool {
         self.ours.load(Ordering::Acquire)
     }
 
-    /// Stands by until the turn comes: `follow` is called whenever the stage's event has rung, and gives the number of scans that it
+    /// Is on standby until the lock is free: `follow` is called after each notification, and gives the number of scans that it
     /// has followed. False when the process shall end instead.
     ///
     /// # Errors
-    /// What `follow` could not go on from.
+    /// The error that `follow` could not recover from.
     pub fn stand_by(
         &self,
         context: &mut StageContext,
@@ -99,7 +99,7 @@ impl LeaderLock {
 }
 
 fn take(mut file: &File, ours: &AtomicBool) {
-    // Only a note for the supervisor, so that it can spare the process when it stops others.
+    // Only a note for the supervisor: it stops this process last.
     let _ = file.set_len(0);
     let _ = file.seek(SeekFrom::Start(0));
     let _ = file.write_all(std::process::id().to_string().as_bytes());
@@ -110,7 +110,7 @@ fn turn_file(status_dir: &Path, stage: &str) -> PathBuf {
     status_dir.join(format!("{stage}.turn"))
 }
 
-/// The process of a stage that has its turn, as far as is known.
+/// The active process of a stage, as far as is known.
 pub fn leader(status_dir: &Path, stage: &str) -> Option<u32> {
     std::fs::read_to_string(turn_file(status_dir, stage)).ok()?.trim().parse().ok()
 }

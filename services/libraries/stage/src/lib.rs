@@ -3,7 +3,6 @@
 //! scans and poses, acknowledgements, and the report about itself.
 
 mod actor;
-mod clock;
 mod context;
 mod deadline;
 mod grid_reader;
@@ -18,10 +17,10 @@ mod progress;
 mod report;
 mod scan_journal;
 mod shares;
+mod stage_clock;
 mod stage_error;
 
 pub use actor::{Actor, run, step_aside};
-pub use clock::Clock;
 pub use context::{Mode, StageContext, StageOptions, StopFlag, heartbeat_file, metrics_socket};
 pub use deadline::Deadline;
 pub use grid_reader::GridReader;
@@ -36,4 +35,5 @@ pub use progress::{Acknowledger, StreamEnd};
 pub use report::{ProcessReport, read_reports};
 pub use scan_journal::{JournalReader, JournalWriter, Journaled, journal_file};
 pub use shares::{Share, Shares};
+pub use stage_clock::Clock;
 pub use stage_error::StageError;

@@ -3,7 +3,7 @@
 use crate::Mapper;
 use flockslam_telemetry::{Gauge, StageMetrics, names};
 
-/// What the stage tells of its map.
+/// Metrics of the map.
 pub struct MapMetrics {
     submaps: Gauge,
     live_tiles: Gauge,
@@ -15,12 +15,12 @@ impl MapMetrics {
         Self { submaps: metrics.gauge(names::SUBMAPS), live_tiles: metrics.gauge(names::LIVE_TILES) }
     }
 
-    /// Tells of a scan that entered the map, and of how many cells were cleared with it.
+    /// Counts a scan that entered the map, and the cells that were cleared with it.
     pub fn inserted(&self, scan: u64, cleared: usize) {
         tracing::debug!(scan, cleared, "inserted");
     }
 
-    /// Tells how the map is; its live tiles.
+    /// Updates the metrics of the map; gives the number of its live tiles.
     pub fn look(&self, map: &Mapper) -> usize {
         let tiles = map.live_tiles().count();
         self.live_tiles.set(tiles as f64);

@@ -1,4 +1,4 @@
-//! What the mapper tells others: tiles, commits and closed submaps.
+//! What the mapper publishes: tiles, commits and closed submaps.
 
 use crate::Mapper;
 use flockslam_bus::{Notifier, Publisher, TilePublisher};
@@ -51,7 +51,7 @@ impl Output {
         Ok(())
     }
 
-    /// Takes tiles back that belong to the window no longer.
+    /// Retires tiles that have left the window.
     pub fn retire(&mut self, keys: &[TileKey], generation: u64) -> Result<(), StageError> {
         let cell_size_m = self.cell_size_m;
         for key in keys {
@@ -70,7 +70,7 @@ impl Output {
         Ok(())
     }
 
-    /// Tells of a submap that is stored.
+    /// Publishes a submap that is stored.
     pub fn publish_submap(&self, notice: &SubmapClosed) -> Result<(), StageError> {
         self.submaps.send(notice)?;
         self.sync_manager.ring();

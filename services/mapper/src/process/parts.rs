@@ -1,12 +1,12 @@
-//! The map told of by several processes, each with its share of the tiles.
+//! The map published by several processes, each with its share of the tiles.
 
 use crate::TileShare;
 use flockslam_bus::{Notifier, Publisher, Subscriber};
 use flockslam_messages::{PartInserted, PoseEstimate, Stage};
 use flockslam_stage::{StageContext, StageError};
 
-/// What one of several mappers knows of the others. Each knows the whole map and sends its share of the tiles; the first speaks for
-/// all: it commits a scan when every one has sent its tiles, and stores closed submaps.
+/// State of the other mappers. Each mapper has the whole map and sends its share of the tiles. The first one publishes for
+/// all: it commits a scan when every mapper has sent its tiles, and stores closed submaps.
 pub(super) struct Parts {
     part: u32,
     parts: u32,
@@ -38,7 +38,7 @@ impl Parts {
         TileShare::new(self.part, self.parts)
     }
 
-    /// Whether this process speaks for all.
+    /// Whether this process publishes for all.
     pub fn is_first(&self) -> bool {
         self.part == 0
     }
@@ -48,7 +48,7 @@ impl Parts {
         self.parts - 1
     }
 
-    /// Tells the first mapper that tiles are out: those that a scan has changed, or all.
+    /// Tells the first mapper that tiles were sent: those that a scan has changed, or all.
     pub fn publish(&self, pose: &PoseEstimate, tiles: usize, all_tiles: bool) -> Result<(), StageError> {
         let (id, tiles) = (pose.id, tiles as u32);
         let message =
@@ -58,7 +58,7 @@ impl Parts {
         Ok(())
     }
 
-    /// Hears of the others.
+    /// Reads the messages of the others.
     pub fn drain(&mut self) -> Result<(), StageError> {
         while let Some(message) = self.others.receive()? {
             let of_share = self.inserted.get_mut(message.part as usize);

@@ -3,7 +3,7 @@
 use flockslam_messages::{PoseEstimate, PoseFlags};
 use flockslam_telemetry::{Counter, Histogram, LabelledCounters, StageMetrics, names};
 
-/// What the stage tells of its poses.
+/// Metrics of the poses.
 pub struct PoseMetrics {
     qualities: LabelledCounters,
     score: Histogram,
@@ -30,7 +30,7 @@ impl PoseMetrics {
         }
     }
 
-    /// Counts a published pose, and tells of it.
+    /// Counts a published pose, and logs it.
     pub fn published(&self, pose: &PoseEstimate) {
         let (scan, matched, accepted) =
             (pose.id.sequence, pose.has(PoseFlags::MATCHED), pose.has(PoseFlags::INSERT));

@@ -1,4 +1,4 @@
-//! What goes on when the matcher cannot: poses by odometry alone, so that a robot that has lost its matcher is not blind.
+//! The stand-in of the matcher: poses by odometry alone, for a robot whose matcher cannot be started.
 
 use super::last_pose;
 use super::metrics::PoseMetrics;
@@ -13,13 +13,13 @@ use flockslam_stage::{Acknowledger, Actor, JournalWriter, LeaderLock, StageConte
 /// When the bus fails.
 pub fn run_stand_in(context: &mut StageContext, settings: Settings) -> Result<(), StageError> {
     let event = context.bus.listener(Stage::ScanMatcher.name())?;
-    // Another process of the stage may work well.
+    // Another process of the stage may still work.
     let turn = LeaderLock::ask(context)?;
     if !turn.stand_by(context, &event, |_| Ok(0))? {
         return Ok(());
     }
     let mut logic = ScanMatcher::new(settings);
-    // A journal that cannot be used may be why this process is needed.
+    // The journal may be unusable, and may be the reason why the matcher fails.
     let last = last_pose(context).ok().flatten();
     last.iter().for_each(|last| logic.resume(last));
     let next = last.map_or(context.first_sequence, |last| last.id.sequence + 1);

@@ -1,4 +1,4 @@
-//! The journal read once more at the end, at the final poses.
+//! The final cleaning: reads the journal once more at the end, at the final poses.
 
 use super::fuser::Fuser;
 use flockslam_map_fusion::PlacedSubmap;
@@ -7,11 +7,11 @@ use flockslam_messages::Deskew;
 use flockslam_results::flock_files::NamedPose;
 use flockslam_stage::{JournalReader, Journaled, StageContext, StageError};
 
-/// Of more accepted scans than this only some are looked at, evenly spread: the work is bounded.
+/// Of more accepted scans than this an evenly spaced selection is used: the work is bounded.
 const SCANS_MAX: u64 = 20_000;
 
 /// Clears the cells of the finished map that the accepted scans, so many, have looked through; `scans` are the final poses of all
-/// scans, in the order of their sequences. Scans of submaps that are not in the map say nothing.
+/// scans, in the order of their sequences. Scans of submaps that are not in the map are not used.
 ///
 /// # Errors
 /// When journal or store fail.
@@ -58,7 +58,7 @@ pub(super) fn clear_at_end(
     fuser.clear(&free, submaps_in_map)
 }
 
-/// As how many views a scan counts that stands for all of these: scans that showed about the same are not in the journal.
+/// Number of views that a scan counts for: scans that showed about the same are not in the journal.
 fn views(scans: &[NamedPose]) -> u8 {
     let mut last_ns = scans[0].stamp_ns;
     let mut is_apart = |scan: &&NamedPose| {

@@ -1,4 +1,4 @@
-//! The robot's side of the flock: what it says is kept, and, when it is asked to, others hear of it over the network.
+//! The robot's side of the flock: its records are kept on disk, and published over the network if this is configured.
 
 use crate::{Solution, SyncManager};
 use flockslam_flock_network::{FlockMetrics, FlockSettings, FlockThread, RecordPublisher, Task};
@@ -9,24 +9,24 @@ use flockslam_results::flock_files::{NamedPose, OWN_NODES, OWN_SCANS, write_name
 use flockslam_stage::{StageContext, StageError};
 use std::path::Path;
 
-/// After each closed submap so many before it are looked at for stale cells: in older ones nothing is cleared while the robot drives.
+/// After each closed submap so many before it are checked for stale cells: in older ones nothing is cleared while the robot drives.
 const WATCHED: u32 = 8;
 
-/// How a robot tells others what it finds out.
+/// How a robot publishes its findings.
 pub enum Outbox {
-    /// It is alone, or is on standby.
+    /// The robot is alone, or this process is on standby.
     Silent,
-    /// It keeps what it would say.
+    /// Records are kept on disk.
     Recording(Box<RecordPublisher>),
-    /// It talks.
+    /// Records are published over the network.
     Talking(FlockThread),
 }
 
 impl Outbox {
-    /// The outbox of the active process; `directory` is where what it says is kept.
+    /// The outbox of the active process; records are kept in `directory`.
     ///
     /// # Errors
-    /// When the robot's key cannot be had, or the system refuses.
+    /// When the robot's key cannot be read or made, or the thread cannot be started.
     pub fn open(
         settings: &FlockSettings,
         directory: &Path,
@@ -42,7 +42,7 @@ impl Outbox {
         })
     }
 
-    /// Tells what is new after a closed submap of the store.
+    /// Publishes what is new after a closed submap of the store.
     ///
     /// # Errors
     /// When the store or the disk fails.
@@ -71,7 +71,7 @@ impl Outbox {
         }
     }
 
-    /// How the robot's map lies in that of the flock, while it is part of it.
+    /// `flock_from_map`, while the robot is part of the flock's map.
     pub fn frame(&self) -> Option<FlockFrame> {
         match self {
             Self::Talking(thread) => thread.frame(),
@@ -79,7 +79,7 @@ impl Outbox {
         }
     }
 
-    /// Where the other robots are in the robot's map, as far as they are part of the same.
+    /// Poses of the other robots in the robot's map, as far as they are part of the flock's map.
     pub fn robots(&self) -> FlockRobots {
         match self {
             Self::Talking(thread) => thread.robots(),
@@ -87,14 +87,14 @@ impl Outbox {
         }
     }
 
-    /// Takes note of where the robot is, for those who are near.
+    /// Publishes the robot's pose to near robots.
     pub fn is_at(&self, pose: &PoseEstimate) {
         if let Self::Talking(thread) = self {
             thread.is_at(pose);
         }
     }
 
-    /// Tells what is left at the end – stale cells of all submaps – and leaves the robot's own trajectory beside its records. Then
+    /// Publishes the rest at the end – stale cells of all submaps – and writes the robot's own trajectory beside its records. Then
     /// waits for the others.
     ///
     /// # Errors
@@ -134,7 +134,7 @@ impl Outbox {
     }
 }
 
-/// Where submaps lie in the robot's own map.
+/// Poses of the submaps in the robot's own map.
 fn places(logic: &SyncManager) -> Vec<(u32, Pose)> {
     logic.submap_poses().iter().map(|placed| (placed.number, placed.map_from_odom)).collect()
 }

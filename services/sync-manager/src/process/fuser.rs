@@ -1,4 +1,4 @@
-//! The fused map's way to and from the store of submaps.
+//! Connects the fused map with the store of submaps.
 
 use crate::Settings;
 use flockslam_evidence::CellIndex;
@@ -11,7 +11,7 @@ use flockslam_results::SubmapStore;
 use flockslam_results::{StoredMap, Summary};
 use flockslam_stage::StageError;
 
-/// Hands stored submaps to the fusion as it asks for them.
+/// Loads stored submaps for the fusion.
 pub struct Fuser {
     fusion: Fusion,
     store: SubmapStore,
@@ -19,12 +19,12 @@ pub struct Fuser {
 }
 
 impl Fuser {
-    /// A fused map of nothing, from this store.
+    /// An empty fused map, filled from this store.
     pub fn new(store: SubmapStore, settings: &Settings) -> Self {
         Self { fusion: Fusion::new(settings.retire_covered_by), store, known_area_m2: 0.0 }
     }
 
-    /// Goes a few steps towards a solution, of which the first `closed` submaps are stored; gives those that have retired now.
+    /// Brings the fused map a few steps closer to a solution, of which the first `closed` submaps are stored; gives the submaps that have retired now.
     ///
     /// # Errors
     /// When the store fails.
@@ -51,7 +51,7 @@ impl Fuser {
     /// Brings the fused map to the final solution: it is the sum over the stored submaps at their poses then.
     ///
     /// # Errors
-    /// When the store fails, or a submap lies absurdly far from the others.
+    /// When the store fails, or a submap is absurdly far from the others.
     pub fn finish(&mut self, submaps_in_map: &[PlacedSubmap]) -> Result<(), StageError> {
         // The last scans may carry the number of a submap that nothing was inserted in.
         let closed = self.store.count();
@@ -59,7 +59,7 @@ impl Fuser {
         self.empty_retired()
     }
 
-    /// The fused map as it is now; `None` when it never was one.
+    /// The fused map as it is now; `None` before the first submap.
     pub fn map(&self) -> Option<&FusedMap> {
         self.fusion.map()
     }
@@ -69,7 +69,7 @@ impl Fuser {
         self.map().map_or_else(StoredMap::empty, stored_map)
     }
 
-    /// Masks what says "occupied" of these cells of the map in all submaps of the final solution.
+    /// Masks the evidence that makes these cells of the map occupied, in all submaps of the final solution.
     ///
     /// # Errors
     /// When the store fails.
@@ -101,7 +101,7 @@ impl Fuser {
         (stored + self.fusion.retired().filter(|number| !placed(number)).count()) as u64
     }
 
-    /// Tells of the submaps, once the map is finished.
+    /// Reports the submaps, once the map is finished.
     pub fn report(&self, summary: &mut Summary) {
         summary.submaps_retired = self.fusion.retired().count() as u64;
         summary.submap_bytes = self.store.bytes();

@@ -3,7 +3,7 @@
 use crate::ClosureCounts;
 use flockslam_telemetry::{Counter, Gauge, Histogram, StageMetrics, names};
 
-/// What the stage tells of loop closures, its time and the map.
+/// Metrics of loop closures, time and map.
 pub struct CorrectionMetrics {
     searches: Counter,
     accepted: Counter,
@@ -26,13 +26,13 @@ impl CorrectionMetrics {
         }
     }
 
-    /// Takes note of where the counts are without counting them: another process has done it.
+    /// Notes the present counts without counting them: another process has done it.
     pub fn recovered(&mut self, counts: ClosureCounts) {
         self.seen = counts;
         self.revoked.set(counts.revoked as f64);
     }
 
-    /// Counts what was concluded after a closed submap, and the time for it, nanoseconds.
+    /// Counts the closures after a closed submap, and the time for it, nanoseconds.
     pub fn concluded(&mut self, counts: ClosureCounts, took_ns: u64, map_area_m2: f64) {
         self.searches.inc_by(counts.searches.saturating_sub(self.seen.searches));
         self.accepted.inc_by(counts.accepted.saturating_sub(self.seen.accepted));

@@ -11,7 +11,7 @@ use std::io::{BufReader, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
-/// What grows with every scan and is needed at the end alone: it is kept in files, not in memory.
+/// Data that grows with every scan and is needed only at the end. It is kept in files, not in memory.
 pub struct Trajectories {
     directory: PathBuf,
     online: RowFile<StampedPose>,
@@ -41,7 +41,7 @@ impl Trajectories {
         })
     }
 
-    /// Goes on in another directory, in place of what lies there.
+    /// Goes on in another directory, and replaces the files there.
     ///
     /// # Errors
     /// When the disk refuses.
