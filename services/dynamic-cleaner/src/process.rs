@@ -1,6 +1,6 @@
 //! The shell of dynamic-cleaner: joins accepted scans with the grid that they were matched to, publishes marks.
 //!
-//! Replica 0 concludes. The others judge the cells in their sectors of the circle and send it what they found.
+//! Replica 0 publishes the marks. The others judge the cells in their sectors of the circle and send it their findings.
 
 mod sectors;
 
@@ -13,13 +13,13 @@ use flockslam_stage::{Actor, GridReader, Join, Mode, Shares, StageContext, Stage
 use flockslam_telemetry::{Counter, names};
 use sectors::Helper;
 
-/// Live: a grid that is not there by then is not waited for; the scan clears nothing.
+/// Live: deadline of the grid. Without it the scan clears nothing.
 const GRID_DEADLINE_NS: u64 = 50_000_000;
-/// A sector that another replica has not sent after this is judged here: the same cells, only later.
+/// Replica 0 waits so long for a sector of another replica; then it judges the sector itself, with the same result.
 const SECTOR_DEADLINE_NS: u64 = 20_000_000;
 /// Findings about later scans that are held.
 const SECTORS_HELD_MAX: usize = 4;
-/// Counts sectors that had to be judged here.
+/// Counts sectors that replica 0 had to judge itself.
 const SECTOR_LATE: &str = "sector-late";
 
 /// Runs the stage until it is asked to stop.
@@ -32,7 +32,7 @@ pub fn run_stage(context: &mut StageContext, settings: Settings, cell_size_m: f6
     run(context, &mut *shell, &event)
 }
 
-/// The stage as steps, for whoever calls them.
+/// The stage as steps, for a caller with a loop of its own.
 ///
 /// # Errors
 /// When the bus fails.
@@ -45,7 +45,7 @@ pub fn shell(
     let mut inputs = Inputs::open(context, settings, cell_size_m)?;
     if context.replica > 0 {
         inputs.join.speak(false);
-        // A number beyond the shares has none; it only waits to be told to end.
+        // A process with a number beyond the shares has no sector; it only waits for the end.
         let sector = (context.replica < parts).then(|| Sector::new(context.replica, parts));
         return Ok(Box::new(Helper::open(context, inputs, sector, parts)?));
     }
@@ -61,7 +61,7 @@ pub fn shell(
     }))
 }
 
-/// What every replica joins.
+/// The inputs of every replica.
 struct Inputs {
     logic: DynamicCleaner,
     join: Join<PoseEstimate>,
@@ -76,7 +76,7 @@ impl Inputs {
         Ok(Self { logic: DynamicCleaner::new(settings), join, grid })
     }
 
-    /// Takes in what has arrived; the oldest pose.
+    /// Reads what has arrived; gives the oldest pose.
     fn next(&mut self) -> Result<Option<PoseEstimate>, StageError> {
         let pose = self.join.oldest()?;
         self.grid.drain()?;
@@ -94,7 +94,7 @@ fn has_grid_of(grid: &GridReader, pose: &PoseEstimate) -> Option<()> {
     (generation(grid) >= pose.generation).then_some(())
 }
 
-/// The replica that concludes.
+/// The replica that publishes.
 struct Cleaner {
     inputs: Inputs,
     sectors: Shares<SliceSubscriber<SectorHeader>, Shared>,
@@ -106,7 +106,7 @@ struct Cleaner {
     moving_beams: Counter,
 }
 
-/// A scan of which others judge their sectors.
+/// A scan whose sectors others judge.
 struct Shared {
     pose: PoseEstimate,
     sample: Option<ScanSample>,
@@ -191,7 +191,7 @@ impl Cleaner {
         self.inputs.join.finished(pose.id.sequence + 1)
     }
 
-    /// Publishes who moves at a scan.
+    /// Publishes the tracks at a scan.
     fn watch(&mut self, scan: ScanView<'_>, pose: &PoseEstimate) -> Result<(), StageError> {
         let tracks = self.inputs.logic.watch(scan, pose, self.inputs.grid.grid());
         let count = tracks.len() as u32;

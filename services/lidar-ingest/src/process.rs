@@ -26,7 +26,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 pub use world_file::read as read_world;
 
-/// Where scans come from.
+/// The source of scans.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Source {
@@ -36,14 +36,14 @@ pub enum Source {
     Pipe,
     /// The simulated world.
     Simulation,
-    /// Nothing: the stream ends before its first scan. What a continued map holds is all there is.
+    /// No source: the stream ends before its first scan. The run only has the map that it continues.
     Nothing,
 }
 
-/// Everything that the stage is told.
+/// Everything that the stage needs to start.
 #[derive(Clone, Debug)]
 pub struct Task {
-    /// Where scans come from.
+    /// The source of scans.
     pub source: Source,
     /// Live replay: log seconds per second. `None` takes scans as they come.
     pub rate: Option<f64>,
@@ -63,13 +63,13 @@ const RUN: u32 = 1;
 /// Large scans on their way at once: their topic has a buffer of two.
 const LARGE_CREDIT: u64 = 2;
 
-/// Live replay: a scan is announced so long before it is due, as the first bytes from a sensor would do it. Of this, waking up
-/// takes this process about a quarter and then the others up to a third.
+/// Live replay: a scan is announced so long before it is due, as the first bytes from a sensor would announce it. Of this time, waking up
+/// takes about a quarter in this process, and then up to a third in the others.
 const ANNOUNCED_AHEAD: Duration = Duration::from_micros(400);
 
-/// Who is woken for each scan. Live, the matcher wakes up while the filter judges: one after the other they would take as
-/// long again as the matching itself. The matcher comes first: the filter, once woken, may take this very processor, and its
-/// verdict is there sooner than the matcher is awake.
+/// The stages that are woken for each scan. Live, the matcher wakes up while the filter judges: one after the other they would take as
+/// long again as the matching itself. The matcher is woken first: the filter may take this very processor, and its
+/// verdict is there before the matcher is awake.
 fn first_stages(mode: Mode) -> &'static [Stage] {
     match mode {
         Mode::Exact => &[Stage::CorrelationFilter],
@@ -92,7 +92,7 @@ pub fn run_stage(context: &mut StageContext, task: Task) -> Result<(), StageErro
     run(context, &mut *shell, &event)
 }
 
-/// The stage as steps, for whoever calls them.
+/// The stage as steps, for a caller with a loop of its own.
 ///
 /// # Errors
 /// As [`run_stage`].
@@ -125,7 +125,7 @@ struct Ingest {
     announced: bool,
     sequence: u64,
     pause: Pause,
-    /// It rested at the last look.
+    /// The set was paused at the last look.
     rests: bool,
     stream: StreamEnd,
 }
@@ -195,8 +195,8 @@ impl Ingest {
         Some(pacer.wait(self.scan.header.times.sensor_ns, now_ns))
     }
 
-    /// Live: whether the set is to rest. What a sensor says meanwhile is dropped, for it does not wait; a replay goes on where it
-    /// was, with a clock begun anew.
+    /// Live: whether the set is paused. Meanwhile scans of a sensor are dropped; a replay goes on where it
+    /// was, with a new time origin.
     fn rests(&mut self, context: &mut StageContext) -> bool {
         let rests = context.mode == Mode::Live && self.pause.is_set();
         if rests && self.loaded && self.feed.is_sensor() {
@@ -225,12 +225,12 @@ impl Ingest {
         header.times.utc_ns = utc_ns();
         let view = self.scan.view().map_err(|problem| StageError::Source(problem.to_string()))?;
         self.scans.send(view)?;
-        // Whoever waits for it awake needs the processor rather than the event.
+        // A stage that waits awake needs the processor rather than the notification.
         if !self.announced {
             self.first.ring();
         }
         if context.mode == Mode::Live {
-            // Whoever was woken may wait for this very processor: reading the next scan has time.
+            // A stage that was woken may wait for this very processor: reading the next scan has time.
             step_aside();
         }
         if self.announced {

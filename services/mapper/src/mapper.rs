@@ -10,7 +10,7 @@ use flockslam_messages::{ClearedCell, Deskew, PoseEstimate, ScanView};
 use flockslam_ray_insertion::SensorModel;
 use std::collections::VecDeque;
 
-/// Longer ranges are not inserted, metres: beyond, the gaps between beams are wider than what stands there.
+/// Longer ranges are not inserted, metres: the gaps between beams are wider than most objects there.
 const RANGE_MAX_M: f64 = 30.0;
 
 /// Turns scans with poses into evidence, tiles and submaps. A pure function of its calls.
@@ -40,7 +40,7 @@ pub struct Mapper {
     settings: Settings,
     model: SensorModel,
     window: Window,
-    /// The closed submaps of a bounded window: what leaves it must be known.
+    /// The closed submaps of a bounded window: needed to remove them later.
     closed: VecDeque<Submap>,
     left_cleared: Vec<Submap>,
     active: Option<ActiveSubmap>,
@@ -48,9 +48,9 @@ pub struct Mapper {
     trajectory: u32,
     generation: u64,
     newcomers: Newcomers,
-    /// Where the beams of the scan at hand end, in odom.
+    /// End points of the beams of the present scan, in odom.
     ends: Vec<Point>,
-    /// Those of them that are not known to be more than somebody who walks by.
+    /// Those of them that may belong to a moving person.
     held_back: Vec<Point>,
 }
 
@@ -85,8 +85,8 @@ impl Mapper {
         Self::of_share(settings, TileShare::ALL)
     }
 
-    /// An empty map that tells of some tiles only: of several mappers that are given the same, each with its share, all tiles
-    /// together are those of one that has all. Each knows the whole map: what is seen at the border of a tile depends on both sides.
+    /// An empty map that publishes some tiles only. Of several mappers with the same inputs, each with its share, all tiles
+    /// together are those of a single mapper. Each holds the whole map, because the cells at the border of a tile depend on both sides.
     pub fn of_share(settings: Settings, share: TileShare) -> Self {
         Self {
             model: settings.model(),
@@ -114,11 +114,11 @@ impl Mapper {
         self.window.add_submap(&closed);
         self.remember(closed);
         self.window.end_scan();
-        // What has left the window again is stored as it is.
+        // A submap that has left the window again is stored as it is.
         self.left_cleared.clear();
     }
 
-    /// Inserts a scan at its pose, after taking out what `cleared` calls stale.
+    /// Inserts a scan at its pose, after removing the stale cells `cleared`.
     pub fn insert(
         &mut self,
         scan: ScanView<'_>,
@@ -218,8 +218,8 @@ impl Mapper {
         }
     }
 
-    /// Moves the ends that need to be seen again behind the others; gives the number of the others. Where something has been
-    /// seen often enough, the map forgets that nothing stood there.
+    /// Moves the end points that must be confirmed behind the others; gives the number of the others. Where something has been
+    /// seen often enough, the evidence for "free" is removed.
     fn hold_back_newcomers(&mut self, stamp_ns: i64) -> usize {
         let views = self.settings.newcomer_views;
         if views <= 1 {
@@ -285,7 +285,7 @@ impl Mapper {
         Some(submap)
     }
 
-    /// Empties the window when another trajectory begins: what came before lies nobody knows how to it.
+    /// Empties the window when another trajectory begins: its pose relative to the earlier ones is unknown.
     fn enter_trajectory(&mut self, trajectory: u32) {
         if trajectory == self.trajectory {
             return;
@@ -309,13 +309,13 @@ impl Mapper {
         }
     }
 
-    /// Takes stale evidence out of a cell: the active submap loses what says "occupied", closed ones get it masked.
+    /// Removes stale evidence from a cell: the active submap loses its evidence for "occupied", in closed ones the cell is masked.
     fn clear(&mut self, cell: CellIndex) {
         self.window.clear(cell);
         self.mask(cell);
     }
 
-    /// Takes all evidence out of a cell: something stands where nothing stood.
+    /// Removes all evidence from a cell: something stands where nothing stood.
     fn forget(&mut self, cell: CellIndex) {
         self.window.forget(cell);
         self.mask(cell);

@@ -1,14 +1,14 @@
-//! What was seen in known free space, until it was seen again: takes sightings of cells, gives how often each was confirmed.
+//! Objects in known free space until they are confirmed: takes sightings of cells, gives the number of confirmations of each.
 
 use flockslam_evidence::{CellIndex, CellTable};
 
-/// Two sightings count when their scans are at least so far apart, nanoseconds: who walks has gone on by then.
+/// Two sightings count when their scans are at least so far apart, nanoseconds: a walking person has gone on by then.
 const APART_NS: u64 = 300_000_000;
-/// What was not seen again for so long has to be confirmed anew, nanoseconds.
+/// A sighting that was not repeated for so long does not count any more, nanoseconds.
 const FORGOTTEN_NS: u64 = 5_000_000_000;
 
-/// What was seen where the map knows free space. Somebody who walks by is seen there once or twice; what stays is seen again,
-/// and enters the map then.
+/// Sightings in known free space. A person who walks by is seen there once or twice; an object that stays is seen again,
+/// and then enters the map.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Newcomers {
     places: CellTable<Sightings>,
@@ -24,7 +24,7 @@ impl Newcomers {
     /// Counts a sighting in a cell by scan number `scan` with this sensor stamp; gives how often it was seen there, scans well
     /// apart.
     pub(crate) fn seen(&mut self, cell: CellIndex, scan: u32, stamp_ns: i64) -> u8 {
-        // Surfaces are not seen in the very same cell every time.
+        // A surface is not seen in exactly the same cell every time.
         let place = CellIndex::new(cell.x >> 1, cell.y >> 1);
         let sightings = self.places.touch(place, scan);
         let since_ns = stamp_ns.abs_diff(sightings.last_ns);

@@ -41,7 +41,7 @@ pub fn run_stage(context: &mut StageContext, settings: Settings) -> Result<(), S
     run(context, &mut *shell, &event)
 }
 
-/// The stage as steps, for whoever calls them.
+/// The stage as steps, for a caller with a loop of its own.
 ///
 /// # Errors
 /// As [`run_stage`].

@@ -2,8 +2,8 @@
 
 use flockslam_evidence::TileKey;
 
-/// The tiles that one of several mappers looks after. Neighbours along rows and columns belong to different ones, so that all have
-/// about as much to do wherever the robot is.
+/// The tiles of one of several mappers. Neighbours along rows and columns belong to different mappers, so that all have
+/// about the same work wherever the robot is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TileShare {
     part: u32,

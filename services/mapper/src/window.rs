@@ -9,11 +9,11 @@ use flockslam_evidence::{
 };
 use flockslam_ray_insertion::{CrossedCells, ObservedCells, Ray};
 
-/// A cell with this much evidence for "free", nat, was looked through by several scans.
+/// A cell with this much evidence for "free", nat, was passed through by several scans.
 const CLEAR_NAT: f64 = 1.5;
-/// What has this much evidence for "occupied", nat, and more than for "free", was hit by several scans: it stands there.
+/// A cell with this much evidence for "occupied", nat, and more than for "free", was hit by several scans: an object stands there.
 const ESTABLISHED_NAT: f64 = 4.0;
-/// What stands within this distance of a cell, cells, may be what was seen in it.
+/// An object within this distance of a cell, cells, may be the one that was seen in it.
 const NEAR_CELLS: i32 = 2;
 
 /// The grid that is matched: the integer sum of the active submap and of closed ones, with its published form.
@@ -21,7 +21,7 @@ const NEAR_CELLS: i32 = 2;
 pub(crate) struct Window {
     tiles: TileDirectory<Box<WindowTile>>,
     scores: Scores,
-    /// Only these tiles are told of.
+    /// Only these tiles are published.
     share: TileShare,
     scan: u32,
     /// Tiles that the active submap has evidence in.
@@ -33,7 +33,7 @@ pub(crate) struct Window {
     /// Tiles that rays of the present scan cross, and the evidence that they leave there.
     crossed: Vec<TileKey>,
     crossing: Cell,
-    /// Takes the marks of rays where no tile can be.
+    /// Receives the marks of rays outside of any possible tile.
     nowhere: CrossedCells,
 }
 
@@ -65,7 +65,7 @@ impl Window {
         self.retired.clear();
     }
 
-    /// Gives the cells that rays have crossed their evidence. Called once, behind the last ray of a scan.
+    /// Adds the evidence of crossed cells. Called once, after the last ray of a scan.
     pub(crate) fn end_rays(&mut self) {
         let mut crossed = std::mem::take(&mut self.crossed);
         for key in crossed.drain(..) {
@@ -129,17 +129,17 @@ impl Window {
             })
     }
 
-    /// Leaves of a cell's evidence only the active submap's for "free".
+    /// Keeps of a cell's evidence only that of the active submap for "free".
     pub(crate) fn clear(&mut self, cell: CellIndex) {
         self.leave(cell, |active| PackedCell { occupied: 0, ..active });
     }
 
-    /// Leaves nothing of a cell's evidence.
+    /// Removes all evidence of a cell.
     pub(crate) fn forget(&mut self, cell: CellIndex) {
         self.leave(cell, |_| PackedCell::UNKNOWN);
     }
 
-    /// Leaves of a cell's evidence a part of the active submap's.
+    /// Keeps a part of the active submap's evidence of a cell.
     fn leave(&mut self, cell: CellIndex, part: impl Fn(PackedCell) -> PackedCell) {
         if let Some(tile) = self.tiles.get_mut(cell.tile()) {
             let active = &mut tile.active[cell.offset()];
@@ -150,12 +150,12 @@ impl Window {
         }
     }
 
-    /// Puts a closed submap's evidence into the sum.
+    /// Adds a closed submap's evidence to the sum.
     pub(crate) fn add_submap(&mut self, submap: &Submap) {
         self.change_sums(submap, Cell::combine);
     }
 
-    /// Takes a closed submap's evidence out of the sum; its tiles retire if nothing else is in them.
+    /// Subtracts a closed submap's evidence from the sum; its tiles retire if they hold nothing else.
     pub(crate) fn withdraw_submap(&mut self, submap: &Submap) {
         self.change_sums(submap, |sum, evidence| {
             sum.withdraw(evidence).expect("the window holds what its submaps hold")
@@ -181,7 +181,7 @@ impl Window {
         }
     }
 
-    /// Takes all evidence out; every tile retires.
+    /// Removes all evidence; every tile retires.
     pub(crate) fn clear_all(&mut self) {
         self.retired.extend(self.tiles.iter().map(|(key, _)| key));
         for key in &self.retired {
@@ -261,7 +261,7 @@ impl ObservedCells for Window {
         }
     }
 
-    /// Only marks the cells: rays cross each other near the robot, and what many of them cross gets its evidence once.
+    /// Only marks the cells: rays cross each other near the robot, and a cell that many rays cross gets its evidence once.
     fn observe_ray(&mut self, mut ray: Ray, evidence: Cell) {
         self.crossing = evidence;
         while let Some(key) = ray.tile() {

@@ -10,7 +10,7 @@ const GROUP: usize = 8;
 /// A tile of the window.
 #[derive(Debug)]
 pub(crate) struct WindowTile {
-    /// What readers see: the evidence of the whole window, capped, and its scores.
+    /// The published form: the evidence of the whole window, capped, and its scores.
     pub(crate) published: Tile,
     /// Evidence of the whole window, not capped.
     pub(crate) sums: [Cell; TILE_CELLS],

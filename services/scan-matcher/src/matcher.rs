@@ -1,6 +1,6 @@
 //! The logic of the stage: takes a scan, its verdict and the grid, gives a pose with its covariance and quality.
 //!
-//! [`ScanMatcher::handle`] is the whole way of a scan. What lies between its steps is passed on as a value: [`Prediction`],
+//! [`ScanMatcher::handle`] is the whole path of a scan. Its steps pass values on: [`Prediction`],
 //! [`ScanPoints`], [`MoverMask`], [`Fitted`], [`Judgement`].
 
 use crate::motion::{Motion, Prediction};
@@ -17,18 +17,18 @@ use matcher_state::{Confidence, MapState};
 use points::{MoverMask, ScanPoints};
 use std::ops::Deref;
 
-/// Fewer points than this fix no pose.
+/// A scan with fewer points than this is not matched.
 const POINTS_MIN: usize = 5;
-/// Fewer points than this do not tell one place from another: no wide search, and no proof that the robot is lost.
+/// With fewer points than this places cannot be distinguished: no wide search, and no proof that the robot is lost.
 const POINTS_MIN_FOR_SHARE: usize = 30;
-/// Of scans with more beams than this only every n-th is matched: so that the cost of a fit is bounded.
+/// Of scans with more beams than this only every n-th beam is matched: the cost of a fit is bounded.
 const BEAMS_MAX: usize = 1000;
-/// The first scans of a run are never dropped: with fewer the map is too thin for the running mean of the scores to say anything.
+/// The first scans of a run are never dropped: before, the map is too thin for a meaningful running mean of the scores.
 const START_SCANS: u64 = 10;
 /// A drop is overruled when the standard deviation of the predicted position exceeds this, metres: a sixth of the reach of
-/// the wide search, so that the place is well within it.
+/// the wide search, so that the robot is well within it.
 const SIGMA_MAX_M: f64 = 0.1;
-/// Weight of the newest score in the running mean: it follows the place within some fifty scans, and no single bad one spoils it.
+/// Weight of the newest score in the running mean: the mean adapts within some fifty scans, and no single bad score spoils it.
 const MEAN_RATE: f64 = 0.02;
 /// Odometry that misses a fit by more than this means that wheels slip: metres and radians.
 const SLIPPED: (f64, f64) = (0.15, 0.08);
@@ -49,15 +49,15 @@ pub struct ScanMatcher {
     motion: Motion,
     /// The map that it moves in.
     map: MapState,
-    /// How well it knows its place.
+    /// How well the robot is localised.
     confidence: Confidence,
-    /// Where other robots say that they are.
+    /// Published poses of other robots.
     companions: FlockRobots,
     buffers: Buffers,
 }
 
-/// Memory that is used again for each scan: taken at its first step and given back at its last. What was masked of the last scan stays
-/// to be asked for.
+/// Buffers that are used again for each scan: taken at its first step and given back at its last. The mask of the last scan stays
+/// readable.
 #[derive(Debug, Default)]
 struct Buffers {
     points: ScanPoints,
@@ -68,7 +68,7 @@ struct Buffers {
 /// Whether a scan is matched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Need {
-    /// It is not: its pose is the predicted one.
+    /// No: its pose is the predicted one.
     None,
     /// The filter has kept it.
     Kept,
@@ -113,7 +113,7 @@ impl ScanMatcher {
         self.update(scan, predicted, fitted, mask, judgement)
     }
 
-    /// The beams of the last scan that were not matched since they lie on what moves, in order.
+    /// The beams of the last scan that were not matched because they lie on moving bodies, in order.
     pub fn moving_beams(&self) -> &[BeamRange] {
         &self.buffers.mask.moving
     }
@@ -124,7 +124,7 @@ impl ScanMatcher {
         self.map.active_submap = commit.active_submap;
     }
 
-    /// Other robots have said where they are.
+    /// Poses of other robots have arrived.
     pub fn companions_are(&mut self, robots: &FlockRobots) {
         self.companions = *robots;
     }
@@ -156,7 +156,7 @@ impl ScanMatcher {
         (self.confidence.mean_score, self.confidence.last_score) = (0.0, 0.0);
     }
 
-    /// The pose of a scan by odometry alone: for when there is nothing to match it with.
+    /// The pose of a scan by odometry alone, for when no grid can be matched.
     pub fn follow_odometry(&mut self, scan: ScanView<'_>) -> PoseEstimate {
         let header = scan.header();
         let verdict = Verdict { id: header.id, times: header.times, ..Verdict::default() };
@@ -165,10 +165,10 @@ impl ScanMatcher {
         self.followed(scan, PoseEstimate { quality: Quality::Degraded as u32, ..predicted })
     }
 
-    /// Where the robot should be at this scan.
+    /// The predicted pose of the robot at this scan.
     fn predict(&self, scan: ScanView<'_>) -> Prediction {
         let prediction = self.motion.predict(scan);
-        // Where nothing is searched, odometry alone says where the scan is matched from.
+        // Without a search odometry alone gives the start of the fit.
         let steady = prediction.steady.filter(|_| self.settings.rescue.below != 0.0);
         Prediction { steady, ..prediction }
     }
@@ -182,7 +182,7 @@ impl ScanMatcher {
         }
     }
 
-    /// Whether a scan that the filter would drop is needed nevertheless.
+    /// Whether a dropped scan is needed nevertheless.
     fn overrules(&self, prediction: &Prediction) -> bool {
         let Confidence { last_score, mean_score, slips, .. } = self.confidence;
         let variance = SIGMA_MAX_M * SIGMA_MAX_M;
@@ -236,7 +236,7 @@ impl ScanMatcher {
         points: ScanPoints,
         grid_is_empty: bool,
     ) -> PoseEstimate {
-        // After a restart the grid may take a while to arrive. What is inserted without it lies where the odometry is wrong.
+        // After a restart the grid may arrive late. A scan inserted without it would be placed by odometry alone.
         let grid_is_missing = grid_is_empty && self.map.generation > 0 && !self.map.begins_elsewhere;
         let is_blind = points.len() < POINTS_MIN || grid_is_missing;
         self.buffers.points = points;
@@ -268,7 +268,7 @@ impl ScanMatcher {
         fitter.fit(points, prediction)
     }
 
-    /// Takes over what became of a scan, for the next one.
+    /// Updates the state for the next scan.
     fn update(
         &mut self,
         scan: ScanView<'_>,
@@ -285,7 +285,7 @@ impl ScanMatcher {
         self.inserted(scan, estimate)
     }
 
-    /// The predicted pose with what a fit says; of a fit that is not believed only its score and velocity.
+    /// The predicted pose updated by a fit; a rejected fit gives only its score and velocity.
     fn matched(&self, predicted: PoseEstimate, fitted: &Fitted, judgement: &Judgement) -> PoseEstimate {
         let Judgement { pose, twist, covariance, quality } = *judgement;
         let guessed = self.map.detached && quality == Quality::Tracking;
@@ -299,7 +299,7 @@ impl ScanMatcher {
         PoseEstimate { odom_from_base: pose, covariance, flags, ..estimate }
     }
 
-    /// A robot that stays lost maps anew from where it believes to be; the map so far is left as it is, and a closure may
+    /// A robot that stays lost begins a new trajectory at its predicted pose. The map is left as it is, and a closure may
     /// connect the two.
     fn begun_trajectory(&mut self, estimate: PoseEstimate) -> PoseEstimate {
         self.confidence.begin_anew();

@@ -5,9 +5,9 @@ use flockslam_geometry::{Covariance, Pose, Twist, wrap_angle};
 use flockslam_messages::ScanView;
 use nalgebra::{Matrix3, Vector3};
 
-/// Seconds between scans assumed before the first two stamps are known, and for steps that are no step.
+/// Seconds between scans, assumed before two stamps are known and for steps that are not positive.
 const PERIOD_START_S: f64 = 0.1;
-/// Longest step between stamps that is still believed, seconds.
+/// Longest step between stamps that is accepted, seconds.
 const PERIOD_MAX_S: f64 = 2.0;
 /// A first odometry pose farther from the origin than this is not taken over, metres.
 const START_MAX_M: f64 = 1e4;
@@ -19,19 +19,19 @@ const DRIFT_HEADING: f64 = 0.01;
 /// Odometry that differs by more than this from the velocity so far, metres and radians within one scan, may have jumped.
 const SURPRISE: (f64, f64) = (0.15, 0.15);
 
-/// What comes on top of that in each step, standard deviations in metres and radians: of odometry, and of the velocity so far
-/// when there are none.
+/// Added in each step, standard deviations in metres and radians: for odometry, and for the velocity so far
+/// without odometry.
 const STEP_SIGMA: (f64, f64) = (0.01, 0.005);
 const STEP_SIGMA_BLIND: (f64, f64) = (0.15, 0.1);
 
-/// Share of the velocity that is left after each scan that was not believed.
+/// Share of the velocity that remains after each rejected scan.
 const KEPT_WHEN_LOST: f64 = 0.5;
 
 fn scaled(twist: Twist, share: f64) -> Twist {
     Twist { x_m_s: share * twist.x_m_s, y_m_s: share * twist.y_m_s, turn_rad_s: share * twist.turn_rad_s }
 }
 
-/// Where the robot should be, from its last pose and odometry, or from its last velocity when it has no odometry.
+/// Predicts the pose from the last pose and odometry, or from the last velocity without odometry.
 #[derive(Clone, Debug)]
 pub(crate) struct Motion {
     pub(crate) pose: Pose,
@@ -54,11 +54,11 @@ pub(crate) struct Prediction {
     /// Velocity since the scan before, in the robot's own frame.
     pub(crate) twist: Twist,
     pub(crate) covariance: Covariance,
-    /// The pose by the velocity so far, when odometry says something quite different: it may have jumped.
+    /// The pose by the velocity so far, if it differs much from odometry, which may have jumped.
     pub(crate) steady: Option<Steady>,
 }
 
-/// Where the robot is if it went on as before.
+/// The pose if the robot went on at its velocity.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Steady {
     pub(crate) pose: Pose,
@@ -70,8 +70,8 @@ fn matrix(c: Covariance) -> Matrix3<f64> {
 }
 
 impl Prediction {
-    /// A fit that tells less than the prediction in some direction, brought together with it (the update of a Kalman filter):
-    /// pose and covariance. `None` where the scan tells more in all directions: wheels that slip shall not pull then.
+    /// Fuses a fit that is less certain than the prediction in some direction with it (the update of a Kalman filter):
+    /// pose and covariance. `None` where the fit is more certain in all directions: then slipping wheels shall not pull the pose.
     pub(crate) fn fused(&self, fit: Pose, covariance: Covariance) -> Option<(Pose, Covariance)> {
         let of_fit = matrix(covariance);
         let of_motion = matrix(self.covariance);
@@ -144,7 +144,7 @@ impl Motion {
         Prediction { pose: self.pose * motion, twist, covariance, steady }
     }
 
-    /// Takes over what became of a scan. Of a robot that is `lost` nobody knows how it moves: its velocity fades, or
+    /// Updates the state after a scan. The velocity of a `lost` robot is unknown: it fades, or
     /// without odometry it would be predicted out of the map.
     pub(crate) fn advance(&mut self, scan: ScanView<'_>, pose: Pose, covariance: Covariance, lost: bool) {
         let stamp_ns = scan.header().times.sensor_ns;

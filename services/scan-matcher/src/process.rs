@@ -1,6 +1,6 @@
 //! The shell of scan-matcher: joins scan, verdict, grid and corrections, writes the journal, publishes poses.
 //!
-//! Of several processes one is active. The others hold scans, verdicts and grid as it does and follow its journal, so that one of them
+//! Of several processes one is active. The others hold the same scans, verdicts and grid and follow its journal, so that one of them
 //! goes on with the next scan when it dies.
 
 use crate::{ScanMatcher, Settings};
@@ -23,14 +23,14 @@ mod stand_in;
 
 pub use stand_in::run_stand_in;
 
-/// Live: a verdict that is later than this after its scan is not waited for; the scan is processed.
+/// Live: deadline of a verdict after its scan. A scan without a verdict is processed.
 const VERDICT_DEADLINE_NS: u64 = 20_000_000;
-/// Live: so long after a scan its verdict, expected any moment, is looked for without sleeping: waking up takes longer.
+/// Live: so long after a scan the matcher waits awake for the verdict: waking up takes longer.
 const VERDICT_POLL_NS: u64 = 300_000;
-/// Live: an inserted scan that is not in the grid after this is not waited for.
+/// Live: deadline of the commit of an accepted scan.
 const COMMIT_DEADLINE_NS: u64 = 100_000_000;
-/// Live: accepted scans that the grid may lack. Scans that come in a burst see about the same, and the map of before shows
-/// it; what lies two insertions back could be missed.
+/// Live: accepted scans that the grid may lack. Scans of a burst see about the same, and the older map shows
+/// it. With more of them missing, new surfaces could be missed.
 const LAG_LIVE: usize = 1;
 
 /// Reason of scans that never reached the matcher.
@@ -54,7 +54,7 @@ pub fn run_stage(context: &mut StageContext, settings: Settings, cell_size_m: f6
     run(context, &mut actor, &event)
 }
 
-/// The stage as steps, for whoever calls them.
+/// The stage as steps, for a caller with a loop of its own.
 ///
 /// # Errors
 /// As [`run_stage`].
@@ -79,12 +79,12 @@ struct Matcher {
     commit_deadline: Deadline,
     poses: Publisher<PoseEstimate>,
     moving_beams: SlicePublisher<MovingBeamsHeader>,
-    /// What a predecessor has written, up to its last pose.
+    /// The journal of the predecessor, up to its last pose.
     past: JournalReader,
     last: Option<PoseEstimate>,
     /// Sequence of the last accepted scan of the journal.
     accepted: Option<u64>,
-    /// Open as soon as this process acts.
+    /// Open as soon as this process is active.
     journal: Option<JournalWriter>,
     notifiers: Notifiers,
     /// The trajectory, and the sequence of the accepted scan that it began with.
@@ -123,7 +123,7 @@ impl Matcher {
         })
     }
 
-    /// Keeps up with the active process; the number of its new poses.
+    /// Follows the active process; gives the number of its new poses.
     fn follow(&mut self, context: &mut StageContext) -> Result<u64, StageError> {
         self.drain(context)?;
         let poses = self.read_journal(context)?;
@@ -148,7 +148,7 @@ impl Matcher {
         Ok(poses)
     }
 
-    /// Goes on behind the last pose of the journal, which no other process writes any more.
+    /// Goes on after the last pose of the journal, which no other process writes any more.
     fn begin(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.read_journal(context)?;
         self.journal = Some(JournalWriter::open_behind(&context.journal_dir, &self.past)?);
@@ -164,7 +164,7 @@ impl Matcher {
             self.logic.resume_elsewhere(&last);
         }
         if let Some(commit) = self.grid.committed() {
-            // The grid is there already: it was followed.
+            // The grid is there already: this process followed it.
             self.logic.committed(commit);
         } else {
             self.grid.ask_for_tiles()?;
@@ -172,7 +172,7 @@ impl Matcher {
         if let Some(newer) = self.corrections.last.filter(|newer| newer.revision > last.corrections) {
             self.logic.corrected(&newer);
         }
-        // Without it the grid is that of a moment ago, or empty.
+        // Until that commit the grid is older, or empty.
         self.awaited.extend(self.accepted.map(|sequence| (sequence, context.now_ns())));
         // The predecessor may have died between the journal and this.
         self.poses.send(&last)?;
@@ -208,7 +208,7 @@ impl Matcher {
         while self.awaited.front().is_some_and(|(sequence, _)| committed >= Some(*sequence)) {
             self.awaited.pop_front();
         }
-        // The grid of another trajectory is none at all.
+        // The grid of another trajectory is of no use.
         let may_lag = context.mode == Mode::Live && committed >= Some(self.trajectory_began);
         let lag = if may_lag { LAG_LIVE } else { 0 };
         let oldest = self.awaited.front().filter(|_| self.awaited.len() > lag);
@@ -223,7 +223,7 @@ impl Matcher {
         late
     }
 
-    /// The verdict on the oldest scan, when there is one or it is not waited for any longer.
+    /// The verdict on the oldest scan, once it is there or its deadline has passed.
     fn verdict(&mut self, context: &mut StageContext) -> Option<Verdict> {
         let header = *self.join.scans.front()?.header();
         let made =
@@ -265,7 +265,7 @@ impl Matcher {
             return self.join.finished(header.id.sequence + 1);
         };
         let pose = self.logic.handle(scan, verdict, self.grid.grid());
-        // Before anybody hears of an accepted scan it lies outside of this process.
+        // An accepted scan is stored outside of this process before its pose is published.
         let journal = self.journal.as_mut().filter(|_| !failpoint("no-journal"));
         let journaled = journal.map(|journal| journal.append(&pose, scan));
         if let Some(Err(error)) = journaled {
@@ -290,7 +290,7 @@ impl Matcher {
         self.join.finished(header.id.sequence + 1)
     }
 
-    /// Who hears of a pose has heard of its moving beams.
+    /// Moving beams are published before their pose: a stage that has the pose has them too.
     fn publish_moving_beams(&self, pose: &PoseEstimate, context: &mut StageContext) {
         let beams = self.logic.moving_beams();
         if beams.is_empty() {
@@ -342,7 +342,7 @@ impl Actor for Matcher {
         self.join.scans.len()
     }
 
-    /// A scan waits for something: its verdict or the grid.
+    /// A scan waits for its verdict or for the grid.
     fn waits(&self) -> bool {
         !self.join.scans.is_empty()
     }

@@ -1,8 +1,8 @@
 //! The shell of sync-manager: joins poses, accepted scans and closed submaps, publishes corrections, and at the end
 //! stores the final trajectory and the fused map.
 //!
-//! Of several processes one speaks. The others take in the same and come to the same conclusions in silence, so that one of them
-//! goes on when it dies: recovering what it knew takes as long as all its searches.
+//! Of several processes one is active. The others read the same inputs and compute the same results without publishing them, so that one of them
+//! goes on when it dies: recovering its state would take as long as all its searches.
 
 use crate::{Settings, SyncManager};
 use clear_at_end::clear_at_end;
@@ -47,7 +47,7 @@ pub fn run_stage(context: &mut StageContext, settings: Settings) -> Result<(), S
     run(context, &mut actor, &event)
 }
 
-/// The stage as steps, for whoever calls them.
+/// The stage as steps, for a caller with a loop of its own.
 ///
 /// # Errors
 /// As [`run_stage`].
@@ -59,13 +59,13 @@ pub fn shell(context: &mut StageContext, settings: Settings) -> Result<Box<dyn A
 struct SyncProcess {
     logic: SyncManager,
     lock: LeaderLock,
-    /// This process speaks; otherwise it is on standby.
+    /// This process is the active one; otherwise it is on standby.
     is_active: bool,
     /// The last conclusion.
     correction: Option<Correction>,
-    /// Scans are handed to the logic, which places them anew.
+    /// Scans are given to the logic, which computes new poses for them.
     optimises: bool,
-    /// Others may watch: what was concluded is left for them in the results.
+    /// Live: the present solution is written to the results for readers.
     is_watched: bool,
     result_dir: PathBuf,
     store: SubmapStore,
@@ -83,19 +83,19 @@ struct SyncProcess {
     finished: LastWord,
     trajectories: Trajectories,
     settings: Settings,
-    /// Says to the flock what this robot finds out.
+    /// Publishes this robot's findings to the flock.
     outbox: Outbox,
-    /// What the outbox will be shown by, until there is one.
+    /// Metrics of the outbox, until it is opened.
     flock_metrics: Option<FlockMetrics>,
     flock_frames: Publisher<FlockFrame>,
     flock_frame: Option<FlockFrame>,
     flock_robots: Publisher<FlockRobots>,
-    /// Where they were told to be.
+    /// Their poses as published last.
     published_robots: FlockRobots,
     /// The last one taken in.
     pose: Option<PoseEstimate>,
     summary: Summary,
-    /// What a predecessor knew is taken in.
+    /// The state of a predecessor is recovered.
     recovered: bool,
     metrics: CorrectionMetrics,
 }
@@ -151,14 +151,14 @@ impl SyncProcess {
         Ok(process)
     }
 
-    /// Takes in again what a predecessor had seen: the journal has every pose and every accepted scan.
+    /// Recovers the state of a predecessor: the journal has every pose and every accepted scan.
     fn recover(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.catch_up(u64::MAX, context)?;
         self.recovered = true;
         self.join.finished(self.join.expected)
     }
 
-    /// From now on this process speaks to the flock.
+    /// From now on this process publishes to the flock.
     fn speak(&mut self, context: &StageContext) -> Result<(), StageError> {
         if let Some(metrics) = self.flock_metrics.take() {
             self.outbox =
@@ -167,7 +167,7 @@ impl SyncProcess {
         Ok(())
     }
 
-    /// The process that spoke is gone: from here on this one does, beginning with the last conclusion, which may not have been heard.
+    /// The active process is gone: this one takes over. It begins by publishing the last correction again, which may have been lost.
     fn take_over(&mut self, context: &StageContext) -> Result<(), StageError> {
         tracing::info!(stage = context.stage.name(), replica = context.replica, "takes over");
         self.trajectories.move_to(&context.result_dir)?;
@@ -184,7 +184,7 @@ impl SyncProcess {
         self.join.refresh()
     }
 
-    /// Takes in what the journal has of scans before this sequence.
+    /// Reads the journal's poses and scans before this sequence.
     fn catch_up(&mut self, before: u64, context: &mut StageContext) -> Result<(), StageError> {
         while let Some(record) = self.journal.read_before(before)? {
             context.alive();
@@ -253,13 +253,13 @@ impl SyncProcess {
             "concluded"
         );
         if !self.recovered {
-            // The predecessor has told it, and this one only finds it once more.
+            // The predecessor has counted it already.
             self.metrics.recovered(counts);
         }
         self.metrics.concluded(counts, took_ns, self.fuser.area_m2());
     }
 
-    /// Leaves the solution for who watches. Should that fail, nobody else is worse off.
+    /// Writes the solution for readers. A failure has no other effect.
     fn show(&self) {
         if !self.is_watched {
             return;
@@ -304,7 +304,7 @@ impl SyncProcess {
         let sample = self.join.scans.take(sequence);
         let scan = sample.as_ref().and_then(|sample| sample.view().ok());
         scan.into_iter().for_each(|scan| context.probe_scan(scan));
-        // They were sent before their pose, so they are there.
+        // They were sent before their pose, so they have arrived.
         self.moving_beams.drain()?;
         let moving = self.moving_beams.take(sequence).map_or_else(Vec::new, |(_, beams)| beams);
         self.take_in(pose, scan, &moving)?;
@@ -317,7 +317,7 @@ impl SyncProcess {
         Ok(true)
     }
 
-    /// Tells the other stages where the other robots are, and them where this one is.
+    /// Publishes the poses of the other robots to the stages, and this robot's pose to the other robots.
     fn publish_robots(&mut self) -> Result<(), StageError> {
         if let Some(pose) = &self.pose {
             self.outbox.is_at(pose);

@@ -29,7 +29,7 @@ impl Describer {
     }
 }
 
-/// Another replica than the first.
+/// A replica other than the first.
 pub(super) struct Helper {
     pub describer: Describer,
     pub tallies: Publisher<ScanTally>,

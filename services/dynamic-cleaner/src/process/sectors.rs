@@ -1,4 +1,4 @@
-//! A sector of the circle around the lidar, judged for the process that concludes.
+//! A sector of the circle around the lidar, judged for replica 0.
 
 use super::{Inputs, generation, has_grid_of};
 use crate::Sector;
@@ -6,7 +6,7 @@ use flockslam_bus::{Notifier, SlicePublisher};
 use flockslam_messages::{PoseEstimate, PoseFlags, SectorHeader, Stage};
 use flockslam_stage::{Actor, StageContext, StageError, Waited};
 
-/// Another replica than the first.
+/// A replica other than the first.
 pub(super) struct Helper {
     inputs: Inputs,
     sector: Option<Sector>,

@@ -3,7 +3,7 @@
 use crate::{StageContext, StageError};
 use flockslam_bus::Notifier;
 
-/// Events that ring together, in this order.
+/// Events that are notified together, in this order.
 pub struct Notifiers(Vec<Notifier>);
 
 impl Notifiers {
@@ -15,12 +15,12 @@ impl Notifiers {
         Ok(Self(names.iter().map(|name| context.bus.notifier(name)).collect::<Result<_, _>>()?))
     }
 
-    /// Rings them.
+    /// Notifies them.
     pub fn ring(&self) {
         self.0.iter().for_each(Notifier::ring);
     }
 
-    /// Rings them for what will be there in a moment.
+    /// Announces a message that will be there in a moment.
     pub fn announce(&self) {
         self.0.iter().for_each(Notifier::announce);
     }

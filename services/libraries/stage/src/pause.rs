@@ -5,10 +5,10 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// The file is looked for this often.
+/// The file is checked this often.
 const LOOK: Duration = Duration::from_millis(100);
 
-/// Whether a set is to rest: a file in its `status/`, so that it outlives whoever was told and whoever told.
+/// Whether a set is paused: a file in its `status/`, so that it outlives all processes.
 #[derive(Debug)]
 pub struct Pause {
     file: PathBuf,
@@ -22,7 +22,7 @@ impl Pause {
         Self { file: file(status_dir), looked: None, is_set: false }
     }
 
-    /// Whether the set rests, as of at most a tenth of a second ago.
+    /// Whether the set is paused, as of at most a tenth of a second ago.
     pub fn is_set(&mut self) -> bool {
         if self.looked.is_none_or(|looked| looked.elapsed() >= LOOK) {
             self.looked = Some(Instant::now());
@@ -31,7 +31,7 @@ impl Pause {
         self.is_set
     }
 
-    /// Lets a set rest, or go on.
+    /// Pauses or resumes a set.
     ///
     /// # Errors
     /// When the system refuses.

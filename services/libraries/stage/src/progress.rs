@@ -4,25 +4,25 @@ use crate::{Clock, Mode, StageContext, StageError};
 use flockslam_bus::{Notifier, Publisher, Subscriber};
 use flockslam_messages::{Control, ControlKind, Progress, Stage};
 
-/// Live: so long after the end of the stream nothing is waited for any more.
+/// Live: so long after the end of the stream missing scans count as lost.
 const PATIENCE_NS: u64 = 2_000_000_000;
 
-/// Tells the source how far a stage has come: the credit of exact replay. A few scans are acknowledged at once, so
+/// Acknowledges finished scans to the source: the credit of exact replay. A few scans are acknowledged at once, so
 /// that flow control costs little.
 pub struct Acknowledger {
     publisher: Publisher<Progress>,
-    /// Who waits for credit; nobody does live.
+    /// The source, which waits for credit in exact replay only.
     source: Option<Notifier>,
     message: Progress,
     step: u64,
     sent: u64,
     rung: u64,
-    /// Another process of the stage may speak for this one.
+    /// Another process of the stage may acknowledge for this one.
     pub(crate) speaks: bool,
 }
 
 impl Acknowledger {
-    /// Opens the way back to the source.
+    /// Opens the topic to the source.
     ///
     /// # Errors
     /// When the topic does not exist.
@@ -50,7 +50,7 @@ impl Acknowledger {
         if self.message.done >= self.sent + self.step { self.send() } else { Ok(()) }
     }
 
-    /// Says so now, also to a source that has just started.
+    /// Sends the acknowledgement now, also for a source that has just started.
     ///
     /// # Errors
     /// When the bus fails.
@@ -60,7 +60,7 @@ impl Acknowledger {
         }
         self.sent = self.message.done;
         self.publisher.send(&self.message)?;
-        // What it knows already is no reason to wake the source: an idle set shall sleep.
+        // A repetition does not wake the source: an idle set shall sleep.
         if self.rung < self.sent {
             self.rung = self.sent;
             self.source.iter().for_each(Notifier::ring);
@@ -74,7 +74,7 @@ impl Acknowledger {
     }
 }
 
-/// What the control topic has said about the stream of scans.
+/// The state of the stream of scans, by the control topic.
 pub struct StreamEnd {
     subscriber: Subscriber<Control>,
     /// Scans in the stream, once the source has ended.
@@ -106,7 +106,7 @@ impl StreamEnd {
         })
     }
 
-    /// Takes in what was said.
+    /// Reads what has arrived.
     ///
     /// # Errors
     /// When the bus fails.
@@ -126,7 +126,7 @@ impl StreamEnd {
         Ok(())
     }
 
-    /// Whether all scans of the stream have a sequence below `done`. Live, what is still missing a while after the end
+    /// Whether all scans of the stream have a sequence below `done`. Live, a scan that is still missing a while after the end
     /// was lost with a stage that died.
     pub fn reached(&self, done: u64, mode: Mode) -> bool {
         let late =

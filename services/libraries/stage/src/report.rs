@@ -25,10 +25,10 @@ pub struct ProcessReport {
     pub dropped: BTreeMap<String, u64>,
     /// Counters of the stage's own (rejected lines, rescue searches …).
     pub counters: BTreeMap<String, u64>,
-    /// Where the numbers of the last scan lay in this process, for tests that look at which memory that is.
+    /// Address of the numbers of the last scan in this process, for tests of shared memory.
     #[cfg(debug_assertions)]
     pub scan_address: u64,
-    /// Where a tile lay in this process, for the same tests.
+    /// Address of a tile in this process, for the same tests.
     #[cfg(debug_assertions)]
     pub tile_address: u64,
     #[serde(skip)]
@@ -111,8 +111,8 @@ impl ReportWriter {
         self.report.counters.insert(name.to_owned(), value);
     }
 
-    /// Writes the report when the last one is old enough. Looking at all memory takes as long as matching a scan, so a moment
-    /// without work is chosen for it (`idle`), unless there is none for seconds. A stage that has nothing to do hardly ever looks.
+    /// Writes the report when the last one is old enough. Measuring the memory takes as long as matching a scan, so a moment
+    /// without work is chosen for it (`idle`), unless there is none for seconds. An idle stage hardly ever measures.
     pub fn write_sometimes(&mut self, now_ns: u64, idle: bool) {
         let rests = self.report.handled == self.written_handled;
         let period_ns = match (idle, rests) {
@@ -127,7 +127,7 @@ impl ReportWriter {
         }
     }
 
-    /// Writes the report. A failure is told, not fatal: a report is not the map.
+    /// Writes the report. A failure is logged and has no other effect.
     pub fn write(&mut self) {
         self.memory = self.memory.max(MemoryUse::of_this_process());
         let report = &mut self.report;

@@ -1,4 +1,4 @@
-//! The journal of poses and accepted scans: the matcher writes it, others read it to recover what they missed.
+//! The journal of poses and accepted scans: the matcher writes it, other stages read it to recover missed scans.
 
 use crate::StageError;
 use flockslam_journal::{Ending, JournalError, RecordReader, RecordWriter};
@@ -16,7 +16,7 @@ pub fn journal_file(directory: &Path) -> PathBuf {
     directory.join("scans.journal")
 }
 
-/// The matcher's side: every pose, and the scan beside it when it is accepted, before anybody is told.
+/// The matcher's side: every pose, with its scan when that is accepted, before the pose is published.
 pub struct JournalWriter {
     records: RecordWriter,
 }
@@ -30,7 +30,7 @@ impl JournalWriter {
         Ok(Self { records: RecordWriter::open(&journal_file(directory))? })
     }
 
-    /// Opens the journal behind what `reader` has read of it, which is not looked at again.
+    /// Opens the journal after the records that `reader` has read. They are not read again.
     ///
     /// # Errors
     /// As [`Self::open`].
@@ -66,7 +66,7 @@ pub struct Journaled {
 pub struct JournalReader {
     path: PathBuf,
     records: Option<RecordReader>,
-    /// Read, but not given away yet.
+    /// A record that was read and not returned yet.
     ahead: Option<Journaled>,
 }
 
@@ -89,12 +89,12 @@ impl JournalReader {
         Ok(())
     }
 
-    /// What lies behind the last good record, once the end was reached.
+    /// What follows the last good record, once the end was reached.
     pub fn ending(&self) -> Ending {
         self.records.as_ref().map_or(Ending::Clean, RecordReader::ending)
     }
 
-    /// The next record when it is of a scan before this sequence: what a reader that was told of `sequence` has missed.
+    /// The next record if it is of a scan before this sequence: the records that a reader at `sequence` has missed.
     ///
     /// # Errors
     /// As [`Self::read_next`].

@@ -1,13 +1,13 @@
-//! A scan of which several processes of a stage do a share each, and the first concludes.
+//! A scan that several processes of a stage share: each does a part, and the first one publishes.
 
 use crate::inbox::{Named, Port};
 use crate::{Deadline, StageError};
 use flockslam_bus::{SliceSample, SliceTopic};
 use flockslam_messages::{ScanId, ScanTally, SectorHeader};
 
-/// What one process has found in its share of a scan.
+/// The result of one process for its share of a scan.
 pub trait Share: Named {
-    /// Which share, and of how many.
+    /// Number of the share, and number of all shares.
     fn part(&self) -> (u32, u32);
 }
 
@@ -29,14 +29,14 @@ impl<H: SliceTopic + Share> Share for SliceSample<H> {
     }
 }
 
-/// The first process of a stage, as it waits for the shares of the others; share 0 is its own. What does not come in time it
-/// is told to do itself.
+/// The state of the first process of a stage, which waits for the shares of the others; share 0 is its own. It
+/// does missing shares itself after the deadline.
 pub struct Shares<P: Port, W> {
     port: P,
     held: Vec<P::Message>,
     held_max: usize,
     deadline: Deadline,
-    /// By number: shares of the present scan that are there.
+    /// By number: whether the share of the present scan has arrived.
     arrived: Vec<bool>,
     work: Option<(ScanId, W)>,
 }
@@ -45,7 +45,7 @@ impl<P: Port, W> Shares<P, W>
 where
     P::Message: Share,
 {
-    /// Shares of so many processes. Others may be ahead: at most `held_max` shares of later scans are remembered.
+    /// Shares of `count` processes. Others may be ahead: at most `held_max` shares of later scans are held.
     pub fn new(port: P, parts: u32, held_max: usize, deadline_ns: u64) -> Self {
         let arrived = (0..parts).map(|part| part == 0).collect();
         let deadline = Deadline::new(deadline_ns);
@@ -57,19 +57,19 @@ where
         self.arrived.len() as u32
     }
 
-    /// Begins to wait for the shares of a scan; `work` is what is known of it.
+    /// Begins to wait for the shares of a scan; `work` is this process' own part of it.
     pub fn begin(&mut self, scan: ScanId, work: W, now_ns: u64) {
         self.work = Some((scan, work));
         self.deadline.end();
         self.deadline.passes(now_ns);
     }
 
-    /// Whether a scan waits for its shares.
+    /// Whether a scan waits for shares.
     pub fn waits(&self) -> bool {
         self.work.is_some()
     }
 
-    /// Hands shares that have come to `take`, which says whether they fit. Gives the work back, with the numbers of the shares that
+    /// Gives arrived shares to `take`, which returns whether they fit. Returns the work, with the numbers of the shares that
     /// are missing, once all are there or the deadline has passed.
     ///
     /// # Errors
@@ -82,7 +82,7 @@ where
         let Self { port, held, held_max, arrived, work, .. } = self;
         let Some((scan, known)) = work else { return Ok(None) };
         while let Some(share) = port.next()? {
-            // Another process may be ahead; what is behind is of no use any more.
+            // Another process may be ahead; shares of earlier scans are of no use any more.
             if share.scan().sequence >= scan.sequence {
                 held.push(share);
                 held.drain(..held.len().saturating_sub(*held_max));

@@ -1,28 +1,28 @@
-//! What stands free before something else and is as narrow as somebody – people, posts, legs of furniture – is left out of a fit, as
-//! long as enough else is seen. Whoever walks ahead of the robot into a corridor that is new, or stands still and goes on, would
-//! hold it back: nothing else there says how far it went.
+//! Objects that stand free and are as narrow as a person – people, posts, legs of furniture – are left out of a fit, as
+//! long as enough else is seen. A person who walks ahead of the robot into a new corridor, or stands still and goes on, would
+//! hold the pose back, because nothing else there measures the distance driven.
 
 use super::points::{MoverMask, ScanPoints, add_beams};
 use flockslam_geometry::Point;
 
-/// Points of neighbouring beams belong together when they are nearer to each other than this, metres, …
+/// Points of neighbouring beams belong to one cluster when they are nearer to each other than this, metres, …
 const JOIN_M: f64 = 0.08;
-/// … and this share of their range. Somebody beside a wall is told from it.
+/// … and this share of their range. A person beside a wall is separated from it.
 const JOIN_SHARE: f64 = 0.04;
-/// Somebody is narrower than this, metres, …
+/// A person is narrower than this, metres, …
 const WIDTH_MAX_M: f64 = 0.6;
 /// … shows at least so many points, …
 const POINTS_MIN: usize = 3;
-/// … is told from the end of a wall within this range, metres, …
+/// … can be distinguished from the end of a wall within this range, metres, …
 const RANGE_MAX_M: f64 = 10.0;
 /// … and what is seen on both sides is farther away by this, metres.
 const BEFORE_M: f64 = 0.1;
-/// Bodies are looked for so many times: whoever is seen half behind somebody is found once that one is known.
+/// Number of passes: a person half behind another one is found once the other is known.
 const PASSES: usize = 2;
 /// A scan with more than this share of its points on bodies is fitted as it is: there may be nothing but posts and trees.
 const SHARE_MAX: f64 = 0.5;
 
-/// Leaves out the points on bodies. They are not said to move: the map shows them.
+/// Leaves out the points on bodies. Their beams do not count as moving: the map shows these bodies.
 pub(super) fn without_bodies(points: ScanPoints, mut mask: MoverMask) -> (ScanPoints, MoverMask) {
     if points.len() == 0 {
         return (points, mask);
@@ -67,7 +67,7 @@ fn is_body(points: &[Point], marked: &[bool], first: usize, end: usize) -> bool 
     if end - first < POINTS_MIN || right.distance_m(left) > WIDTH_MAX_M || right.norm_m() > RANGE_MAX_M {
         return false;
     }
-    // Around the circle, past whoever is known already.
+    // Around the circle, past the bodies that are known already.
     let count = points.len();
     let before = (1..count).map(|step| (first + count - step) % count).find(|i| !marked[*i]);
     let after = (0..count).map(|step| (end + step) % count).find(|i| !marked[*i]);

@@ -9,7 +9,7 @@ use flockslam_messages::ScanBuffer;
 const END_M: f64 = 24.03;
 /// The lidar's reach.
 const REACH_M: f64 = 8.0;
-/// Odometry says this much of what was driven.
+/// Odometry measures this share of the true distance.
 const ODOMETRY: f64 = 0.97;
 
 fn noise(state: &mut u64) -> f64 {

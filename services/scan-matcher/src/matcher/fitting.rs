@@ -23,26 +23,26 @@ const BLIND_REACH: (f64, f64) = (0.3, 0.35);
 const RESCUE_REACH: (f64, f64) = (0.6, 0.35);
 /// Poses of a wide search that are refined: in alike corners the best on the lattice is not always the best.
 const RESCUE_CANDIDATES: usize = 3;
-/// A pose of a wide search is kept when its score is better by this, 0 … 1: by less, noise would make a robot jump.
+/// A pose of a wide search is kept when its score is better by this, 0 … 1: with less, noise would make the pose jump.
 const RESCUE_GAIN: f64 = 0.05;
-/// A direction that the surfaces of the scan face less than this (mean squared cosine, 0 … ½) is one that the scan tells nothing about:
+/// A direction is degenerate when the surfaces of the scan face it less than this (mean squared cosine, 0 … ½):
 /// along bare corridors and walls odometry is followed. Noise alone makes about as much.
 const DEGENERATE_BELOW: f64 = 0.005;
-/// A wide search that found nothing is repeated only after this much motion, metres and radians.
+/// A wide search without a result is repeated only after this much motion, metres and radians.
 const SEARCH_AGAIN: (f64, f64) = (0.1, 0.1);
-/// Odometry is not believed when the velocity so far leads to a fit that scores better by this, 0 … 1.
+/// Odometry is rejected when the velocity so far leads to a fit that scores better by this, 0 … 1.
 const JUMPED: f64 = 0.05;
 /// How far the velocity during a scan may be from that of odometry before it: a robot that speeds up by 1 m/s² and turns in
 /// by 5 rad/s² within a tenth of a second.
 const TWIST_SIGMA: TwistSigma = TwistSigma { x_m_s: 0.1, y_m_s: 0.05, turn_rad_s: 0.5 };
 /// Steps at most to pose and velocity together.
 const SWEEP_STEPS: usize = 8;
-/// Where in its cell a wall is, is known to this share of the cell (standard deviation). All points of a wall along the grid
+/// Position of a wall within its cell is known to this share of the cell (standard deviation). All points of a wall along the grid
 /// share that error, so it does not shrink with their number.
 const CELL_ERROR: f64 = 0.1;
-/// Least share of surfaces (mean squared cosine) that a direction is taken to be held by.
+/// Least share of surfaces (mean squared cosine) that is assumed to face a direction.
 const HELD_MIN: f64 = 1e-5;
-/// Standard deviations assumed of the prediction where the scan determines nothing.
+/// Standard deviations of the prediction in directions that the scan does not determine.
 const PRIOR_SIGMA: (f64, f64) = (0.3, 0.15);
 
 /// A scan fitted to the grid.
@@ -56,13 +56,13 @@ pub(super) struct Fitted {
     pub(super) fit: Fit,
     /// Velocity during the scan, in the robot's own frame.
     pub(super) twist: Twist,
-    /// Of the pose.
+    /// Covariance of the pose.
     pub(super) covariance: Covariance,
     /// Whether a wide search found it.
     pub(super) is_rescued: bool,
-    /// Whether it tells less than the prediction in some direction, and was brought together with it.
+    /// Whether it is less certain than the prediction in some direction, and was fused with it.
     pub(super) is_fused: bool,
-    /// Around where the last wide search looked, if no fit was good since.
+    /// Centre of the last wide search, if no fit was good since.
     pub(super) searched: Option<Pose>,
 }
 
@@ -75,7 +75,7 @@ pub(super) struct Solvers {
     weights: Vec<f64>,
 }
 
-/// What one scan is fitted with.
+/// The inputs of a fit.
 pub(super) struct Fitter<'a, F> {
     pub(super) settings: &'a Settings,
     pub(super) confidence: &'a Confidence,
@@ -87,7 +87,7 @@ pub(super) struct Fitter<'a, F> {
     pub(super) solvers: &'a mut Solvers,
 }
 
-/// A pose found by the strategy, before the velocity during the scan is looked at.
+/// A pose found by the strategy, before the velocity during the scan is fitted.
 struct Placed {
     fit: Fit,
     is_rescued: bool,
@@ -115,8 +115,8 @@ impl<F: ScoreField> Fitter<'_, F> {
         self.weighed(fitted)
     }
 
-    /// Decides between odometry and velocity where they contradict each other: whichever leads to the better fit, which is
-    /// given along.
+    /// Decides between odometry and velocity where they contradict each other: the better fit wins, and is
+    /// returned too.
     fn settled(
         &mut self,
         points: ScanPoints,
@@ -163,7 +163,7 @@ impl<F: ScoreField> Fitter<'_, F> {
         Fitted { points, fit, twist: now.twist, covariance, ..fitted }
     }
 
-    /// What a fit is worth: less where the scan tells little, and there the prediction has its say.
+    /// The covariance of a fit: large where the scan determines little; there the fit is fused with the prediction.
     fn weighed(&self, fitted: Fitted) -> Fitted {
         let cell_m = self.field.reader(Level::Full).cell_size_m();
         let rough = inflated_everywhere(fitted.covariance, CELL_ERROR * cell_m);

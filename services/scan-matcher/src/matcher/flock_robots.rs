@@ -1,18 +1,18 @@
-//! Beams that lie on other robots, which say where they are, are set aside.
+//! Beams that lie on other robots with known poses are set aside.
 
 use super::points::add_beams;
 use super::{MoverMask, ScanMatcher, ScanPoints};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::ScanView;
 
-/// What a robot said this long ago, seconds, says nothing any more.
+/// A published pose that is older than this, seconds, is not used.
 const AGE_MAX_S: f64 = 2.0;
-/// So much farther it may be for each second since, metres.
+/// The other robot may have moved so far in each second since, metres.
 const SPEED_M_S: f64 = 0.5;
 
 impl ScanMatcher {
-    /// Takes the points that end on another robot out of those to be matched; their beams are told as moving. A robot that stands still
-    /// would be a piece of wall otherwise. `pose` is where this robot should be, in odom.
+    /// Removes the points on other robots from those to be matched; their beams are published as moving. A robot that stands still
+    /// would otherwise enter the map as a wall. `pose` is the predicted pose of this robot, in odom.
     pub(super) fn without_companions(
         &self,
         scan: ScanView<'_>,

@@ -1,4 +1,4 @@
-//! Whether a fit is believed.
+//! Whether a fit is accepted.
 
 use super::{Fitted, MoverMask, ScanMatcher};
 use crate::contradiction::{contradicted, in_the_unknown};
@@ -8,22 +8,22 @@ use flockslam_geometry::{Covariance, Pose, Twist};
 use flockslam_messages::Quality;
 use std::ops::Deref;
 
-/// A fit below this share of the running mean is not believed: low, so that a place that has changed is.
+/// A fit below this share of the running mean is rejected. The share is low, so that fits in a changed place are accepted.
 const LOST_BELOW: f64 = 0.25;
-/// A fit farther than this from the prediction must not score badly, or it is not believed, metres and radians: wheels seldom slip
+/// A fit farther than this from the prediction is rejected if it scores badly, metres and radians: wheels seldom slip
 /// so far within one scan.
 const JUMP: (f64, f64) = (0.3, 0.3);
 /// A fit whose weakest direction is below this (per m² and point) slides along it.
 const WEAK_DIRECTION: f64 = 1.0;
 /// A fit below this share of the running mean, with at least this share of its points in free space, is in the wrong place.
 const CONTRADICTED: (f64, f64) = (0.5, 0.1);
-/// A scan of which this share ends where nothing is known shows a new place.
+/// A scan with this share of its points in unknown space shows a new place.
 const NEW_PLACE: f64 = 0.7;
 
-/// What is made of a fit.
+/// The judgement of a fit.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Judgement {
-    /// Pose in odom: that of the fit, or the prediction where the fit says nothing. Of a fit that is `Lost` it is not taken over.
+    /// Pose in odom: that of the fit, or the prediction where the fit is degenerate. It is not used when the quality is `Lost`.
     pub(super) pose: Pose,
     /// Velocity during the scan, in the robot's own frame.
     pub(super) twist: Twist,
@@ -32,8 +32,8 @@ pub(super) struct Judgement {
 }
 
 impl ScanMatcher {
-    /// A poor fit whose points end in free space is not believed: there the robot is somewhere else. One whose points end
-    /// where nothing is known is a new place, and odometry says where it is.
+    /// A poor fit whose points end in free space is rejected: the robot is somewhere else. A poor fit whose points end
+    /// in unknown space shows a new place, and odometry gives its pose.
     pub(super) fn judge<H: Deref<Target = Tile>>(
         &self,
         fitted: &Fitted,
@@ -55,7 +55,7 @@ impl ScanMatcher {
         if is_new { Judgement { pose, twist, covariance, quality: Quality::Degraded } } else { as_fitted }
     }
 
-    /// What the score says.
+    /// Judgement by the score.
     fn quality(&self, fitted: &Fitted) -> Quality {
         let (fit, prediction) = (&fitted.fit, fitted.prediction.pose);
         let rescue = &self.settings.rescue;
@@ -72,7 +72,7 @@ impl ScanMatcher {
     }
 }
 
-/// Whether too many points of a poor fit end in space known to be free; those that were set aside do.
+/// Whether too many points of a poor fit end in space known to be free. Points that were set aside count as such.
 fn is_contradicted<H: Deref<Target = Tile>>(fitted: &Fitted, mask: &MoverMask, grid: &TileGrid<H>) -> bool {
     // Where odometry has the robot, a good part of a scan may be new or have changed; anywhere else it must fit.
     let share_max = if fitted.is_rescued { CONTRADICTED.1 } else { CONTRADICTED.1.max(fitted.fit.score) };

@@ -1,4 +1,4 @@
-//! What the matcher knows from scan to scan: how the map lies, and how well the robot knows its place in it.
+//! The state that the matcher keeps from scan to scan: the map, and how well the robot is localised in it.
 
 use super::{Fitted, Judgement, MEAN_RATE, POINTS_MIN_FOR_SHARE, SLIPPED, START_SCANS};
 use flockslam_geometry::Pose;
@@ -15,7 +15,7 @@ pub(super) struct MapState {
     pub(super) corrections: u32,
     /// Number of the trajectory.
     pub(super) trajectory: u32,
-    /// Nothing but driving connects the trajectory with the map.
+    /// No closure connects the trajectory with the map.
     pub(super) detached: bool,
     /// The grid belongs to a trajectory before this one: it is not matched.
     pub(super) begins_elsewhere: bool,
@@ -23,24 +23,24 @@ pub(super) struct MapState {
     pub(super) inserted: Option<Pose>,
 }
 
-/// How well the robot knows its place, by the fits so far.
+/// How well the robot is localised, by the fits so far.
 #[derive(Debug, Default)]
 pub(super) struct Confidence {
-    /// Running mean of the scores of the fits that were believed.
+    /// Running mean of the scores of accepted fits.
     pub(super) mean_score: f64,
     pub(super) last_score: f64,
-    /// Fits that were believed.
+    /// Accepted fits.
     pub(super) matched: u64,
-    /// Scans in a row whose fit was not believed.
+    /// Scans in a row whose fit was rejected.
     pub(super) lost: u32,
     /// Whether the last fit was far from where odometry had it.
     pub(super) slips: bool,
-    /// Around where the last wide search looked; it is forgotten after a good fit.
+    /// Centre of the last wide search; reset by a good fit.
     pub(super) searched: Option<Pose>,
 }
 
 impl MapState {
-    /// An empty map, where odom is.
+    /// An empty map at the origin of odom.
     pub(super) fn new() -> Self {
         Self {
             generation: 0,
@@ -66,7 +66,7 @@ impl MapState {
 }
 
 impl Confidence {
-    /// Counts a fit and what was made of it.
+    /// Counts a fit and its judgement.
     pub(super) fn count(&mut self, fitted: &Fitted, judgement: &Judgement) {
         let Judgement { pose, quality, .. } = *judgement;
         let odometry = fitted.prediction.pose;
@@ -83,12 +83,12 @@ impl Confidence {
         self.mean_score += rate * (fitted.fit.score - self.mean_score);
     }
 
-    /// Whether this many fits were believed that the robot knows its place if nothing else speaks against it.
+    /// Whether enough fits were accepted to call the robot localised.
     pub(super) fn has_started(&self) -> bool {
         self.matched >= START_SCANS
     }
 
-    /// Begins with an empty map: no fit says anything about the next.
+    /// Begins with an empty map: earlier fits do not count.
     pub(super) fn begin_anew(&mut self) {
         (self.matched, self.lost, self.mean_score, self.last_score) = (0, 0, 0.0, 0.0);
         self.searched = None;

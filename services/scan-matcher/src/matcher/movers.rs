@@ -1,4 +1,4 @@
-//! Beams that lie on what moves are set aside before a scan is fitted.
+//! Beams on moving bodies are set aside before a scan is fitted.
 
 use super::bodies::without_bodies;
 use super::points::add_beams;
@@ -9,27 +9,27 @@ use flockslam_geometry::{Point, Pose};
 use flockslam_messages::ScanView;
 use std::ops::{Deref, Range};
 
-/// A cell with this much evidence for "free", nat, was looked through by several scans.
+/// A cell with this much evidence for "free", nat, was passed through by several scans.
 const FREE_NAT: f64 = 1.5;
 /// A score above the middle: the evidence for "occupied" outweighs that for "free".
 const OCCUPIED_SCORE: u16 = u16::MAX / 2;
 /// Grid cells along a side of the blocks whose greatest score a tile holds.
 const BLOCK: i32 = 4;
-/// What has this much evidence, nat, was hit by several scans: it is part of the map, not the trace of who walks by.
+/// A cell with this much evidence, nat, was hit by several scans: it is part of the map, not the trace of a person.
 const ESTABLISHED_NAT: f64 = 4.0;
-/// What stands within this distance of a point, cells, may be what the beam met.
+/// A beam may have met an occupied cell within this distance of its point, cells.
 const NEAR_CELLS: i32 = 3;
 /// Points of neighbouring beams nearer to each other than this belong together, metres.
 const JOIN_M: f64 = 0.3;
-/// Somebody is narrower than this, metres, …
+/// A person is narrower than this, metres, …
 const BODY_WIDTH_MAX_M: f64 = 0.6;
-/// … shows at least so many points, and is told from clutter within this range, metres.
+/// … shows at least so many points, and can be distinguished from clutter within this range, metres.
 const BODY_POINTS_MIN: usize = 3;
 const BODY_RANGE_MAX_M: f64 = 10.0;
-/// What is wider than this, metres, is a wall or a row of furniture: nobody moves that …
+/// A cluster wider than this, metres, is a wall or a row of furniture, which does not move …
 const WIDE_M: f64 = 1.5;
-/// … so a robot whose scan has more than this share of its points on such things where the grid is free is not where it believes
-/// to be.
+/// … so a robot with more than this share of the scan's points on such clusters in free space is not at its predicted
+/// pose.
 const WIDE_MAX: f64 = 0.08;
 /// A body may have this share of its points near something established.
 const BODY_ESTABLISHED_MAX: f64 = 0.2;
