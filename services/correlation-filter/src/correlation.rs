@@ -1,6 +1,6 @@
 //! Pearson's coefficient of two rows of numbers, defined for every input.
 
-/// Fewer common places than this say nothing about two scans.
+/// With fewer common places than this two scans are not compared.
 const COMMON_MIN: usize = 4;
 
 /// Pearson's coefficient `cov(X,Y) / (σ_X σ_Y)` (An. Filatov 2021, chapter 4) over the places where both are numbers;

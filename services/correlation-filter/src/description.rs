@@ -21,7 +21,7 @@ pub(crate) struct Description {
 }
 
 impl Description {
-    /// What the beams of a whole scan add up to. A dropout changes its own sector and no other.
+    /// The sums of the beams of a whole scan. A dropout changes only its own sector.
     pub fn of(tally: &ScanTally) -> Self {
         // An empty sector divides zero by zero, which is the NaN that marks it.
         let mean =

@@ -6,7 +6,7 @@ use crate::tally::tally;
 use crate::{Mode, Settings};
 use flockslam_messages::{DropReason, KeepReason, ScanTally, ScanView, Verdict};
 
-/// Scans of so many lidars are told apart; those of further ones are all kept.
+/// Scans of so many lidars are compared; scans of further lidars are all kept.
 const LIDARS_MAX: usize = 32;
 /// Under overload one scan is judged after so many that were shed: a robot without odometry must not be lost.
 const SHED_IN_A_ROW_MAX: u32 = 3;
@@ -46,7 +46,7 @@ impl CorrelationFilter {
         Self { mode, limits, lidars: Vec::with_capacity(LIDARS_MAX) }
     }
 
-    /// Whether scans are judged by what their beams add up to: a [`ScanTally`].
+    /// Whether scans are judged by the sums of their beams: a [`ScanTally`].
     pub fn wants_tallies(&self) -> bool {
         self.mode == Mode::Correlation
     }

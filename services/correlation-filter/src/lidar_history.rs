@@ -34,16 +34,16 @@ pub(crate) struct Limits {
 }
 
 impl Default for Limits {
-    /// Every third scan at least is matched on the way, one in four seconds at rest (10 Hz).
+    /// At least every third scan is matched while the robot drives, and one in four seconds at rest (10 Hz).
     fn default() -> Self {
         Self { window: 3, consecutive_drops_max: 2, rest_drops_max: 40 }
     }
 }
 
-/// What became of a scan, and the coefficient that decided (0 when none was computed).
+/// The verdict on a scan, and the coefficient that decided (0 when none was computed).
 pub(crate) type Judgement = (f64, Result<KeepReason, DropReason>);
 
-/// What is remembered of the scans of one lidar.
+/// History of the scans of one lidar.
 #[derive(Clone, Debug)]
 pub(crate) struct Lidar {
     pub number: u32,

@@ -137,7 +137,7 @@ fn take_beams(tally: &mut ScanTally, scan: ScanView<'_>, beams: Range<usize>, (s
     }
 }
 
-/// What beams of one place add up to.
+/// The sums of the beams of one place.
 #[derive(Debug, Default)]
 struct Sums {
     units: u64,

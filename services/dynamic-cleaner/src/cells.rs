@@ -14,7 +14,7 @@ const OCCUPIED_SCORE: u16 = u16::MAX / 2;
 const BLOCK: usize = 4;
 const BLOCKS: usize = TILE_SIDE / BLOCK;
 
-/// Where to look for occupied cells.
+/// The cells that a scan may judge.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Reach {
     pub around: Point,

@@ -1,4 +1,4 @@
-//! The logic of the stage: takes a scan, its pose and the grid, gives the cells to clear and the tracks of who moves.
+//! The logic of the stage: takes a scan, its pose and the grid, gives the cells to clear and the tracks of moving bodies.
 
 use crate::Settings;
 use crate::cells::{Reach, for_each_occupied};
@@ -24,13 +24,13 @@ const JOIN_M: f64 = 0.05;
 const VOTE_DISTANCE_M: f64 = 0.15;
 /// … or turned this far, radians.
 const VOTE_TURN_RAD: f64 = 0.3;
-/// A beam looks through a cell when it ends this far behind it, metres: about three cells, for the errors of range and pose …
+/// A beam passes through a cell when it ends this far behind it, metres: about three cells, for the errors of range and pose …
 const MARGIN_M: f64 = 0.15;
 /// … plus this share of the cell's distance, for the error of heading; three standard deviations of the pose are added.
 const MARGIN_SHARE: f64 = 0.015;
-/// All beams that pass within this distance beside a cell must look through as well, metres: two cells.
+/// All beams that pass within this distance beside a cell must pass through as well, metres: two cells.
 const LATERAL_MARGIN_M: f64 = 0.1;
-/// Cells that one scan may look through; more than these wait for the next scan.
+/// Most cells that one scan may clear; more than these wait for the next scan.
 const SEEN_THROUGH_MAX: usize = 1 << 14;
 /// Of a robot that stands, scans so far apart vote, nanoseconds …
 const STANDING_APART_NS: u64 = 300_000_000;
@@ -70,20 +70,20 @@ pub struct DynamicCleaner {
     scans: u32,
     /// Where the lidar was at the present scan.
     odom_from_laser: Pose,
-    /// What the present scan says of occupied cells.
+    /// Judgements of occupied cells by the present scan.
     found: Vec<JudgedCell>,
     /// Where and when the last scan was judged.
     judged: Option<(Pose, i64)>,
     seen_through: Vec<CellIndex>,
     cleared: Vec<ClearedCell>,
     tracker: Tracker,
-    /// Ends of the present scan's beams that lie on something that was not there before.
+    /// End points of the present scan's beams on objects that were not there before.
     moving: Vec<Point>,
     /// The scan that they were found in.
     watched: Option<ScanId>,
 }
 
-/// What the cleaner says of a scan.
+/// The results of the cleaner for a scan.
 #[derive(Clone, Copy, Debug)]
 pub struct Marks<'a> {
     /// Its header; `cleared` is the length of the slice.
@@ -112,7 +112,7 @@ impl DynamicCleaner {
         }
     }
 
-    /// Follows who moves, by any scan whose place is certain, matched or not: gives everybody believed to be there.
+    /// Tracks moving bodies, by any scan with a certain pose, matched or not; gives the confirmed tracks.
     pub fn watch<H: Deref<Target = Tile>>(
         &mut self,
         scan: ScanView<'_>,
@@ -203,7 +203,7 @@ impl DynamicCleaner {
             let is_through = match judge(center) {
                 Visibility::SeenThrough => true,
                 Visibility::Supported => false,
-                // What is seen of an edge may be what lies beside it.
+                // A return near an edge may come from the object beside it.
                 Visibility::Open | Visibility::Passed | Visibility::Touched => return,
             };
             if is_through && seen_through == SEEN_THROUGH_MAX {
@@ -214,12 +214,12 @@ impl DynamicCleaner {
         });
     }
 
-    /// What was found of cells so far.
+    /// Judgements of cells so far.
     pub fn found(&self) -> &[JudgedCell] {
         &self.found
     }
 
-    /// Takes in what another process has found in a sector.
+    /// Adds the judgements of another process for its sector.
     pub fn take(&mut self, found: &[JudgedCell]) {
         self.found.extend_from_slice(found);
     }
@@ -241,8 +241,8 @@ impl DynamicCleaner {
         Marks { header, cleared: &self.cleared }
     }
 
-    /// Lets a scan vote that does not enter the map, while the robot stands. What it looks through is cleared once an inserted scan
-    /// looks through it too.
+    /// Counts the votes of a scan that does not enter the map, while the robot stands. Cells are cleared once an inserted scan
+    /// passes through them too.
     pub fn look_on<H: Deref<Target = Tile>>(
         &mut self,
         scan: ScanView<'_>,
@@ -262,7 +262,7 @@ impl DynamicCleaner {
         }
     }
 
-    /// Takes back votes against cells that the scan supports, and gives its votes against those that it looks through.
+    /// Removes votes against cells that the scan supports, and adds votes against those that it passes through.
     fn weigh(&mut self, counts: Counts) {
         if !self.found.is_sorted_by_key(|cell| cell.place) {
             self.found.sort_unstable_by_key(|cell| cell.place);
@@ -315,7 +315,7 @@ fn margins(pose: &PoseEstimate) -> Margins {
     }
 }
 
-/// Whether the robot knows where it is: lost, it takes walls for movers.
+/// Whether the robot is localised: a lost robot would take walls for moving bodies.
 fn is_tracked(pose: &PoseEstimate) -> bool {
     pose.quality == Quality::Tracking as u32 && pose.odom_from_base.is_finite()
 }

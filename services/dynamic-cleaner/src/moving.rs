@@ -1,4 +1,4 @@
-//! Finds the beams of a scan that end in known free space: they lie on what moves. The tracker takes their ends.
+//! Finds the beams of a scan that end in known free space: they lie on moving bodies. The tracker takes their end points.
 
 use crate::cells::{is_occupied, occupied_around};
 use flockslam_evidence::{Tile, TileGrid, WEIGHT_SCALE};
@@ -10,7 +10,7 @@ use std::ops::Deref;
 const FREE_NAT: f64 = 1.5;
 
 /// Fills `ends` with the ends (in odom) of the beams within `radius_m` that end where the grid knows free space and nothing
-/// near: they lie on something that was not there before.
+/// near: they lie on objects that were not there before.
 pub(crate) fn find_moving<H: Deref<Target = Tile>>(
     scan: ScanView<'_>,
     deskew: &Deskew,
@@ -27,7 +27,7 @@ pub(crate) fn find_moving<H: Deref<Target = Tile>>(
         let (sin, cos) = (odom_from_laser.heading_rad + angle_rad).sin_cos();
         let end = Point::new(odom_from_laser.x_m + range_m * cos, odom_from_laser.y_m + range_m * sin);
         let cell = grid.cell_at(end);
-        // Most beams end on what stands, or where nobody has looked.
+        // Most beams end on static objects or in unknown space.
         let is_candidate =
             |tile: &&Tile| tile.cells[cell.offset()].free >= free && !is_occupied(tile, cell.offset());
         if grid.tile(cell.tile()).filter(is_candidate).is_some() && !occupied_around(grid, cell) {

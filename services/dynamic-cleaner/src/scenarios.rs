@@ -22,7 +22,7 @@ const ROOM: [Wall; 8] = [
     (22.0, 2.0, 22.0, 4.0),
 ];
 
-/// Evidence summed over scans, each of which speaks once for a cell.
+/// Evidence summed over scans; each scan counts once for a cell.
 #[derive(Default)]
 struct Map {
     sums: BTreeMap<CellIndex, Cell>,
@@ -209,7 +209,7 @@ fn most_of_a_box_that_vanished_is_cleared_by_three_views_and_all_of_it_by_twelve
     }
 }
 
-/// Where segments close – near, at right angles – both ways of looking find the same; elsewhere sectors leak.
+/// Where segments close – near, at right angles – both methods find the same cells; elsewhere sectors leak.
 #[test]
 fn sectors_agree_with_beams_about_what_has_gone_near_the_robot() {
     let with_box: Vec<Wall> = ROOM.into_iter().chain(square(4.0, 3.0, 0.6)).collect();

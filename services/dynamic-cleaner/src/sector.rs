@@ -58,7 +58,7 @@ impl Sector {
 
     /// The sector of a lidar at this pose.
     pub(crate) fn wedge(self, laser: Pose) -> Wedge {
-        // Neighbours work out the border that they share in the same way.
+        // Neighbours compute their common border in the same way.
         let border = |number: u32| {
             let (sin, cos) = (laser.heading_rad + TAU * self.beginning(number % self.parts)).sin_cos();
             Point::new(cos, sin)

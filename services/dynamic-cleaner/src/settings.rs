@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 pub struct Settings {
     /// False: nothing is ever cleared.
     pub enabled: bool,
-    /// How a scan looks through the map.
+    /// How passing through cells is judged.
     pub method: Method,
     /// Only cells within this distance of the lidar are judged, metres: points thin out with range.
     pub radius_m: f64,
@@ -24,7 +24,7 @@ pub struct Settings {
     pub replicas: usize,
 }
 
-/// How a scan looks through the map.
+/// How passing through cells is judged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {

@@ -8,12 +8,12 @@ use flockslam_registration::cloud::Placement;
 const SPAN_MAX: u64 = 5;
 /// A rehearsal leaves one known pose out, so it spans about twice as many.
 const REHEARSAL_SPAN_MAX: u64 = 2 * SPAN_MAX;
-/// Motion below this tells nothing about how poses follow from each other, metres (a radian counts as a metre).
+/// Motion below this is not used to choose an interpolation, metres (a radian counts as a metre).
 const REHEARSAL_WAY_M: f64 = 0.02;
 /// In use a stretch is half as long as in a rehearsal. Of a curve that leaves at most this share of the error, more than of
 /// odometry.
 const CURVE_SHARE: f64 = 0.5;
-/// What one rehearsal counts at most: a slip must not decide for all.
+/// Greatest error that one trial counts with: a single slip must not decide for all.
 const REHEARSAL_ERROR_MAX_M: f64 = 0.1;
 /// A step between stamps counts as this many times the usual one at least and at most.
 const STEP: (f64, f64) = (0.3, 3.0);
@@ -43,7 +43,7 @@ pub(crate) struct Curve<'a> {
 }
 
 impl Way {
-    /// The way that finds known poses best from the known ones around them.
+    /// The interpolation that predicts known poses best from the known ones around them.
     pub fn chosen(
         records: &[PoseRecord],
         known: &[(usize, Placement)],
@@ -67,7 +67,7 @@ impl Way {
 }
 
 impl<'a> Curve<'a> {
-    /// The curve through the known poses in the time of a way.
+    /// The curve through the known poses, in the time base of an interpolation.
     pub fn new(records: &'a [PoseRecord], known: &'a [(usize, Placement)], way: Way) -> Self {
         let times = match way {
             Way::ByStamps => stamps(records),
@@ -195,7 +195,7 @@ mod tests {
         times_s.iter().zip(stamps_s).enumerate().map(record).collect()
     }
 
-    /// The way chosen when every second record is known, and the greatest error of the others, metres.
+    /// The interpolation chosen when every second record is known, and the greatest error of the others, metres.
     fn measured(records: &[PoseRecord]) -> (Way, f64) {
         let known: Vec<_> = records.iter().enumerate().step_by(2).map(|(i, r)| (i, r.odom)).collect();
         let by_odometry = |middle: usize| {

@@ -4,7 +4,7 @@ use crate::between::{Curve, Way};
 use crate::pose_record::PoseRecord;
 use flockslam_registration::cloud::Placement;
 
-/// What is trusted between known poses.
+/// The source of poses between known poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Between {
     /// The front end's path: its matches are better than odometry.
@@ -65,7 +65,7 @@ pub fn filled(records: &[PoseRecord], known: &[(usize, Placement)], between: Bet
     poses
 }
 
-/// Share of the way at each record from the first to the last; a turn of one radian counts as a metre.
+/// Share of the path at each record from the first to the last; a turn of one radian counts as a metre.
 fn shares_of_way(records: &[PoseRecord]) -> Vec<f64> {
     let mut way = vec![0.0; records.len()];
     for i in 1..records.len() {

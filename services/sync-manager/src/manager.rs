@@ -34,7 +34,7 @@ mod freeze;
 mod shown;
 mod unpublished;
 
-/// A scan this close to the last one kept tells nothing new, metres and radians.
+/// A scan this close to the last one kept is not kept, metres and radians.
 const REST: (f64, f64) = (0.01, 0.005);
 /// A scan becomes a node of the graph after this much travel, metres …
 const NODE_DISTANCE_M: f64 = 0.3;
@@ -123,9 +123,9 @@ pub struct SyncManager {
     gone_scans: usize,
     /// Closures were found that the solution does not know.
     unsolved: bool,
-    /// What the flock is to be told, when there is one.
+    /// Findings that are not published to the flock yet, when there is one.
     unpublished: Option<Unpublished>,
-    /// Work on solving that may be done, and what the last solution took.
+    /// Credit of work for solving, and the work of the last solution.
     solving_credit: u64,
     solving_cost: u64,
 }
@@ -162,7 +162,7 @@ impl SyncManager {
     /// Takes the published pose of a scan. Every scan's, in order of arrival.
     pub fn pose(&mut self, pose: &PoseEstimate) {
         let mut record = PoseRecord::new(pose);
-        // Trajectories only follow each other. A front end that has forgotten its own says one of before.
+        // Numbers of trajectories only rise. A restarted front end may publish an earlier one.
         record.trajectory = self.records.last().map_or(0, |last| last.trajectory).max(record.trajectory);
         self.records.push(record);
     }
@@ -226,7 +226,7 @@ impl SyncManager {
         }
     }
 
-    /// Takes note of submaps that have left the map for good: where they lie is not told any more.
+    /// Notes submaps that have left the map for good: their poses are not published any more.
     pub fn submaps_retired(&mut self, numbers: &[u32]) {
         for number in numbers {
             self.frozen_submaps.remove(number);
@@ -289,7 +289,7 @@ impl SyncManager {
         let before = self.closures.len();
         let done = self.finder.counts().searches;
         for query in self.due_queries(known) {
-            // A trajectory that hangs in the air is looked for everywhere: that is worth more, but not without end.
+            // An unconnected trajectory is searched for everywhere: it gets more searches, but not without a limit.
             let trajectory = self.odometry.nodes()[query].trajectory;
             let searches = searches as u64;
             let most = if self.connectivity(known).is_attached(trajectory) {
@@ -412,7 +412,7 @@ impl SyncManager {
         self.solution(&filled(&self.records, &pairs, Between::Measured))
     }
 
-    /// The dense pass, over all nodes, and what brings them closer to the map that they make.
+    /// The dense pass over all nodes, then the match of all nodes to their common map.
     fn refine(&mut self) {
         let nodes = self.odometry.nodes();
         let mut segments = self.segments.clone();

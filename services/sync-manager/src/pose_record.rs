@@ -18,12 +18,12 @@ pub struct PoseRecord {
     pub submap: u32,
     /// Trajectory that it belongs to.
     pub trajectory: u32,
-    /// The front end did not believe its fit.
+    /// The front end rejected its fit.
     pub lost: bool,
 }
 
 impl PoseRecord {
-    /// What is kept of a published pose.
+    /// The part of a published pose that is kept.
     pub fn new(pose: &PoseEstimate) -> Self {
         Self {
             id: pose.id,

@@ -1,19 +1,19 @@
-//! What the back end gives at the end: poses of scans and submaps, and counts of closures.
+//! The result of the back end: poses of scans and submaps, and counts of closures.
 
 use flockslam_geometry::Pose;
 use flockslam_map_fusion::PlacedSubmap;
 use flockslam_messages::ScanId;
 
-/// What the back end concludes at the end of a run.
+/// The result of the back end at the end of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Solution {
     /// A pose for every scan whose pose was published and that has not frozen, in that order.
     pub trajectory: Vec<PlacedScan>,
-    /// Poses of the nodes of the graph by their sequence, in rising order: what scans that are frozen are relative to.
+    /// Poses of the nodes of the graph by their sequence, in rising order: frozen scans are relative to them.
     pub anchors: Vec<(u64, Pose)>,
     /// Where each of the mapper's submaps belongs, by number.
     pub submaps: Vec<PlacedSubmap>,
-    /// What became of the loops.
+    /// Counts of loops.
     pub closures: ClosureCounts,
 }
 
@@ -57,7 +57,7 @@ pub struct PlacedScan {
     pub map_from_base: Pose,
 }
 
-/// What became of the loops.
+/// Counts of loops.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ClosureCounts {
     /// Branch-and-bound searches.
@@ -66,11 +66,11 @@ pub struct ClosureCounts {
     pub matches: u64,
     /// Loops that passed all checks of their own.
     pub accepted: u64,
-    /// Of those, loops that the robust solution does not let act.
+    /// Of those, loops that are outliers in the robust solution.
     pub revoked: u64,
     /// Nodes of the graph.
     pub nodes: u64,
-    /// Nodes whose match to the nodes before them was not believed.
+    /// Nodes whose match to the nodes before them was rejected.
     pub unmatched: u64,
     /// Trajectories: more than one when the robot was lost.
     pub trajectories: u64,

@@ -9,10 +9,10 @@ const JOIN_M: f64 = 0.3;
 const POINTS_MIN: usize = 2;
 /// Radius of a person at the height of a lidar, metres.
 const BODY_RADIUS_M: f64 = 0.2;
-/// What is wider than this is not one person, metres.
+/// A cluster wider than this is not one person, metres.
 const BODY_WIDTH_MAX_M: f64 = 0.6;
 
-/// Finds the middle of each thing that points in the order of the beams lie on, as seen from the lidar: `centers` is filled.
+/// Fills `centers` with the middle of each cluster of points, which are in the order of the beams, as seen from the lidar.
 pub(crate) fn find_centers(points: &[Point], laser: Point, centers: &mut Vec<Point>) {
     centers.clear();
     let mut first = 0;

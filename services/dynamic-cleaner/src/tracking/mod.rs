@@ -1,4 +1,4 @@
-//! Who moves around the robot: clusters of points in known-free space, followed from scan to scan.
+//! Tracks of moving bodies: clusters of points in known-free space, followed from scan to scan.
 
 mod cluster;
 mod track_filter;
@@ -13,16 +13,16 @@ use track_filter::Motion;
 const GATE: f64 = 9.2;
 /// … as is one farther than this, metres.
 const GATE_M: f64 = 1.0;
-/// Somebody is believed to be there after so many sightings.
+/// A track is confirmed after so many sightings.
 const SIGHTINGS_MIN: u32 = 3;
-/// Somebody believed, and somebody not yet believed, is forgotten after so many seconds out of sight.
+/// A confirmed track, and one not yet confirmed, end after so many seconds out of sight.
 const FORGOTTEN_S: (f64, f64) = (1.5, 0.35);
-/// After a pause of this many seconds nobody is known any more.
+/// After a pause of this many seconds all tracks end.
 const PAUSE_MAX_S: f64 = 3.0;
-/// Somebody hidden who turns or stops there comes out elsewhere than expected: within this distance of where they were seen last,
+/// A hidden person who turns or stops reappears elsewhere than expected: within this distance of the last sighting,
 /// metres, and so much farther for each second …
 const REACH: (f64, f64) = (0.4, 1.8);
-/// Nobody new is followed beyond so many.
+/// Greatest number of tracks.
 const TRACKS_MAX: usize = 256;
 
 /// Follows clusters of points by constant velocity, each to the nearest sighting within a gate.
@@ -50,7 +50,7 @@ struct Followed {
 }
 
 impl Tracker {
-    /// Takes in the points of a scan that lie on movers, in the order of its beams, and gives everybody believed to be there.
+    /// Takes the points of a scan on moving bodies, in the order of its beams, and gives the confirmed tracks.
     /// Points and lidar are in odom, metres.
     pub fn follow(&mut self, stamp_ns: i64, points: &[Point], laser: Point) -> &[Track] {
         self.predict(stamp_ns);
@@ -105,7 +105,7 @@ impl Tracker {
         }
     }
 
-    /// Begins to follow what nobody known explains.
+    /// Begins a track for each cluster that no track explains.
     fn welcome(&mut self) {
         for (center, taken) in self.centers.iter().zip(&self.taken) {
             if !taken && self.followed.len() < TRACKS_MAX {
@@ -126,8 +126,8 @@ impl Tracker {
 }
 
 impl Tracker {
-    /// Whoever has just come to be believed may be somebody who was hidden, and has turned or stopped meanwhile: then they keep
-    /// their name. Of several the one who is expected nearest.
+    /// A track that is newly confirmed may be a person who was hidden, and has turned or stopped meanwhile: then it keeps
+    /// the number of the hidden track. Of several the nearest one is chosen.
     fn recognise(&mut self) {
         for new in 0..self.followed.len() {
             let found = self.followed[new];
@@ -149,7 +149,7 @@ impl Tracker {
 }
 
 impl Followed {
-    /// Whether somebody believed who is hidden may be the one who was found.
+    /// Whether a hidden confirmed track may be the person that was found.
     fn could_be(&self, found: &Followed) -> bool {
         self.sightings >= SIGHTINGS_MIN
             && self.id != found.id

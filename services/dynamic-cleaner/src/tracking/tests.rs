@@ -31,7 +31,7 @@ fn somebody_is_followed_through_a_second_behind_a_pillar() {
         }
     }
     assert!(ids.iter().all(|id| *id == ids[0]));
-    // Out of sight for good, somebody is forgotten.
+    // A track that stays out of sight ends.
     for i in 40..60 {
         tracker.follow(i * STEP_NS, &[], LASER);
     }

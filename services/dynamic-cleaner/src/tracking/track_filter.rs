@@ -4,7 +4,7 @@ use flockslam_geometry::Point;
 
 /// Standard deviation of a sighting, metres: bodies are seen from one side, in few beams.
 const SIGHTING_SIGMA_M: f64 = 0.06;
-/// Standard deviation of the velocity of somebody seen for the first time, m/s.
+/// Standard deviation of the velocity of a new track, m/s.
 const FIRST_SPEED_SIGMA_M_S: f64 = 1.0;
 /// Power density of the white acceleration by which people change their velocity, m²/s³.
 const ACCELERATION_DENSITY: f64 = 0.5;
@@ -22,7 +22,7 @@ pub(crate) struct Motion {
 }
 
 impl Motion {
-    /// Somebody seen at a place for the first time.
+    /// A new track at a place.
     pub fn at(position: Point) -> Self {
         let (pp, vv) = (SIGHTING_SIGMA_M * SIGHTING_SIGMA_M, FIRST_SPEED_SIGMA_M_S * FIRST_SPEED_SIGMA_M_S);
         Self { position, velocity: Point::default(), pp, pv: 0.0, vv }
@@ -51,7 +51,7 @@ impl Motion {
     }
 
     /// How unlikely a sighting is: twice the negative logarithm of its density, but for a constant (Bar-Shalom, Li and Kirubarajan 2001,
-    /// section 1.4). Whoever has been hidden could be anywhere, and so explains each place less well than somebody in view.
+    /// section 1.4). A hidden person could be anywhere, and so explains each place less well than a visible one.
     pub fn surprise(&self, sighting: Point) -> f64 {
         self.squared_distance(sighting) + 2.0 * self.innovation_variance().ln()
     }

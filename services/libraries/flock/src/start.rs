@@ -5,7 +5,7 @@ use flockslam_pose_graph::Edge;
 use flockslam_registration::cloud::Placement;
 use std::collections::BTreeMap;
 
-/// Closures that agree on how two trajectories lie to each other differ by less than this, metres and radians.
+/// Closures agree on the relative pose of two trajectories when they differ by less than this, metres and radians.
 const AGREEING: (f64, f64) = (1.0, 0.15);
 
 /// How one trajectory lies to another, and how many closures say so.

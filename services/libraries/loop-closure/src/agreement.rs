@@ -11,9 +11,9 @@ const PARTNERS_MIN: usize = 2;
 /// Travel over which closures that agree must extend for each metre that they would move the robot, and for each metre of it that
 /// the usual drift does not account for: a share of the window.
 ///
-/// What looks alike over a few metres, the ends of two aisles or the doors of two rooms, differs over more; and where places that
-/// look alike lie as far apart as the odometry may have drifted, the place meant may never have been seen, so that no better match
-/// speaks against a false one.
+/// Places that look alike over a few metres, as the ends of two aisles or the doors of two rooms, differ over more. Where places that
+/// look alike are as far apart as the odometry may have drifted, the true place may never have been seen, so that no better match
+/// contradicts a false one.
 const EXTENT_PER_SHIFT: f64 = 2.0;
 const EXTENT_PER_SURPRISE: f64 = 5.0;
 const USUAL_SHARE: f64 = 0.25;
@@ -58,7 +58,7 @@ fn extent_needed_m(closure: &Closure) -> f64 {
     EXTENT_PER_SHIFT * closure.shift_m + EXTENT_PER_SURPRISE * surprise_m
 }
 
-/// Closures in the order of their queries: those that one is compared with lie side by side.
+/// Closures in the order of their queries: those that are compared are next to each other.
 struct Neighbours<'a> {
     nodes: &'a [Node],
     /// Drift bound of the query and number of each closure.

@@ -4,10 +4,10 @@ use crate::node::Node;
 use flockslam_pose_graph::Edge;
 use flockslam_registration::cloud::Placement;
 
-/// Closures that agree on how two trajectories lie to each other differ by less than this, metres and radians.
+/// Closures agree on the relative pose of two trajectories when they differ by less than this, metres and radians.
 const AGREEING: (f64, f64) = (1.0, 0.15);
 
-/// Which trajectories closures connect, and with what.
+/// Which trajectories are connected by closures.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrajectoryConnectivity {
     /// By trajectory: the first trajectory that it is connected with, itself when with none before it.
@@ -42,7 +42,7 @@ impl TrajectoryConnectivity {
         self.root.len().saturating_sub(1) as u32
     }
 
-    /// Names what a trajectory is connected with: equal for connected trajectories.
+    /// Number of the connected part that a trajectory belongs to: equal for connected trajectories.
     pub fn part(&self, trajectory: u32) -> u32 {
         // A trajectory without a node yet is connected with nothing.
         self.root.get(trajectory as usize).copied().unwrap_or(trajectory)
@@ -54,7 +54,7 @@ impl TrajectoryConnectivity {
     }
 }
 
-/// Poses to solve a graph from: each trajectory from where its nodes start, and moved as a whole to where closures say that it lies to the
+/// Initial poses for solving a graph: each trajectory at the start poses of its nodes, moved as a whole to where closures place it relative to the
 /// trajectories before it.
 ///
 /// The start matters: from a heading that is quite wrong, no solver finds back.

@@ -64,7 +64,7 @@ impl DensePass<'_> {
         for (node, at) in poses.iter().enumerate() {
             let mut near: Vec<(f64, usize)> = Vec::new();
             for (number, segment) in self.segments.iter().enumerate() {
-                // The node's own segment and the one before it are what the odometry was matched to.
+                // The node's own segment and the one before it were matched by the odometry already.
                 if segment.nodes.contains(&node)
                     || (segment.nodes.end..segment.nodes.end + segment.nodes.len()).contains(&node)
                 {

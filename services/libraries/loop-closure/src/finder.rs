@@ -17,7 +17,7 @@ use flockslam_registration::cloud::{
 
 /// A search starts after this much travel, metres.
 pub const EVERY_M: f64 = 1.5;
-/// Only segments that lie back at least this much travel are searched: nearer ones are what the node was matched to anyway, metres.
+/// Only segments that are at least this much travel back are searched: the node was matched to nearer ones anyway, metres.
 pub const LEAST_TRAVEL_M: f64 = 15.0;
 /// Most segments tried for one query.
 pub const SEGMENTS_PER_QUERY: usize = 6;
@@ -36,13 +36,13 @@ const REFINE_POINTS: usize = 600;
 /// A segment may lie this much farther away than the window and still be searched: both see the same place,
 /// metres.
 pub const SIGHT_M: f64 = 4.0;
-/// Where to look in a segment when nothing is known: wherever both see the same place, at any heading.
+/// The window in a segment without an initial guess: all poses where both see the same place, at any heading.
 pub const ANYWHERE: Window = Window { reach_m: 14.0, turn_rad: std::f64::consts::PI };
-/// Squares that such a search looks at before it takes what it has found.
+/// Squares that such a search visits before it returns its best result so far.
 const ANYWHERE_SUMS_MAX: u64 = 150_000;
 /// Most segments that one query is looked for in so.
 const ANYWHERE_MAX: usize = 50;
-/// Where to look first: a robot that was lost for moments only is about where it believes to be.
+/// The first window: a robot that was lost only briefly is near its predicted pose.
 const NEARBY: Window = Window { reach_m: 4.0, turn_rad: 0.7 };
 /// A runner-up must lie at least this far away from the best match to count.
 const APART: Window = Window { reach_m: 0.6, turn_rad: 0.2 };
@@ -59,7 +59,7 @@ const DEGENERATE: f64 = 0.02;
 /// Errors of a closure beyond those of its points: the segment's own bending.
 const SLACK: (f64, f64) = (0.04, 0.01);
 
-/// What has been looked at so far.
+/// Counts of searches so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SearchCounts {
     /// Branch-and-bound searches.
@@ -78,7 +78,7 @@ pub struct ClosureFinder {
     counts: SearchCounts,
 }
 
-/// What a search needs to know of the graph.
+/// The part of the graph that a search needs.
 pub struct World<'a> {
     /// The nodes.
     pub nodes: &'a [Node],
@@ -116,7 +116,7 @@ impl ClosureFinder {
         &mut self.grid
     }
 
-    /// What has been looked at so far.
+    /// Counts of searches so far.
     pub fn counts(&self) -> SearchCounts {
         self.counts
     }
@@ -146,7 +146,7 @@ impl ClosureFinder {
             .collect()
     }
 
-    /// The segments that the query may see, nearest first, and where to look in each.
+    /// The segments that the query may see, nearest first, with the search window in each.
     fn candidates(&self, world: &World<'_>, query: usize, distances_m: &[f64]) -> Vec<(usize, Window)> {
         let old = |s: &Segment| {
             world.nodes[query].travel_m - world.nodes[s.nodes.end - 1].travel_m >= LEAST_TRAVEL_M
@@ -279,7 +279,7 @@ pub fn apart_m(world: &World<'_>, segment: &Segment, query: usize) -> f64 {
     segment.nodes.clone().map(|i| world.poses[i].distance_m(&at)).fold(f64::INFINITY, f64::min)
 }
 
-/// Where to look after `distance_m` along the graph.
+/// The search window after `distance_m` along the graph.
 pub fn window(distance_m: f64) -> Window {
     Window { reach_m: (0.3 + 0.06 * distance_m).min(25.0), turn_rad: (0.06 + 0.002 * distance_m).min(0.7) }
 }
@@ -289,7 +289,7 @@ fn nearest_node(segment: &Segment, to: &Placement, at: impl Fn(usize) -> Placeme
     nodes.min_by(|&a, &b| at(a).distance_m(to).total_cmp(&at(b).distance_m(to))).expect("a segment has nodes")
 }
 
-/// Whether what one side saw free stays free of the other side's points, both ways.
+/// Whether the free space of each side stays free of the other side's points.
 fn free_space_agrees(
     world: &World<'_>,
     query: usize,
@@ -323,7 +323,7 @@ fn intrusions(
     (most, intruding(&Polar::new(scan_of(query)), placement, theirs))
 }
 
-/// Share of the points that lie where a scan looked through, of those where it looked at all.
+/// Share of the points in space that a scan saw free, of those that it observed at all.
 fn intruding(polar: &Polar, at: &Placement, points: impl Iterator<Item = (f64, f64)>) -> f64 {
     let (mut looked, mut through) = (0u32, 0u32);
     for (x, y) in points {

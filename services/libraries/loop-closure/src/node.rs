@@ -23,10 +23,10 @@ pub struct Node {
     pub start: Placement,
     /// Length of the path up to here, metres.
     pub travel_m: f64,
-    /// The same, and more where a node could not be matched: what the size of a search window grows with,
+    /// The same, increased where a node could not be matched: the size of a search window grows with it,
     /// metres.
     pub drift_bound_m: f64,
-    /// Trajectory that it belongs to, counted from 0: how trajectories lie to each other is known from closures alone.
+    /// Trajectory that it belongs to, counted from 0: relative poses of trajectories are known from closures alone.
     pub trajectory: u32,
 }
 

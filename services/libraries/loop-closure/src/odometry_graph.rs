@@ -11,20 +11,20 @@ use flockslam_registration::cloud::{
 };
 use std::ops::Range;
 
-/// A match that moves farther from the front end's prediction than this is not believed, metres and radians.
+/// A match that moves farther from the front end's prediction than this is rejected, metres and radians.
 const MOVE_MAX: (f64, f64) = (0.2, 0.12);
 /// Scans with fewer points are not matched.
 const POINTS_MIN: usize = 20;
-/// Least share of points on lines for a match to be believed.
+/// Least share of points on lines of an accepted match.
 const INLIERS_MIN: f64 = 0.5;
 /// Largest root mean square distance of those from their lines; points spread evenly over the gate have 0.087
 /// m.
 const SPREAD_MAX_M: f64 = 0.055;
-/// Where a scan is looked for when its match is not believed.
+/// Search window after a rejected match.
 const RESCUE: Window = Window { reach_m: 1.5, turn_rad: 1.0 };
 /// Least score of a match in a rescue, and least share of points on lines after its refinement.
 const RESCUE_MIN: (f64, f64) = (0.55, 0.65);
-/// A runner-up in a rescue lies at least this far away …
+/// A runner-up in a rescue is at least this far away …
 const APART: Window = Window { reach_m: 0.4, turn_rad: 0.2 };
 /// … and makes the rescue ambiguous when its score reaches this share of the best.
 const RUNNER_UP: f64 = 0.9;
@@ -92,7 +92,7 @@ impl OdometryGraph {
         &self.edges
     }
 
-    /// Nodes whose match was not believed.
+    /// Nodes whose match was rejected.
     pub fn unmatched(&self) -> usize {
         self.unmatched
     }
@@ -224,7 +224,7 @@ fn information(link: &Link, motion: &Placement) -> Symmetric {
     let way = (motion.x_m * motion.x_m + motion.y_m * motion.y_m).sqrt();
     let turn = motion.heading_rad.abs();
     match link {
-        // What the points leave open, the front end's own motion holds.
+        // In degenerate directions the front end's own motion is used.
         Link::Matched(found) => {
             let mut sum = diagonal(0.05 + 0.1 * way, 0.02 + 0.1 * turn);
             (0..6).for_each(|i| sum[i] += POINT_INFORMATION * found.information[i]);
@@ -236,7 +236,7 @@ fn information(link: &Link, motion: &Placement) -> Symmetric {
             inflated(&sum, 0.03, 0.01).unwrap_or(diagonal(0.5, 0.3))
         }
         Link::Predicted => diagonal(0.3 + 0.5 * way, 0.2 + 0.5 * turn),
-        // Just enough that the graph hangs together.
+        // Just enough information to keep the graph connected.
         Link::Broken => diagonal(1e3, 1e2),
     }
 }

@@ -77,7 +77,7 @@ impl Placer<'_> {
     }
 }
 
-/// The first match that is believed, else the first guess.
+/// The first accepted match, else the first guess.
 fn place(
     aligner: &Aligner,
     grid: &mut MomentGrid,

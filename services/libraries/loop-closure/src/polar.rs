@@ -1,13 +1,13 @@
-//! What a scan saw in each direction, for the question whether a point of another scan lies in free space.
+//! Ranges of a scan by direction, to decide whether a point of another scan is in its free space.
 
 use flockslam_registration::cloud::{PackedPoint, Placement};
 use std::f64::consts::{PI, TAU};
 
-/// Directions that are told apart: one degree each.
+/// Directions of one degree each.
 const SECTORS: usize = 360;
-/// A point must lie this much in front of what was seen to count as in free space, metres.
+/// A point must be this much in front of the range to count as in free space, metres.
 const MARGIN_M: f64 = 0.3;
-/// A point as far away as what was seen, give or take this, is the same, metres.
+/// A point within this distance of the range is on the same surface, metres.
 const SAME_M: f64 = 0.2;
 
 /// How far a scan saw in each direction.
@@ -36,7 +36,7 @@ impl Polar {
     }
 
     /// Whether the scan, taken at `at`, looked through the point (x, y) metres of the same frame: `None` when
-    /// it did not look there.
+    /// the scan did not observe it.
     pub fn looked_through(&self, at: &Placement, x_m: f64, y_m: f64) -> Option<bool> {
         let (x, y) = at.unrotate(x_m - at.x_m, y_m - at.y_m);
         let seen_m = self.nearest_m[sector(x, y)];
@@ -44,7 +44,7 @@ impl Polar {
     }
 
     /// Whether the scan, taken at `at`, saw something at the point (x, y) metres of the same frame (true) or looked through it (false): `None`
-    /// when it tells neither.
+    /// when it is neither.
     pub fn shows(&self, at: &Placement, x_m: f64, y_m: f64) -> Option<bool> {
         let (x, y) = at.unrotate(x_m - at.x_m, y_m - at.y_m);
         let (sector, range_m) = (sector(x, y), (x * x + y * y).sqrt());

@@ -42,7 +42,7 @@ pub struct Refinement<'a> {
 type Around = Vec<(usize, Vec<PackedPoint>)>;
 
 impl Refinement<'_> {
-    /// Matches every node to the map of the present poses, and solves all poses anew. `grid` is lent empty and given back so.
+    /// Matches every node to the map of the present poses, and solves all poses again. `grid` is empty before and after.
     pub fn run(&self, grid: &mut MomentGrid, poses: &mut [Placement]) {
         let aligner = Aligner::new(AlignSettings { iterations: 6, ..AlignSettings::default() });
         let mut edges = self.odometry.to_vec();

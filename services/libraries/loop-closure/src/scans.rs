@@ -4,7 +4,7 @@ use flockslam_geometry::Twist;
 use flockslam_messages::{BeamRange, ScanView};
 use flockslam_registration::cloud::{PackedPoint, Placement};
 
-/// Neighbouring points of a scan closer than this tell the same; one of them is kept, metres.
+/// Of neighbouring points of a scan closer than this only one is kept, metres.
 const SPACING_M: f64 = 0.02;
 /// Farther points are never used, metres: the points of a few nodes must fit on a grid's torus.
 const RANGE_MAX_M: f64 = 20.0;

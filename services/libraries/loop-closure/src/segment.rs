@@ -106,7 +106,7 @@ pub fn load(
     range.for_each(|i| grid.add(&at(i), scans.points(nodes[i].scan)));
 }
 
-/// Takes back what [`load`] with the same arguments has brought in.
+/// Removes the points that [`load`] with the same arguments has added.
 pub fn unload(
     grid: &mut MomentGrid,
     nodes: &[Node],

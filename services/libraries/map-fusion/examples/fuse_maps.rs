@@ -58,7 +58,7 @@ fn submap_of_a_wall(number: u32, scans: u32) -> Submap {
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (first, second) = (submap_of_a_wall(0, 5), submap_of_a_wall(1, 3));
-    // The second robot stands on the other side of the wall and looks back.
+    // The second robot stands on the other side of the wall and faces back.
     let (map_from_first, map_from_second) = (Pose::IDENTITY, Pose::new(4.1, 0.1, PI));
     let mut map = FusedMap::new(CELL_SIZE_M);
     map.add(&first, map_from_first)?;

@@ -33,7 +33,7 @@ impl Coverage {
         }
     }
 
-    /// Number of blocks that some submap knows something of.
+    /// Number of blocks with evidence of some submap.
     pub fn blocks(&self) -> u64 {
         let known = |submaps: &Vec<(u32, u64)>| submaps.iter().fold(0, |known, (_, blocks)| known | blocks);
         self.tiles.values().map(|submaps| u64::from(known(submaps).count_ones())).sum()

@@ -11,11 +11,11 @@ use std::collections::BTreeMap;
 
 /// Cells farther from the lidar are not judged, metres: beams are too far apart there.
 const REACH_M: f64 = 12.0;
-/// What stands this near to a cell that beams pass may be what was seen in it, cells.
+/// An object this near to a cell may be the one that was seen in it, cells.
 const NEAR_CELLS: i32 = 2;
 /// A beam passes a cell if it ends so far behind it, metres.
 const PASSED_BEHIND_M: f64 = 0.3;
-/// So many views through a cell, since it was last seen to stand, say that it is free …
+/// So many views through a cell, since it was last seen occupied, make it free …
 pub const VIEWS: u8 = 3;
 /// … or as many of beams through it alone, while none ends near, in so many scans that entered the map …
 const SCANS: u8 = 2;
@@ -23,12 +23,12 @@ const SCANS: u8 = 2;
 const PASSES: u8 = 2;
 /// … each at least so long after the one before, nanoseconds.
 pub const APART_NS: u64 = 300_000_000;
-/// Scans that look through more than this share of what they judge lie in the wrong place.
+/// Scans that pass through more than this share of the judged cells have a wrong pose.
 const CONTRADICTED_MAX: f64 = 0.2;
 /// Final poses of scans are known this well among each other.
 const MARGINS: Margins = Margins { behind_m: 0.15, behind_share: 0.015, beside_m: 0.06, beside_rad: 0.005 };
 
-/// The occupied cells of a map, and what scans, one after the other, say of them.
+/// The occupied cells of a map, and their judgements by one scan after the other.
 ///
 /// Memory is bounded by the number of these cells; each scan costs as much as there are within its reach.
 #[derive(Debug)]
@@ -180,7 +180,7 @@ mod tests {
     const CELL_M: f64 = 0.05;
     /// The inner side of the walls around the room, cells from the middle.
     const WALL: i32 = 59;
-    /// What stands in it: cells along x and y.
+    /// Its occupied cells: indices along x and y.
     const COLUMN: std::ops::Range<i32> = 24..28;
 
     fn is_column(cell: CellIndex) -> bool {

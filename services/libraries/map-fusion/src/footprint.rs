@@ -2,7 +2,7 @@
 
 use flockslam_evidence::TileKey;
 
-/// Where a submap knows something, in blocks of 8 × 8 cells of the fused map.
+/// Blocks of 8 × 8 cells of the fused map in which a submap has evidence.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Footprint {
     /// Tiles in ascending order, each with its blocks (bit = row of blocks · 8 + column), never none.

@@ -66,7 +66,7 @@ impl FusedMap {
     /// unknown.
     ///
     /// # Errors
-    /// When the submap lies absurdly far from the others; then nothing changes.
+    /// When the submap is absurdly far from the others; then nothing changes.
     pub fn add(&mut self, submap: &Submap, map_from_submap: Pose) -> Result<Footprint, TooFar> {
         let resampling = Resampling::new(submap, map_from_submap, self.cell_size_m);
         let mut parts = Vec::new();
@@ -116,7 +116,7 @@ impl FusedMap {
         Ok(())
     }
 
-    /// Takes back what was done to the first `count` cells of a submap.
+    /// Undoes the change of the first `count` cells of a submap.
     fn undo(
         &mut self,
         submap: &Submap,
@@ -146,7 +146,7 @@ impl FusedMap {
         }
     }
 
-    /// The cells of a submap at this pose whose evidence for "occupied" comes to lie in these cells of the map.
+    /// The cells of a submap at this pose whose evidence for "occupied" falls into these cells of the map.
     pub fn occupied_sources(
         &self,
         submap: &Submap,
@@ -208,7 +208,7 @@ fn add(cells: &mut FusedTile, evidence: &[(u16, PackedCell)]) {
     }
 }
 
-/// Takes evidence out as far as it goes, and says how far.
+/// Subtracts evidence as far as possible; gives the number of changed cells.
 fn withdraw(cells: &mut FusedTile, evidence: &[(u16, PackedCell)]) -> usize {
     for (done, (place, evidence)) in evidence.iter().enumerate() {
         let cell = &mut cells[usize::from(*place)];

@@ -1,4 +1,4 @@
-//! The fused map, kept up step by step with a solution that changes: takes submaps and where they belong, says which submaps it needs next.
+//! The fused map, updated step by step with a changing solution: takes submaps and their poses, and gives the next steps.
 
 use crate::FusedMap;
 use crate::coverage::Coverage;
@@ -15,7 +15,7 @@ pub struct PlacedSubmap {
     pub map_from_odom: Pose,
 }
 
-/// A submap is moved in the map once one of its corners lies this many cells away from where the solution has it: resampling to
+/// A submap is moved in the map once one of its corners is this many cells away from its pose in the solution: resampling to
 /// whole cells displaces evidence by as much anyway.
 const MOVED_CELLS: f64 = 0.5;
 /// Submaps that are brought in or moved after each closed one.
@@ -38,7 +38,7 @@ pub struct Fusion {
     retired: BTreeSet<u32>,
     /// So many newer submaps must cover one that retires; 0 = none ever does.
     retire_covered_by: usize,
-    /// Where the next look for retirement begins.
+    /// The submap that is checked next for retirement.
     next_check: u32,
 }
 
@@ -54,7 +54,7 @@ struct Fused {
     cell_size_m: f64,
 }
 
-/// What is to be done to one submap.
+/// A step for one submap.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Step {
     /// Bring it to its place in the solution.
@@ -164,7 +164,7 @@ impl Fusion {
         looked_at.into_iter().filter(|number| self.is_covered(*number)).collect()
     }
 
-    /// Takes a covered submap out for good, and gives back what is to be stored in its place: the same without evidence.
+    /// Removes a covered submap for good, and gives the submap to be stored in its place: the same without evidence.
     pub fn retire(&mut self, mut submap: Submap) -> Submap {
         self.withdraw(&mut submap);
         self.retired.insert(submap.number);
@@ -249,7 +249,7 @@ mod tests {
     use flockslam_evidence::{PackedCell, SubmapTile, TILE_CELLS, TileKey};
     use proptest::prelude::*;
 
-    /// What a mapper stores: submaps of a square room each, one beside the other.
+    /// Submaps as a mapper stores them: a square room each, one beside the other.
     fn store(count: u32) -> Vec<Submap> {
         let tile = |x: i32, number: u32| {
             let cell = |i: usize| match (i % 64, i / 64) {

@@ -1,4 +1,4 @@
-//! What the beams of a scan cross, and near what they end, cell by cell.
+//! The cells that the beams of a scan cross, and the cells near their end points.
 
 use flockslam_evidence::{CellIndex, floor};
 use flockslam_geometry::{Point, Pose};
@@ -117,7 +117,7 @@ mod tests {
         };
         let at = Pose::new(0.01, 0.01, 0.0);
         let (none, crossed, near) = ((false, false), (true, false), (false, true));
-        // The cell in which the way through ends is not crossed.
+        // The cell in which the free part of a beam ends is not crossed.
         assert_eq!(look(2.07, at), [crossed, none, none, near, near, none]);
         assert_eq!(look(4.0, at), [crossed; 6], "ends of the scan before are forgotten");
         assert_eq!(look(1000.0, at), [crossed; 6]);

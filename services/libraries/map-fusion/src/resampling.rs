@@ -1,4 +1,4 @@
-//! Nearest-cell resampling: from a submap and its pose to the cells of the fused map that its evidence lies in.
+//! Nearest-cell resampling: from a submap and its pose to the cells of the fused map that its evidence falls into.
 
 use flockslam_evidence::{CellIndex, PackedCell, Submap, SubmapTile, TILE_CELLS, TILE_SIDE, TileKey, floor};
 use flockslam_geometry::{Point, Pose};
@@ -7,7 +7,7 @@ use flockslam_geometry::{Point, Pose};
 const FRACTION: u32 = 32;
 const SIDE: i32 = TILE_SIDE as i32;
 
-/// Which cell of a submap lies under the centre of which cell of the fused map.
+/// Maps cells of the fused map to cells of a submap, by the centre of the former.
 ///
 /// A linear function in whole numbers: what it gives for a cell does not depend on where the walk over the cells began, so each
 /// target cell has exactly one source cell, in whichever tile, and there are no holes whatever the rotation.
@@ -23,18 +23,18 @@ pub struct Resampling {
     step: (i64, i64),
 }
 
-/// Evidence that comes to lie in one tile of the fused map.
+/// Evidence that falls into one tile of the fused map.
 pub struct Resampled<'a> {
     /// The tile of the fused map.
     pub key: TileKey,
     /// Places in it, in ascending order, and the evidence for each, never unknown.
     pub cells: &'a [(u16, PackedCell)],
-    /// Blocks of 8 × 8 cells that the submap knows something in (bit = row of blocks · 8 + column), whether cleared or not.
+    /// Blocks of 8 × 8 cells with evidence of the submap (bit = row of blocks · 8 + column), whether cleared or not.
     pub blocks: u64,
 }
 
 impl Resampling {
-    /// For a submap whose reference pose lies at `map_from_submap`.
+    /// For a submap with its reference pose at `map_from_submap`.
     pub fn new(submap: &Submap, map_from_submap: Pose, target_size_m: f64) -> Self {
         let map_from_odom = map_from_submap * submap.odom_from_submap.inverse();
         let odom_from_map = map_from_odom.inverse();
@@ -58,7 +58,7 @@ impl Resampling {
         }
     }
 
-    /// Calls `visit` for each tile of the fused map that evidence of `tile` comes to lie in.
+    /// Calls `visit` for each tile of the fused map that evidence of `tile` falls into.
     pub fn for_each(&self, tile: &SubmapTile, mut visit: impl FnMut(Resampled<'_>)) {
         let (low, high) = self.target_bounds(tile.key);
         let mut cells = Vec::with_capacity(TILE_CELLS);
@@ -115,7 +115,7 @@ impl Resampling {
         blocks
     }
 
-    /// The cell of the submap's lattice whose evidence comes to lie in a target cell; `None` when that is absurdly far away.
+    /// The cell of the submap's lattice whose evidence falls into a target cell; `None` when that is absurdly far away.
     pub fn source_cell(&self, target: CellIndex) -> Option<CellIndex> {
         let (u, v) = self.source(i64::from(target.x), i64::from(target.y));
         let index = |fixed: i64| i32::try_from(fixed >> FRACTION).ok();

@@ -1,4 +1,4 @@
-//! Which cells of a closed submap newer ones have found free: what the world changed long after the submap was closed.
+//! Finds the cells of a closed submap that newer ones have found free: the world has changed since.
 
 use crate::FusedMap;
 use flockslam_evidence::{Cell, CellIndex, Submap, WEIGHT_SCALE, floor};
@@ -12,7 +12,7 @@ const APART_CELLS: i32 = 2;
 /// is stale.
 const CONTRADICTED_MAX: f64 = 0.2;
 
-/// What newer submaps say of an occupied cell.
+/// Judgement of an occupied cell by newer submaps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Visibility {
     /// It is free, and everything around it.
@@ -124,7 +124,7 @@ mod tests {
         let stale = stale_cells(&old, at, &sum(&[room(1, &[stays])], at));
         let cells: Vec<_> = stale.iter().map(|cell| (cell.x as usize, cell.y as usize)).collect();
         assert_eq!(cells, gone);
-        // Beside what stands nothing is cleared: it may be the very thing.
+        // Nothing is cleared beside an occupied cell: it may be the same object.
         assert!(stale_cells(&old, at, &sum(&[room(1, &[stays, (22, 20)])], at)).is_empty());
         // Seen in another place, walls are contradicted.
         let elsewhere = at * Pose::new(0.4, 0.4, 0.0);

@@ -24,7 +24,7 @@ fn main() {
         by_odometry.push(by_odometry[k].compose(measured));
         edges.push(edge(k, k + 1, measured, 0.05, 0.01));
     }
-    // Odometry is trusted: it drifts, but does not jump. What comes after it is on trial.
+    // Odometry edges are trusted: odometry drifts, but does not jump. The edges after them may be outliers.
     let trusted = edges.len();
     let right = edge(0, POSES - 1, truth[0].to(truth[POSES - 1]), 0.02, 0.01);
     // Two places on different sides of the square look the same.

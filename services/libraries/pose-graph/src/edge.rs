@@ -41,7 +41,7 @@ impl Edge {
         ]
     }
 
-    /// The same measurement, told from the other end.
+    /// The same measurement, from the other end.
     pub fn reversed(&self) -> Edge {
         let motion = self.motion.inverse();
         let (cos, sin) = motion.rotate(1.0, 0.0);

@@ -18,7 +18,7 @@ pub struct RobustSettings {
     pub warm_up: usize,
 }
 
-/// What solving a graph gave.
+/// The result of solving a graph.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Solved {
     /// A weight for each edge, 0 for loops that are outliers.
@@ -86,7 +86,7 @@ pub fn solve(
             }
             convexity *= settings.growth;
         }
-        // What is left decides for good.
+        // The weights of the last round decide.
         for (edge, weight) in edges.iter().zip(&mut weights).skip(trusted) {
             *weight = if edge.chi_squared(poses) <= limit { 1.0 } else { 0.0 };
         }

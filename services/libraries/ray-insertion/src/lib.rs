@@ -1,4 +1,4 @@
-//! What a beam leaves in a grid: the cells on its way, and the evidence for each. Pure.
+//! The evidence of a beam in a grid: the cells along it, and the evidence for each. Pure.
 
 mod crossed;
 mod ray;

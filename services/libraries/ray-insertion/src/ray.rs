@@ -53,13 +53,13 @@ impl Ray {
 }
 
 impl Ray {
-    /// The tile that the next cell lies in; `None` at the ray's end.
+    /// The tile of the next cell; `None` at the ray's end.
     #[inline]
     pub fn tile(&self) -> Option<TileKey> {
         (self.left > 0).then(|| self.place().tile())
     }
 
-    /// Marks the cells of the next cell's tile, and goes on with what lies behind it.
+    /// Marks the cells of the next cell's tile, and goes on after it.
     ///
     /// It does what marking cell by cell would do, but along a tile's longer axis there is nothing to decide.
     #[inline]

@@ -24,7 +24,7 @@ pub trait ObservedCells {
     }
 }
 
-/// Inverse sensor model: which evidence a beam leaves along its way.
+/// Inverse sensor model: the evidence of a beam along its path.
 ///
 /// ```
 /// use flockslam_evidence::{Cell, CellIndex};

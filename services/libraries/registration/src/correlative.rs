@@ -37,7 +37,7 @@ struct Node {
     y: i32,
 }
 
-/// Where to look.
+/// The search window.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
     /// Middle of the window.
@@ -70,7 +70,7 @@ impl CorrelativeSearch {
         self.turn(rival, step_m);
         let floor_score = mean_score(&mut field.reader(Level::Half), &self.ends, (0, 0)) + gain;
         self.bound_nodes(field, window, step_m, step_rad, floor_score);
-        // Equal bounds are told apart by place: the result must not depend on the sort.
+        // Equal bounds are ordered by place: the result must not depend on the sort.
         self.nodes.sort_unstable_by(|a, b| {
             b.bound.total_cmp(&a.bound).then((a.heading, a.x, a.y).cmp(&(b.heading, b.x, b.y)))
         });
@@ -208,7 +208,7 @@ pub(crate) fn node_bound(
     floor_score: f64,
 ) -> Option<f64> {
     let full = f64::from(u16::MAX) * cells.len() as f64;
-    // What may be lost before the mean falls to the floor.
+    // Score that may be lost before the mean falls to the floor.
     let spare = (1.0 - floor_score) * full;
     let rest = (1 << halvings) - 1;
     let mut lost = 0u64;

@@ -1,4 +1,4 @@
-//! Whether the covariance of a fit says how wrong it is: NEES over independent rooms, maps, scans and poses.
+//! Consistency of the covariance of a fit: NEES over independent rooms, maps, scans and poses.
 
 use crate::field::GridField;
 use crate::gauss_newton::{Fit, GaussNewton};

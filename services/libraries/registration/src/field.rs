@@ -1,4 +1,4 @@
-//! What scans are fitted to: scores over the plane in several resolutions, and how they are read between cells.
+//! The likelihood field that scans are fitted to: scores over the plane in several resolutions, and interpolation between cells.
 
 use flockslam_evidence::{CellIndex, Level, ScoreReader, Tile, TileGrid, floor};
 use flockslam_geometry::Point;
@@ -6,7 +6,7 @@ use std::ops::Deref;
 
 const UNIT: f64 = 1.0 / u16::MAX as f64;
 
-/// A smooth score over the plane in several resolutions: what scans are fitted to.
+/// A smooth score over the plane in several resolutions: the likelihood field that scans are fitted to.
 pub trait ScoreField {
     /// Reads of one level.
     type Reader<'a>: ScoreRead
@@ -16,7 +16,7 @@ pub trait ScoreField {
     /// Starts reading a level.
     fn reader(&self, level: Level) -> Self::Reader<'_>;
 
-    /// Whether the field knows anything near a point.
+    /// Whether the field has scores near a point.
     fn covers(&self, point: Point) -> bool;
 }
 

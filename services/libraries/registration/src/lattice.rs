@@ -49,7 +49,7 @@ struct Node {
 }
 
 impl Node {
-    /// Equal bounds are told apart by place: the result must not depend on the order of insertion.
+    /// Equal bounds are ordered by place: the result must not depend on the order of insertion.
     fn rank(&self) -> (std::cmp::Reverse<Level>, i32, i32, i32) {
         (std::cmp::Reverse(self.level), self.heading, self.x, self.y)
     }

@@ -54,7 +54,7 @@ const TABLE_SIDE: i32 = 128;
 const ITERATIONS: u32 = 20;
 /// Halvings of a step that does not lower the cost.
 const HALVINGS_MAX: u32 = 6;
-/// A point so many standard deviations away, squared, says nothing: less than 1e-9.
+/// A point so many standard deviations away, squared, has no weight: less than 1e-9.
 const FAR: f64 = 41.4;
 /// Below this step, metres, the search has converged.
 const STEP_MIN: f64 = 1e-4;

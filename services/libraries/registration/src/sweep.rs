@@ -59,7 +59,7 @@ struct System {
 impl Sweep<'_> {
     /// One step of Gauss–Newton on pose and velocity from `now`, pulled towards `predicted`: the velocity as `sigma` weighs it, the
     /// pose as in a fit of the pose alone.
-    /// The scan is to be straightened anew with the velocity that comes back.
+    /// The scan is to be deskewed again with the returned velocity.
     pub fn step<F: ScoreField>(
         &self,
         field: &F,

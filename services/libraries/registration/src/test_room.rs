@@ -22,11 +22,11 @@ pub fn grid(walls: &[(f64, f64, f64)]) -> TileGrid<Box<Tile>> {
     grid
 }
 
-/// A room of 6 × 4 m whose corners tell all directions apart. (Walls on the edge between two cells would have no slope.)
+/// A room of 6 × 4 m whose corners make all poses distinguishable. (Walls on the edge between two cells would have no slope.)
 pub const ROOM: [(f64, f64, f64); 4] =
     [(1.0, 0.0, 4.03), (1.0, 0.0, -1.98), (0.0, 1.0, 1.54), (0.0, 1.0, -2.47)];
 
-/// What a lidar at `pose` sees of [`ROOM`]: points in its own frame.
+/// The scan of a lidar at `pose` in [`ROOM`]: points in its own frame.
 pub fn scan(pose: Pose) -> Vec<Point> {
     let beam = |angle: f64| {
         let (sin, cos) = (pose.heading_rad + angle).sin_cos();

@@ -1,4 +1,4 @@
-//! What a scan says of the cells of a map: which of them it looks through, and which it finds standing, each in constant time.
+//! Judges cells of a map by a scan: passed through or supported, each in constant time.
 
 mod pass_through;
 mod polar_range_image;

@@ -1,4 +1,4 @@
-//! Judges single cells of a map by a scan: seen through, supported, or open. Takes what the lidar sees, its pose and margins
+//! Judges single cells of a map by a scan: passed through, supported, or open. Takes the scan, its pose and margins
 //! for errors.
 
 use crate::PolarRangeImage;
@@ -12,7 +12,7 @@ const NEAR_M: f64 = 0.3;
 /// Where a beam passes a cell, no beam ends within so many cells of it.
 const PASSED_CELLS: f64 = 2.5;
 
-/// What a scan says of an occupied cell.
+/// The judgement of an occupied cell by a scan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Visibility {
     /// A beam through it and every beam near it end far behind it.
@@ -81,7 +81,7 @@ pub struct PassThrough<'a> {
 }
 
 impl<'a> PassThrough<'a> {
-    /// What was seen by a lidar at `from_laser`, in the frame of the cells, whose side is `cell_size_m`.
+    /// The scan of a lidar at `from_laser`, in the frame of the cells, whose side is `cell_size_m`.
     pub fn new(sight: &'a PolarRangeImage, from_laser: Pose, cell_size_m: f64, margins: Margins) -> Self {
         Self { sight, from_laser, cell_size_m, margins }
     }

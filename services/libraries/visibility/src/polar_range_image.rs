@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 
 /// Sectors of the full circle, 0.35° each.
 const SECTORS: usize = 1024;
-/// A beam speaks for directions up to this far from it, radians, when its neighbours are farther away.
+/// A beam covers directions up to this far from it, radians, when its neighbours are farther away.
 const HALF_FOOTPRINT_MAX_RAD: f64 = 0.035;
 /// Beams are taken to be no farther apart, radians.
 pub(crate) const SPACING_MAX_RAD: f64 = 2.0 * HALF_FOOTPRINT_MAX_RAD;

@@ -4,7 +4,7 @@ use super::SyncManager;
 use crate::ClosureCounts;
 
 impl SyncManager {
-    /// What has become of the loops so far.
+    /// Counts of loops so far.
     pub fn closure_counts(&self) -> ClosureCounts {
         self.counts(&self.connectivity(self.odometry.nodes().len()))
     }

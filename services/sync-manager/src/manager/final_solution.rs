@@ -1,4 +1,4 @@
-//! What the manager's poses make of scans and submaps.
+//! The solution: poses of scans and submaps from those of the nodes.
 
 use super::SyncManager;
 use crate::pose_record::PoseRecord;
@@ -65,7 +65,7 @@ pub(super) fn placed(submaps: BTreeMap<u32, Pose>) -> Vec<PlacedSubmap> {
     submaps.into_iter().map(place).collect()
 }
 
-/// The median of poses that lie close together, coordinate by coordinate.
+/// The median of poses that are close together, coordinate by coordinate.
 fn median(poses: &[Placement]) -> Placement {
     let near = poses[poses.len() / 2];
     let middle = |pick: fn(&Placement) -> f64| {

@@ -9,7 +9,7 @@ use flockslam_pose_graph::Symmetric;
 use flockslam_registration::cloud::Placement;
 use std::ops::Range;
 
-/// What lies back less than this is never frozen, metres of travel: loops that it may close are still looked for.
+/// Nodes less than this back are never frozen, metres of travel: loops that they may close are still searched.
 const HORIZON_M: f64 = 60.0;
 /// Stretches are of the same place and direction when their middles are closer than this, metres and radians: half of what the
 /// middles of successive ones are apart, so that each visit counts once.
@@ -160,12 +160,12 @@ impl SyncManager {
         self.gone_scans = 0;
     }
 
-    /// Scans that are frozen since the last call, in order: whoever takes them keeps them.
+    /// Scans that were frozen since the last call, in order: the caller keeps them.
     pub fn take_frozen(&mut self) -> Vec<FrozenScan> {
         std::mem::take(&mut self.frozen)
     }
 
-    /// Where submaps lie whose scans are all frozen, in the present solution.
+    /// Poses of submaps whose scans are all frozen, in the present solution.
     pub(super) fn frozen_poses(&self) -> impl Iterator<Item = (u32, Placement)> + '_ {
         let (nodes, connectivity) = (self.odometry.nodes(), self.connectivity(self.poses.len()));
         self.frozen_submaps.iter().filter_map(move |(number, frozen)| {

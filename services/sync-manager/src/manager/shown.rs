@@ -1,10 +1,10 @@
-//! What others are shown of the back end while it works.
+//! The state of the back end for readers while it works.
 
 use super::SyncManager;
 use flockslam_loop_closure::closure::Closure;
 
 impl SyncManager {
-    /// Closed loops in the present solution: x and y of both ends, metres; then 1 when the loop acts, else 0.
+    /// Closed loops in the present solution: x and y of both ends, metres; then 1 for an inlier, else 0.
     pub fn loops(&self) -> Vec<[f64; 5]> {
         let ends = |(closure, is_inlier): (&Closure, &bool)| {
             let (from, to) = (self.poses.get(closure.edge.from)?, self.poses.get(closure.edge.to)?);

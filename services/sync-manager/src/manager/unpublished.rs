@@ -1,5 +1,5 @@
-//! What a robot tells its flock of what it has found out: its nodes as they are chained, and the loops among them. It is told once
-//! and stays as it was told.
+//! The findings of a robot for its flock: its nodes with their odometry, and the loops among them. They are published once
+//! and stay as they were published.
 
 use super::SyncManager;
 use flockslam_flock::{Findings, OwnLoop};
@@ -8,13 +8,13 @@ use flockslam_loop_closure::node::Node;
 use flockslam_records::{Descriptor, RecordedNode, Stretch, rounded_point};
 use flockslam_registration::cloud::{PackedPoint, Placement};
 
-/// Most nodes of a stretch that is told at once.
+/// Most nodes of a stretch that is published at once.
 const STRETCH_NODES: usize = 48;
 
-/// What waits to be told.
+/// Findings that wait to be published.
 #[derive(Debug, Default)]
 pub(super) struct Unpublished {
-    /// Sequence and trajectory of the last node told.
+    /// Sequence and trajectory of the last node published.
     last: Option<(u64, u32)>,
     findings: Findings,
 }
@@ -31,19 +31,19 @@ impl Unpublished {
 }
 
 impl SyncManager {
-    /// Keeps account from now on of what the flock is to be told. To be asked for before the first pose.
+    /// Collects findings for the flock from now on. To be called before the first pose.
     pub fn publish_to_flock(&mut self) {
         self.unpublished = Some(Unpublished::default());
     }
 
-    /// What is new since the last call.
+    /// Findings since the last call.
     pub fn take_unpublished(&mut self) -> Findings {
         self.unpublished
             .as_mut()
             .map_or_else(Findings::default, |unpublished| std::mem::take(&mut unpublished.findings))
     }
 
-    /// Takes note of the nodes below `known` that have not been told.
+    /// Collects the nodes below `known` that have not been published.
     pub(super) fn collect_findings(&mut self, known: usize) {
         let Some(unpublished) = &mut self.unpublished else { return };
         let (nodes, edges) = (self.odometry.nodes(), self.odometry.edges());

@@ -108,7 +108,7 @@ impl Fuser {
         summary.submap_area_m2 = self.known_area_m2;
     }
 
-    /// Brings all submaps in, and masks in each what newer ones have found free: the mapper clears within its window only.
+    /// Adds all submaps, and masks in each the cells that newer ones have found free: the mapper clears within its window only.
     fn take_all(&mut self, submaps_in_map: &[PlacedSubmap], closed: u32) -> Result<(), StageError> {
         self.known_area_m2 = 0.0;
         for step in self.fusion.last_steps(submaps_in_map, closed) {

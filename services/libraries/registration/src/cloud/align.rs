@@ -13,7 +13,7 @@ const FLAT_MIN: f64 = 0.8;
 pub struct AlignSettings {
     /// Gauss–Newton steps.
     pub iterations: u32,
-    /// Points farther from their line than this have no say in the first half of the steps, metres.
+    /// Points farther from their line than this are not used in the first half of the steps, metres.
     pub gate_wide_m: f64,
     /// The same for the second half, metres.
     pub gate_m: f64,
@@ -203,7 +203,7 @@ fn solve(h: &[f64; 6], g: &[f64; 3]) -> Option<[f64; 3]> {
     let x2 = y2 / l22;
     let x1 = (y1 - l21 * x2) / l11;
     let x0 = (y0 - l10 * x1 - l20 * x2) / l00;
-    // A negative pivot has become NaN on the way.
+    // A negative pivot has become NaN.
     (x0.is_finite() && x1.is_finite() && x2.is_finite()).then_some([x0, x1, x2])
 }
 

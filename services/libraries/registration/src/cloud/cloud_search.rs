@@ -3,7 +3,7 @@
 
 use super::{MomentGrid, Placement, PooledField};
 
-/// Where to look: a square and a range of headings around a guess.
+/// A search window: a square and a range of headings around a guess.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
     /// Half the side of the square, metres.
@@ -149,7 +149,7 @@ struct Excluded<'a> {
     headings: &'a [f64],
 }
 
-/// One search on its way down.
+/// One search that descends the pyramid.
 struct Descent<'a> {
     field: &'a PooledField,
     cells: &'a [(i16, i16)],

@@ -98,7 +98,7 @@ impl MomentGrid {
         self.change(at, points, 1);
     }
 
-    /// Takes back what [`Self::add`] with the same arguments has added.
+    /// Subtracts what [`Self::add`] with the same arguments has added.
     pub fn withdraw(&mut self, at: &Placement, points: &[PackedPoint]) {
         self.change(at, points, -1);
     }

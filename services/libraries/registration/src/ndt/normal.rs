@@ -93,7 +93,7 @@ pub(super) struct Normal {
 
 /// How far a point is from the mean, by the covariance of both.
 pub(super) struct Away {
-    /// Inverse covariance times the way.
+    /// Inverse covariance times the displacement.
     pub(super) weighted: Vector2<f64>,
     /// Standard deviations, squared.
     pub(super) squared: f64,

@@ -12,7 +12,7 @@ const STEP_MAX: f64 = 0.3;
 const PRIOR_XY: f64 = 0.1;
 /// Pull towards the prediction's heading, per rad² and point, for the same reason.
 const PRIOR_HEADING: f64 = 0.02;
-/// A shorter way has no direction, metres.
+/// A shorter displacement has no direction, metres.
 const TRAVEL_MIN_M: f64 = 0.05;
 
 /// Cost of a pose with gradient and Hessian, divided by the number of points and grids.
@@ -24,7 +24,7 @@ pub(super) struct Terms {
 }
 
 impl Terms {
-    /// Adds what a pose costs that is not the predicted one.
+    /// Adds the cost of a pose that differs from the predicted one.
     pub(super) fn pull(&mut self, prediction: Pose, pose: Pose) {
         let missed = Vector3::new(
             pose.x_m - prediction.x_m,
@@ -38,7 +38,7 @@ impl Terms {
         self.hessian += Matrix3::from_diagonal(&prior);
     }
 
-    /// Adds what a pose costs that is not as far from the one before as was expected; `weight` per m² and point.
+    /// Adds the cost of a pose whose distance from the one before is not the expected one; `weight` per m² and point.
     pub(super) fn pull_to_distance(&mut self, weight: f64, expected: Expected, pose: Pose) {
         let Expected { pose: prediction, from } = expected;
         let Some(from) = from else { return };
@@ -55,7 +55,7 @@ impl Terms {
     }
 }
 
-/// Adds what one point and one cell contribute: `turned` is the point turned into the field's axes, `weighted` is S⁻¹q.
+/// Adds the contribution of one point and one cell: `turned` is the point turned into the field's axes, `weighted` is S⁻¹q.
 #[inline]
 pub(super) fn add_derivatives(
     gradient: &mut Vector3<f64>,
