@@ -70,10 +70,8 @@ struct MapperProcess {
     logic: Mapper,
     parts: Parts,
     /// An insertion whose tiles the others have not sent yet.
-    uncommitted: Option<Commit>,
+    uncommitted: Option<Inserted>,
     commit_deadline: Deadline,
-    /// Submaps that it closed.
-    unstored: Vec<Submap>,
     /// All tiles are sent once more: number of other mappers that have not done it yet.
     republishing: Option<u32>,
     republish_deadline: Deadline,
@@ -90,6 +88,13 @@ struct MapperProcess {
     metrics: MapMetrics,
 }
 
+/// A scan in the map whose tiles are sent: its commit makes them valid.
+struct Inserted {
+    commit: Commit,
+    /// The submaps that it closed.
+    closed: Vec<Submap>,
+}
+
 impl MapperProcess {
     fn open(context: &mut StageContext, settings: Settings, parts: Parts) -> Result<Self, StageError> {
         let marks: SliceSubscriber<MarksHeader> = context.bus.slice_subscriber()?;
@@ -99,7 +104,6 @@ impl MapperProcess {
             logic: Mapper::of_share(settings, parts.share()),
             uncommitted: None,
             commit_deadline: Deadline::live(context.mode, PARTS_DEADLINE_NS),
-            unstored: Vec::new(),
             republishing: None,
             republish_deadline: Deadline::new(PARTS_DEADLINE_NS),
             store: SubmapStore::new(&context.submap_dir),
@@ -151,20 +155,22 @@ impl MapperProcess {
                 continue;
             };
             let Ok(scan) = scan.view() else { continue };
-            self.apply(scan, &record.pose, &[])?;
-            // The others' tiles of it become valid with a later commit.
-            self.commit()?;
-            self.store()?;
+            if let Some(inserted) = self.apply(scan, &record.pose, &[])? {
+                // The others' tiles of it become valid with a later commit.
+                self.commit(inserted)?;
+            }
         }
         Ok(())
     }
 
+    /// Inserts a scan and sends the changed tiles. The first mapper gets what is to be committed; the others tell it that their tiles
+    /// are sent.
     fn apply(
         &mut self,
         scan: ScanView<'_>,
         pose: &PoseEstimate,
         cleared: &[ClearedCell],
-    ) -> Result<(), StageError> {
+    ) -> Result<Option<Inserted>, StageError> {
         assert!(pose.id.sequence >= self.applied, "a scan enters the map once");
         let insertion = self.logic.insert(scan, pose, cleared);
         let commit = Commit {
@@ -180,19 +186,17 @@ impl MapperProcess {
         self.output.send_tiles(&self.logic, commit.generation)?;
         self.applied = pose.id.sequence + 1;
         self.last = Some(*pose);
-        if !self.parts.is_first() {
-            self.logic.take_cleared();
-            return self.parts.publish(pose, tiles, false);
+        if self.parts.is_first() {
+            return Ok(Some(Inserted { commit, closed }));
         }
-        self.unstored.extend(closed);
-        self.uncommitted = Some(commit);
-        self.commit_deadline.end();
-        Ok(())
+        self.logic.take_cleared();
+        self.parts.publish(pose, tiles, false)?;
+        Ok(None)
     }
 
     /// Commits the last insertion when all mappers have sent their tiles, or, live, after the deadline; false while it waits.
     fn commit_when_whole(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
-        let Some(commit) = &mut self.uncommitted else { return Ok(true) };
+        let Some(Inserted { commit, .. }) = &mut self.uncommitted else { return Ok(true) };
         if self.parts.others() > 0 {
             self.parts.drain()?;
             match self.parts.have_inserted(commit.id.sequence) {
@@ -201,19 +205,20 @@ impl MapperProcess {
                 None => return Ok(false),
             }
         }
-        self.commit()?;
-        self.store()?;
+        self.commit_deadline.end();
+        self.uncommitted.take().map_or(Ok(()), |inserted| self.commit(inserted))?;
         Ok(true)
     }
 
-    fn commit(&mut self) -> Result<(), StageError> {
-        let Some(commit) = self.uncommitted.take() else { return Ok(()) };
-        self.output.commit(&commit)
+    /// Makes the tiles of an insertion valid. Then, while no stage waits, closed submaps are stored.
+    fn commit(&mut self, inserted: Inserted) -> Result<(), StageError> {
+        self.output.commit(&inserted.commit)?;
+        self.store(inserted.closed)
     }
 
-    /// Stores closed submaps, and again those in which cells were cleared since. No stage waits for it: the scan is committed.
-    fn store(&mut self) -> Result<(), StageError> {
-        for submap in self.unstored.drain(..) {
+    /// Stores closed submaps, and again those in which cells were cleared since.
+    fn store(&mut self, closed: impl IntoIterator<Item = Submap>) -> Result<(), StageError> {
+        for submap in closed {
             self.store.save(&submap)?;
             self.output.publish_submap(&self.store.notice(&submap)?)?;
         }
@@ -301,7 +306,7 @@ impl MapperProcess {
         match sample.as_ref().and_then(|sample| sample.view().ok()) {
             Some(scan) => {
                 context.probe_scan(scan);
-                self.apply(scan, pose, &cleared)?;
+                self.uncommitted = self.apply(scan, pose, &cleared)?;
             }
             // The scan was sent before this process listened; the journal has every accepted scan.
             None => self.catch_up(sequence + 1, context)?,
@@ -313,8 +318,8 @@ impl MapperProcess {
     }
 
     fn close_map(&mut self) -> Result<(), StageError> {
-        self.unstored.extend(self.logic.close());
-        self.store()?;
+        let last = self.logic.close();
+        self.store(last)?;
         self.map_closed.say(u64::from(self.store.count()))
     }
 }

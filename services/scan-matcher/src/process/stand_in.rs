@@ -48,10 +48,14 @@ impl Actor for StandIn {
         let mut any = false;
         while let Some(sample) = self.scans.receive()? {
             let (header, started_ns) = (*sample.header(), context.now_ns());
-            let Ok(scan) = sample.view() else { continue };
             if header.id.sequence < self.acknowledger.done() {
                 continue;
             }
+            let Ok(scan) = sample.view() else {
+                context.dropped("unreadable");
+                self.acknowledger.finished(header.id.sequence + 1)?;
+                continue;
+            };
             let pose = self.logic.follow_odometry(scan);
             let journaled = self.journal.as_mut().is_some_and(|journal| journal.append(&pose, scan).is_ok());
             if !journaled {
