@@ -63,7 +63,7 @@ fn no_reader_of_foreign_bytes_panics() {
             let mut pick = || &seeds[random.below(seeds.len() as u64) as usize];
             let (mut bytes, other) = (pick().clone(), pick());
             mutate(&mut bytes, other, &mut random);
-            // So that what is told is where it came from.
+            // The message then contains its origin.
             let text = std::panic::catch_unwind(|| entry(&bytes));
             assert!(text.is_ok(), "{name}: run {run} panicked with {bytes:?}");
         }

@@ -89,7 +89,7 @@ fn value(page: &str, series: &str) -> Option<f64> {
 }
 
 #[test]
-fn counters_go_on_when_a_stage_is_replaced_and_the_reason_is_told() {
+fn counters_go_on_when_a_stage_is_replaced_and_the_reason_is_shown() {
     let directory = tempfile::tempdir().unwrap();
     let (port, drive) = (free_port(), Drive { scan_rate_hz: 10.0, duration_s: 2000.0, rate: 5.0 });
     let more = format!("metrics_port = {port}");

@@ -75,7 +75,7 @@ fn a_running_set_saves_elsewhere_and_goes_on_with_what_it_is_given() {
 }
 
 #[test]
-fn damage_is_found_and_told() {
+fn damage_is_found_and_reported() {
     let directory = tempfile::tempdir().unwrap();
     let map = directory.path().join("map");
     let mut set = LiveSet::start("damage", directory.path(), LONG, &keeps(&map));
@@ -96,12 +96,12 @@ fn damage_is_found_and_told() {
 }
 
 #[test]
-fn a_disk_that_refuses_leaves_the_poses_alone_and_is_told() {
+fn a_disk_that_refuses_leaves_the_poses_alone_and_is_reported() {
     let directory = tempfile::tempdir().unwrap();
     let map = directory.path().join("map");
     fs::write(&map, b"in the way").unwrap();
     let mut set = LiveSet::start("full", directory.path(), LONG, &keeps(&map));
-    let status = set.wait_until("a problem to be told", |status| {
+    let status = set.wait_until("a reported problem", |status| {
         status.saved.as_ref().is_some_and(|saved| saved.problem.is_some())
     });
     println!("{status}");

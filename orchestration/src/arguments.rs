@@ -27,7 +27,7 @@ pub enum Command {
     Demo(DemoArgs),
     /// Lets several robots, each a process set of its own, map together: spans of one log, or the simulated building
     Swarm(SwarmArgs),
-    /// Runs a process set until it is told to stop
+    /// Runs a process set until it is stopped
     Up(UpArgs),
     /// Saves and stops a running set
     Down(RobotArgs),

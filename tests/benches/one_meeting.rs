@@ -125,7 +125,7 @@ impl Robot {
         Ok(Flock::new(key, EPOCH, Limits::default()))
     }
 
-    /// Its records in the order in which it told them, each with the sequence of the newest scan that it knew then.
+    /// Its records in the order of publication, each with the sequence of the newest scan that it knew then.
     fn published(&self) -> Result<Vec<(u64, &[u8])>> {
         let mut newest = 0;
         let mut published = Vec::new();
@@ -173,7 +173,7 @@ impl Robot {
                 newest = self.newest(&flock.solution(false), &mut seen);
             }
             let known = newest.and_then(|(node, at)| {
-                // By the front end to the last node, which has not been told yet, and from there as published: nothing jumps between.
+                // By the front end to the last node, which is not published yet, and from there as published: nothing jumps between.
                 let (last, here) = self.odometry.range(..=sequence).next_back()?;
                 let moved = self.odometry.get(&node)?.inverse() * *here;
                 Some(at * moved * by_sequence.get(last)?.inverse() * point.map_from_base)

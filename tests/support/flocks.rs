@@ -190,7 +190,7 @@ impl FlockRobot {
         let _ = std::fs::remove_file(self.set.runtime_dir().join("kept"));
     }
 
-    /// Waits for the end of its source; what it told of its flock last.
+    /// Waits for the end of its source; gives its last status of the flock.
     pub fn finish(self) -> FlockStatus {
         self.set.finish();
         FlockStatus::read(&self.directory.join("out")).unwrap()

@@ -8,7 +8,7 @@ use std::fmt;
 
 /// What stands may be shown so many cells beside its place: ranges have errors.
 const OFF_CELLS: i32 = 2;
-/// What has left this near to something that stands cannot be told from it, cells.
+/// An object that has left this near to a static one cannot be distinguished from it, cells.
 const NEAR_CELLS: i32 = 3;
 /// The true trajectory of a simulated drive.
 const TRUTH: &str = "truth.tum";

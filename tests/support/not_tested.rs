@@ -1,4 +1,4 @@
-//! What could not be tested on this machine, told once when all tests have ended.
+//! What could not be tested on this machine, printed once when all tests have ended.
 
 use std::sync::Mutex;
 

@@ -27,7 +27,7 @@ enum Section {
 /// On the wire: length of the JSON (u32), the JSON, then for each section its kind (u8), its length (u32) and its bytes.
 #[derive(Default)]
 pub struct Frame {
-    /// What is told in words.
+    /// Messages as text.
     pub json: Map<String, Value>,
     sections: Vec<u8>,
 }

@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn deaths_hangs_and_giving_up_are_told_once() {
+    fn deaths_hangs_and_giving_up_are_reported_once() {
         let kinds = |before: &Health, after: &Health| -> Vec<EventKind> {
             events_between(before, after, 5).into_iter().map(|event| event.kind).collect()
         };

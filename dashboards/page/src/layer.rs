@@ -6,7 +6,7 @@ use flockslam_evidence::TileKey;
 use std::collections::BTreeMap;
 
 /// Tiles of one lattice as browsers are given them: encoded, each with the version at which it became as it is. What is new since any
-/// version can be told, the newest state of each tile once.
+/// version can be sent, the newest state of each tile once.
 #[derive(Debug, Default)]
 pub struct Layer {
     tiles: BTreeMap<TileKey, (u64, Vec<u8>)>,
@@ -58,7 +58,7 @@ mod tests {
     use flockslam_evidence::TILE_CELLS;
 
     #[test]
-    fn each_tile_is_told_once_in_its_newest_state() {
+    fn each_tile_is_sent_once_in_its_newest_state() {
         let key = |x| TileKey { x, y: 0 };
         let mut layer = Layer::default();
         for shade in 1..5 {

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 /// Frames that a browser may have been sent without having said that it has drawn them.
 const UNANSWERED_MAX: u64 = 2;
 
-/// What one browser has seen, and what it is told next.
+/// What one browser has received, and the next frame for it.
 ///
 /// It holds no frames: each is made of what is newest when the browser can take it. So its size is bounded whatever the browser does.
 #[derive(Debug, Default)]
@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn a_view_that_begins_anew_is_told_from_the_beginning() {
+    fn a_view_that_begins_anew_is_sent_from_the_beginning() {
         let (mut view, mut outbox) = (view(), Outbox::default());
         view.robot.set(robot(1));
         outbox.next_frame(&view, Controls::Off, 0).unwrap();

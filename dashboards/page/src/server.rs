@@ -82,7 +82,7 @@ pub struct Service {
     pub waits_for_port: bool,
 }
 
-/// Serves the page of a set until the set ends; `on_ready` is told the address.
+/// Serves the page of a set until the set ends; `on_ready` gets the address.
 ///
 /// # Errors
 /// When the address is not to be had.

@@ -36,7 +36,7 @@ const BODY_RADIUS_M: f64 = 0.25;
 const MAP_TILES_PER_TICK: usize = 128;
 /// The solution, and whether stored submaps were replaced, is looked at every so many ticks.
 const FILES_EVERY: u64 = 5;
-/// Closed loops are told no oftener than this: there may be many, one after the other.
+/// Closed loops are reported no oftener than this: there may be many, one after the other.
 const LOOPS_EVERY_MS: u64 = 20_000;
 /// The newest submaps may be stored once more, with cells that have been cleared.
 const REPLACED_AMONG: usize = 12;
@@ -58,7 +58,7 @@ pub struct Session {
     /// Submaps that are stored.
     stored: u32,
     origins: Vec<(u32, [f64; 3])>,
-    /// Loops that have been told, and when; `None` before the first look.
+    /// Loops that have been reported, and when; `None` before the first look.
     loops: Option<(u64, u64)>,
     submap_poses: BTreeMap<u32, Pose>,
     poses_file: Option<Version>,
@@ -116,7 +116,7 @@ impl Session {
         Ok(())
     }
 
-    /// Takes in what is new and puts it where browsers are told from.
+    /// Reads what is new and puts it into the view that browsers get.
     ///
     /// # Errors
     /// When the bus fails.
@@ -409,7 +409,7 @@ mod tests {
     }
 
     #[test]
-    fn the_weakest_direction_is_told() {
+    fn the_weakest_direction_is_shown() {
         let mut pose = PoseEstimate::default();
         (pose.covariance.xx, pose.covariance.yy, pose.covariance.xy) = (0.02, 0.02, 0.02);
         let now = robot_now(&pose, 0.0);

@@ -47,7 +47,7 @@ mod tests {
     use flockslam_evidence::Cell;
 
     #[test]
-    fn evidence_is_told_apart() {
+    fn different_evidence_has_different_shades() {
         let shader = Shader::default();
         let shade = |occupied, free| {
             let cell = Cell::from_weights(occupied, free);

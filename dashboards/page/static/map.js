@@ -26,7 +26,7 @@ export class MapView {
     document.addEventListener('visibilitychange', () => this.drawPending());
   }
 
-  /** Forgets everything: it is told anew. */
+  /** Forgets everything: it will be sent again. */
   clear() {
     this.map.clear();
     this.live.clear();

@@ -18,7 +18,7 @@ fn a_set_carries_scans_tiles_and_rings_refuses_other_builds_and_leaves_nothing()
 
     scans_of_any_number_of_beams_arrive_whole(&runtime, &host, &member);
     a_held_tile_outlives_its_publisher(&host, &member);
-    a_bell_tells_what_has_rung(&host, &member);
+    an_event_carries_the_kind_of_its_notification(&host, &member);
     a_full_queue_keeps_the_newest(&host, &member);
     builds_that_disagree_refuse_each_other(&host, &join(&runtime, "other-build"));
 
@@ -56,7 +56,7 @@ fn a_held_tile_outlives_its_publisher(host: &Bus, member: &Bus) {
     assert_eq!(held.tile.score[17], 9);
 }
 
-fn a_bell_tells_what_has_rung(host: &Bus, member: &Bus) {
+fn an_event_carries_the_kind_of_its_notification(host: &Bus, member: &Bus) {
     let (listener, notifier) = (host.listener("mapper").unwrap(), member.notifier("mapper").unwrap());
     assert_eq!(listener.wait(Duration::from_millis(1)).unwrap(), Wake::TimedOut);
     notifier.announce();

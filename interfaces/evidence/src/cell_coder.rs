@@ -7,7 +7,7 @@ use crate::{TILE_CELLS, TILE_SIDE};
 
 /// Cells of a row that are said to be empty with one bit.
 const CHUNK: usize = 8;
-/// Kinds of cells that are told apart in contexts: unknown, free by level, occupied.
+/// Kinds of cells that contexts distinguish: unknown, free by level, occupied.
 const CLASSES: usize = 32;
 /// Places that five bits can tell apart.
 const PLACES: usize = 32;

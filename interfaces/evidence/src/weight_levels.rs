@@ -114,7 +114,7 @@ impl Submap {
 }
 
 impl Submap {
-    /// The submap as it is told to others: as [`Self::quantised`], with levels that differ by a factor of five for "free" and of two for
+    /// The submap as it is published: as [`Self::quantised`], with levels that differ by a factor of five for "free" and of two for
     /// "occupied". It takes a good deal less room, and all sums stay what they are. Doing it again changes nothing.
     #[must_use]
     pub fn coarsened(&self) -> Submap {
@@ -190,7 +190,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_told_keeps_sums_and_is_coarsened_once(submap in submap()) {
+        fn a_published_submap_keeps_sums_and_is_coarsened_once(submap in submap()) {
             let coarse = submap.coarsened();
             prop_assert_eq!(&coarse.coarsened(), &coarse);
             prop_assert_eq!(&coarse.quantised(), &coarse);

@@ -17,7 +17,7 @@ message! {
     }
 }
 
-/// Robots that are told of at once.
+/// Greatest number of robots in one message.
 pub const FLOCK_ROBOTS_MAX: usize = 16;
 
 message! {

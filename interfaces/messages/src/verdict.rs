@@ -44,7 +44,7 @@ pub enum DropReason {
     Unchanged = 6,
     /// Odometry has hardly moved since the last kept scan.
     Motion = 7,
-    /// Live: the set was told to pause; the sensor goes on.
+    /// Live: the set is paused; the sensor goes on.
     Paused = 8,
 }
 

@@ -47,7 +47,7 @@ impl Numbers {
         self.ranges.last().map_or(0, |(_, last)| last + 1)
     }
 
-    /// As many ranges as may be told: of more, the first.
+    /// The ranges, at most as many as a message may hold: the first ones.
     pub(crate) fn write(&self, out: &mut Writer) {
         let sent = &self.ranges[..self.ranges.len().min(RANGES_MAX)];
         out.varint(sent.len() as u64);

@@ -39,7 +39,7 @@ impl SubmapStore {
         Submap::decode(&bytes).map_err(|e| ResultsError::file(&path, e))
     }
 
-    /// What is told about a stored submap.
+    /// The message about a stored submap.
     ///
     /// # Errors
     /// When it is not stored.

@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn readiness_and_the_first_scan_are_told_at_once() {
+    fn readiness_and_the_first_scan_are_written_at_once() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("mapper.beat");
         let mut heart = Heartbeat::open(&path).unwrap();

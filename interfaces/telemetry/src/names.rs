@@ -39,7 +39,7 @@ impl Kind {
     }
 }
 
-/// A metric: what it is called, what it is, and how it is told apart.
+/// A metric: its name, its kind and its labels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Metric {
     /// Full name.
@@ -377,7 +377,7 @@ pub const HEARTBEAT_AGE: Metric = of_supervisor(
     "flockslam_heartbeat_age_seconds",
     Kind::Gauge,
     STAGE,
-    "Time since the last sign of life of the process, told by the supervisor also when the process cannot",
+    "Time since the last sign of life of the process; the supervisor reports it, also when the process cannot",
 );
 /// Bytes of shared memory held by the process set.
 pub const SHARED_MEMORY: Metric = of_supervisor(

@@ -39,7 +39,7 @@ impl Attendants {
 /// Starts the page of a set, when it is to have one.
 pub fn start_page(set: &ProcessSet) -> Result<Option<PageProcess>, CommandError> {
     let settings = &set.configuration().page;
-    // What is wrong with it is told now, not by a process that nobody looks at.
+    // A mistake is reported now, not by a process in the background.
     settings.guard("").map_err(CommandError::user)?;
     let start = || PageProcess::start(set.runtime().path()).map_err(CommandError::failed);
     settings.enabled.then(start).transpose()

@@ -6,7 +6,7 @@ use crate::supervisor::{Reply, Request, ask};
 use flockslam_bus::RuntimeDir;
 use std::time::{Duration, Instant};
 
-/// A set that was told to stop has ended after this.
+/// A set ends within this time after the order to stop.
 const DOWN_LIMIT: Duration = Duration::from_secs(10);
 
 /// Stops a set and waits for its end.

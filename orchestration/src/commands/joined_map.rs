@@ -34,7 +34,7 @@ pub struct Member {
     records: Vec<Vec<u8>>,
     scans: Vec<Carried>,
     nodes: Vec<(u64, Pose)>,
-    /// What it told of its flock last, when it was in one.
+    /// Its last status of the flock, when it was in one.
     status: Option<FlockStatus>,
 }
 

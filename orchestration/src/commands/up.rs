@@ -1,4 +1,4 @@
-//! `flockslam up`: a process set that lives until it is told to stop.
+//! `flockslam up`: a process set that runs until it is stopped.
 
 use super::CommandError;
 use super::attendants::start_page;

@@ -118,7 +118,7 @@ pub const OLD_KEYS: &[(&str, Now)] = &[
     ("sync_manager.visits_kept", Fixed("4")),
 ];
 
-/// What is told of a key when it is an old one: one line.
+/// The message for an old key: one line.
 fn message_for(key: &str) -> Option<String> {
     let (_, now) = OLD_KEYS.iter().find(|(old, _)| *old == key)?;
     Some(match now {
@@ -128,7 +128,7 @@ fn message_for(key: &str) -> Option<String> {
     })
 }
 
-/// The first old key of a table, as it is told.
+/// The message for the first old key of a table.
 pub fn in_table(table: &Table) -> Option<String> {
     below(table, "")
 }
@@ -143,7 +143,7 @@ fn below(table: &Table, section: &str) -> Option<String> {
     })
 }
 
-/// The first old key of a TOML text: its place in bytes and how it is told. A text that is no TOML has none.
+/// The first old key of a TOML text: its place in bytes and its message. A text that is not TOML has none.
 pub fn in_text(message: &str) -> Option<(usize, String)> {
     below_in_text(DeTable::parse(message).ok()?.get_ref(), "")
 }

@@ -18,7 +18,7 @@ const END: Colour = [206, 40, 48];
 /// Colours of the trajectory from its start to its end.
 const TIME: [Colour; 4] = [[38, 84, 200], [120, 60, 190], [214, 62, 122], [246, 142, 38]];
 
-/// Colours of the robots of a flock, told apart by people who do not see all colours as well.
+/// Colours of the robots of a flock, distinguishable also for colour-blind people.
 const ROBOTS: [Colour; 8] = [
     [0, 114, 178],
     [213, 94, 0],

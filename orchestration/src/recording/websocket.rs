@@ -20,7 +20,7 @@ const PROTOCOL_HEADER: &str = "Sec-WebSocket-Protocol";
 /// Messages that wait for a client; a slow one misses what comes then.
 const QUEUE: usize = 256;
 const CLIENTS_MAX: usize = 8;
-/// A client is listened to for so long, then it is told what has come.
+/// The server reads from a client for so long, then it sends what has arrived.
 const LISTEN: Duration = Duration::from_millis(10);
 /// A client that takes nothing for so long is left.
 const WRITE_LIMIT: Duration = Duration::from_secs(2);

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 /// Brings a saved map up to what the set in a directory knows, by what is new since the last time.
 pub struct Mirror {
     journal: PathBuf,
-    /// What the robot has told its flock and heard there, when it is part of one.
+    /// The records of the robot and those that it has received, when it is part of a flock.
     records: PathBuf,
     submaps: SubmapStore,
     map: SavedMap,

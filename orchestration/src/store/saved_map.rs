@@ -142,7 +142,7 @@ impl SavedMap {
         if journal.exists() {
             fs::copy(&journal, &kept).map_err(StoreError::io(kept))?;
         }
-        // What was told of what is lost is not taken back: the robot begins a new log.
+        // Published records of lost scans cannot be withdrawn: the robot begins a new log.
         let records = records_file(&self.directory);
         if records.exists() {
             let kept = records.with_extension("damaged");

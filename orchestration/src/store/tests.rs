@@ -208,7 +208,7 @@ fn what_is_good_of_a_damaged_map_is_restored() {
 }
 
 #[test]
-fn what_the_flock_was_told_is_saved_and_restored_with_the_map() {
+fn records_of_the_flock_are_saved_and_restored_with_the_map() {
     let saved = tempfile::tempdir().unwrap();
     let mut source = Source::new();
     source.drive(4);

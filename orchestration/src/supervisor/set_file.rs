@@ -6,7 +6,7 @@ use flockslam_stage::{StageError, StageOptions};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// What the stages of a set are told: the supervisor writes it, every stage reads it when it starts.
+/// The options of a set: the supervisor writes them, every stage reads them when it starts.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SetFile {
     /// Version of the executable that wrote it.

@@ -16,7 +16,7 @@ pub struct SetStatus {
     pub pid: u32,
     /// Whether all stages work.
     pub state: SetState,
-    /// Whether it was told to rest.
+    /// Whether it is paused.
     pub paused: bool,
     /// Seconds since the start of the supervisor.
     pub uptime_s: f64,

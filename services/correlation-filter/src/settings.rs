@@ -17,7 +17,7 @@ pub enum Mode {
     Off,
 }
 
-/// What the filter can be told.
+/// Settings of the filter.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {

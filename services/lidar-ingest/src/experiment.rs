@@ -59,7 +59,7 @@ impl Experiment {
             scan.header.odometry = self.change_odometry(scan.header.odometry);
         }
         if let (0, Some([x_m, y_m, heading_rad])) = (self.scans, self.settings.start_pose) {
-            // A robot without odometry is told where it starts as well.
+            // A robot without odometry is given its start as well.
             (scan.header.has_odometry, scan.header.starts_at_odometry) = (1, 1);
             scan.header.odometry = Pose::new(x_m, y_m, heading_rad);
         }

@@ -300,7 +300,7 @@ impl Matcher {
             MovingBeamsHeader { id: pose.id, times: pose.times, count: beams.len() as u32, reserved: 0 };
         let sent = self.moving_beams.send_with(&header, beams.len(), |to| to.copy_from_slice(beams));
         if let Err(error) = sent {
-            tracing::warn!(%error, "moving beams are not told");
+            tracing::warn!(%error, "moving beams are not published");
             context.dropped("moving-beams-unsent");
         }
     }

@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn lost_scans_belong_to_the_strand_that_begins_after_them() {
+    fn lost_scans_belong_to_the_trajectory_that_begins_after_them() {
         let record = |i: usize| PoseRecord {
             id: ScanId { sequence: i as u64, ..ScanId::default() },
             stamp_ns: i as i64,

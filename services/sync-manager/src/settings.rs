@@ -3,7 +3,7 @@
 use flockslam_flock_network::FlockSettings;
 use serde::{Deserialize, Serialize};
 
-/// What the back end can be told. The defaults are meant for any indoor robot with a 2-D lidar.
+/// Settings of the back end. The defaults are meant for any indoor robot with a 2-D lidar.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {

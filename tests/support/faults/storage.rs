@@ -84,7 +84,7 @@ pub fn refusing_disk(runs: usize) -> Trial {
             LiveSet::start("refuse", directory.path(), DRIVE, &format!("map = {path:?}\nsave_every_s = 0.2"));
         set.wait_until_handled(Stage::ScanMatcher, 1);
         let poses = PoseWatch::start(&set.runtime_dir());
-        set.wait_until("a problem to be told", |status| {
+        set.wait_until("a reported problem", |status| {
             status.saved.as_ref().is_some_and(|saved| saved.problem.is_some() && !saved.durable)
         });
         wait_for("poses without a disk", || (poses.seen().len() > 40).then_some(()));

@@ -7,7 +7,7 @@ use flockslam_evidence::range_coder::{BinaryCoder, Likelihood, RangeDecoder, Ran
 pub const POINT_UNIT_MM: i16 = 4;
 /// Farthest coordinate that fits, in units.
 const UNITS_MAX: i32 = 8191;
-/// Sizes of differences that are told apart: bits of the greatest, and none.
+/// Number of sizes of differences that are coded differently: bits of the greatest, and none.
 const SIZES: usize = 20;
 /// Bits of a difference that are learned, the highest first; lower ones are noise.
 const LEARNED: usize = 2;

@@ -18,7 +18,7 @@ use zenoh::sample::{Sample, SampleKind};
 const WAITING_MAX: usize = 64;
 /// Messages of one sender in a second: more are dropped.
 const SENDER_RATE_MAX: u32 = 100;
-/// Senders and peers that are told apart: all further senders share one account, further peers are not seen.
+/// Greatest number of senders and peers: all further senders share one account, further peers are ignored.
 const PEERS_MAX: usize = 256;
 /// Robots whose traffic is counted apart.
 const TRAFFIC_PEERS_MAX: usize = 32;
@@ -72,7 +72,7 @@ struct Presence {
 /// The way to the other robots: peer to peer, without a broker.
 ///
 /// What a robot says to another goes to `flockslam/FLOCK/to/RECEIVER/SENDER`. Messages may be lost at any time: they are said again
-/// as long as somebody lacks something. Who is there is told by tokens `flockslam/FLOCK/there/ROBOT`, which go with their robot.
+/// as long as a robot lacks records. Presence is announced by tokens `flockslam/FLOCK/there/ROBOT`, which go with their robot.
 pub struct Link {
     session: zenoh::Session,
     prefix: String,
@@ -167,7 +167,7 @@ impl Link {
         let key = format!("{}/ended/{}/{hash}", self.prefix, self.own);
         match self.session.liveliness().declare_token(key).wait() {
             Ok(token) => self.ended = Some((hash.to_owned(), Instant::now(), token)),
-            Err(error) => tracing::warn!(%error, "the end is not told to the flock"),
+            Err(error) => tracing::warn!(%error, "the end is not announced to the flock"),
         }
         Duration::ZERO
     }

@@ -21,7 +21,7 @@ const FIRST_EPOCH: u64 = 1;
 
 /// Says to the flock what this robot finds out, and keeps it in a file before anybody else hears of it, as well as what it hears.
 ///
-/// What the file has been told already is not told again: a process that takes over, or is started again, finds out the same.
+/// Published findings are not published again: a process that takes over, or is started again, finds the same.
 pub struct RecordPublisher {
     flock: Flock,
     epoch: u64,

@@ -26,7 +26,7 @@ mod whereabouts;
 
 /// How long the thread sleeps when nothing happens.
 const PAUSE: Duration = Duration::from_millis(50);
-/// A neighbour is told what there is this often, when nothing is new …
+/// The version vector is sent to a neighbour this often, when nothing is new …
 const ANNOUNCE_PERIOD: Duration = Duration::from_secs(5);
 /// … when something is …
 const OFFER_PERIOD: Duration = Duration::from_secs(2);
@@ -52,7 +52,7 @@ const HEARD_WITHIN: Duration = Duration::from_millis(500);
 
 /// A robot that is near.
 struct Neighbour {
-    /// When it was told last what there is, and the hash of that.
+    /// When the version vector was sent to it last, and the hash of that.
     published: Option<(Instant, [u8; 32])>,
     /// When it was sent records last.
     answered: Option<Instant>,
@@ -84,7 +84,7 @@ pub struct Talk {
     map_from_odom: Vec<(u32, Pose)>,
     shared: Arc<Shared>,
     companions: Companions,
-    /// When neighbours were told last where the robot is, and the scan of that.
+    /// When the robot's pose was sent to neighbours last, and the scan of that.
     was_here: Option<(Instant, u64)>,
     status_dir: PathBuf,
     metrics: FlockMetrics,
@@ -366,7 +366,7 @@ impl Talk {
     }
 }
 
-/// What fails here is the disk: it is told, and the robot goes on mapping.
+/// Only the disk can fail here: the failure is logged, and the robot goes on mapping.
 fn kept(outcome: Result<(), StageError>) {
     if let Err(error) = outcome {
         tracing::error!(%error, "the flock's records or status are not kept");

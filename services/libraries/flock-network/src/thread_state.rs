@@ -15,7 +15,7 @@ pub enum Task {
     Findings(Findings),
     /// A closed submap.
     Submap(Box<Submap>),
-    /// Stored submaps whose stale cells are to be told.
+    /// Stored submaps whose stale cells are to be published.
     Clearances(SubmapStore, Range<u32>),
     /// Where submaps lie in the robot's own map: number and `map_from_odom`, in order.
     SubmapPoses(Vec<(u32, Pose)>),

@@ -250,7 +250,7 @@ impl Atlas {
         self.nodes.len()
     }
 
-    /// Whether nobody has told of a node yet.
+    /// Whether there is no node yet.
     pub fn is_empty(&self) -> bool {
         self.nodes.is_empty()
     }

@@ -1,4 +1,4 @@
-//! What a robot has found out and its flock has not been told yet.
+//! Findings of a robot that are not published to its flock yet.
 
 use flockslam_loop_closure::closure::Closure;
 use flockslam_records::Stretch;
@@ -14,11 +14,11 @@ pub struct OwnLoop {
     pub closure: Closure,
 }
 
-/// What is new since the flock was told last.
+/// Findings since the last publication.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Findings {
     /// New nodes, in order.
     pub stretches: Vec<Stretch>,
-    /// New loops among nodes that have been told.
+    /// New loops among published nodes.
     pub loops: Vec<OwnLoop>,
 }

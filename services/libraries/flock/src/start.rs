@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn strands_are_tied_over_others_and_the_surest_ties_first() {
+    fn trajectories_are_connected_over_others_and_by_the_surest_closures_first() {
         let nodes = nodes(&[0, 0, 1, 1, 1, 2, 2, 2, 3]);
         let frames = [(0.0, 0.0, 0.0), (5.0, -3.0, 2.0), (-8.0, 1.0, -1.0), (1.0, 1.0, 1.0)]
             .map(|(x, y, turn)| Placement::new(x, y, turn));

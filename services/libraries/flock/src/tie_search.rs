@@ -292,7 +292,7 @@ fn nearby(
     near.into_iter().take(most).map(|(_, number)| number).collect()
 }
 
-/// A closure as it is told.
+/// A closure as it is published.
 fn constraint(atlas: &Atlas, closure: &Closure) -> Constraint {
     Constraint {
         from: atlas.name(closure.edge.from),

@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn closures_connect_strands_and_the_largest_part_is_the_map() {
+    fn closures_connect_trajectories_and_the_largest_part_is_the_map() {
         let alone = TrajectoryConnectivity::new(&nodes(), std::iter::empty());
         assert_eq!((0..3).map(|k| alone.is_attached(k)).collect::<Vec<_>>(), [false, false, true]);
         let joined = TrajectoryConnectivity::new(&nodes(), [(6, 1)].into_iter());
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn a_strand_starts_where_most_of_its_closures_say() {
+    fn a_trajectory_starts_where_most_of_its_closures_place_it() {
         let turned = Placement::new(20.0, 5.0, 2.0);
         let nodes = nodes();
         let right = |from: usize, to: usize| {

@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_missed_is_read_up_to_what_was_told() {
+    fn missed_records_are_read_up_to_a_sequence() {
         let directory = tempfile::tempdir().unwrap();
         let scan = ScanBuffer::from_ranges(&[1.0], 0.0, 1.0);
         let mut writer = JournalWriter::open(directory.path()).unwrap();

@@ -94,12 +94,12 @@ fn without_movers<H: Deref<Target = Tile>>(
         mask.unmark(points.len());
         mask.aside = 0;
     }
-    // Several companions are not in the order of their beams; no beam is told twice.
+    // Points on several robots are not in the order of their beams; no beam is published twice.
     mask.moving.sort_unstable_by_key(|range| range.first);
     (points.without(&mask.marks), mask)
 }
 
-/// Marks those of a piece of points beside each other that lie on what moves; gives how many. Their beams are told behind the first
+/// Marks those of a piece of points beside each other that lie on what moves; gives how many. Their beams are published after the first
 /// `companions` ranges.
 fn mark_piece<H: Deref<Target = Tile>>(
     points: &ScanPoints,

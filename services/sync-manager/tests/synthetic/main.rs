@@ -1,5 +1,5 @@
 //! The back end in synthetic buildings, in one executable: one robot whose front end drifts, jumps or is lost (`loops`), robots
-//! that meet (`flock`), and meetings beside robots that share no place, with lies told among them (`false_merges`).
+//! that meet (`flock`), and meetings beside robots that share no place, with false constraints among them (`false_merges`).
 //!
 //! `support` has the buildings and front ends, `flocks` the robots that tell each other, `trials` the trials of `false_merges`. The
 //! examples `false_merges` and `scaling` use these three as well.

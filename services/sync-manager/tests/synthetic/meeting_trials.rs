@@ -13,7 +13,7 @@ const OFF_MAX_M: f64 = 0.5;
 pub struct Trial {
     /// What kind of trial it is.
     pub kind: &'static str,
-    /// Whether both have seen a place that can be told from others.
+    /// Whether both have seen a place that can be distinguished from others.
     pub is_meeting: bool,
     buildings: [Building; 2],
     ways: [Vec<Pose>; 2],
@@ -25,7 +25,7 @@ pub struct Outcome {
     pub merged: bool,
     /// Largest error between them when they were the same building's, metres; infinite in different buildings.
     pub worst_m: f64,
-    /// Records of constraints that the robots found (each holds up to 64 of them), and lies that were told beside them.
+    /// Records of constraints that the robots found (each holds up to 64 of them), and false ones that were added.
     pub closures: (usize, usize),
     /// Branch-and-bound searches.
     pub searches: u64,
@@ -104,7 +104,7 @@ fn strangers(kind: &'static str, random: &mut Random, equal: bool) -> Trial {
     Trial { kind, is_meeting: false, buildings: [one.building, other.building], ways }
 }
 
-/// Runs a trial: both map alone, meet, look for each other, and then lies are told: one for each record of constraints that they have
+/// Runs a trial: both map alone, meet, search for each other, and then false constraints are added: one for each record of constraints that they have
 /// found, but twelve at least; a third of the draws are groups of lies that agree. The same trial has the same outcome.
 pub fn run(trial: &Trial) -> Outcome {
     let [a, b] = &trial.ways;

@@ -1,4 +1,4 @@
-//! Robots that share a place are merged, and no others, though lies are told about how they lie to each other.
+//! Robots that share a place are merged, and no others, despite false constraints on their relative poses.
 
 use super::meeting_trials::{run, trial};
 
@@ -20,12 +20,12 @@ fn meetings_merge_and_strangers_stay_apart() {
         assert_eq!(trial.is_meeting, number <= 4, "{number} ({})", trial.kind);
         assert_eq!(
             outcome.merged, trial.is_meeting,
-            "{number} ({}), {:?} told",
+            "{number} ({}), {:?} closures",
             trial.kind, outcome.closures
         );
         assert!(
             outcome.closures.1 >= outcome.closures.0.max(12),
-            "{number}: lies are told, {:?}",
+            "{number}: false closures are added, {:?}",
             outcome.closures
         );
         assert!(outcome.searches > 0);

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 /// Radius of a circle that holds the body of any robot of the flock, metres: where another robot says that it is, so much is taken for
 /// its body and kept out of the map. The robots are small, and the error of the common frame comes on top.
 const BODY_RADIUS_M: f64 = 0.35;
-/// Neighbours are told this often where the robot is.
+/// The robot's pose is sent to neighbours this often.
 const PERIOD: Duration = Duration::from_secs(1);
 
 impl Talk {

@@ -56,7 +56,7 @@ fn beams_on_the_world_and_on_people_are_labelled_so_and_those_without_return_too
             let off_m = match label {
                 BeamLabel::Static => plan.distance_m(end),
                 BeamLabel::MotionState => off_bodies_m(&pair[0].movers, seconds, end),
-                // Where doors and pallets are is not told.
+                // Poses of doors and pallets are not part of the truth.
                 BeamLabel::Changed => 0.0,
                 BeamLabel::NoReturn => f64::INFINITY,
             };
