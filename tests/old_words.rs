@@ -53,7 +53,7 @@ fn old_words_stand_only_in_upgrading_md() {
     FOLDERS.iter().for_each(|folder| collect(&root.join(folder), &mut files));
     files.retain(|file| !file.ends_with("docs/upgrading.md") && !file.ends_with("tests/old_words.rs"));
     assert!(files.len() > 300, "{} files were read", files.len());
-    let found: Vec<String> = files.iter().flat_map(|file| old_words(&root, file)).collect();
+    let found: Vec<String> = files.iter().flat_map(|file| old_words(root, file)).collect();
     assert!(found.is_empty(), "{} old words:\n{}", found.len(), found.join("\n"));
 }
 

@@ -43,7 +43,7 @@ impl OneThread {
     fn round(&mut self, number: usize) {
         for (context, shell) in &mut self.stages {
             shell.advance(context).unwrap();
-            if number % 100 == 0 {
+            if number.is_multiple_of(100) {
                 shell.refresh(context).unwrap();
             }
         }

@@ -14,6 +14,7 @@ mod logging;
 mod metrics_page;
 pub mod names;
 mod process_use;
+mod quantile;
 mod registered;
 mod scrape;
 mod stage_metrics;
@@ -30,6 +31,7 @@ pub use logging::{LogLevels, check_log_filter, init_tracing, log_into_set, log_s
 pub use metrics_page::metrics_page;
 /// Handles that [`StageMetrics`] gives out.
 pub use prometheus::{Gauge, Histogram, IntCounter as Counter};
+pub use quantile::bucket_quantile;
 pub use scrape::{ScrapeError, scrape};
 pub use stage_metrics::{CountersByLabels, LabelledCounters, StageMetrics};
 pub use supervisor_metrics::{RestartReason, SupervisorMetrics};

@@ -3,7 +3,7 @@
 
 use super::MetricsPage;
 use flockslam_messages::Stage;
-use flockslam_telemetry::names;
+use flockslam_telemetry::{bucket_quantile, names};
 use std::collections::VecDeque;
 
 /// So many looks are kept for the sparklines.
@@ -166,7 +166,7 @@ impl Look<'_> {
             .into_iter()
             .map(|(bound, count)| (bound, (count - earlier(bound)).max(0.0)))
             .collect();
-        Some((quantile(&buckets, 0.5)?, quantile(&buckets, 0.99)?))
+        Some((bucket_quantile(&buckets, 0.5)?, bucket_quantile(&buckets, 0.99)?))
     }
 
     fn robot(&self) -> RobotFigures {
@@ -184,23 +184,6 @@ impl Look<'_> {
             not_durable: sum(names::NOT_DURABLE) > 0.0,
         }
     }
-}
-
-/// What a share `q` of the values in cumulative buckets does not exceed, straight between their bounds; `None` without values.
-fn quantile(buckets: &[(f64, f64)], q: f64) -> Option<f64> {
-    let total = buckets.last()?.1;
-    if total <= 0.0 {
-        return None;
-    }
-    let (mut lower, mut below) = (0.0, 0.0);
-    for (bound, count) in buckets {
-        if *count >= q * total {
-            let share = (q * total - below) / (count - below).max(f64::MIN_POSITIVE);
-            return Some(if bound.is_finite() { lower + share * (bound - lower) } else { lower });
-        }
-        (lower, below) = (*bound, *count);
-    }
-    Some(lower)
 }
 
 #[cfg(test)]
@@ -239,14 +222,5 @@ mod tests {
         assert!(!state.stages.iter().any(|stage| stage.name == "mapper" && stage.up));
         state.look(13.0, None);
         assert!(!state.answers && state.stages.len() == Stage::ALL.len());
-    }
-
-    #[test]
-    fn quantiles_lie_between_the_bounds() {
-        let buckets = [(1.0, 10.0), (2.0, 30.0), (f64::INFINITY, 40.0)];
-        assert_eq!(quantile(&buckets, 0.5), Some(1.5));
-        assert_eq!(quantile(&buckets, 0.99), Some(2.0));
-        assert_eq!(quantile(&[(1.0, 0.0)], 0.5), None);
-        assert_eq!(quantile(&[], 0.5), None);
     }
 }

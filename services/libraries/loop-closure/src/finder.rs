@@ -219,7 +219,10 @@ impl ClosureFinder {
         unload(&mut self.grid, nodes, scans, segment.nodes.clone(), at);
         let refined = refined.filter(|refined| self.holds(refined, &found))?;
         let nearest = nearest_node(segment, &refined.placement, at);
-        if !free_space_agrees(world, query, points, segment, nearest, &refined.placement, at) {
+        let (intruding, intruded) =
+            intrusions(world, query, points, segment, nearest, &refined.placement, at);
+        let free_space_agrees = intruding <= INTRUDING_MAX && intruded <= INTRUDED_MAX;
+        if !free_space_agrees {
             return None;
         }
         let edge = edge(query, nearest, &at(nearest), &refined)?;
@@ -287,20 +290,6 @@ pub fn window(distance_m: f64) -> Window {
 fn nearest_node(segment: &Segment, to: &Placement, at: impl Fn(usize) -> Placement) -> usize {
     let nodes = segment.nodes.clone();
     nodes.min_by(|&a, &b| at(a).distance_m(to).total_cmp(&at(b).distance_m(to))).expect("a segment has nodes")
-}
-
-/// Whether the free space of each side stays free of the other side's points.
-fn free_space_agrees(
-    world: &World<'_>,
-    query: usize,
-    points: &[(f64, f64)],
-    segment: &Segment,
-    nearest: usize,
-    placement: &Placement,
-    at: impl Fn(usize) -> Placement,
-) -> bool {
-    let (intruding, intruded) = intrusions(world, query, points, segment, nearest, placement, at);
-    intruding <= INTRUDING_MAX && intruded <= INTRUDED_MAX
 }
 
 /// Shares of the points of either side that lie in space that the other saw free: the query's at most, and the segment's.

@@ -14,7 +14,7 @@ const CONTRADICTED_MAX: f64 = 0.2;
 
 /// Judgement of an occupied cell by newer submaps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Visibility {
+enum Contradiction {
     /// It is free, and everything around it.
     Gone,
     /// Something stands there.
@@ -35,9 +35,9 @@ pub fn stale_cells(submap: &Submap, map_from_odom: Pose, newer: &FusedMap) -> Ve
         for (offset, cell) in occupied {
             let index = tile.key.cell(offset);
             match judge(newer, map_from_odom.apply(center(submap, index))) {
-                Visibility::Gone => stale.push(index),
-                Visibility::Stands if cell.occupied > cell.free => standing += 1,
-                Visibility::Stands | Visibility::Open => (),
+                Contradiction::Gone => stale.push(index),
+                Contradiction::Stands if cell.occupied > cell.free => standing += 1,
+                Contradiction::Stands | Contradiction::Open => (),
             }
         }
     }
@@ -48,7 +48,7 @@ pub fn stale_cells(submap: &Submap, map_from_odom: Pose, newer: &FusedMap) -> Ve
     stale
 }
 
-fn judge(newer: &FusedMap, at: Point) -> Visibility {
+fn judge(newer: &FusedMap, at: Point) -> Contradiction {
     let index = |metres: f64| floor(metres / newer.cell_size_m());
     let (x, y) = (index(at.x_m), index(at.y_m));
     let around = |reach: i32| {
@@ -59,16 +59,16 @@ fn judge(newer: &FusedMap, at: Point) -> Visibility {
     let is_free = |cell: Cell| f64::from(cell.free) >= FREE_NAT * WEIGHT_SCALE;
     if !is_free(newer.cell(CellIndex::new(x, y))) {
         let stands = around(APART_CELLS).map(|cell| newer.cell(cell)).any(|cell| cell.occupied > cell.free);
-        return if stands { Visibility::Stands } else { Visibility::Open };
+        return if stands { Contradiction::Stands } else { Contradiction::Open };
     }
     let near = around(APART_CELLS).map(|cell| newer.cell(cell));
     match near.fold((false, false), |(met, stands), cell| {
         (met || cell.occupied > 0, stands || cell.occupied > cell.free)
     }) {
-        (_, true) => Visibility::Stands,
-        (true, false) => Visibility::Open,
-        (false, false) if around(1).all(|cell| is_free(newer.cell(cell))) => Visibility::Gone,
-        (false, false) => Visibility::Open,
+        (_, true) => Contradiction::Stands,
+        (true, false) => Contradiction::Open,
+        (false, false) if around(1).all(|cell| is_free(newer.cell(cell))) => Contradiction::Gone,
+        (false, false) => Contradiction::Open,
     }
 }
 
