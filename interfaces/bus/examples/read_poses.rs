@@ -59,7 +59,7 @@ fn read_poses(directory: &Path) -> Result<(), Box<dyn Error>> {
     let mut looked = Instant::now();
     loop {
         while let Some(pose) = poses.receive()? {
-            // Whoever reads the output may go away.
+            // The reader of the output may go away.
             if print(&pose).is_err() {
                 return Ok(());
             }

@@ -1,4 +1,4 @@
-//! The way to all topics and events of a set: what is opened through it is typed, what carries it is not.
+//! Access to all topics and events of a set. Its ports are typed; the transport below is not.
 
 use crate::event::{Listener, Notifier};
 use crate::memory_bus::MemoryBus;
@@ -76,7 +76,7 @@ impl Bus {
         Self { transport: Box::new(MemoryBus::default()), capacity: Capacity::default() }
     }
 
-    /// What another thread needs to join the same in-memory set; `None` for shared memory, where each process joins by
+    /// Gives another thread access to the same in-memory set; `None` for shared memory, where each process joins by
     /// itself and ports stay within their thread.
     pub fn memory_joiner(&self) -> Option<impl FnOnce() -> Self + Send + 'static> {
         let (transport, capacity) = (self.transport.for_another_thread()?, self.capacity);

@@ -1,6 +1,6 @@
 //! The errors of the bus.
 
-/// What can go wrong on the bus. Every variant names the topic or place and the reason.
+/// Errors of the bus. Every variant names the topic or place and the reason.
 #[derive(Debug, thiserror::Error)]
 pub enum BusError {
     /// The set's shared memory could not be prepared.
@@ -8,7 +8,7 @@ pub enum BusError {
     Setup {
         /// Directory or object.
         place: String,
-        /// What the system said.
+        /// The error of the system.
         reason: String,
     },
     /// A topic could not be created or opened.
@@ -16,7 +16,7 @@ pub enum BusError {
     Open {
         /// Name of the topic.
         topic: String,
-        /// What iceoryx2 said.
+        /// The error of iceoryx2.
         reason: String,
     },
     /// The process that created the topic was built with another layout of its message.
@@ -37,7 +37,7 @@ pub enum BusError {
     Transfer {
         /// Name of the topic.
         topic: &'static str,
-        /// What iceoryx2 said.
+        /// The error of iceoryx2.
         reason: String,
     },
 }

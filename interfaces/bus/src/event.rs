@@ -1,12 +1,12 @@
-//! Events: what a stage sleeps on until one of its inputs has something for it.
+//! Events: a stage sleeps on its event until an input notifies it.
 
 use crate::BusError;
 use std::time::Duration;
 
-/// What ended a wait.
+/// The reason for the end of a wait.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wake {
-    /// Nobody has rung within the limit.
+    /// No notification came within the limit.
     TimedOut,
     /// There is something to look at.
     Rung,
@@ -33,7 +33,7 @@ impl Listener {
         Self(port)
     }
 
-    /// Waits until somebody rings or `limit` has passed.
+    /// Waits for a notification or until `limit` has passed.
     ///
     /// # Errors
     /// When the event itself is broken.
@@ -55,7 +55,7 @@ impl Notifier {
         self.0.ring();
     }
 
-    /// Rings for what will be there in a moment: who sleeps needs longer to wake up than to look.
+    /// Announces a message that will be there in a moment: a sleeping process needs longer to wake up than to read.
     pub fn announce(&self) {
         self.0.announce();
     }

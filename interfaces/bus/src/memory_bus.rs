@@ -60,7 +60,7 @@ struct MemoryTopic {
 }
 
 impl MemoryTopic {
-    /// A new subscriber: it sees what is sent from now on.
+    /// A new subscriber: it receives messages that are sent from now on.
     fn subscribe(&self) -> Receiver<Message> {
         let (sender, receiver) = channel::unbounded();
         self.subscribers.lock().expect("no thread panics while it holds a topic").push(sender);

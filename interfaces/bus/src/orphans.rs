@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 /// What is left of a dead process's node is cleaned by iceoryx2 before it has been seen so often, or never.
 const SEEN_MAX: u32 = 3;
 
-/// Removes what is left of nodes whose processes were killed while they made or removed them.
+/// Removes the remains of nodes whose processes were killed while they made or removed them.
 ///
 /// iceoryx2 0.10 neither lists nor cleans these, and many of them make starts slow.
 #[derive(Debug, Default)]
@@ -27,7 +27,7 @@ impl OrphanedNodes {
             let seen = self.seen.entry(id).or_default();
             *seen += 1;
             if *seen >= SEEN_MAX {
-                // Who is no directory is a file; what cannot be removed now is tried again.
+                // An entry that is no directory is a file. An entry that cannot be removed now is tried again.
                 let gone =
                     |path: &PathBuf| fs::remove_dir_all(path).or_else(|_| fs::remove_file(path)).is_ok();
                 removed += usize::from(paths.iter().filter(|path| gone(path)).count() == paths.len());

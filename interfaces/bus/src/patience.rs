@@ -26,7 +26,7 @@ pub struct Patience {
 }
 
 impl Patience {
-    /// What was received; nothing while a publisher is half made.
+    /// The received message; none while a publisher is half made.
     pub fn bear<S>(
         &self,
         topic: &'static str,

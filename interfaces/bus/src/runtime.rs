@@ -38,12 +38,12 @@ pub enum RuntimeError {
     /// The name cannot be part of a file name, or is too long.
     #[error("'{0}' cannot name a process set: use letters, digits and '-', at most {NAME_MAX}")]
     BadName(String),
-    /// The folder on disk for what is large and rarely read cannot be used.
+    /// The folder on disk for large, rarely read data cannot be used.
     #[error("set.spill_dir: {path}: {source}")]
     Spill {
         /// What was being touched.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the system.
         source: io::Error,
     },
     /// The system refused.
@@ -51,7 +51,7 @@ pub enum RuntimeError {
     Io {
         /// What was being touched.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the system.
         source: io::Error,
     },
 }
@@ -177,7 +177,7 @@ impl RuntimeDir {
         names
     }
 
-    /// The directory of a set that somebody else created.
+    /// The directory of a set that another process created.
     ///
     /// # Errors
     /// When there is none at `path`.
@@ -189,7 +189,7 @@ impl RuntimeDir {
         Ok(Self { path: path.to_owned(), name, spill, lock: None, _spill_lock: None, wiped_at_end: false })
     }
 
-    /// Removes what the stages know: journal, submaps, results, and how far the source had come.
+    /// Removes the state of the stages: journal, submaps, results, and the source's cursor.
     ///
     /// # Errors
     /// When the system refuses.
@@ -230,7 +230,7 @@ impl RuntimeDir {
         self.spill.join("journal")
     }
 
-    /// Where what is large and rarely read lies: the set's folder on disk, or the directory itself when there is none.
+    /// Directory of large, rarely read data: the set's folder on disk, or the directory itself when there is none.
     pub fn spill(&self) -> &Path {
         &self.spill
     }
@@ -245,7 +245,7 @@ impl RuntimeDir {
         self.path.join("status")
     }
 
-    /// What sync-manager concluded: layout, trajectories, fused map.
+    /// Results of sync-manager: solution, trajectories, fused map.
     pub fn results(&self) -> PathBuf {
         self.spill.join("results")
     }
@@ -382,7 +382,7 @@ fn is_good_name(name: &str) -> bool {
     !name.is_empty() && name.len() <= NAME_MAX && name.chars().all(good)
 }
 
-/// Removes what sets left whose supervisor was killed: nobody holds their lock. What is kept for the next of its name stays.
+/// Removes the remains of sets whose supervisor was killed, so that no process holds their lock. Sets that are kept for the next of their name stay.
 fn sweep_abandoned() {
     for path in entries(Path::new(SHARED_MEMORY)) {
         let Some(name) = file_name(&path).strip_prefix(DIRECTORY_PREFIX).map(str::to_owned) else { continue };

@@ -176,7 +176,7 @@ fn service_name(name: &str) -> Result<ServiceName, BusError> {
     ServiceName::new(&format!("flockslam/{name}")).map_err(|e| BusError::open(name, e))
 }
 
-/// What a process has to agree on with who created a topic: name, version and layout of its message.
+/// What a process and the creator of a topic must agree on: name, version and layout of its message.
 fn layout_pairs(topic: &TopicSpec) -> Result<[(AttributeKey, AttributeValue); 2], BusError> {
     let pair = |key: &str, value: &str| -> Result<(AttributeKey, AttributeValue), BusError> {
         let key = key.try_into().map_err(|e| BusError::open(topic.message, e))?;

@@ -8,7 +8,7 @@ use flockslam_messages::{
 };
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
-/// The sizes of a set, fixed when it is started: limits of a service are frozen by who creates it.
+/// The sizes of a set, fixed when it is started: the creator of a service fixes its limits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Capacity {
     /// Scans that may be on their way at once: the credit of exact replay and the queue length of every reader.
@@ -68,7 +68,7 @@ pub trait Topic: Message + core::fmt::Debug {
 
 /// A header with a slice of elements behind it.
 pub trait SliceTopic: Message + core::fmt::Debug {
-    /// What the slice consists of.
+    /// Type of the elements of the slice.
     type Element: Message + core::fmt::Debug;
     /// Name on the bus.
     const NAME: &'static str;
@@ -115,7 +115,7 @@ impl Topic for Control {
     const NAME: &'static str = "control";
 
     fn limits(capacity: &Capacity) -> Limits {
-        // Every stage speaks on it, and the supervisor and viewers.
+        // All stages, the supervisor and viewers publish on it.
         Limits { publishers: 6 * (capacity.replicas + 1) + 4, ..Limits::small(capacity) }
     }
 }

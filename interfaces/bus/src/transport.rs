@@ -1,4 +1,4 @@
-//! What carries messages: shared memory between processes, or its twin in memory between threads.
+//! Transport of messages: shared memory between processes, or its twin in memory between threads.
 //!
 //! Both carry rows of words, whatever the topic. iceoryx2 is generic over its payload and costs the compiler seconds for each
 //! type, so there is one type for all topics, and what is compiled for it stays in this crate, behind these traits.

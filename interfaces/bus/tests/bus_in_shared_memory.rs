@@ -68,7 +68,7 @@ fn an_event_carries_the_kind_of_its_notification(host: &Bus, member: &Bus) {
     assert!(matches!(host.listener("nobody"), Err(BusError::Open { .. })));
 }
 
-/// The newest data wins and nobody blocks.
+/// The newest data wins and no process blocks.
 fn a_full_queue_keeps_the_newest(host: &Bus, member: &Bus) {
     let (poses, reader) = (member.publisher().unwrap(), host.subscriber::<PoseEstimate>().unwrap());
     for submap in 0..100 {
@@ -92,7 +92,7 @@ fn builds_that_disagree_refuse_each_other(host: &Bus, member: &Bus) {
     assert!(text.contains("start all of its processes from one executable"), "{text}");
     let text = refusal::<LaterProgress>(member);
     assert!(text.contains("flockslam/progress/v2"), "{text}");
-    // Who has the same layout is not disturbed by that.
+    // Processes with the same layout are not disturbed.
     let (publisher, subscriber) = (member.publisher().unwrap(), host.subscriber::<Progress>().unwrap());
     publisher.send(&Progress { stage: 1, replica: 0, done: 7 }).unwrap();
     assert_eq!(subscriber.receive().unwrap().unwrap().done, 7);

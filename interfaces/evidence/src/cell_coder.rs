@@ -9,7 +9,7 @@ use crate::{TILE_CELLS, TILE_SIDE};
 const CHUNK: usize = 8;
 /// Kinds of cells that contexts distinguish: unknown, free by level, occupied.
 const CLASSES: usize = 32;
-/// Places that five bits can tell apart.
+/// Places that five bits can distinguish.
 const PLACES: usize = 32;
 
 /// Places of a cell's weights among their levels, for "occupied" and for "free".

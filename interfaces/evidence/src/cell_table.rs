@@ -32,7 +32,7 @@ impl<T: Copy + Default> CellTable<T> {
         Self { places: vec![Place::default(); SETS * WAYS], taken: vec![0; SETS] }
     }
 
-    /// What is remembered of a cell – of one that is not in the table the default – and touches it at `now`, which must be
+    /// The entry of a cell – the default if it is not in the table –, touched at `now`, which must be
     /// positive and should never decrease.
     pub fn touch(&mut self, cell: CellIndex, now: u32) -> &mut T {
         let number = set_of(cell);

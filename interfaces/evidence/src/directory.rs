@@ -12,7 +12,7 @@ const MARGIN: i64 = 8;
 #[error("tile ({}, {}) is too far from the rest of the map", .0.x, .0.y)]
 pub struct TooFar(pub TileKey);
 
-/// What belongs to each tile of a bounded part of the plane: a dense array over the bounds of the keys set so far.
+/// Content of each tile of a bounded part of the plane: a dense array over the bounds of the keys set so far.
 ///
 /// Reading is two comparisons and one index; it grows by copying the entries, never their content.
 #[derive(Clone, Debug)]
@@ -54,7 +54,7 @@ impl<T> TileDirectory<T> {
         self.entries[place].as_mut()
     }
 
-    /// Puts content in place of what the tile had, which is given back.
+    /// Replaces the content of the tile; gives the former content.
     ///
     /// # Errors
     /// When the bounds of all keys would get too large.

@@ -39,11 +39,11 @@ pub struct UnnormalisedMasses {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("masses {occupied}, {free}, {unknown} are not shares of one")]
 pub struct NotMasses {
-    /// What was given for "occupied".
+    /// The mass of "occupied".
     pub occupied: f64,
-    /// What was given for "free".
+    /// The mass of "free".
     pub free: f64,
-    /// What was given for "unknown".
+    /// The mass of "unknown".
     pub unknown: f64,
 }
 
@@ -105,7 +105,7 @@ impl Masses {
         }
     }
 
-    /// Probability of "occupied" among what is known, `p/(p+q)`; `None` for a cell without evidence.
+    /// Probability of "occupied" within the known mass, `p/(p+q)`; `None` for a cell without evidence.
     pub fn occupancy(self) -> Option<f64> {
         let known = self.occupied + self.free;
         (known > 0.0).then(|| (self.occupied / known).min(1.0))
@@ -227,7 +227,7 @@ mod tests {
                     prop_assert!(p < 0.0 || q < 0.0 || u < 0.0 || !sums_to_one);
                 }
             }
-            // Shares of one, rounded by somebody else: a little is put right, more is an error.
+            // Shares of one, rounded by another program: a small deviation is corrected, a larger one is an error.
             let sum = q.abs() + u.abs() + 1.0;
             let (q, u, rest) = (q.abs() / sum, u.abs() / sum, 1.0 / sum);
             let m = Masses::new(q, u, rest + 5e-7).unwrap();

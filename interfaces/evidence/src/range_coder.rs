@@ -48,7 +48,7 @@ pub struct RangeEncoder {
     before: usize,
 }
 
-/// What a bit goes through, in either direction: a model written once serves both.
+/// A coder of bits in either direction: one model serves both.
 pub trait BinaryCoder {
     /// Writes `bit` and gives it back, or gives the bit that is read.
     fn code(&mut self, likelihood: &mut Likelihood, bit: bool) -> bool;

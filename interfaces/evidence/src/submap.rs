@@ -32,7 +32,7 @@ use flockslam_geometry::Pose;
 pub struct Submap {
     /// Its number within the run, from 0.
     pub number: u32,
-    /// Trajectory that it belongs to: how the submaps of one trajectory lie to each other is known from driving.
+    /// Trajectory that it belongs to: relative poses within a trajectory are known from driving.
     pub trajectory: u32,
     /// Scans in it.
     pub insertions: u32,

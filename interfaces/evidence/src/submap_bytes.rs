@@ -73,7 +73,7 @@ impl Submap {
         out
     }
 
-    /// Reads the stored form, from anybody: every length is checked before memory is asked for.
+    /// Reads the stored form, which may be hostile: every length is checked before memory is allocated.
     ///
     /// # Errors
     /// When the bytes are not exactly one well-formed submap.
@@ -242,7 +242,7 @@ fn decode_cells(bytes: &[u8], levels: &CellLevels, tiles: &mut [SubmapTile]) -> 
     }
 }
 
-/// What is left to read.
+/// The bytes that are left to read.
 struct Input<'a>(&'a [u8]);
 
 impl Input<'_> {

@@ -12,7 +12,7 @@ static KINDS: [u8; 1 << 16] = kinds();
 
 /// The levels that weights are stored in: of those of a submap that differ by less than half, the mean.
 ///
-/// Sums stay what they are to within rounding, and the values that matter most, one and two observations, are exact
+/// Sums are kept to within rounding, and the most frequent values, one and two observations, are exact
 /// where all observations weigh the same.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Levels {

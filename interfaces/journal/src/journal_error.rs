@@ -9,11 +9,11 @@ pub enum JournalError {
     /// The operating system refused: disk full, read-only, no such directory.
     #[error("cannot {action} {}: {source}", path.display())]
     Io {
-        /// What was tried, as a verb.
+        /// The operation that failed, as a verb.
         action: &'static str,
         /// On which file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the system.
         source: io::Error,
     },
     /// The file does not begin as a journal does.

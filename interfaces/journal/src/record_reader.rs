@@ -12,13 +12,13 @@ use std::path::{Path, PathBuf};
 /// A good record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Record<'a> {
-    /// What the writer said it is.
+    /// Kind of the record, chosen by the writer.
     pub kind: u32,
     /// Its bytes.
     pub payload: &'a [u8],
 }
 
-/// What lies behind the last good record.
+/// The end of a journal after its last good record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ending {
     /// Nothing: the journal is whole.
@@ -93,7 +93,7 @@ impl RecordReader {
         }
     }
 
-    /// The next good record, or `None` at the end; [`Self::ending`] then tells what lies there.
+    /// The next good record, or `None` at the end; [`Self::ending`] then gives the state of the end.
     ///
     /// # Errors
     /// When the file cannot be read.
@@ -104,7 +104,7 @@ impl RecordReader {
         }
     }
 
-    /// What was found behind the last good record, once [`Self::next_record`] has given `None`.
+    /// The state of the end, once [`Self::next_record`] has given `None`.
     pub fn ending(&self) -> Ending {
         self.ending
     }

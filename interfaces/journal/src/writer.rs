@@ -259,7 +259,7 @@ mod tests {
                     writer.append(5, &[b"x"]).unwrap();
                     prop_assert_eq!(kinds(&path).last().copied(), Some(5));
                 }
-                // What is no journal is left as it is.
+                // A file that is no journal is left as it is.
                 Err(_) => {
                     prop_assert!(!own_head);
                     prop_assert_eq!(std::fs::read(&path).unwrap(), bytes);

@@ -1,9 +1,9 @@
-//! Messages about the stream of scans as a whole: its end, and what is asked of a stage.
+//! Messages about the stream of scans as a whole: its end, and requests to stages.
 
 use crate::message::message;
 
 message! {
-    /// What happened to the stream of scans as a whole.
+    /// An event of the stream of scans as a whole.
     #[derive(Eq)]
     pub struct Control = "flockslam/control/v1" {
         /// A [`ControlKind`] as number.

@@ -17,7 +17,7 @@ message! {
         pub revision: u32,
         /// Loop closures that are inliers.
         pub closures: u32,
-        /// The newest trajectory that it knows.
+        /// The newest trajectory in the solution.
         pub trajectory: u32,
         /// 1 when closures connect that trajectory with the map; 0 while its place in the map is a guess.
         pub attached: u32,

@@ -1,10 +1,10 @@
-//! Messages about the flock: where the common map lies, and where the other robots are.
+//! Messages about the flock: the frame of the common map, and the poses of other robots.
 
 use crate::message::message;
 use flockslam_geometry::Pose;
 
 message! {
-    /// How the robot's map lies in the common map of its flock; sent while the robot is part of it.
+    /// Pose of the robot's map in the common map of its flock; sent while the robot is part of it.
     pub struct FlockFrame = "flockslam/flock-frame/v1" {
         /// Takes coordinates of the robot's map to the frame of the flock.
         pub flock_from_map: Pose,
@@ -21,7 +21,7 @@ message! {
 pub const FLOCK_ROBOTS_MAX: usize = 16;
 
 message! {
-    /// Where other robots of the flock are, as they say themselves; sent whenever one of them has said so.
+    /// Poses of other robots of the flock, as they publish them; sent whenever one of them is received.
     pub struct FlockRobots = "flockslam/flock-robots/v1" {
         /// Those that are known, `count` of them.
         pub robots: [FlockRobot; FLOCK_ROBOTS_MAX],
@@ -37,7 +37,7 @@ message! {
     pub struct FlockRobot = "flockslam/flock-robot/v1" {
         /// Where it is in this robot's map.
         pub map_from_base: Pose,
-        /// CLOCK_MONOTONIC of when it was heard here, nanoseconds: no clock of another robot is trusted.
+        /// CLOCK_MONOTONIC of its reception, nanoseconds: clocks of other robots are not trusted.
         pub heard_ns: u64,
         /// Radius of a circle around it that holds its body, metres.
         pub radius_m: f64,
@@ -54,7 +54,7 @@ impl FlockRobots {
 }
 
 impl FlockRobot {
-    /// Its name; what is no text is left out.
+    /// Its name.
     pub fn name(&self) -> &str {
         let name = self.name.split(|byte| *byte == 0).next().unwrap_or_default();
         std::str::from_utf8(name).unwrap_or_default()

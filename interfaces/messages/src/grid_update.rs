@@ -57,7 +57,7 @@ message! {
 }
 
 message! {
-    /// A submap was closed and stored; its file lies in the store of the set.
+    /// A submap was closed and stored; its file is in the store of the set.
     pub struct SubmapClosed = "flockslam/submap-closed/v1" {
         /// First scan in it.
         pub first: ScanId,

@@ -4,7 +4,7 @@ use crate::message::message;
 use crate::{ScanId, Times};
 
 message! {
-    /// What the dynamic cleaner says of an inserted scan. A slice of [`ClearedCell`] follows.
+    /// Marks of the dynamic cleaner for an inserted scan. A slice of [`ClearedCell`] follows.
     pub struct MarksHeader = "flockslam/marks/v1" {
         /// The scan.
         pub id: ScanId,
@@ -31,7 +31,7 @@ message! {
 }
 
 message! {
-    /// What one replica of the dynamic cleaner has found in its sector of the circle around the lidar. A slice of [`JudgedCell`] follows.
+    /// Judgements of one replica of the dynamic cleaner in its sector of the circle around the lidar. A slice of [`JudgedCell`] follows.
     pub struct SectorHeader = "flockslam/sector/v1" {
         /// The scan.
         pub id: ScanId,
@@ -45,7 +45,7 @@ message! {
 }
 
 message! {
-    /// An occupied cell (index in the odom lattice) that a scan says something about.
+    /// An occupied cell (index in the odom lattice) that a scan judges.
     #[derive(Eq)]
     pub struct JudgedCell = "flockslam/judged-cell/v1" {
         /// Column of cells.

@@ -73,7 +73,7 @@ impl PoseFlags {
     pub const MATCHED: u32 = 1;
     /// The scan is accepted: its evidence enters the map.
     pub const INSERT: u32 = 2;
-    /// The matcher processed the scan although the filter said drop.
+    /// The matcher processed the scan although the filter dropped it.
     pub const OVERRIDDEN: u32 = 4;
     /// A wide search was needed.
     pub const RESCUED: u32 = 8;

@@ -9,7 +9,7 @@ use flockslam_geometry::Pose;
 pub const LARGE_SCAN_BEAMS: usize = 64 * 1024;
 
 message! {
-    /// What a scan says about itself. The numbers of its beams follow as a slice of `f32`, see [`ScanView`].
+    /// The header of a scan. The numbers of its beams follow as a slice of `f32`, see [`ScanView`].
     pub struct ScanHeader = "flockslam/scan/v1" {
         /// The scan's name.
         pub id: ScanId,
@@ -37,7 +37,7 @@ message! {
         pub sections: u32,
         /// 1 when the source asks that the scan be given a predicted pose only.
         pub withheld: u32,
-        /// 1 when the robot starts in `odom` where its odometry says (an experiment) instead of at the origin.
+        /// 1 when the robot starts in `odom` at the pose of its odometry (an experiment) instead of at the origin.
         pub starts_at_odometry: u32,
     }
 }
@@ -59,7 +59,7 @@ impl ScanSections {
 /// Why a scan's header and numbers do not fit together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ScanProblem {
-    /// The slice has another length than the header says.
+    /// The slice has another length than the header gives.
     #[error("a scan of {expected} numbers came with {found}")]
     WrongLength {
         /// Numbers that the header asks for.

@@ -9,7 +9,7 @@ pub const TALLY_SECTORS: usize = 60;
 pub const TALLY_BINS: usize = 30;
 
 message! {
-    /// What some or all beams of a scan add up to. All numbers are integers, so the tallies of the parts of a scan sum up to
+    /// The sums of some or all beams of a scan. All numbers are integers, so the tallies of the parts of a scan sum up to
     /// exactly the tally of the whole, in any order: replicas of the filter exchange them for large scans.
     #[derive(Eq)]
     pub struct ScanTally = "flockslam/scan-tally/v1" {

@@ -1,4 +1,4 @@
-//! The message by which a stage says how far it has come, and the list of all stages.
+//! The acknowledgement of a stage, and the list of all stages.
 
 use crate::message::message;
 

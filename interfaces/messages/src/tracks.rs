@@ -1,11 +1,11 @@
-//! The message about who moves around the robot: position, velocity and prediction of each track.
+//! The message about moving bodies around the robot: position, velocity and prediction of each track.
 
 use crate::message::message;
 use crate::{ScanId, Times};
 use flockslam_geometry::Point;
 
 message! {
-    /// Who moves around the robot, published for every scan that is in place. A slice of [`Track`] follows.
+    /// Moving bodies around the robot, published for every scan with a certain pose. A slice of [`Track`] follows.
     pub struct TracksHeader = "flockslam/tracks/v1" {
         /// The scan.
         pub id: ScanId,
@@ -19,7 +19,7 @@ message! {
 }
 
 message! {
-    /// Somebody or something that moves where the map knows free space. All places are in odom.
+    /// A body that moves in known free space. All positions are in odom.
     pub struct Track = "flockslam/track/v1" {
         /// Its name as long as it is followed.
         pub id: u64,

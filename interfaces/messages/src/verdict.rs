@@ -4,7 +4,7 @@ use crate::message::message;
 use crate::{ScanId, Times};
 
 message! {
-    /// What the correlation filter says of a scan.
+    /// The verdict of the correlation filter on a scan.
     pub struct Verdict = "flockslam/verdict/v2" {
         /// The scan.
         pub id: ScanId,

@@ -14,10 +14,10 @@ mod tests;
 
 use robot_log::Log;
 
-/// How much a collection takes in: what is beyond is refused and counted, so that no robot can fill another's memory.
+/// Limits of a collection: records beyond are refused and counted, so that no robot can fill another's memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Robots that it knows.
+    /// Greatest number of robots.
     pub robots_max: usize,
     /// Logs of one robot.
     pub epochs_max: usize,
@@ -41,7 +41,7 @@ impl Default for Limits {
     }
 }
 
-/// What became of a record that was handed in.
+/// The fate of a record that was handed in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// It was not known before.
@@ -63,11 +63,11 @@ pub enum Refusal {
     Robots,
     /// Its robot has begun more logs than it may.
     Epochs,
-    /// Its number is beyond what a log may have.
+    /// Its number is beyond the limit of a log.
     Records,
-    /// Its robot has said more than it may.
+    /// Its robot has exceeded its limit.
     Bytes,
-    /// All robots together have said more than is kept.
+    /// All robots together have exceeded the limit.
     AllBytes,
 }
 
@@ -89,7 +89,7 @@ impl Refusal {
     }
 }
 
-/// What has been handed in so far.
+/// Counts of records handed in so far.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Tally {
     /// Records that were new.
@@ -104,7 +104,7 @@ pub struct Tally {
     pub refused: BTreeMap<Refusal, u64>,
 }
 
-/// All records that a robot has heard of, its own among them.
+/// All records that a robot has, its own among them.
 ///
 /// It only grows, and what it holds depends on the set of records alone, not on the order in which they came (as long as no limit is
 /// met): a state-based replicated set (Shapiro et al. 2011).
@@ -129,7 +129,7 @@ pub struct Tally {
 #[derive(Clone, Debug, Default)]
 pub struct Collection {
     limits: Limits,
-    /// Who is believed; `None` = everybody who is not banned.
+    /// Accepted robots; `None` = all that are not banned.
     trusted: Option<BTreeSet<[u8; 32]>>,
     banned: BTreeSet<[u8; 32]>,
     /// Whose records are never too many.
@@ -152,7 +152,7 @@ impl Collection {
         self.forget_untrusted();
     }
 
-    /// Believes nothing that is signed with this key, and forgets what it has said.
+    /// Bans a key: refuses its records, and removes those that are there.
     pub fn ban(&mut self, public_key: [u8; 32]) {
         self.banned.insert(public_key);
         self.forget_untrusted();
@@ -275,7 +275,7 @@ impl Collection {
         (all + bytes > self.limits.bytes_max).then_some(Refusal::AllBytes)
     }
 
-    /// What withdrawals say that count.
+    /// Withdrawn records.
     fn withdrawals(&self) -> BTreeSet<RecordName> {
         let withdrawn = |record: &Arc<Record>| match &record.content {
             Content::Withdrawal(w) => Some((record.name.robot.clone(), w.epoch, w.number)),
@@ -291,7 +291,7 @@ impl Collection {
         all.filter(|record| self.withdrawn.is_empty() || !self.withdrawn.contains(&record.name))
     }
 
-    /// All robots that something was heard of, in order.
+    /// All robots with records here, in order.
     pub fn robots(&self) -> impl Iterator<Item = &RobotId> {
         let mut last = None;
         self.logs.keys().map(|(robot, _)| robot).filter(move |robot| last.replace(*robot) != Some(*robot))
@@ -302,7 +302,7 @@ impl Collection {
         self.logs.get(&(robot.clone(), epoch)).map_or(0, |log| log.numbers().end())
     }
 
-    /// What has been handed in so far.
+    /// Counts of records handed in so far.
     pub fn tally(&self) -> &Tally {
         &self.tally
     }
@@ -312,7 +312,7 @@ impl Collection {
         self.logs.values().map(Log::bytes).sum()
     }
 
-    /// What this collection has.
+    /// The version vector of this collection.
     pub fn vector(&self) -> Vector {
         let state = |((robot, epoch), log): (&(RobotId, u64), &Log)| LogState {
             robot: robot.clone(),

@@ -1,4 +1,4 @@
-//! What a record can say, by kind, and how it becomes a payload.
+//! The content of a record, by kind, and its payload.
 
 use crate::codec::{Reader, Writer};
 use crate::kind::Kind;
@@ -18,7 +18,7 @@ pub use stretch::{Descriptor, RecordedNode, Stretch};
 pub use submap_record::SubmapRecord;
 pub use withdrawal::Withdrawal;
 
-/// What a record says.
+/// The content of a record.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Content {
     /// The evidence of a closed submap.
@@ -34,7 +34,7 @@ pub enum Content {
 }
 
 impl Content {
-    /// What kind of record it makes.
+    /// Its kind of record.
     pub fn kind(&self) -> Kind {
         match self {
             Self::Submap(_) => Kind::Submap,
@@ -57,7 +57,7 @@ impl Content {
         out.0
     }
 
-    /// Reads what `author` says.
+    /// Reads the content of a record of `author`.
     pub(crate) fn decode(kind: Kind, author: &RobotId, payload: &[u8]) -> Result<Self, RecordError> {
         let mut input = Reader(payload);
         let content = match kind {

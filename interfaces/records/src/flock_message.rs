@@ -1,4 +1,4 @@
-//! What robots send each other: vectors, records, hashes of disputed logs, and where a robot is.
+//! Messages between robots: vectors, records, hashes of disputed logs, and poses.
 
 use crate::codec::{Reader, Writer};
 use crate::sealed::RECORD_BYTES_MAX;
@@ -13,10 +13,10 @@ const RECORDS_MAX: usize = 4096;
 /// Most hashes in a message.
 const HASHES_MAX: usize = 8192;
 
-/// What one robot sends another to bring their collections together.
+/// A message from one robot to another that synchronises their collections.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Message {
-    /// What the sender has.
+    /// The version vector of the sender.
     Have(Vector),
     /// Records, as bytes: each is checked by itself.
     Records(Vec<Arc<[u8]>>),

@@ -10,7 +10,7 @@ pub enum Kind {
     Withdrawal = 1,
     /// Measured motions between nodes.
     Constraint = 2,
-    /// A stretch of the pose graph with its scans: what others match against.
+    /// A stretch of the pose graph with its scans, against which others match.
     Stretch = 3,
     /// Cells of a submap that are stale.
     Clearance = 4,

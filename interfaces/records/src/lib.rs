@@ -1,4 +1,4 @@
-//! What robots tell each other.
+//! Records that robots exchange.
 //!
 //! Each robot owns an append-only log of [`Record`]s: submaps, stretches of its pose graph, constraints, clearances,
 //! withdrawals. A record is named (robot, epoch, number) and by the BLAKE3 hash of its bytes, and signed by its robot. A

@@ -1,4 +1,4 @@
-//! Where a robot is just now: a signed message that nobody keeps.
+//! The present pose of a robot: a signed message that is not kept.
 
 use crate::codec::{Reader, Writer};
 use crate::{RecordError, RobotId, RobotKey};
@@ -7,10 +7,10 @@ use flockslam_geometry::Pose;
 /// What a signature of a presence begins with, so that it is none of a record.
 const PURPOSE: &[u8] = b"flockslam: presence";
 
-/// Where a robot says that it is just now. It is no record: nobody keeps it, and only the newest counts.
+/// The present pose of a robot. It is no record: it is not kept, and only the newest counts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Presence {
-    /// Who says so.
+    /// The robot.
     pub robot: RobotId,
     /// The log that its records go to, …
     pub epoch: u64,
@@ -24,7 +24,7 @@ pub struct Presence {
 }
 
 impl Presence {
-    /// Says with this key where its robot is. The pose is rounded to what is sent.
+    /// Signs a pose with this key. The pose is rounded to the transmitted form.
     pub fn sign(key: &RobotKey, epoch: u64, sequence: u64, submap: u32, odom_from_base: Pose) -> Self {
         let robot = key.id().clone();
         let mut said = Self { robot, epoch, sequence, submap, odom_from_base, signature: [0; 64] };
@@ -66,7 +66,7 @@ impl Presence {
         Ok(said)
     }
 
-    /// Whether it was said after another of the same robot.
+    /// Whether it is newer than another of the same robot.
     pub fn is_newer_than(&self, other: &Self) -> bool {
         (self.epoch, self.sequence) > (other.epoch, other.sequence)
     }

@@ -6,7 +6,7 @@ use crate::sealed::{Envelope, PAYLOAD_BYTES_MAX, seal};
 use crate::{RecordError, RobotId, RobotKey};
 use std::sync::Arc;
 
-/// What a record is called: the `number`th of what `robot` says in `epoch`.
+/// The name of a record: number `number` of `robot` in `epoch`.
 ///
 /// A robot that has lost its log begins a new epoch, so that no name is ever used twice.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -41,13 +41,13 @@ pub struct Record {
     pub name: RecordName,
     /// BLAKE3 hash of all of it but the signature.
     pub hash: [u8; 32],
-    /// What it says.
+    /// Its content.
     pub content: Content,
     bytes: Arc<[u8]>,
 }
 
 impl Record {
-    /// Writes and signs a record. What it says comes back rounded to what is stored, for the author as for everybody.
+    /// Writes and signs a record. Its content is rounded to the stored form, for the author as for all robots.
     ///
     /// # Errors
     /// When the content is too large for a record, or not well formed.
@@ -84,7 +84,7 @@ impl Record {
         &self.bytes
     }
 
-    /// What kind of record it is.
+    /// Kind of the record.
     pub fn kind(&self) -> Kind {
         self.content.kind()
     }

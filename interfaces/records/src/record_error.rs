@@ -20,9 +20,9 @@ pub enum RecordError {
     TooMuch {
         /// Of what.
         what: &'static str,
-        /// What the bytes claim.
+        /// The claimed value.
         claimed: u64,
-        /// What is allowed.
+        /// The limit.
         limit: u64,
     },
     /// A value that is out of its range.

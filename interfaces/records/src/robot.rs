@@ -1,4 +1,4 @@
-//! Who a robot is, and the Ed25519 key (RFC 8032) that it signs with.
+//! Identity of a robot, and the Ed25519 key (RFC 8032) that it signs with.
 
 use crate::RecordError;
 use ed25519_dalek::{Signature, Signer, SigningKey, VerifyingKey};
@@ -7,7 +7,7 @@ use std::fmt;
 /// Longest name of a robot, bytes.
 const NAME_MAX: usize = 32;
 
-/// Who a robot is: the name that people gave it and the key that it signs with. Robots of the same name with different keys are
+/// Identity of a robot: its name and the key that it signs with. Robots of the same name with different keys are
 /// different robots.
 ///
 /// The order – by name, then by key – is the order in which every robot lays out the flock.

@@ -1,19 +1,19 @@
-//! Version vectors: what a collection has of each log.
+//! Version vectors: the state of each log of a collection.
 
 use crate::codec::{Reader, Writer};
 use crate::{Numbers, RecordError, RobotId};
 
-/// Most logs that a vector tells of.
+/// Most logs in a vector.
 const LOGS_MAX: usize = 8192;
 
-/// What a collection has, log by log: a version vector.
+/// The state of a collection, log by log: a version vector.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Vector {
     /// In the order of (robot, epoch), each once.
     pub logs: Vec<LogState>,
 }
 
-/// What a collection has of one log.
+/// The state of one log of a collection.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LogState {
     /// Whose log.

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 pub struct FlockStatus {
     /// Name of the flock.
     pub flock: String,
-    /// Who this robot is: its name and its public key, hexadecimal.
+    /// This robot's name and public key, hexadecimal.
     pub robot: String,
     /// Its public key, hexadecimal: what goes into a trust list.
     pub public_key: String,
@@ -41,9 +41,9 @@ pub struct FlockStatus {
     pub flock_from_map: Option<[f64; 3]>,
     /// Searches for shared places.
     pub searches: u64,
-    /// Bytes of messages heard.
+    /// Bytes of messages received.
     pub heard_bytes: u64,
-    /// Bytes of messages said.
+    /// Bytes of messages sent.
     pub said_bytes: u64,
     /// The same by robot, in this order.
     pub traffic: BTreeMap<String, (u64, u64)>,

@@ -11,7 +11,7 @@ const MOVED: (f64, f64) = (0.02, 0.02);
 /// Valid ranges that must be the same for a scan to be a repetition.
 const SAME_MIN: usize = 10;
 
-/// Looks at each scan beside the one before it: time goes on, and who moves sees something else.
+/// Compares each scan with the one before it: time must go on, and a moving robot must see something else.
 #[derive(Debug, Default)]
 pub struct Continuity {
     /// Stamp of the last scan that was not refused for it.
@@ -23,7 +23,7 @@ pub struct Continuity {
 }
 
 impl Continuity {
-    /// What speaks against the next scan, if something does.
+    /// The reason to reject the next scan, if there is one.
     ///
     /// A scan that is stamped far behind the one before it is an old one. When the next one follows it, though, the clock was put back,
     /// and time goes on from there. A scan with exactly the ranges of the last one that was taken, while odometry has turned,

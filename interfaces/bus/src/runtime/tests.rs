@@ -75,7 +75,7 @@ fn state_that_is_kept_outlives_its_supervisor_and_its_processes_remains_do_not()
         fs::write(path, b"x").unwrap();
     }
     killed.lock = None;
-    // A set of another name sweeps only what nobody wants.
+    // A set of another name removes only sets that are not kept.
     drop(RuntimeDir::create(&format!("{name}-other")).unwrap());
     let (next, taken_over) = RuntimeDir::create_or_take_over(&name, None).unwrap();
     assert!(taken_over && next.journal().join("scans.journal").exists());

@@ -1,11 +1,11 @@
-//! What is known of one log: a record for each number, or the two that contradict each other.
+//! One log: a record for each number, or the two that contradict each other.
 
 use crate::kind::Kind;
 use crate::{Numbers, Record};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// What is known of one log of one robot.
+/// One log of one robot.
 #[derive(Clone, Debug, Default)]
 pub struct Log {
     slots: BTreeMap<u64, Slot>,
@@ -13,7 +13,7 @@ pub struct Log {
     bytes: u64,
 }
 
-/// What is known under one number.
+/// The state of one number.
 #[derive(Clone, Debug)]
 pub enum Slot {
     /// One record.
@@ -69,7 +69,7 @@ impl Log {
         }
     }
 
-    /// Whether a record would tell nothing new.
+    /// Whether a record is known already.
     pub fn holds(&self, number: u64, hash: &[u8; 32]) -> bool {
         match self.slots.get(&number) {
             None => false,
@@ -78,12 +78,12 @@ impl Log {
         }
     }
 
-    /// What is known under a number.
+    /// The state of a number.
     pub fn slot(&self, number: u64) -> Option<&Slot> {
         self.slots.get(&number)
     }
 
-    /// All numbers with what is known under them.
+    /// All numbers with their states.
     pub fn slots(&self) -> impl Iterator<Item = (u64, &Slot)> {
         self.slots.iter().map(|(number, slot)| (*number, slot))
     }

@@ -14,10 +14,10 @@ const CONSTRAINT_BYTES_MIN: usize = 43;
 const UNITS_PER_M: f32 = 500.0;
 /// Widest window that a constraint can have been found in, metres.
 const REACH_MAX_M: f32 = 1e4;
-/// Nobody knows how places lie to each other better than 1 cm and 1 cm a metre.
+/// No relative pose is known better than 1 cm and 1 cm a metre.
 const INFORMATION_MAX: f64 = 1.01e4;
 
-/// A node of somebody's pose graph: the scan with this sequence.
+/// A node of a robot's pose graph: the scan with this sequence.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct NodeName {
     /// Whose node it is.

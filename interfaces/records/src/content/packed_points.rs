@@ -3,7 +3,7 @@
 use crate::RecordError;
 use flockslam_evidence::range_coder::{BinaryCoder, Likelihood, RangeDecoder, RangeEncoder};
 
-/// Unit of a coordinate on its way, millimetres: far below what a lidar tells.
+/// Unit of a transmitted coordinate, millimetres: far below the noise of a lidar.
 pub const POINT_UNIT_MM: i16 = 4;
 /// Farthest coordinate that fits, in units.
 const UNITS_MAX: i32 = 8191;

@@ -20,11 +20,11 @@ const BIN_M: f64 = 0.5;
 /// A stretch of a robot's pose graph: nodes with the points of their scans, as they follow each other.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stretch {
-    /// Trajectory that it belongs to: how trajectories lie to each other is known from constraints alone.
+    /// Trajectory that it belongs to: relative poses of trajectories are known from constraints alone.
     pub trajectory: u32,
     /// Sequence of the node before the first; `None` where a trajectory begins.
     pub previous: Option<u64>,
-    /// What its surroundings look like, whatever the heading.
+    /// Descriptor of its surroundings, independent of the heading.
     pub descriptor: Descriptor,
     /// The nodes in the order of their sequences.
     pub nodes: Vec<RecordedNode>,

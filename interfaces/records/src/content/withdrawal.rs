@@ -3,7 +3,7 @@
 use crate::RecordError;
 use crate::codec::{Reader, Writer};
 
-/// Takes back a record of the same robot. It names no robot: nobody can withdraw what another has said.
+/// Withdraws a record of the same robot. It names no robot: only the author can withdraw a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Withdrawal {
     /// Epoch of the record that does not hold any more.

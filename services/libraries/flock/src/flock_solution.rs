@@ -44,7 +44,7 @@ pub struct PlacedNode {
     pub part: u32,
 }
 
-/// Where a submap lies.
+/// Pose of a submap.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlacedRecord {
     /// Its number.
@@ -55,7 +55,7 @@ pub struct PlacedRecord {
     pub part: u32,
 }
 
-/// Where everything lies that a collection of records tells of.
+/// Poses of all nodes and submaps of a collection of records.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FlockSolution {
     /// The nodes of each log, in order.

@@ -59,7 +59,7 @@ impl Flock {
         Self { key, epoch, collection: Collection::new(limits), search, inspected: RefCell::default() }
     }
 
-    /// Who it is.
+    /// The robot.
     pub fn robot(&self) -> &RobotId {
         self.key.id()
     }
@@ -74,7 +74,7 @@ impl Flock {
         &mut self.collection
     }
 
-    /// What it remembers of groups of closures.
+    /// Stored verdicts on groups of closures.
     pub(super) fn inspected(&self) -> RefMut<'_, Inspected> {
         self.inspected.borrow_mut()
     }
@@ -84,7 +84,7 @@ impl Flock {
         self.search.searches()
     }
 
-    /// Says something: gives the bytes of the record, which are to be kept before anybody else hears of it.
+    /// Makes a record: gives its bytes, which must be stored before the record is sent.
     ///
     /// # Errors
     /// When the content is too large for a record.
@@ -119,7 +119,7 @@ impl Flock {
         Ok(said)
     }
 
-    /// Says what it has measured, in as few records as can be.
+    /// Makes records of new constraints, as few as possible.
     ///
     /// # Errors
     /// As [`Self::say`].
@@ -128,7 +128,7 @@ impl Flock {
         records.map(|some| self.say(&Content::Constraints(some.to_vec()))).collect()
     }
 
-    /// Says what the evidence of a closed submap is.
+    /// Makes a record of the evidence of a closed submap.
     ///
     /// # Errors
     /// As [`Self::say`].
@@ -141,12 +141,12 @@ impl Flock {
         self.collection.answer(message, budget_bytes)
     }
 
-    /// What it tells others of where it is.
+    /// Its pose, as a message to others.
     pub fn here(&self, sequence: u64, submap: u32, odom_from_base: Pose) -> Message {
         Message::Here(Presence::sign(&self.key, self.epoch, sequence, submap, odom_from_base))
     }
 
-    /// What it tells others that it has.
+    /// Its version vector, as a message to others.
     pub fn have(&self) -> Message {
         Message::Have(self.collection.vector())
     }

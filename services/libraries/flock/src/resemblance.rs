@@ -7,7 +7,7 @@ use flockslam_loop_closure::segment::CLOUD_RANGE_M;
 /// Bins of a description, half a metre of range each.
 const BINS: usize = 2 * CLOUD_RANGE_M as usize;
 const BINS_PER_M: f64 = 2.0;
-/// What all bins add up to.
+/// The sum of all bins.
 const WHOLE: u64 = 1 << 16;
 
 /// How far away things are as seen from each node, whatever the heading: a histogram of the ranges of its points and its neighbours'.

@@ -44,7 +44,7 @@ pub(super) struct Tie {
 }
 
 impl Tie {
-    /// What a closure says.
+    /// The relative pose of a closure.
     pub fn of(closure: &Closure) -> Self {
         let Edge { from, to, motion, .. } = closure.edge;
         Self { from, to, motion }

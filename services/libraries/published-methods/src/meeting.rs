@@ -51,7 +51,7 @@ pub enum CellFusion {
 /// What a robot hands over when it meets another.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Snapshot {
-    /// Who it is.
+    /// The robot.
     pub robot: RobotId,
     /// Grows with the robot's map.
     pub version: u64,
@@ -188,7 +188,7 @@ impl Meetings {
         let layers = self.own.layers.values().map(|layer| (&*layer.map, layer.own_from_origin));
         let all = [(&*self.own.map, Pose::IDENTITY)].into_iter().chain(layers);
         let size_m = self.own.map.cell_size_m;
-        // What lies absurdly far away is left out.
+        // Parts that are absurdly far away are left out.
         if fusion == CellFusion::Dempster {
             let mut map = FusedMap::new(size_m);
             all.for_each(|(layer, at)| drop(map.add(layer, at)));

@@ -81,7 +81,7 @@ impl SectorScan {
         self.list();
     }
 
-    /// What a ray to a point meets.
+    /// The first hit of a ray to a point.
     pub fn ray_to(&self, point: Point) -> Ray {
         let distance_m = point.norm_m();
         let sector = wrap(sector_of(point.y_m.atan2(point.x_m)));

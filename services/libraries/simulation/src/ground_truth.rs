@@ -27,7 +27,7 @@ pub struct GroundTruth {
     tiles: TileDirectory<Box<[CellTruth; TILE_CELLS]>>,
 }
 
-/// What is true of a cell.
+/// The true state of a cell.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CellTruth {
     /// Evidence of all beams at their exact ends, those on movers leaving none for "occupied".
@@ -80,7 +80,7 @@ impl GroundTruth {
         self.cell_size_m
     }
 
-    /// What is true of a cell.
+    /// The true state of a cell.
     pub fn cell(&self, index: CellIndex) -> CellTruth {
         self.tiles.get(index.tile()).map_or_else(CellTruth::default, |tile| tile[index.offset()])
     }

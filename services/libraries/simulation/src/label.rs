@@ -11,6 +11,6 @@ pub enum BeamLabel {
     Static,
     /// Something that stands, but not always: a closed door, a pallet.
     Changed,
-    /// Somebody who walks, or stands for a moment.
+    /// A person who walks, or stands for a moment.
     MotionState,
 }

@@ -28,7 +28,7 @@ pub(super) struct Lidar {
     random: Random,
     /// True ranges of the scan at hand, infinite where nothing is in reach.
     ranges_m: Vec<f64>,
-    /// What each beam of the scan at hand ended on.
+    /// Label of each beam of the present scan.
     labels: Vec<BeamLabel>,
 }
 
@@ -74,7 +74,7 @@ impl Lidar {
         self.mount
     }
 
-    /// What each beam of the last scan ended on.
+    /// Label of each beam of the last scan.
     pub(super) fn labels(&self) -> &[BeamLabel] {
         &self.labels
     }
@@ -117,7 +117,7 @@ impl Lidar {
         range
     }
 
-    /// What the lidar makes of a true range.
+    /// The measured value for a true range.
     fn returned(&mut self, true_m: f64) -> f32 {
         if self.random.happens(self.settings.errors.dropout_share) {
             return f32::INFINITY;

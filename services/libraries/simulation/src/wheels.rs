@@ -91,7 +91,7 @@ fn draw_slips(settings: &Settings, random: &mut Random) -> VecDeque<Slip> {
     (0..settings.wheel_slips).map(draw).collect()
 }
 
-/// What the wheels feel of a motion.
+/// The motion as the wheels measure it.
 fn feel(twist: Twist, scale: [f64; 2], slip: Option<Slip>) -> Twist {
     let scaled = Twist { x_m_s: twist.x_m_s * scale[0], y_m_s: 0.0, turn_rad_s: twist.turn_rad_s * scale[1] };
     match slip {

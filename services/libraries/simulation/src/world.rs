@@ -6,7 +6,7 @@ use super::{ImageWorld, SimulationError, WorldName, built_in};
 use flockslam_geometry::Point;
 use flockslam_random::Random;
 
-/// What the robot drives through.
+/// The world.
 #[derive(Clone, Debug)]
 pub enum World {
     /// A built-in world.

@@ -4,7 +4,7 @@ use crate::settings::{BEAMS_MAX, RANGE_MIN_M};
 use flockslam_geometry::Pose;
 use flockslam_messages::{ScanBuffer, ScanSections};
 
-/// Why a message is not what its type says.
+/// Why a message does not match its type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum MessageProblem {
     /// It ends too early, or says that it holds more than it does.

@@ -23,7 +23,7 @@ pub enum ReadError {
         source_name: String,
         /// The line that was expected, from 1.
         line: u64,
-        /// What the system said.
+        /// The error of the system.
         error: std::io::Error,
     },
     /// Nothing in it.
@@ -39,7 +39,7 @@ pub enum ReadError {
         source_name: String,
         /// The first bad line, or the last one.
         line: u64,
-        /// What is wrong with it.
+        /// The reason.
         reason: String,
         /// How many lines there are.
         lines: u64,
@@ -65,7 +65,7 @@ pub enum ReadError {
         source_name: String,
         /// The line that was one too many.
         line: u64,
-        /// What is wrong with it.
+        /// The reason.
         reason: Rejection,
         /// Bad lines so far.
         rejected: u64,
@@ -125,7 +125,7 @@ impl<R: BufRead> CarmenReader<R> {
         }
     }
 
-    /// What was met so far.
+    /// Counts so far.
     pub fn tally(&self) -> &Tally {
         &self.tally
     }

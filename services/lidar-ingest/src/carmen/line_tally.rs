@@ -3,7 +3,7 @@
 use super::Rejection;
 use std::collections::BTreeMap;
 
-/// What a reader has met so far.
+/// Counts of a reader so far.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Tally {
     /// Lines, of whatever kind.

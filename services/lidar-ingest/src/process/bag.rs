@@ -21,7 +21,7 @@ pub enum BagError {
     Unreadable {
         /// The file.
         name: String,
-        /// What the system said.
+        /// The error of the system.
         error: std::io::Error,
     },
     /// It is no bag, or a damaged one.
@@ -39,10 +39,10 @@ pub enum BagError {
         name: String,
         /// Where the chunk begins.
         at: u64,
-        /// What is wrong with it.
+        /// The reason.
         problem: rosbag::Error,
     },
-    /// A message is not what its type says.
+    /// A message does not match its type.
     #[error("{name}: byte {at}: message {number} on {topic}: {problem}")]
     Message {
         /// The file.
@@ -53,7 +53,7 @@ pub enum BagError {
         number: u64,
         /// Its topic.
         topic: String,
-        /// What is wrong with it.
+        /// The reason.
         problem: MessageProblem,
     },
     /// No scan in it.

@@ -39,7 +39,7 @@ impl Cursor {
         self.next
     }
 
-    /// Where the replay hangs on the clock.
+    /// Anchor of the replay on the clock.
     pub fn anchor(&self) -> Option<Anchor> {
         self.anchor
     }

@@ -27,7 +27,7 @@ enum Kind {
     Nothing,
 }
 
-/// What a feed gave.
+/// The result of a feed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fed {
     /// The next scan.
@@ -129,7 +129,7 @@ impl Feed {
         Ok(fed)
     }
 
-    /// What was met, for the report.
+    /// Counts for the report.
     pub fn tally(&self) -> Option<Tally> {
         match &self.kind {
             Kind::Log(reader) => Some(reader.tally().clone()),

@@ -16,7 +16,7 @@ pub struct Pipe {
     tally: Arc<Mutex<Tally>>,
 }
 
-/// What a pipe gave.
+/// The result of a pipe.
 pub enum Piped {
     /// The next scan.
     Scan(ScanBuffer),
@@ -68,7 +68,7 @@ impl Pipe {
         }
     }
 
-    /// What was met so far.
+    /// Counts so far.
     pub fn tally(&self) -> Tally {
         self.tally.lock().expect("the reading thread does not panic").clone()
     }

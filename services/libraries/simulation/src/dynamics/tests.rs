@@ -118,7 +118,7 @@ fn doors_and_pallets_come_and_go() {
     }
 }
 
-/// Nobody walks.
+/// No person walks.
 fn still() -> Settings {
     Settings { walkers: 0, follower: false, doors: 0, pallets: 0, ..lively() }
 }

@@ -24,7 +24,7 @@ const DETOURS_DEG: [f64; 7] = [0.0, 40.0, -40.0, 80.0, -80.0, 120.0, -120.0];
 /// Every so often somebody who has arrived stays for up to so many seconds.
 const STAYS: (f64, f64) = (0.5, 8.0);
 
-/// Somebody who walks from place to place.
+/// A person who walks from place to place.
 #[derive(Clone, Debug)]
 pub(super) struct Walker {
     position: Point,
