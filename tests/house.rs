@@ -9,11 +9,14 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Crates that others may import, lowest layer first; an import goes to a lower layer only.
-const LIBRARIES: [(&str, u32); 22] = [
+const LIBRARIES: [(&str, u32); 25] = [
     ("geometry", 0),
     ("random", 0),
+    ("odometry-noise", 1),
     ("evidence", 1),
     ("messages", 2),
+    ("transforms", 2),
+    ("recordings", 3),
     ("ray-insertion", 2),
     ("records", 2),
     ("bus", 3),
@@ -117,7 +120,7 @@ fn is_shell(file: &Path) -> bool {
 }
 
 /// Libraries that have files, clocks and threads: what shells share, and the network.
-const SHARED_SHELL: [&str; 2] = ["libraries/stage", "libraries/flock-network"];
+const SHARED_SHELL: [&str; 3] = ["libraries/stage", "libraries/flock-network", "libraries/recordings"];
 
 /// Files of logic: those of the services that are no shells.
 fn logic() -> Vec<PathBuf> {

@@ -4,6 +4,8 @@
 use crate::support;
 use crate::support::{RunningSet, building, live_building, processes_of, run_well, truth_error_m, wait_for};
 use flockslam_messages::Stage;
+use flockslam_stage::heartbeat_file;
+use flockslam_telemetry::read_heartbeat;
 use rustix::process::Signal;
 use std::process::Stdio;
 use std::sync::OnceLock;
@@ -75,6 +77,32 @@ fn a_live_run_restarts_a_dynamic_cleaner_that_is_killed_and_ends_with_a_usable_m
 #[test]
 fn a_live_run_restarts_a_sync_manager_that_is_killed_and_ends_with_a_usable_map() {
     kill_during_a_live_replay(Stage::SyncManager);
+}
+
+/// Kills of one stage in a row, each as soon as its process has met a scan: before that scan was handled or after it, as the
+/// machine's load has it.
+const STORM: usize = 12;
+
+#[test]
+fn a_storm_of_kills_of_one_stage_does_not_end_a_live_run() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut set = RunningSet::start("storm", directory.path(), &live_building(DURATION_S, 2));
+    let file = heartbeat_file(&set.status_dir(), "mapper-0");
+    for kill in 1..=STORM {
+        let beat = wait_for("a mapper that has met a scan", || {
+            let beat = read_heartbeat(&file).ok()??;
+            (beat.works && support::try_send(beat.pid, Signal::KILL)).then_some(beat)
+        });
+        wait_for("its death", || (set.pid(Stage::Mapper) != beat.pid).then_some(()));
+        println!("kill {kill}: process {} had handled {}", beat.pid, beat.handled);
+    }
+    set.wait_until_handled(Stage::SyncManager, 1);
+    let outputs = set.finish();
+    assert_eq!(outputs.report.stages["mapper"].restarts, STORM as u64);
+    let (lines, error_m) = (outputs.lines("trajectory.tum").len(), truth_error_m(&outputs));
+    println!("{lines} of {SCANS} scans, {error_m:.3} m, {:.0} m²", outputs.report.map_area_m2);
+    assert!(lines * 100 >= SCANS * 95 && error_m < 0.3, "{lines} scans, {error_m} m");
+    assert!(outputs.report.map_area_m2 >= 0.8 * undisturbed_area_m2());
 }
 
 #[test]

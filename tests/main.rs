@@ -2,6 +2,7 @@
 //!
 //! All of them are one executable, since linking takes longer than most of the tests. `house.rs` keeps this list complete.
 
+mod apart;
 mod bad_input;
 mod benchmarks;
 mod checkers;
@@ -27,11 +28,13 @@ mod page;
 mod panics;
 mod published_covariance;
 mod recorder;
+mod recordings;
 mod replay;
 mod replicas;
 mod saved_maps;
 mod seeing;
 mod shared_memory;
+mod small_memory;
 mod spill;
 mod stopped_stage;
 #[allow(dead_code, unused_imports, reason = "benchmarks use the rest of it")]

@@ -2,7 +2,8 @@
 //! up by a recorder, however it ends.
 
 use crate::support;
-use crate::support::{Drive, LiveSet, flockslam, not_tested, send, stderr, stdout, wait_for};
+use crate::support::tools::{python_with, tool};
+use crate::support::{Drive, LiveSet, flockslam, send, stderr, stdout, wait_for};
 use flockslam::recording::RecordTopic;
 use flockslam::supervisor::Request;
 use flockslam_messages::Stage;
@@ -11,7 +12,7 @@ use rustix::process::Signal;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 const DRIVE: Drive = Drive { scan_rate_hz: 10.0, duration_s: 2000.0, rate: 5.0 };
@@ -118,22 +119,6 @@ fn a_file_is_whole_after_its_end_and_readable_after_a_kill_and_the_set_does_not_
     assert_eq!(set.wait(), Some(0));
 }
 
-/// Runs a tool in a directory; `None`, said clearly, where it is not there or does not work.
-fn tool(directory: &Path, program: &Path, args: &[&str]) -> Option<String> {
-    let output = Command::new(program).args(args).current_dir(directory).output();
-    match output {
-        Ok(output) if output.status.success() => Some(stdout(&output)),
-        Ok(output) => {
-            not_tested(&format!("{} {}", program.display(), args.join(" ")), stderr(&output).trim());
-            None
-        }
-        Err(error) => {
-            not_tested(&program.display().to_string(), &error.to_string());
-            None
-        }
-    }
-}
-
 /// Opens a file with the public package and holds each message against its schema.
 const READ_MCAP: &str = r#"
 import json, sys
@@ -155,13 +140,7 @@ print(json.dumps(counts))
 fn the_public_python_package_opens_a_file_and_its_schemas_hold() {
     let directory = tempfile::tempdir().unwrap();
     let place = directory.path();
-    let installed = || {
-        tool(place, Path::new("python3"), &["-m", "venv", "venv"])?;
-        tool(place, &place.join("venv/bin/pip"), &["install", "--quiet", "mcap", "jsonschema"])
-    };
-    if installed().is_none() {
-        return;
-    }
+    let Some(python) = python_with(place, &["mcap", "jsonschema"]) else { return };
     let mut set = talking_set("python", place);
     let file = place.join("drive.mcap");
     let recorder = Recorder::start(&set, &[file.to_str().unwrap()]);
@@ -170,7 +149,6 @@ fn the_public_python_package_opens_a_file_and_its_schemas_hold() {
     set.command_well(&["down"]);
     assert_eq!(set.wait(), Some(0));
     std::fs::write(place.join("read.py"), READ_MCAP).unwrap();
-    let python: PathBuf = place.join("venv/bin/python");
     let output = Command::new(python).arg("read.py").arg(&file).current_dir(place).output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
     let counts: BTreeMap<String, usize> = serde_json::from_str(&stdout(&output)).unwrap();

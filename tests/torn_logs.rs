@@ -1,6 +1,7 @@
 //! The benchmark logs with every scan processed, as they are and made harder: accuracy, odometry that jumps, false beams,
 //! scans that are missing, and a robot that is carried elsewhere.
 
+use crate::support::data_dir;
 use crate::support::public_logs::{ACES, FILTER_OFF, FR079, INTEL, LOGS, Log};
 use flockslam_geometry::Pose;
 use std::fmt::Write;
@@ -94,6 +95,19 @@ fn a_robot_carried_elsewhere_finds_its_own_past() {
         assert!(outputs.report.trajectories >= 2, "{}: nobody noticed", log.name);
         assert_eq!(outputs.report.detached_scans, 0, "{}: never found again", log.name);
     }
+}
+
+/// The recorder misses a quarter of a minute, in which the robot goes back to where it began.
+#[test]
+fn a_short_drive_before_a_gap_of_the_recording_is_found_in_the_map() {
+    let Some(data) = data_dir() else { return };
+    let file = data.join("robot/carried/within-1.bag");
+    let directory = tempfile::tempdir().unwrap();
+    let report = Log::map(&file, &directory.path().join("out"), &[]).report;
+    assert_eq!((report.scans, report.detached_scans), (962, 0));
+    assert!(report.trajectories >= 2, "the gap was not noticed");
+    // The map that is consistent; with a stretch out of place it is larger by a third.
+    assert!(report.map_area_m2 < 85.0, "{} m²", report.map_area_m2);
 }
 
 /// The log without the scans between, while its odometry notices nothing.

@@ -10,8 +10,10 @@ const MEAN_ERROR_M: f64 = 0.05;
 /// A false closure that acts leaves an error of at least half the smallest repetition in a building (0.87 m), metres.
 const TORN_M: f64 = 0.4;
 /// So many of a thousand seconds said to be tracked may be wrong, over so many seeds.
-const FALSE_CLAIMS_PER_MILLE: usize = 6;
+const FALSE_CLAIMS_PER_MILLE: usize = 1;
 const YARD_SEEDS: u64 = 6;
+/// Error of the final trajectory on a third of a tour of the campus, root mean square, metres: a tenth more than 0.85 m.
+const CAMPUS_ERROR_M: f64 = 0.94;
 
 fn world(name: &str, duration_s: u32) -> Vec<String> {
     let mut args = building(duration_s);
@@ -50,9 +52,8 @@ fn a_warehouse_whose_aisles_are_all_alike() {
 
 /// Outdoors a pose is right or says that it may not be.
 ///
-/// Over twenty seeds (`cargo bench -p flockslam --bench seeds -- yard`) 3.3 of a thousand seconds that are said to be tracked are wrong, from
-/// none to 7.2 by seed: where hedges return nothing, a scan fits a wrong place as well. Nine of the twenty final trajectories are off by
-/// more than a metre, so nothing is asked of these here. The limit is that mean and three times the scatter of a mean of six drives.
+/// Over six seeds none of 5867 seconds that are said to be tracked is wrong (3.3 of a thousand before scans in the open were fitted to
+/// surfaces). Most final trajectories are off by metres, where wheels slip by 60° among hedges that return little: nothing is asked of these here.
 #[test]
 fn of_a_thousand_seconds_in_a_yard_said_to_be_tracked_few_are_wrong() {
     let drives: Vec<YardDrive> = (1..=YARD_SEEDS).map(YardDrive::with_seed).collect();
@@ -60,8 +61,24 @@ fn of_a_thousand_seconds_in_a_yard_said_to_be_tracked_few_are_wrong() {
     let sum = |value: fn(&YardDrive) -> usize| drives.iter().map(value).sum::<usize>();
     let (wrong, claims) = (sum(|drive| drive.false_claims), sum(|drive| drive.claims));
     assert!(1000 * wrong <= FALSE_CLAIMS_PER_MILLE * claims, "{wrong} of {claims}: {drives:?}");
-    // Nor does it never trust itself: 0.69 to 0.71 of the scans by seed.
-    assert!(drives.iter().all(|drive| drive.tracked > 0.63), "{drives:?}");
+    // Nor does it never trust itself: 0.50 to 0.59 of the scans by seed.
+    assert!(drives.iter().all(|drive| drive.tracked > 0.45), "{drives:?}");
+}
+
+/// Half an hour on a campus with a scan of 180 beams a second: 0.5 km among lawns, hedges and slopes, with one loop.
+#[test]
+fn on_a_campus_every_scan_is_in_one_map() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut args = world("campus", 1800);
+    for key in ["wheel_slips=0", "scan_rate_hz=1", "beams=180", "field_of_view_deg=180", "range_max_m=80"] {
+        args.extend(["--set".to_owned(), format!("simulation.{key}")]);
+    }
+    let outputs = support::run_well("campus", directory.path(), &args);
+    let error = absolute_error_m(&outputs, "trajectory.tum");
+    println!("campus: {:?}, ATE {:.3} m", outputs.report.loop_closures, error.rmse);
+    assert_eq!((outputs.report.detached_scans, outputs.report.trajectories), (0, 1));
+    assert!(outputs.report.loop_closures.accepted >= 5, "{:?}", outputs.report.loop_closures);
+    assert!(error.rmse < CAMPUS_ERROR_M, "{} m", error.rmse);
 }
 
 fn length_m(outputs: &Outputs) -> f64 {

@@ -78,12 +78,18 @@ pub struct ConfigurationArgs {
 /// `flockslam map`.
 #[derive(Clone, Debug, Args)]
 pub struct MapArgs {
-    /// CARMEN log
-    #[arg(value_name = "LOG", required_unless_present = "source", conflicts_with = "source")]
+    /// CARMEN log, ROS 1 bag, rosbag2 folder, .db3 or .mcap file
+    #[arg(value_name = "RECORDING", required_unless_present = "source", conflicts_with = "source")]
     pub log: Option<PathBuf>,
     /// Where scans come from, in place of a log: `-` reads CARMEN lines from the standard input as they arrive
     #[arg(long, value_name = "-")]
     pub source: Option<PathBuf>,
+    /// Topic of the recording that scans are read from; needed where there is more than one
+    #[arg(long, value_name = "TOPIC")]
+    pub scan: Option<String>,
+    /// Topic of the recording that odometry is read from; needed where there is more than one
+    #[arg(long, value_name = "TOPIC")]
+    pub odom: Option<String>,
     /// What every run shares
     #[command(flatten)]
     pub run: RunArgs,

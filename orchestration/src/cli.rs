@@ -2,6 +2,7 @@
 
 use crate::arguments::{Cli, Command};
 use crate::commands::{self, CommandError};
+use crate::supervisor::raise_open_files;
 use clap::Parser;
 use std::process::ExitCode;
 
@@ -19,6 +20,7 @@ pub fn abort_on_panic() {
 /// Parses the command line and runs it. What a user did wrong ends with exit code 2, what went wrong here with 1.
 pub fn main() -> ExitCode {
     abort_on_panic();
+    raise_open_files();
     let cli = Cli::parse();
     let outcome = match cli.command {
         Command::Stage(args) => return commands::stage::run(&args),

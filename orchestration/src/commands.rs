@@ -23,6 +23,7 @@ pub mod up;
 
 use crate::configuration::ConfigurationError;
 use crate::supervisor::SetError;
+use flockslam_bus::BusError;
 use std::io::Write;
 
 /// Writes to the standard output. A reader that has gone away (`| head`) is no failure of the command.
@@ -64,6 +65,9 @@ impl From<SetError> for CommandError {
         match error {
             SetError::Source(reason) => Self::User(reason),
             SetError::Runtime(error) => Self::user(error),
+            error @ (SetError::TooSmall(_)
+            | SetError::OpenFiles { .. }
+            | SetError::Bus(BusError::NoRoom { .. })) => Self::user(error),
             other => Self::failed(other),
         }
     }

@@ -60,8 +60,10 @@ pub struct Configuration {
 pub struct SetSettings {
     /// Greatest number of live tiles (3.2 × 3.2 m each with cells of 5 cm).
     pub live_tiles: usize,
-    /// Directory on disk for what grows with the way driven and is rarely read: closed submaps, the journal, trajectories. Each set
-    /// has a folder of its own in it, as long as it runs. Without it everything lies in memory, in /dev/shm.
+    /// Directory on disk for what grows with the way driven and is rarely read: closed submaps, the journal, trajectories. Each set has a
+    /// folder of its own in it, as long as it runs. When it is not set: beside the map directory, else `$STATE_DIRECTORY`,
+    /// `$XDG_STATE_HOME/flockslam` or `~/.local/state/flockslam`, else in the directory for temporary files: the first that can be
+    /// written and has 16 MB of room; without any, in `/dev/shm`.
     pub spill_dir: Option<PathBuf>,
 }
 

@@ -7,6 +7,7 @@ pub mod configuration;
 pub mod evaluation;
 pub mod outputs;
 pub mod recording;
+pub mod state_directory;
 pub mod store;
 pub mod supervisor;
 pub mod top;

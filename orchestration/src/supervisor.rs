@@ -14,6 +14,7 @@ mod set_file;
 mod stage_command;
 mod status;
 mod supervision;
+mod system_limits;
 
 pub use control_socket::{ControlError, ControlSocket, Order, Reply, Request, ask, known_stage};
 pub use metrics::{MetricsService, set_metrics_socket};
@@ -26,3 +27,4 @@ pub use set_file::SetFile;
 pub use stage_command::{run_in, run_stage, shell_in};
 pub use status::{SaveStatus, SetState, SetStatus, StageState, StageStatus};
 pub use supervision::{ProcessLimits, Supervision};
+pub use system_limits::raise_open_files;

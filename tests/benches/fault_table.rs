@@ -40,7 +40,7 @@ fn rows() -> Vec<Row> {
     }
     rows.push(("torn".to_owned(), Box::new(|_| torn_files(7))));
     rows.push(("disk".to_owned(), Box::new(|runs| refusing_disk(runs.div_ceil(20)))));
-    rows.push(("corrupt".to_owned(), Box::new(|_| corrupt_scans(8))));
+    rows.push(("corrupt".to_owned(), Box::new(|_| corrupt_scans(1..13))));
     let overloads = [
         Overload::Slow(Stage::ScanMatcher, 10),
         Overload::Slow(Stage::ScanMatcher, 100),

@@ -8,7 +8,7 @@ use flockslam::supervisor::{Request, SetDescription};
 use flockslam_evidence::Submap;
 use flockslam_lidar_ingest::Settings;
 use flockslam_lidar_ingest::carmen::CarmenReader;
-use flockslam_lidar_ingest::process::BagReader;
+use flockslam_lidar_ingest::process::RecordingReader;
 use flockslam_messages::ScanBuffer;
 use flockslam_stage::JournalReader;
 use std::fs;
@@ -40,11 +40,11 @@ pub fn carmen(bytes: &[u8]) {
     }
 }
 
-/// A ROS 1 bag.
+/// A ROS 1 bag, a rosbag2 file.
 pub fn bag(bytes: &[u8]) {
     let path = scratch("bag").join("fuzz.bag");
     fs::write(&path, bytes).expect("tmpfs can be written");
-    let Ok(mut reader) = BagReader::open(&path) else { return };
+    let Ok(mut reader) = RecordingReader::open(&path, &Settings::default()) else { return };
     let mut scan = ScanBuffer::default();
     while let Ok(true) = reader.next_scan(&mut scan) {
         scan.view().expect("a scan that is given out is whole");

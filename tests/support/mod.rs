@@ -22,7 +22,9 @@ mod running;
 pub mod seeded_drives;
 mod simulated_log;
 pub mod slow_link;
+pub mod small_mounts;
 pub mod source;
+pub mod tools;
 
 pub use benchmark::{benchmark_file, evaluate_relations};
 pub use browser::Browser;
@@ -106,6 +108,9 @@ pub fn assert_nothing_left(robot: &str) {
         .filter(|name| name.contains(robot))
         .collect();
     assert!(in_memory.is_empty(), "left in shared memory: {in_memory:?}");
+    let on_disk = flockslam::state_directory::spill_directory(None, None)
+        .map(|directory| directory.join(format!("flockslam-spill-{robot}")));
+    assert!(on_disk.as_ref().is_none_or(|folder| !folder.exists()), "left on disk: {on_disk:?}");
     let processes = processes_of(robot);
     assert!(processes.is_empty(), "left running: {processes:?}");
 }

@@ -1,6 +1,7 @@
 //! Poses of a running set, read from its journal with the time at which each was there.
 
 use super::wait_for;
+use flockslam_bus::RuntimeDir;
 use flockslam_messages::PoseEstimate;
 use flockslam_stage::JournalReader;
 use flockslam_telemetry::monotonic_ns;
@@ -29,7 +30,7 @@ const PAUSE: Duration = Duration::from_millis(1);
 impl PoseWatch {
     /// Begins with the poses that follow now.
     pub fn start(runtime_dir: &Path) -> Self {
-        let mut journal = JournalReader::open(&runtime_dir.join("journal")).unwrap();
+        let mut journal = JournalReader::open(&RuntimeDir::open(runtime_dir).unwrap().journal()).unwrap();
         while journal.read_next().unwrap().is_some() {}
         let (seen, stop) = (Arc::new(Mutex::new(Vec::new())), Arc::new(AtomicBool::new(false)));
         let (to, stopped) = (Arc::clone(&seen), Arc::clone(&stop));

@@ -1,5 +1,7 @@
 //! The state of a set as its supervisor tells it, and the events that follow from two successive states.
 
+use flockslam_messages::Stage;
+use flockslam_results::Unattached;
 use serde::{Deserialize, Serialize};
 
 /// How a set is, as its supervisor tells it.
@@ -18,6 +20,8 @@ pub struct Health {
     pub saved: Option<serde_json::Value>,
     /// All processes.
     pub stages: Vec<StageHealth>,
+    /// What nothing connects with the map; `None` when all scans are in it.
+    pub unattached: Option<Unattached>,
     /// The robot's flock, when it is part of one.
     pub flock: Option<FlockHealth>,
 }
@@ -82,6 +86,10 @@ pub enum EventKind {
     Hang,
     /// A stage does not get up.
     GivenUp,
+    /// What was driven is not in the map.
+    Unattached,
+    /// All that was driven is in the map again.
+    Attached,
     /// A loop was closed.
     Closure,
     /// Something was done by the page's order.
@@ -103,7 +111,7 @@ pub struct Event {
 
 /// What has happened to the stages between two looks.
 pub fn events_between(before: &Health, after: &Health, at_ms: u64) -> Vec<Event> {
-    let mut events = Vec::new();
+    let mut events: Vec<Event> = attachment(before, after, at_ms).into_iter().collect();
     for stage in &after.stages {
         let is_same = |other: &&StageHealth| other.stage == stage.stage && other.replica == stage.replica;
         let Some(old) = before.stages.iter().find(is_same) else { continue };
@@ -126,6 +134,18 @@ pub fn events_between(before: &Health, after: &Health, at_ms: u64) -> Vec<Event>
         }
     }
     events
+}
+
+/// Whether what was driven has come apart from the map, or is all in it again.
+fn attachment(before: &Health, after: &Health, at_ms: u64) -> Option<Event> {
+    let is_known = !before.stages.is_empty() && !after.stages.is_empty();
+    let (kind, text) = match (&before.unattached, &after.unattached) {
+        (None, Some(unattached)) => (EventKind::Unattached, unattached.to_string()),
+        (Some(_), None) => (EventKind::Attached, "all scans are in the map again".to_owned()),
+        _ => return None,
+    };
+    let stage = Some(Stage::SyncManager.name().to_owned());
+    is_known.then_some(Event { at_ms, kind, stage, text })
 }
 
 #[cfg(test)]
@@ -157,5 +177,9 @@ mod tests {
         assert_eq!(kinds(&calm, &lost), [EventKind::Restart, EventKind::GivenUp]);
         assert_eq!(kinds(&lost, &lost), []);
         assert_eq!(kinds(&Health::default(), &lost), [], "a first look has nothing to compare with");
+        let apart = Health { unattached: Some(Unattached::default()), ..calm.clone() };
+        assert_eq!(kinds(&calm, &apart), [EventKind::Unattached]);
+        assert_eq!(kinds(&apart, &calm), [EventKind::Attached]);
+        assert_eq!((kinds(&apart, &apart), kinds(&Health::default(), &apart)), (vec![], vec![]));
     }
 }

@@ -321,7 +321,7 @@ impl Session {
                 continue;
             };
             let mut shades = [0; TILE_CELLS];
-            for (shade, cell) in shades.iter_mut().zip(cells) {
+            for (shade, cell) in shades.iter_mut().zip(cells.iter()) {
                 *shade = self.shader.shade(cell.occupied, cell.free);
             }
             shared.view().map.set(key, &shades);

@@ -49,6 +49,7 @@ export class Panel {
     if (json.health !== undefined) {
       this.health = json.health;
       this.showStages();
+      this.showUnattached(json.health?.unattached);
       this.showFlock(json.health?.flock);
     }
     if (json.latencies || json.events) this.tick();
@@ -89,6 +90,13 @@ export class Panel {
     const uptime = this.health ? `up ${span(this.health.uptime_s)}` : 'the supervisor does not answer';
     set(document.querySelector('#uptime'), uptime);
     this.tick();
+  }
+
+  /** What nothing connects with the map. */
+  showUnattached(part) {
+    const line = document.querySelector('#unattached');
+    line.hidden = !part;
+    if (part) set(line, `Not in the map: ${part.scans} scans, ${part.travel_m.toFixed(0)} m, the first ${span(part.since_s)} after the start`);
   }
 
   /** Every robot that is known of: whether it is in the common map, and whether it is near. */

@@ -33,26 +33,7 @@ impl Bus {
         assert!(capacity.window > 0 && capacity.replicas > 0 && capacity.live_tiles > 0);
         runtime.configure_shared_memory()?;
         let mut bus = SharedBus::new("supervisor", capacity)?;
-        for topic in [
-            plain::<Verdict>(&capacity),
-            plain::<ScanTally>(&capacity),
-            plain::<PoseEstimate>(&capacity),
-            plain::<Commit>(&capacity),
-            plain::<PartInserted>(&capacity),
-            plain::<SubmapClosed>(&capacity),
-            plain::<Correction>(&capacity),
-            plain::<FlockFrame>(&capacity),
-            plain::<FlockRobots>(&capacity),
-            plain::<Control>(&capacity),
-            plain::<Progress>(&capacity),
-            plain::<TileMessage>(&capacity),
-            slice::<ScanHeader>(&capacity),
-            slice::<LargeScanHeader>(&capacity),
-            slice::<MarksHeader>(&capacity),
-            slice::<SectorHeader>(&capacity),
-            slice::<TracksHeader>(&capacity),
-            slice::<MovingBeamsHeader>(&capacity),
-        ] {
+        for topic in topics(&capacity) {
             bus.create(&topic)?;
         }
         bus.create_event(SUPERVISOR_EVENT)?;
@@ -151,6 +132,30 @@ impl Bus {
     pub fn notifier(&self, name: &str) -> Result<Notifier, BusError> {
         self.transport.notifier(name)
     }
+}
+
+/// All topics of a set.
+pub(crate) fn topics(capacity: &Capacity) -> [TopicSpec; 18] {
+    [
+        plain::<Verdict>(capacity),
+        plain::<ScanTally>(capacity),
+        plain::<PoseEstimate>(capacity),
+        plain::<Commit>(capacity),
+        plain::<PartInserted>(capacity),
+        plain::<SubmapClosed>(capacity),
+        plain::<Correction>(capacity),
+        plain::<FlockFrame>(capacity),
+        plain::<FlockRobots>(capacity),
+        plain::<Control>(capacity),
+        plain::<Progress>(capacity),
+        plain::<TileMessage>(capacity),
+        slice::<ScanHeader>(capacity),
+        slice::<LargeScanHeader>(capacity),
+        slice::<MarksHeader>(capacity),
+        slice::<SectorHeader>(capacity),
+        slice::<TracksHeader>(capacity),
+        slice::<MovingBeamsHeader>(capacity),
+    ]
 }
 
 fn plain<T: Topic>(capacity: &Capacity) -> TopicSpec {

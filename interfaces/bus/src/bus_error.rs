@@ -1,5 +1,7 @@
 //! The errors of the bus.
 
+use crate::room::{Megabytes, Room, take_refused_bytes};
+
 /// Errors of the bus. Every variant names the topic or place and the reason.
 #[derive(Debug, thiserror::Error)]
 pub enum BusError {
@@ -18,6 +20,19 @@ pub enum BusError {
         topic: String,
         /// The error of iceoryx2.
         reason: String,
+    },
+    /// Shared memory is used up.
+    #[error(
+        "no room in shared memory for {what}: {} more are needed; {room}: make room there, or give more (--shm-size of a container)",
+        Megabytes(*bytes)
+    )]
+    NoRoom {
+        /// Topic, event or node.
+        what: String,
+        /// Size of what was to be made, bytes.
+        bytes: u64,
+        /// What there is.
+        room: Room,
     },
     /// The process that created the topic was built with another layout of its message.
     #[error(
@@ -44,10 +59,21 @@ pub enum BusError {
 
 impl BusError {
     pub(crate) fn transfer(topic: &'static str, reason: impl std::fmt::Debug) -> Self {
-        Self::Transfer { topic, reason: format!("{reason:?}") }
+        Self::no_room(topic).unwrap_or_else(|| Self::Transfer { topic, reason: format!("{reason:?}") })
     }
 
     pub(crate) fn open(topic: &str, reason: impl std::fmt::Debug) -> Self {
-        Self::Open { topic: topic.to_owned(), reason: format!("{reason:?}") }
+        Self::no_room(topic)
+            .unwrap_or_else(|| Self::Open { topic: topic.to_owned(), reason: format!("{reason:?}") })
+    }
+
+    /// When this thread was refused memory just now.
+    pub(crate) fn no_room(what: &str) -> Option<Self> {
+        take_refused_bytes().map(|bytes| Self::out_of_room(what, bytes))
+    }
+
+    pub(crate) fn out_of_room(what: &str, bytes: u64) -> Self {
+        let room = Room::now().unwrap_or(Room { total_bytes: 0, free_bytes: 0 });
+        Self::NoRoom { what: what.to_owned(), bytes, room }
     }
 }

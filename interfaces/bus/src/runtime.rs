@@ -2,6 +2,7 @@
 //! the end together with the shared-memory objects of the set.
 
 use crate::BusError;
+use crate::room::SHARED_MEMORY;
 use iceoryx2::config::Config;
 use iceoryx2::prelude::{FilePath, SemanticString};
 use std::fs::{self, File, OpenOptions};
@@ -10,16 +11,14 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Where POSIX shared memory objects appear as files.
-const SHARED_MEMORY: &str = "/dev/shm";
+mod folder_on_disk;
+
+use folder_on_disk::{boot, spill_folder};
+
 /// A living process gives a shared object that it has begun its size within this.
 const FINISHED_WITHIN: Duration = Duration::from_millis(20);
 const DIRECTORY_PREFIX: &str = "flockslam-";
 const LOCK_FILE: &str = "lock";
-/// Begins the names of folders on disk that belong to sets.
-const SPILL_PREFIX: &str = "flockslam-spill-";
-/// In a set's directory: leads to its folder on disk.
-const SPILL_LINK: &str = "spill";
 /// In a set's directory: its state outlives the supervisor, for the next set of its name.
 const KEPT_MARK: &str = "kept";
 /// Of the status of a dead set only this is of use to the next: how far the source had come.
@@ -89,7 +88,7 @@ impl RuntimeDir {
             return Err(RuntimeError::BadName(name.to_owned()));
         }
         let path = Self::path_of(name);
-        let turn = take_turn();
+        let turn = take_turn(Path::new(SHARED_MEMORY));
         sweep_abandoned();
         fs::create_dir_all(&path).map_err(|source| io_error(&path, source))?;
         let lock = take_lock(&path)?.ok_or_else(|| RuntimeError::Running(name.to_owned()))?;
@@ -117,11 +116,18 @@ impl RuntimeDir {
     /// As [`RuntimeDir::create_spilling`].
     pub fn create_or_take_over(name: &str, spill_dir: Option<&Path>) -> Result<(Self, bool), RuntimeError> {
         let path = Self::path_of(name);
-        let left = is_good_name(name) && path.join(KEPT_MARK).exists() && path.join("set.json").exists();
+        let has_all = || spill_folder(&path).is_none_or(|folder| folder.join(LOCK_FILE).exists());
+        let left = is_good_name(name)
+            && path.join(KEPT_MARK).exists()
+            && path.join("set.json").exists()
+            && has_all();
         let runtime =
             if left { Self::take_over(name, path)? } else { Self::create_spilling(name, spill_dir)? };
-        let mark = runtime.path.join(KEPT_MARK);
-        File::create(&mark).map_err(|source| io_error(&mark, source))?;
+        let boot = boot();
+        for directory in [&runtime.path, &runtime.spill] {
+            let mark = directory.join(KEPT_MARK);
+            fs::write(&mark, &boot).map_err(|source| io_error(&mark, source))?;
+        }
         Ok((runtime, left))
     }
 
@@ -329,25 +335,6 @@ impl RuntimeDir {
         file.write_all(text.as_bytes()).map_err(|source| io_error(&path, source))
     }
 
-    /// Makes the set's folder on disk, and a link to it by which stages and sweepers find it.
-    fn spill_into(&mut self, spill_dir: &Path) -> Result<(), RuntimeError> {
-        let refused = |path: &Path, source| RuntimeError::Spill { path: path.to_owned(), source };
-        let spill_dir = std::path::absolute(spill_dir).map_err(|source| refused(spill_dir, source))?;
-        sweep_spilled(&spill_dir);
-        let folder = spill_dir.join(format!("{SPILL_PREFIX}{}", self.name));
-        fs::create_dir_all(&folder).map_err(|source| refused(&folder, source))?;
-        let lock = take_lock(&folder).map_err(|error| match error {
-            RuntimeError::Io { path, source } => refused(&path, source),
-            other => other,
-        })?;
-        // A set of the same name on another machine may share the disk.
-        self._spill_lock = Some(lock.ok_or_else(|| RuntimeError::Running(self.name.clone()))?);
-        let link = self.path.join(SPILL_LINK);
-        std::os::unix::fs::symlink(&folder, &link).map_err(|source| io_error(&link, source))?;
-        self.spill = folder;
-        Ok(())
-    }
-
     fn remove(mut self) {
         self.wipe_contents();
         remove(&self.path);
@@ -370,7 +357,7 @@ impl RuntimeDir {
 impl Drop for RuntimeDir {
     fn drop(&mut self) {
         if self.lock.is_some() && self.wiped_at_end {
-            let _turn = take_turn();
+            let _turn = take_turn(Path::new(SHARED_MEMORY));
             self.wipe_contents();
             remove(&self.path);
         }
@@ -397,26 +384,10 @@ fn sweep_abandoned() {
     }
 }
 
-/// Removes the folders of sets that are dead, and whose directory has not survived a restart of the machine.
-fn sweep_spilled(spill_dir: &Path) {
-    for folder in entries(spill_dir) {
-        let is_spill = file_name(&folder).starts_with(SPILL_PREFIX) && folder.join(LOCK_FILE).exists();
-        if is_spill && let Ok(Some(_lock)) = take_lock(&folder) {
-            remove(&folder);
-        }
-    }
-}
-
-/// The folder on disk of the set in a directory.
-fn spill_folder(path: &Path) -> Option<PathBuf> {
-    let folder = fs::read_link(path.join(SPILL_LINK)).ok()?;
-    file_name(&folder).starts_with(SPILL_PREFIX).then_some(folder)
-}
-
-/// Held while sets are created or removed: a sweeper must not meet a directory whose lock is about to be taken, nor a
+/// Held while sets are created or removed in a directory: a sweeper must not meet a directory whose lock is about to be taken, nor a
 /// creator one that is about to go. A system without such locks only loses that safety.
-fn take_turn() -> Option<File> {
-    let turn = File::open(SHARED_MEMORY).ok()?;
+fn take_turn(directory: &Path) -> Option<File> {
+    let turn = File::open(directory).ok()?;
     turn.lock().ok()?;
     Some(turn)
 }

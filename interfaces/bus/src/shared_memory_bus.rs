@@ -2,6 +2,7 @@
 
 use crate::event::{Listener, Notifier};
 use crate::patience::Patience;
+use crate::room::{give_pages, take_refused_bytes, with_first_bytes};
 use crate::service::Service;
 use crate::shared_event::{SharedListener, SharedNotifier};
 use crate::shared_sample::SharedSample;
@@ -32,7 +33,11 @@ pub struct SharedBus {
 impl SharedBus {
     /// Registers this process.
     pub fn new(name: &str, capacity: Capacity) -> Result<Self, BusError> {
-        let setup = |reason: String| BusError::Setup { place: "the node directory".to_owned(), reason };
+        let setup = |reason: String| {
+            let other = || BusError::Setup { place: "the node directory".to_owned(), reason };
+            BusError::no_room("a node").unwrap_or_else(other)
+        };
+        take_refused_bytes();
         let name = NodeName::new(name).map_err(|e| setup(format!("{e:?}")))?;
         let node = NodeBuilder::new()
             .name(&name)
@@ -97,30 +102,30 @@ impl Transport for SharedBus {
         let limit = topic.limits.preallocated.unwrap_or(usize::MAX);
         let growth = if topic.grows { AllocationStrategy::PowerOfTwo } else { AllocationStrategy::Static };
         let factory = self.open(topic)?;
-        let port = factory
+        let builder = factory
             .publisher_builder()
             .max_loaned_samples(2)
             .initial_max_slice_len(topic.words)
             .allocation_strategy(growth)
-            .override_sample_preallocation(move |worst| worst.min(limit))
-            .create()
-            .map_err(|e| BusError::open(topic.name, e))?;
-        Ok(Box::new(SharedLender { topic: topic.name, port }))
+            .override_sample_preallocation(move |worst| worst.min(limit));
+        let created = with_first_bytes(topic.reserved_bytes(), || builder.create());
+        let port = made(topic.name, created)?;
+        Ok(Box::new(SharedLender { topic: topic.name, port, is_whole: topic.is_whole() }))
     }
 
     fn source(&self, topic: &TopicSpec) -> Result<Box<dyn Source>, BusError> {
         let factory = self.open(topic)?;
-        let port = factory.subscriber_builder().create().map_err(|e| BusError::open(topic.name, e))?;
+        let port = made(topic.name, factory.subscriber_builder().create())?;
         Ok(Box::new(SharedSource { topic: topic.name, port, patience: Patience::default() }))
     }
 
     fn listener(&self, name: &str) -> Result<Listener, BusError> {
-        let port = self.open_event(name)?.listener_builder().create().map_err(|e| BusError::open(name, e))?;
+        let port = made(name, self.open_event(name)?.listener_builder().create())?;
         Ok(Listener::new(Box::new(SharedListener(port))))
     }
 
     fn notifier(&self, name: &str) -> Result<Notifier, BusError> {
-        let port = self.open_event(name)?.notifier_builder().create().map_err(|e| BusError::open(name, e))?;
+        let port = made(name, self.open_event(name)?.notifier_builder().create())?;
         Ok(Notifier::new(Box::new(SharedNotifier(port))))
     }
 
@@ -133,12 +138,17 @@ impl Transport for SharedBus {
 struct SharedLender {
     topic: &'static str,
     port: publisher::Publisher<Service, Words, ()>,
+    /// All of its memory was there when it was made.
+    is_whole: bool,
 }
 
 impl Lender for SharedLender {
     fn send(&self, words: usize, fill: &mut dyn FnMut(&mut Words)) -> Result<(), BusError> {
         let wrong = |error: &dyn std::fmt::Debug| BusError::transfer(self.topic, error);
         let mut slot = self.port.loan_slice_uninit(words).map_err(|e| wrong(&e))?;
+        if !self.is_whole && !give_pages(slot.payload_mut()) {
+            return Err(BusError::out_of_room(self.topic, (words * size_of::<u64>()) as u64));
+        }
         slot.payload_mut().iter_mut().for_each(|word| {
             word.write(0);
         });
@@ -164,6 +174,14 @@ impl Source for SharedSource {
     fn receive(&self) -> Result<Option<Held>, BusError> {
         let sample = self.patience.bear(self.topic, self.port.receive())?;
         Ok(sample.map(|sample| Held::Shared(SharedSample::new(sample))))
+    }
+}
+
+/// A port that was made whole. Where memory is used up iceoryx2 makes ports that some of the others cannot reach.
+fn made<P, E: std::fmt::Debug>(name: &str, created: Result<P, E>) -> Result<P, BusError> {
+    match BusError::no_room(name) {
+        Some(error) => Err(error),
+        None => created.map_err(|e| BusError::open(name, e)),
     }
 }
 

@@ -38,7 +38,13 @@ pub struct Limits {
     pub borrowed: usize,
     /// Messages that a publisher keeps memory for; everything a reader could hold when `None`.
     pub preallocated: Option<usize>,
+    /// Messages whose memory is taken when a publisher is made; all when `None`. That of the others is taken when they are first used.
+    pub reserved: Option<usize>,
 }
+
+/// Live tiles for which memory is taken at the start, twice: a changed one is sent while the former is read. More than the largest
+/// of the public logs needs.
+const RESERVED_TILES: usize = 160;
 
 /// Processes that may read a topic: the stages with their replicas, the supervisor, viewers, recorders.
 const READERS: usize = 20;
@@ -51,6 +57,7 @@ impl Limits {
             buffer: 2 * capacity.window,
             borrowed: 4,
             preallocated: None,
+            reserved: None,
         }
     }
 }
@@ -139,6 +146,7 @@ impl Topic for TileMessage {
             // Readers hold the newest sample of each tile, so memory for all live ones and two rounds of changes is enough, and a
             // third for a viewer that was stopped with a full queue.
             preallocated: Some(lane + 3 * buffer),
+            reserved: Some(2 * capacity.live_tiles.min(RESERVED_TILES).div_ceil(LANES)),
             ..Limits::small(capacity)
         }
     }

@@ -4,6 +4,7 @@
 //! type, so there is one type for all topics, and what is compiled for it stays in this crate, behind these traits.
 
 use crate::event::{Listener, Notifier};
+use crate::room::WHOLE_MAX_BYTES;
 use crate::shared_sample::SharedSample;
 use crate::word_rows::Words;
 use crate::{BusError, Limits};
@@ -24,6 +25,39 @@ pub struct TopicSpec {
     pub grows: bool,
     /// Limits in this set.
     pub limits: Limits,
+}
+
+/// What iceoryx2 0.10 adds to each message, bytes.
+const HEADER_BYTES: u64 = 48;
+/// Sizes of objects are rounded up to pages, bytes.
+const PAGE_BYTES: u64 = 4096;
+/// What it keeps in front of the messages for each of them, bytes.
+const INDEX_BYTES: u64 = 4;
+
+impl TopicSpec {
+    /// Messages that a publisher keeps memory for.
+    fn messages(&self) -> u64 {
+        let Limits { subscribers, buffer, borrowed, preallocated, .. } = self.limits;
+        // One each is on loan, in the history, and being made.
+        let worst = subscribers * (buffer + borrowed) + 3;
+        preallocated.map_or(worst, |limit| limit.min(worst)) as u64
+    }
+
+    fn bytes(&self, messages: u64) -> u64 {
+        let message = (self.words * size_of::<u64>()) as u64 + HEADER_BYTES;
+        messages * message + self.messages() * INDEX_BYTES + PAGE_BYTES
+    }
+
+    /// What a publisher of the topic takes of shared memory when it is made, bytes.
+    pub fn reserved_bytes(&self) -> u64 {
+        let messages = self.limits.reserved.map_or(self.messages(), |few| (few as u64).min(self.messages()));
+        self.bytes(messages)
+    }
+
+    /// Whether that is all that its messages will ever need.
+    pub fn is_whole(&self) -> bool {
+        !self.grows && self.bytes(self.messages()) <= WHOLE_MAX_BYTES
+    }
 }
 
 /// A way to all topics and events of a set.

@@ -37,8 +37,20 @@ pub fn replace_file_by_parts(
     parts: &[&[u8]],
     durability: Durability,
 ) -> Result<(), JournalError> {
+    replace_file_by(path, |file| parts.iter().try_for_each(|bytes| file.write_all(bytes)), durability)
+}
+
+/// As [`replace_file`], for bytes that `write` makes one after the other: they need not lie in memory together.
+///
+/// # Errors
+/// As [`replace_file`], and when `write` fails.
+pub fn replace_file_by(
+    path: &Path,
+    write: impl FnOnce(&mut File) -> io::Result<()>,
+    durability: Durability,
+) -> Result<(), JournalError> {
     let temporary = temporary_of(path)?;
-    let replaced = write_new(&temporary, parts, durability)
+    let replaced = write_new(&temporary, write, durability)
         .and_then(|()| fs::rename(&temporary, path))
         .map_err(JournalError::io("replace", path));
     if replaced.is_err() {
@@ -88,9 +100,13 @@ fn writer_of(name: &OsStr) -> Option<u32> {
     fields.next()?.parse().ok()
 }
 
-fn write_new(path: &Path, parts: &[&[u8]], durability: Durability) -> io::Result<()> {
+fn write_new(
+    path: &Path,
+    write: impl FnOnce(&mut File) -> io::Result<()>,
+    durability: Durability,
+) -> io::Result<()> {
     let mut file = OpenOptions::new().write(true).create(true).truncate(true).open(path)?;
-    parts.iter().try_for_each(|bytes| file.write_all(bytes))?;
+    write(&mut file)?;
     if durability == Durability::Power { file.sync_all() } else { Ok(()) }
 }
 

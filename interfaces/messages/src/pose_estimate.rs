@@ -35,8 +35,8 @@ message! {
         pub flags: u32,
         /// Why the filter dropped the scan (a `DropReason` as number), 0 when it was kept.
         pub drop_reason: u32,
-        /// Number of the trajectory, from 0. A robot that stays lost begins a new one: how it lies to those before is not
-        /// known from driving, only from closures.
+        /// Number of the trajectory, from 0. A robot that stays lost begins a new one: its pose relative to those before is
+        /// known from closures, and from odometry where nothing contradicts it ([`PoseFlags::CONTINUES`]).
         pub trajectory: u32,
     }
 }
@@ -79,4 +79,9 @@ impl PoseFlags {
     pub const RESCUED: u32 = 8;
     /// The scan carried wheel odometry.
     pub const HAS_ODOMETRY: u32 = 16;
+    /// The scan begins a trajectory after the robot was lost, and nothing contradicts odometry: it says where the trajectory begins
+    /// relative to the one before.
+    pub const CONTINUES: u32 = 32;
+    /// The grid does not hold the scan: its pose follows from the surfaces that the last scans have shown, and from the prediction.
+    pub const OPEN: u32 = 64;
 }

@@ -4,13 +4,17 @@ pub mod flock_files;
 mod flock_status;
 mod results_error;
 mod run_results;
+mod stored_map;
 mod submap_store;
+mod unattached;
 
 pub use flock_status::FlockStatus;
 pub use results_error::ResultsError;
 pub use run_results::{
-    FINAL_TRAJECTORY, FUSED_MAP, LivePoses, ONLINE_TRAJECTORY, SUMMARY, StampedPose, StoredMap, SubmapRow,
-    Summary, TRUE_TRAJECTORY, live_poses_file, read_live_poses, read_map, read_summary, read_trajectory,
-    write_live_poses, write_map, write_summary, write_trajectory,
+    DetachedRow, FINAL_TRAJECTORY, LivePoses, ONLINE_TRAJECTORY, SUMMARY, StampedPose, SubmapRow, Summary,
+    TRUE_TRAJECTORY, live_poses_file, read_live_poses, read_summary, read_trajectory, write_live_poses,
+    write_summary, write_trajectory,
 };
+pub use stored_map::{FUSED_MAP, MapReader, MapShape, StoredMap, read_map, write_map, write_map_rows};
 pub use submap_store::SubmapStore;
+pub use unattached::Unattached;

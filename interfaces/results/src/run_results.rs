@@ -1,12 +1,11 @@
 //! What sync-manager leaves at the end of a run, as files in the set's directory.
 
 use crate::ResultsError;
-use flockslam_evidence::Cell;
-use flockslam_geometry::{Point, Pose};
-use flockslam_journal::{Durability, replace_file, replace_file_by_parts};
+use flockslam_geometry::Pose;
+use flockslam_journal::{Durability, replace_file};
 use flockslam_messages::{DropReason, PoseEstimate, PoseFlags};
 use std::fs;
-use std::io::Read;
+use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
@@ -26,8 +25,6 @@ pub const FINAL_TRAJECTORY: &str = "final.poses";
 pub const ONLINE_TRAJECTORY: &str = "online.poses";
 /// Exact trajectory of a simulated robot.
 pub const TRUE_TRAJECTORY: &str = "truth.poses";
-/// The fused map.
-pub const FUSED_MAP: &str = "fused.map";
 /// What happened, as JSON.
 pub const SUMMARY: &str = "summary.json";
 
@@ -64,15 +61,35 @@ pub struct Summary {
     /// Trajectories: more than one when the robot was lost and mapped anew.
     #[serde(default)]
     pub trajectories: u64,
-    /// Scans of trajectories that no closure connects with the map.
+    /// Scans of trajectories that nothing connects with the map.
     #[serde(default)]
     pub detached_scans: u64,
+    /// These trajectories, the longest first.
+    #[serde(default)]
+    pub detached: Vec<DetachedRow>,
     /// Searches for loop closures.
     pub closures_tried: u64,
     /// Closures that passed all checks.
     pub closures_accepted: u64,
     /// Of those, closures that do not act in the final solution.
     pub closures_revoked: u64,
+}
+
+/// Trajectories that nothing connects with the map.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct DetachedRow {
+    /// Number of the first of them, from 0.
+    pub trajectory: u32,
+    /// Their scans.
+    pub scans: u64,
+    /// Way driven, metres.
+    pub travel_m: f64,
+    /// Stamp of the first scan, seconds since the first scan of the run.
+    pub from_s: f64,
+    /// Stamp of the last scan, seconds since the first scan of the run.
+    pub to_s: f64,
+    /// Subdirectory with their own map and trajectory, if there is one.
+    pub directory: Option<String>,
 }
 
 impl Summary {
@@ -120,37 +137,6 @@ pub struct LivePoses {
     pub accepted: u64,
 }
 
-/// A fused map: evidence on a rectangle of cells.
-#[derive(Clone, Debug, PartialEq)]
-pub struct StoredMap {
-    /// Cells in a row.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// Side of a cell, metres.
-    pub cell_size_m: f64,
-    /// Lower left corner in the map frame.
-    pub origin: Point,
-    /// Evidence, row by row, the lowest y first.
-    pub cells: Vec<Cell>,
-}
-
-impl StoredMap {
-    /// A map without cells.
-    pub fn empty() -> Self {
-        Self { width: 0, height: 0, cell_size_m: 1.0, origin: Point::default(), cells: Vec::new() }
-    }
-}
-
-#[repr(C)]
-#[derive(Clone, Copy, FromBytes, IntoBytes, Immutable, KnownLayout)]
-struct MapHead {
-    width: u64,
-    height: u64,
-    cell_size_m: f64,
-    origin: Point,
-}
-
 /// Writes a trajectory into a set's results.
 ///
 /// # Errors
@@ -165,53 +151,20 @@ pub fn write_trajectory(directory: &Path, name: &str, rows: &[StampedPose]) -> R
 /// When there is none, or it is cut off.
 pub fn read_trajectory(directory: &Path, name: &str) -> Result<Vec<StampedPose>, ResultsError> {
     let path = directory.join(name);
-    let bytes = fs::read(&path).map_err(|e| ResultsError::file(&path, e))?;
-    let rows = bytes.chunks(size_of::<StampedPose>()).map(StampedPose::read_from_bytes);
-    rows.collect::<Result<_, _>>().map_err(|_| ResultsError::file(&path, "cut off in the middle of a pose"))
-}
-
-/// Writes the fused map into a set's results.
-///
-/// # Errors
-/// When the disk refuses.
-pub fn write_map(directory: &Path, map: &StoredMap) -> Result<(), ResultsError> {
-    assert_eq!(map.cells.len(), map.width * map.height);
-    let head = MapHead {
-        width: map.width as u64,
-        height: map.height as u64,
-        cell_size_m: map.cell_size_m,
-        origin: map.origin,
-    };
-    let parts = [head.as_bytes(), map.cells.as_bytes()];
-    Ok(replace_file_by_parts(&directory.join(FUSED_MAP), &parts, Durability::Process)?)
-}
-
-/// Reads the fused map from a set's results.
-///
-/// # Errors
-/// When there is none, or it is not whole.
-pub fn read_map(directory: &Path) -> Result<StoredMap, ResultsError> {
-    let path = directory.join(FUSED_MAP);
-    let broken = || ResultsError::file(&path, "is not a whole map");
-    let mut file = fs::File::open(&path).map_err(|e| ResultsError::file(&path, e))?;
-    let mut head = [0; size_of::<MapHead>()];
-    file.read_exact(&mut head).map_err(|_| broken())?;
-    let head = MapHead::read_from_bytes(&head).map_err(|_| broken())?;
-    let count = head.width.checked_mul(head.height).ok_or_else(broken)?;
-    let bytes =
-        count.checked_mul(size_of::<Cell>() as u64).and_then(|b| b.checked_add(size_of::<MapHead>() as u64));
-    if file.metadata().ok().map(|data| data.len()) != bytes {
-        return Err(broken());
+    let wrong = |e| ResultsError::file(&path, e);
+    let file = fs::File::open(&path).map_err(wrong)?;
+    let bytes = file.metadata().map_err(wrong)?.len() as usize;
+    if !bytes.is_multiple_of(size_of::<StampedPose>()) {
+        return Err(ResultsError::file(&path, "cut off in the middle of a pose"));
     }
-    let mut cells = vec![Cell::default(); count as usize];
-    file.read_exact(cells.as_mut_bytes()).map_err(|_| broken())?;
-    Ok(StoredMap {
-        width: head.width as usize,
-        height: head.height as usize,
-        cell_size_m: head.cell_size_m,
-        origin: head.origin,
-        cells,
-    })
+    let mut file = BufReader::new(file);
+    let mut rows = Vec::with_capacity(bytes / size_of::<StampedPose>());
+    let mut row = [0; size_of::<StampedPose>()];
+    for _ in 0..bytes / size_of::<StampedPose>() {
+        file.read_exact(&mut row).map_err(wrong)?;
+        rows.extend(StampedPose::read_from_bytes(&row));
+    }
+    Ok(rows)
 }
 
 /// Writes the summary into a set's results.
@@ -264,24 +217,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn trajectories_and_maps_come_back_and_torn_ones_do_not() {
+    fn trajectories_come_back_and_torn_ones_do_not() {
         let directory = tempfile::tempdir().unwrap();
         let rows: Vec<_> =
             (0..3).map(|i| StampedPose { stamp_ns: -i, pose: Pose::new(i as f64, 0.5, 0.1) }).collect();
         write_trajectory(directory.path(), FINAL_TRAJECTORY, &rows).unwrap();
         assert_eq!(read_trajectory(directory.path(), FINAL_TRAJECTORY).unwrap(), rows);
-        let cells = (0..6).map(|i| Cell { occupied: i, free: 7 * i }).collect();
-        let map = StoredMap { width: 3, height: 2, cell_size_m: 0.05, origin: Point::new(-1.0, 2.0), cells };
-        write_map(directory.path(), &map).unwrap();
-        assert_eq!(read_map(directory.path()).unwrap(), map);
-        for name in [FINAL_TRAJECTORY, FUSED_MAP] {
-            let path = directory.path().join(name);
-            let bytes = fs::read(&path).unwrap();
-            fs::write(&path, &bytes[..bytes.len() - 1]).unwrap();
-        }
-        assert!(
-            read_trajectory(directory.path(), FINAL_TRAJECTORY).is_err()
-                && read_map(directory.path()).is_err()
-        );
+        let path = directory.path().join(FINAL_TRAJECTORY);
+        let bytes = fs::read(&path).unwrap();
+        fs::write(&path, &bytes[..bytes.len() - 1]).unwrap();
+        assert!(read_trajectory(directory.path(), FINAL_TRAJECTORY).is_err());
     }
 }

@@ -280,6 +280,20 @@ pub const MAP_AREA: Metric = of_one_stage(
     Kind::Gauge,
     "Area of the fused map that something is known of, in blocks of 8 by 8 cells",
 );
+/// Scans of detached trajectories.
+pub const UNATTACHED_SCANS: Metric = of_one_stage(
+    "sync-manager",
+    "flockslam_unattached_scans",
+    Kind::Gauge,
+    "Scans of trajectories that nothing connects with the map",
+);
+/// Their way.
+pub const UNATTACHED_TRAVEL: Metric = of_one_stage(
+    "sync-manager",
+    "flockslam_unattached_meters",
+    Kind::Gauge,
+    "Way driven in trajectories that nothing connects with the map",
+);
 
 /// Robots that are connected.
 pub const FLOCK_PEERS: Metric = of_one_stage(
@@ -405,7 +419,7 @@ pub const NOT_DURABLE: Metric =
     of_supervisor("flockslam_not_durable", Kind::Gauge, &[], "1 when the map cannot be saved to disk");
 
 /// All metrics, by who tells them.
-pub const ALL: [Metric; 45] = [
+pub const ALL: [Metric; 47] = [
     STAGE_LATENCY,
     SCAN_TO_OUTPUT,
     SCANS_HANDLED,
@@ -432,6 +446,8 @@ pub const ALL: [Metric; 45] = [
     CLOSURE_SEARCHES,
     CLOSURES_ACCEPTED,
     CLOSURES_REVOKED,
+    UNATTACHED_SCANS,
+    UNATTACHED_TRAVEL,
     OPTIMISATION,
     MAP_AREA,
     FLOCK_PEERS,

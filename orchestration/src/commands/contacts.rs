@@ -35,8 +35,7 @@ impl Contacts {
     /// # Errors
     /// When a setting is out of its range, or there is no socket to be had.
     pub fn new(robots: &[(String, String, Settings)], range_m: f64) -> Result<Self, CommandError> {
-        let world =
-            robots.first().map_or_else(World::floor_plan, |(_, _, first)| World::built_in(first.world));
+        let world = robots.first().map_or_else(World::floor_plan, |(_, _, first)| World::built_in(first));
         let drive = |(name, set, settings): &(String, String, Settings)| {
             // The way does not depend on what the lidar sees.
             let blind = Settings { beams: 1, ..settings.clone() };

@@ -2,7 +2,8 @@
 
 use super::run::{Run, run as run_set, summary};
 use super::{CommandError, say};
-use crate::arguments::MapArgs;
+use crate::arguments::{MapArgs, RunArgs};
+use crate::configuration::Configuration;
 use flockslam_lidar_ingest::process::{Source, count_scans};
 
 /// Runs the command.
@@ -10,11 +11,15 @@ use flockslam_lidar_ingest::process::{Source, count_scans};
 /// # Errors
 /// When the log, the configuration or the directory is not usable, or the set fails.
 pub fn run(args: &MapArgs) -> Result<(), CommandError> {
+    let run = with_topics(args);
     let (source, scans) = match (&args.log, &args.source) {
         (Some(log), _) => {
             let absolute = std::path::absolute(log)
                 .map_err(|e| CommandError::user(format!("{}: {e}", log.display())))?;
-            let scans = count_scans(log).map_err(CommandError::user)?;
+            let given = &run.configuration;
+            let configuration =
+                Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
+            let scans = count_scans(log, &configuration.lidar_ingest).map_err(CommandError::user)?;
             (Source::Log(absolute), Some(scans))
         }
         (None, Some(dash)) if dash.as_os_str() == "-" => (Source::Pipe, None),
@@ -25,7 +30,17 @@ pub fn run(args: &MapArgs) -> Result<(), CommandError> {
             )));
         }
     };
-    let outcome = run_set(&args.run, Run { source, world: None, scans, continues: None })?;
-    say(&summary(&args.run.out, &outcome.report));
+    let outcome = run_set(&run, Run { source, world: None, scans, continues: None })?;
+    say(&summary(&run.out, &outcome.report));
     Ok(())
+}
+
+/// The arguments with the topics that were named among the settings.
+fn with_topics(args: &MapArgs) -> RunArgs {
+    let mut run = args.run.clone();
+    for (key, topic) in [("scan_topic", &args.scan), ("odometry_topic", &args.odom)] {
+        let assignment = topic.as_ref().map(|topic| format!("lidar_ingest.{key}={topic:?}"));
+        run.configuration.assignments.extend(assignment);
+    }
+    run
 }

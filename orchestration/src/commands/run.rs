@@ -7,17 +7,18 @@ use super::progress_bar::RunProgress;
 use crate::arguments::RunArgs;
 use crate::configuration::Configuration;
 use crate::outputs::{
-    CellState, LatencyMicroseconds, LoopClosures, OccupancyImage, PictureTracks, Report, StageReport,
-    TrajectoryPoint, map_hash, write_map, write_picture, write_report, write_trajectory,
+    CellState, LatencyMicroseconds, LoopClosures, MapHasher, OccupancyImage, PictureTracks, Report,
+    StageReport, TrajectoryPoint, write_map, write_picture, write_report, write_trajectory,
 };
+use crate::state_directory::spill_directory;
 use crate::store::{MapHead, SavedMap};
 use crate::supervisor::{MetricsService, ProcessSet, SetEvent, SetFile, Supervision};
 use flockslam_bus::RuntimeDir;
 use flockslam_lidar_ingest::process::Source;
 use flockslam_messages::Stage;
-use flockslam_results::FlockStatus;
 use flockslam_results::flock_files;
 use flockslam_results::{self as results, StampedPose, StoredMap, Summary};
+use flockslam_results::{FlockStatus, Unattached};
 use flockslam_scan_matcher::process::LOST;
 use flockslam_stage::{MemoryUse, Mode, read_reports};
 use flockslam_telemetry::LatencyHistogram;
@@ -27,6 +28,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
+/// Subdirectories of what is not in the map begin with this; the number of the trajectory, from 1, follows.
+const DETACHED: &str = "trajectory-";
 /// A shorter way may be noise of the poses, metres.
 const STEP_MIN_M: f64 = 0.05;
 
@@ -71,8 +74,8 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
     let interrupts = count_interrupts()?;
     let name = args.robot.clone().unwrap_or_else(|| format!("run-{}", std::process::id()));
     let started = Instant::now();
-    let spill_dir = configuration.set.spill_dir.as_deref();
-    let runtime = RuntimeDir::create_spilling(&name, spill_dir).map_err(CommandError::user)?;
+    let spill_dir = spill_directory(configuration.set.spill_dir.as_deref(), None);
+    let runtime = RuntimeDir::create_spilling(&name, spill_dir.as_deref()).map_err(CommandError::user)?;
     let mut options = configuration.stage_options(mode);
     if let Some(map) = &run.continues {
         let head = MapHead::of_this_build(&name, configuration.mapper.cell_size_m);
@@ -197,14 +200,14 @@ pub(super) struct Finished<'a> {
 /// Writes what the set found out into a directory.
 pub(super) fn write_outputs(out: &Path, run: &Finished<'_>) -> Result<Outcome, CommandError> {
     let directory = run.set.runtime().results();
-    let read = |name| results::read_trajectory(&directory, name).map_err(CommandError::failed);
-    let last = points(&read(results::FINAL_TRAJECTORY)?);
-    let online = points(&read(results::ONLINE_TRAJECTORY)?);
+    let read = |name| -> Result<Vec<TrajectoryPoint>, CommandError> {
+        let rows = results::read_trajectory(&directory, name).map_err(CommandError::failed)?;
+        Ok(rows.into_iter().map(point).collect())
+    };
+    let last = read(results::FINAL_TRAJECTORY)?;
+    let online = read(results::ONLINE_TRAJECTORY)?;
     let summary = results::read_summary(&directory).map_err(CommandError::failed)?;
-    let stored = results::read_map(&directory).map_err(CommandError::failed)?;
-    let (map, map_hash) = (occupancy(&stored), map_hash(&stored));
-    // Several times larger than the picture of it.
-    drop(stored);
+    let (map, map_hash) = read_map(&directory).map_err(CommandError::failed)?;
     let write = || {
         write_trajectory(&out.join("trajectory.tum"), &last)?;
         write_trajectory(&out.join("trajectory_online.tum"), &online)?;
@@ -212,6 +215,10 @@ pub(super) fn write_outputs(out: &Path, run: &Finished<'_>) -> Result<Outcome, C
         write_picture(&out.join("map.png"), &map, PictureTracks { main: &last, other: &[] })
     };
     write().map_err(CommandError::failed)?;
+    remove_detached(out);
+    for part in &summary.detached {
+        part.directory.iter().try_for_each(|name| write_detached(&directory, out, name))?;
+    }
     let report = report(run, &summary, &map, &last, map_hash)?;
     write_report(&out.join("report.json"), &report).map_err(CommandError::failed)?;
     let truth = results::read_trajectory(&directory, results::TRUE_TRAJECTORY).ok();
@@ -224,20 +231,69 @@ pub(super) fn write_outputs(out: &Path, run: &Finished<'_>) -> Result<Outcome, C
     Ok(Outcome { report, last, online, truth })
 }
 
-/// A stored trajectory as the outputs take it.
-pub fn points(rows: &[StampedPose]) -> Vec<TrajectoryPoint> {
-    rows.iter().map(|row| TrajectoryPoint { stamp_ns: row.stamp_ns, map_from_base: row.pose }).collect()
+/// Removes what an earlier run left of trajectories that were not in its map.
+fn remove_detached(out: &Path) {
+    for entry in std::fs::read_dir(out).into_iter().flatten().flatten() {
+        let name = entry.file_name();
+        let number = name.to_str().and_then(|name| name.strip_prefix(DETACHED));
+        if number.is_some_and(|number| number.parse::<u32>().is_ok())
+            && entry.path().join("map.yaml").exists()
+        {
+            let _ = std::fs::remove_dir_all(entry.path());
+        }
+    }
 }
 
-/// The map as navigation reads it: thresholds as in nav2, on p/(p+q).
+/// Writes the map and the trajectory of what is not in the map into a subdirectory of the outputs.
+fn write_detached(results_dir: &Path, out: &Path, name: &str) -> Result<(), CommandError> {
+    let (from, to) = (results_dir.join(name), out.join(name));
+    let rows = results::read_trajectory(&from, results::FINAL_TRAJECTORY).map_err(CommandError::failed)?;
+    let (last, (map, _)) = (points(&rows), read_map(&from).map_err(CommandError::failed)?);
+    prepare_directory(&to)?;
+    let write = || {
+        write_trajectory(&to.join("trajectory.tum"), &last)?;
+        write_map(&to, &map)?;
+        write_picture(&to.join("map.png"), &map, PictureTracks { main: &last, other: &[] })
+    };
+    write().map_err(CommandError::failed)
+}
+
+/// A stored trajectory as the outputs take it.
+pub fn points(rows: &[StampedPose]) -> Vec<TrajectoryPoint> {
+    rows.iter().copied().map(point).collect()
+}
+
+fn point(row: StampedPose) -> TrajectoryPoint {
+    TrajectoryPoint { stamp_ns: row.stamp_ns, map_from_base: row.pose }
+}
+
+/// The stored map as navigation reads it, and its hash. The evidence takes more memory than the picture made of it, so it is read row by row.
+fn read_map(directory: &Path) -> Result<(OccupancyImage, String), results::ResultsError> {
+    let reader = results::MapReader::open(directory)?;
+    let shape = reader.shape();
+    let mut image = OccupancyImage::of_width(shape.width, shape.cell_size_m, shape.origin);
+    let mut hasher = MapHasher::new(&shape);
+    reader.for_each_row(|row| {
+        hasher.push_row(row);
+        image.push_row(row.iter().map(state));
+    })?;
+    Ok((image.or_one_cell(), hasher.finish()))
+}
+
+/// The map as navigation reads it.
 pub(super) fn occupancy(map: &StoredMap) -> OccupancyImage {
-    let state = |cell: &flockslam_evidence::Cell| match cell.masses().occupancy() {
+    let mut image = OccupancyImage::of_width(map.width, map.cell_size_m, map.origin);
+    map.for_each_row(|row| image.push_row(row.iter().map(state)));
+    image.or_one_cell()
+}
+
+/// Thresholds as in nav2, on p/(p+q).
+fn state(cell: &flockslam_evidence::Cell) -> CellState {
+    match cell.masses().occupancy() {
         Some(occupancy) if occupancy > 0.65 => CellState::Occupied,
         Some(occupancy) if occupancy < 0.25 => CellState::Free,
         _ => CellState::Unknown,
-    };
-    let cells = map.cells.iter().map(state).collect();
-    OccupancyImage::new(map.width, map.height, map.cell_size_m, map.origin, cells)
+    }
 }
 
 fn report(
@@ -297,6 +353,7 @@ fn report(
         submap_bytes_per_m2: summary.submap_bytes as f64 / summary.submap_area_m2.max(1.0),
         trajectories: summary.trajectories,
         detached_scans: summary.detached_scans,
+        detached: summary.detached.clone(),
         loop_closures: LoopClosures {
             tried: summary.closures_tried,
             accepted: summary.closures_accepted,
@@ -347,6 +404,19 @@ fn way_m(trajectory: &[TrajectoryPoint]) -> f64 {
     way_m
 }
 
+/// What is not in the map, for people: a line, or nothing.
+fn not_attached(report: &Report) -> String {
+    if report.detached.is_empty() {
+        return String::new();
+    }
+    let travel_m: f64 = report.detached.iter().map(|part| part.travel_m).sum();
+    let since_s = report.detached.iter().map(|part| part.from_s).fold(f64::INFINITY, f64::min);
+    let own: Vec<&str> = report.detached.iter().filter_map(|part| part.directory.as_deref()).collect();
+    let own = if own.is_empty() { String::new() } else { format!(": they are in {}", own.join(", ")) };
+    let unattached = Unattached { scans: report.detached_scans, travel_m, since_s };
+    format!("{unattached}{own}\n")
+}
+
 /// What a run gave, for people.
 pub fn summary(out: &Path, report: &Report) -> String {
     let dropped: u64 = report.dropped.values().sum();
@@ -357,7 +427,7 @@ pub fn summary(out: &Path, report: &Report) -> String {
     format!(
         "{} scans in {:.1} s ({:.0} scans/s), {share:.0} % dropped by the filter\n\
          {:.0} m driven, {:.0} m² mapped, {} submaps, {closures} loop closures\n\
-         {bad}map {}\n\
+         {}{bad}map {}\n\
          wrote trajectory.tum, trajectory_online.tum, map.pgm, map.yaml, map.png, report.json to {}\n",
         report.scans,
         report.wall_s,
@@ -365,6 +435,7 @@ pub fn summary(out: &Path, report: &Report) -> String {
         report.trajectory_length_m,
         report.map_area_m2,
         report.submaps,
+        not_attached(report),
         report.map_hash,
         out.display()
     )

@@ -6,6 +6,7 @@ use super::run::{Finished, count_interrupts, points, prepare_directory, write_ou
 use crate::arguments::UpArgs;
 use crate::configuration::Configuration;
 use crate::outputs::write_trajectory;
+use crate::state_directory::spill_directory;
 use crate::store::{Findings, MapHead, MapKeeper, Mirror, SavedMap, StoreError};
 use crate::supervisor::{
     ControlSocket, MetricsService, Order, PageProcess, ProcessSet, Reply, Request, ServiceManager,
@@ -69,10 +70,11 @@ impl LiveSet {
     fn start(args: &UpArgs, description: &SetDescription) -> Result<Self, CommandError> {
         let mut configuration = description.configuration(&args.assignments)?;
         let head = MapHead::of_this_build(&description.robot, configuration.mapper.cell_size_m);
-        let spill_dir = configuration.set.spill_dir.as_deref();
-        let (runtime, taken_over) =
-            RuntimeDir::create_or_take_over(&description.robot, spill_dir).map_err(CommandError::user)?;
         let map = args.map.as_ref().or(description.map.as_ref()).map(|directory| SavedMap::at(directory));
+        let beside = map.as_ref().map(SavedMap::directory);
+        let spill_dir = spill_directory(configuration.set.spill_dir.as_deref(), beside);
+        let (runtime, taken_over) = RuntimeDir::create_or_take_over(&description.robot, spill_dir.as_deref())
+            .map_err(CommandError::user)?;
         if let (Some(map), "") = (&map, &*configuration.sync_manager.flock.key_file.to_string_lossy()) {
             // Whose records go with the map stays who it is.
             configuration.sync_manager.flock.key_file = map.directory().join("flock.key");
@@ -116,9 +118,8 @@ impl LiveSet {
             }
             manager.alive();
             self.page.iter_mut().for_each(PageProcess::look_after);
-            if let Some(keeper) = &self.keeper {
-                self.set.metrics().set_not_durable(keeper.status().problem.is_some());
-            }
+            let unsaved = self.keeper.as_ref().is_some_and(|keeper| keeper.status().problem.is_some());
+            self.set.metrics().set_not_durable(unsaved || self.set.not_durable().is_some());
             let mut ends = interrupts.load(Ordering::Relaxed) > 0;
             while let Some(order) = control.next() {
                 ends |= order.request == Request::Down;

@@ -84,7 +84,6 @@ pub const OLD_KEYS: &[(&str, Now)] = &[
     ("scan_matcher.rescue.reach_rad", Fixed("0.35")),
     ("set.window", Fixed("64")),
     ("simulation.dropout_share", Fixed("0.01")),
-    ("simulation.field_of_view_deg", Fixed("360.0")),
     ("simulation.laser_mount", Fixed("[0.1, 0.0, 0.0]")),
     ("simulation.mixed_pixel_share", Fixed("0.2")),
     ("simulation.odometry_scale_error", Fixed("0.02")),

@@ -1,6 +1,7 @@
 //! The map as `map.pgm` and `map.yaml`, by the conventions of nav2's map server.
 
-use super::{CellState, OccupancyImage, OutputError, put};
+use super::{CellState, OccupancyImage, OutputError, put, put_by};
+use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
 /// Above this share of black a pixel is read as occupied.
@@ -14,18 +15,31 @@ const FREE_THRESHOLD: f64 = 0.196;
 /// # Errors
 /// When the disk refuses.
 pub fn write_map(directory: &Path, map: &OccupancyImage) -> Result<(), OutputError> {
-    put(&directory.join("map.pgm"), &render_pgm(map))?;
+    put_by(&directory.join("map.pgm"), |file| {
+        let mut file = BufWriter::new(file);
+        write_pgm(map, &mut file)?;
+        file.flush()
+    })?;
     put(&directory.join("map.yaml"), render_yaml(map, "map.pgm").as_bytes())
 }
 
 /// The map as binary PGM: 254 free, 0 occupied, 205 unknown, the topmost row of cells first.
 pub fn render_pgm(map: &OccupancyImage) -> Vec<u8> {
-    let mut bytes = format!("P5\n{} {}\n255\n", map.width(), map.height()).into_bytes();
-    bytes.reserve(map.width() * map.height());
-    for y in (0..map.height()).rev() {
-        bytes.extend(map.row(y).iter().map(|cell| pixel(*cell)));
-    }
+    let mut bytes = Vec::new();
+    write_pgm(map, &mut bytes).expect("memory takes any bytes");
     bytes
+}
+
+/// As [`render_pgm`], row by row.
+fn write_pgm(map: &OccupancyImage, to: &mut impl Write) -> io::Result<()> {
+    write!(to, "P5\n{} {}\n255\n", map.width(), map.height())?;
+    let mut row = Vec::with_capacity(map.width());
+    for y in (0..map.height()).rev() {
+        row.clear();
+        row.extend(map.row(y).map(pixel));
+        to.write_all(&row)?;
+    }
+    Ok(())
 }
 
 /// The description that belongs to it; `image_name` is relative to the place of the description.

@@ -11,13 +11,15 @@ mod run_report;
 mod tum_text;
 
 pub use map_files::{render_pgm, render_yaml, write_map};
-pub use map_hash::map_hash;
+pub use map_hash::{MapHasher, map_hash};
 pub use occupancy::{CellState, OccupancyImage};
 pub use picture::{PictureTracks, render_picture, write_flock_picture, write_picture};
 pub use run_report::{LatencyMicroseconds, LoopClosures, ProcessUse, Report, StageReport, write_report};
 pub use tum_text::{TrajectoryPoint, render_trajectory, write_trajectory};
 
-use flockslam_journal::{Durability, JournalError, replace_file};
+use flockslam_journal::{Durability, JournalError, replace_file, replace_file_by};
+use std::fs::File;
+use std::io;
 use std::path::Path;
 
 /// Why an output could not be written.
@@ -36,4 +38,9 @@ pub enum OutputError {
 
 fn put(path: &Path, bytes: &[u8]) -> Result<(), OutputError> {
     Ok(replace_file(path, bytes, Durability::Process)?)
+}
+
+/// As [`put`], for what is written piece by piece.
+fn put_by(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> Result<(), OutputError> {
+    Ok(replace_file_by(path, write, Durability::Process)?)
 }

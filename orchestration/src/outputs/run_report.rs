@@ -1,6 +1,7 @@
 //! `report.json`: the figures of one run, as plain data.
 
 use super::{OutputError, put};
+use flockslam_results::DetachedRow;
 use flockslam_telemetry::LatencyQuantiles;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -60,8 +61,10 @@ pub struct Report {
     pub submap_bytes_per_m2: f64,
     /// Trajectories: more than one when the robot was lost and mapped anew.
     pub trajectories: u64,
-    /// Scans of trajectories that no closure connects with the map: their poses are guesses, and the map is without them.
+    /// Scans of trajectories that nothing connects with the map: their poses are guesses, and the map is without them.
     pub detached_scans: u64,
+    /// These trajectories, the longest first, with the subdirectory of their own map.
+    pub detached: Vec<DetachedRow>,
     /// Loop closures.
     pub loop_closures: LoopClosures,
     /// Area that is known to be free or occupied, m².

@@ -1,8 +1,9 @@
 //! Trajectories as TUM text. Stamps are written by integer arithmetic, so they lose nothing down to the microsecond.
 
-use super::{OutputError, put};
+use super::{OutputError, put_by};
 use flockslam_geometry::Pose;
 use std::fmt::Write;
+use std::io::{self, BufWriter};
 use std::path::Path;
 
 /// Where the robot was at a stamp.
@@ -28,7 +29,16 @@ pub fn render_trajectory(points: &[TrajectoryPoint]) -> Vec<u8> {
 /// # Errors
 /// When the disk refuses.
 pub fn write_trajectory(path: &Path, points: &[TrajectoryPoint]) -> Result<(), OutputError> {
-    put(path, &render_trajectory(points))
+    // Line by line: the text of a long drive takes more memory than its poses.
+    put_by(path, |file| {
+        let (mut file, mut line) = (BufWriter::new(file), String::new());
+        for point in points {
+            line.clear();
+            write_line(&mut line, point).expect("a string takes any text");
+            io::Write::write_all(&mut file, line.as_bytes())?;
+        }
+        io::Write::flush(&mut file)
+    })
 }
 
 fn write_line(text: &mut String, point: &TrajectoryPoint) -> std::fmt::Result {

@@ -48,6 +48,10 @@ pub struct StageChild {
     policy: RestartPolicy,
     due: Option<Instant>,
     given_up: Option<GivenUp>,
+    /// How often it was given up since it worked last.
+    times_given_up: u32,
+    /// A process of the stage has worked at some time.
+    has_worked: bool,
 }
 
 /// A stage that does not get up.
@@ -73,6 +77,8 @@ impl StageChild {
             policy: RestartPolicy::default(),
             due: None,
             given_up: None,
+            times_given_up: 0,
+            has_worked: false,
         }
     }
 
@@ -134,7 +140,8 @@ impl StageChild {
             self.due = Some(Instant::now() + pause);
             return given_up.stands_in;
         }
-        let worked = self.beat(status_dir).is_some_and(|beat| beat.handled > 0);
+        let worked = self.beat(status_dir).is_some_and(|beat| beat.works);
+        self.has_worked |= worked;
         let after = self.policy.died(worked || self.started.elapsed() > PROVEN);
         if let AfterDeath::Restart(wait) = after {
             self.due = Some(Instant::now() + wait);
@@ -148,7 +155,18 @@ impl StageChild {
         let retry_at = Instant::now() + retry;
         let stands_in = self.stage == Stage::ScanMatcher;
         self.given_up = Some(GivenUp { retry_at, stands_in });
+        self.times_given_up += 1;
         self.due = Some(if stands_in { Instant::now() } else { retry_at });
+    }
+
+    /// Whether there is hope for a stage that does not get up: it has worked before, and was not given up too often since.
+    pub fn may_get_up(&self, retries_max: u32) -> bool {
+        self.has_worked && self.times_given_up < retries_max
+    }
+
+    /// Starts in a row that ended before the stage had worked.
+    pub fn failed_starts(&self) -> u32 {
+        self.policy.failed_starts()
     }
 
     /// Ends the time of a stand-in that is over.
@@ -166,9 +184,10 @@ impl StageChild {
         if self.given_up.is_some_and(|given_up| given_up.stands_in) || !self.is_running() {
             return false;
         }
-        let works = self.beat(status_dir).is_some_and(|beat| beat.handled > 0);
+        let works = self.beat(status_dir).is_some_and(|beat| beat.works);
         if works {
             self.policy.works();
+            (self.has_worked, self.times_given_up) = (true, 0);
         }
         works && self.given_up.take().is_some()
     }

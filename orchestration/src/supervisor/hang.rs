@@ -42,7 +42,14 @@ mod tests {
 
     #[test]
     fn silence_past_the_deadline_is_a_hang_and_a_start_has_more_time() {
-        let beat = Some(Beat { pid: 1, ready: true, monotonic_ns: 1000 * MS, handled: 0 });
+        let beat = Some(Beat {
+            pid: 1,
+            ready: true,
+            monotonic_ns: 1000 * MS,
+            handled: 0,
+            works: false,
+            durable: true,
+        });
         let deadline = Duration::from_millis(500);
         assert!(!hangs(beat, 0, 1500 * MS, deadline));
         assert!(hangs(beat, 0, 1501 * MS, deadline));

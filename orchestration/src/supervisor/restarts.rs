@@ -24,7 +24,7 @@ pub enum AfterDeath {
 }
 
 impl RestartPolicy {
-    /// A process of the stage died; `worked` when it had handled a scan.
+    /// A process of the stage died; `worked` when it had met a scan.
     pub fn died(&mut self, worked: bool) -> AfterDeath {
         self.failed_starts = if worked { 0 } else { self.failed_starts.saturating_add(1) };
         match self.failed_starts {
@@ -34,6 +34,11 @@ impl RestartPolicy {
                 AfterDeath::Restart((BACK_OFF_FIRST * 2_u32.saturating_pow(failed - 2)).min(BACK_OFF_MAX))
             }
         }
+    }
+
+    /// Starts in a row that ended before the stage had worked.
+    pub fn failed_starts(&self) -> u32 {
+        self.failed_starts
     }
 
     /// The present process works.

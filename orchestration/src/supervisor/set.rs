@@ -4,11 +4,11 @@ use super::child::{StageChild, StartOrder};
 use super::hang::HangWatch;
 use super::set_error::{READY_LIMIT, SetError};
 use super::status::{SetState, SetStatus, StageState, StageStatus};
-use super::{ProcessLimits, SetFile, Supervision};
+use super::{ProcessLimits, SetFile, Supervision, system_limits};
 use crate::configuration::Configuration;
 use flockslam_bus::{Bus, BusError, Notifier, OrphanedNodes, Publisher, RuntimeDir, Subscriber};
 use flockslam_messages::{Control, ControlKind, Progress, Stage};
-use flockslam_results::FlockStatus;
+use flockslam_results::{FlockStatus, Unattached};
 use flockslam_stage::{Mode, Pause};
 use flockslam_telemetry::{SupervisorMetrics, monotonic_ns};
 use rustix::event::{PollFd, PollFlags, poll};
@@ -18,6 +18,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
 use std::time::{Duration, Instant};
 
+mod set_durability;
 mod set_log_levels;
 mod set_scaling;
 
@@ -56,6 +57,8 @@ pub struct ProcessSet {
     started: Instant,
     cleaned: Instant,
     orphans: OrphanedNodes,
+    /// Why something waits in memory that should be in a file.
+    not_durable: Option<String>,
     // The bus goes before the directory that it lies in.
     bus: Bus,
     runtime: RuntimeDir,
@@ -70,6 +73,7 @@ impl ProcessSet {
     pub fn start(runtime: RuntimeDir, set: SetFile, supervision: Supervision) -> Result<Self, SetError> {
         let executable =
             std::env::current_exe().map_err(|source| SetError::Start { stage: "flockslam", source })?;
+        system_limits::check(&set.configuration, &set.options)?;
         let bus = Bus::host(&runtime, set.options.capacity())?;
         set.write(&runtime.configuration())?;
         let mut started = Self {
@@ -83,6 +87,7 @@ impl ProcessSet {
             started: Instant::now(),
             cleaned: Instant::now(),
             orphans: OrphanedNodes::default(),
+            not_durable: None,
             hang_watch: HangWatch::default(),
             supervision,
             set,
@@ -121,7 +126,7 @@ impl ProcessSet {
         let deadline = Instant::now() + READY_LIMIT;
         for at in children {
             while !self.children[*at].beat(&self.runtime.status()).is_some_and(|beat| beat.ready) {
-                if self.supervision.live {
+                if self.goes_on() {
                     self.look_after()?;
                 } else if let Some(status) = self.children[*at].reap() {
                     return Err(self.ended(self.children[*at].stage, status));
@@ -142,25 +147,40 @@ impl ProcessSet {
     /// Restarts what has died, replaces what hangs, and frees what dead processes hold.
     fn look_after(&mut self) -> Result<(), SetError> {
         self.handle_deaths()?;
+        if self.goes_on() {
+            self.look_for_work();
+        }
         if self.supervision.live {
             self.look_for_hangs();
         }
         if self.cleaned.elapsed() > CLEAN_PERIOD {
             self.clean();
+            self.look_for_durability();
         }
         Ok(())
+    }
+
+    /// Whether what dies is started again; exact replay waits for each stage and ends with it.
+    fn goes_on(&self) -> bool {
+        self.set.options.mode == Mode::Live
+    }
+
+    fn look_for_work(&mut self) {
+        let status_dir = self.runtime.status();
+        for child in &mut self.children {
+            child.retry_when_due();
+            if child.note_work(&status_dir) {
+                tracing::info!(stage = child.stage.name(), "works again");
+                self.metrics.set_degraded(child.stage.name(), false);
+            }
+        }
     }
 
     fn look_for_hangs(&mut self) {
         let (now_ns, status_dir) = (monotonic_ns(), self.runtime.status());
         let may_judge = self.hang_watch.look(now_ns);
         for child in &mut self.children {
-            child.retry_when_due();
             let stage = child.stage;
-            if child.note_work(&status_dir) {
-                tracing::info!(stage = stage.name(), "works again");
-                self.metrics.set_degraded(stage.name(), false);
-            }
             let deadline = self.supervision.limits(stage).deadline(stage);
             if may_judge && child.kill_if_it_hangs(&status_dir, now_ns, deadline) {
                 tracing::warn!(stage = stage.name(), "gives no sign of life and is replaced");
@@ -178,7 +198,7 @@ impl ProcessSet {
         self.look_after()?;
         match self.hear() {
             // A publisher that was killed while it was made may be seen half; it is cleaned up, and the set lives on.
-            Err(error) if self.supervision.live => {
+            Err(error) if self.goes_on() => {
                 tracing::warn!(%error, "a message of a stage was not received");
                 Ok(SetEvent::Quiet)
             }
@@ -220,7 +240,7 @@ impl ProcessSet {
                 // At once: what the dead process held would block others.
                 self.clean();
                 let bad_source = stage == Stage::LidarIngest && status.code() == Some(EXIT_BAD_SOURCE);
-                if bad_source || self.set.options.mode == Mode::Exact {
+                if bad_source || !self.goes_on() {
                     return Err(self.ended(stage, status));
                 }
                 tracing::warn!(stage = stage.name(), how = describe(status), "restarting");
@@ -237,16 +257,17 @@ impl ProcessSet {
         Ok(())
     }
 
-    /// A stage does not get up: one run ends with that, a live set goes on without.
+    /// A stage does not get up: the set goes on without, a run only as long as there is hope.
     fn give_up(&mut self, at: usize, status: ExitStatus) -> Result<(), SetError> {
+        let how = self.reason(self.children[at].stage, status);
         let child = &mut self.children[at];
         let stage = child.stage.name();
-        if !self.supervision.live {
-            return Err(SetError::GivenUp { stage, times: child.pids.len(), how: describe(status) });
+        if self.supervision.retries_max.is_some_and(|retries| !child.may_get_up(retries)) {
+            return Err(SetError::GivenUp { stage, times: child.failed_starts(), how });
         }
         child.give_up(self.supervision.retry);
         self.metrics.set_degraded(stage, true);
-        tracing::error!(stage, how = describe(status), "does not get up: the set goes on without it");
+        tracing::error!(stage, how, "does not get up: the set goes on without it");
         Ok(())
     }
 
@@ -275,6 +296,11 @@ impl ProcessSet {
         prepared.map(|_| ())
     }
 
+    /// Why something of the set waits in memory that should be in a file; `None` when nothing does.
+    pub fn not_durable(&self) -> Option<&str> {
+        self.not_durable.as_deref()
+    }
+
     /// The configuration of its stages.
     pub fn configuration(&self) -> &Configuration {
         &self.set.configuration
@@ -292,6 +318,8 @@ impl ProcessSet {
             paused: Pause::of(&status_dir).is_set(),
             uptime_s: self.started.elapsed().as_secs_f64(),
             saved: None,
+            not_durable: self.not_durable.clone(),
+            unattached: Unattached::read(&status_dir),
             flock: FlockStatus::read(&status_dir),
             stages,
         }
@@ -303,6 +331,13 @@ impl ProcessSet {
     /// When that cannot be stored: why.
     pub fn pause(&self, rests: bool) -> Result<(), String> {
         Pause::set(&self.runtime.status(), rests).map_err(|error| error.to_string())
+    }
+
+    /// What a process said when it ended by itself, else how it ended.
+    fn reason(&self, stage: Stage, status: ExitStatus) -> String {
+        let said =
+            || std::fs::read_to_string(error_file(&self.runtime, stage)).ok().filter(|text| !text.is_empty());
+        status.code().and_then(|_| said()).unwrap_or_else(|| describe(status))
     }
 
     fn ended(&self, stage: Stage, status: ExitStatus) -> SetError {

@@ -204,7 +204,7 @@ impl SetDescription {
             (Stage::DynamicCleaner, stages.dynamic_cleaner.clone()),
             (Stage::SyncManager, stages.sync_manager.clone()),
         ]);
-        Supervision { live: true, limits, retry: Duration::from_secs_f64(self.retry_s) }
+        Supervision { live: true, retries_max: None, limits, retry: Duration::from_secs_f64(self.retry_s) }
     }
 
     /// What its source is to lidar-ingest.

@@ -1,6 +1,6 @@
 //! Errors of a process set.
 
-use flockslam_bus::{BusError, RuntimeError};
+use flockslam_bus::{BusError, RuntimeError, TooSmall};
 use flockslam_stage::StageError;
 use std::io;
 use std::time::Duration;
@@ -20,6 +20,20 @@ pub enum SetError {
     /// A file of the set failed.
     #[error(transparent)]
     Stage(#[from] StageError),
+    /// The set does not fit into shared memory.
+    #[error(transparent)]
+    TooSmall(#[from] TooSmall),
+    /// The system lets a process open too few files.
+    #[error(
+        "a process of this set needs {needed} open files, the system allows {allowed}: raise the hard limit (ulimit -n {needed}, \
+         LimitNOFILE={needed} of a service, --ulimit nofile={needed} of a container)"
+    )]
+    OpenFiles {
+        /// What is needed.
+        needed: u64,
+        /// The limit.
+        allowed: u64,
+    },
     /// A process could not be started or watched.
     #[error("cannot start {stage}: {source}")]
     Start {
@@ -47,8 +61,8 @@ pub enum SetError {
     GivenUp {
         /// Which stage.
         stage: &'static str,
-        /// How often it was started.
-        times: usize,
+        /// Starts in a row that ended before it had worked.
+        times: u32,
         /// Its last exit status.
         how: String,
     },

@@ -1,7 +1,7 @@
 //! The state of a set and of its processes: as JSON for programs and as text for people.
 
 use super::child::StageChild;
-use flockslam_results::FlockStatus;
+use flockslam_results::{FlockStatus, Unattached};
 use flockslam_telemetry::{Beat, monotonic_ns};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -22,6 +22,12 @@ pub struct SetStatus {
     pub uptime_s: f64,
     /// How the map is saved to disk, when it is.
     pub saved: Option<SaveStatus>,
+    /// Why something of the set waits in memory that should be in a file.
+    #[serde(default)]
+    pub not_durable: Option<String>,
+    /// What nothing connects with its map; `None` when all scans are in it.
+    #[serde(default)]
+    pub unattached: Option<Unattached>,
     /// What its sync-manager tells of its flock, when it is part of one.
     #[serde(default)]
     pub flock: Option<FlockStatus>,
@@ -143,8 +149,14 @@ impl fmt::Display for SetStatus {
                 stage.handled
             )?;
         }
+        if let Some(unattached) = &self.unattached {
+            writeln!(f, "  {unattached}")?;
+        }
         if let Some(flock) = &self.flock {
             write_flock(f, flock)?;
+        }
+        if let Some(problem) = &self.not_durable {
+            writeln!(f, "  NOT DURABLE: {problem}")?;
         }
         match &self.saved {
             Some(SaveStatus { directory, durable: true, age_s: Some(age_s), .. }) => {

@@ -5,12 +5,18 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+/// A stage of a run that was given up is tried again after this …
+const RETRY_OF_RUN: Duration = Duration::from_secs(5);
+/// … and so often, since somebody waits for the results.
+const RETRIES_OF_RUN: u32 = 12;
+
 /// How a set is watched over.
 #[derive(Clone, Debug, Default)]
 pub struct Supervision {
-    /// The set lives on its own: its state outlives the supervisor, stages that hang are replaced, and one that does not get up is
-    /// done without. Otherwise the set is one run, which ends with what does not work.
+    /// The set lives on its own: its state outlives the supervisor, and stages that hang are replaced. Otherwise the set is one run.
     pub live: bool,
+    /// How often a stage that does not get up is tried again after it was given up; without end when `None`. Then the set ends.
+    pub retries_max: Option<u32>,
     /// What each stage may use, by stage; the default where there is none.
     pub limits: BTreeMap<Stage, ProcessLimits>,
     /// A stage that was given up is tried again after this.
@@ -18,9 +24,9 @@ pub struct Supervision {
 }
 
 impl Supervision {
-    /// Of one run of a recorded or live source, from its start to its results.
+    /// Of one run of a recorded or live source, from its start to its results: a stage that does not get up for good ends it.
     pub fn of_one_run() -> Self {
-        Self::default()
+        Self { retries_max: Some(RETRIES_OF_RUN), retry: RETRY_OF_RUN, ..Self::default() }
     }
 
     /// What a stage may use.

@@ -212,6 +212,7 @@ impl Cleaner {
         if ready.is_none() && context.mode == Mode::Exact {
             return Ok(false);
         }
+        context.passed_over();
         let sample = self.inputs.join.scans.take(pose.id.sequence);
         if let Some(scan) = sample.as_ref().and_then(|sample| sample.view().ok()) {
             self.watch(scan, pose)?;

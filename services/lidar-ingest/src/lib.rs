@@ -3,12 +3,13 @@
 //! Everything here is a function of its inputs: bytes of a log or a seed go in, scans come out. Opening files, pacing
 //! and publishing belong to the process around it.
 
-pub mod bag;
 pub mod carmen;
 mod continuity;
 pub mod experiment;
 pub mod process;
+mod scan_locator;
 mod settings;
 pub mod stamp;
 
-pub use settings::Settings;
+pub use scan_locator::LocateError;
+pub use settings::{LidarMounting, Settings};

@@ -1,11 +1,11 @@
 //! The shell of lidar-ingest: reads a source, gives every scan its name and times, and puts it on the bus – by credit
 //! in exact replay, by the clock when live.
 
-mod bag;
 mod cursor;
 mod feed;
 mod pacer;
 mod pipe;
+mod recording_reader;
 mod truth_file;
 mod world_file;
 
@@ -13,7 +13,6 @@ use crate::Settings;
 use cursor::Cursor;
 use feed::{Fed, Feed};
 
-pub use bag::{BagError, BagReader};
 pub use feed::count_scans;
 use flockslam_bus::{ScanPublisher, Subscriber};
 use flockslam_messages::{ControlKind, DropReason, LARGE_SCAN_BEAMS, Progress, ScanBuffer, ScanId, Stage};
@@ -22,6 +21,7 @@ use flockslam_stage::{
 };
 use flockslam_telemetry::{failpoint, utc_ns};
 use pacer::Pacer;
+pub use recording_reader::{ReadRecordingError, RecordingReader};
 use std::path::PathBuf;
 use std::time::Duration;
 pub use world_file::read as read_world;
@@ -30,7 +30,7 @@ pub use world_file::read as read_world;
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Source {
-    /// A CARMEN log or a ROS 1 bag.
+    /// A CARMEN log, or a recording: a ROS 1 bag, rosbag2 files.
     Log(PathBuf),
     /// CARMEN lines on the standard input of the process.
     Pipe,
@@ -260,6 +260,10 @@ impl Ingest {
         context.report.count("unknown_lines", tally.unknown);
         context.report.count("invalid_beams", tally.invalid_beams);
         context.report.count("stamps_backward", tally.steps_backward);
+        if let Some(reason) = self.feed.cut_short() {
+            context.report.count("cut_short", 1);
+            tracing::warn!(scans = tally.scans, "{reason}: read up to where it ends");
+        }
     }
 }
 

@@ -1,5 +1,7 @@
 //! Settings of the stage, section `[lidar_ingest]` of the configuration.
 
+use flockslam_geometry::Pose;
+use flockslam_transforms::Mounting;
 use serde::{Deserialize, Serialize};
 
 /// Ranges below are not returns, metres: nothing is nearer to a lidar than its own housing, and sensors write 0 for "no return".
@@ -20,6 +22,15 @@ pub struct Settings {
     pub max_bad_line_share: f64,
     /// Whether a log that ends in the middle of a line is taken as far as it goes instead of being refused.
     pub accept_truncated: bool,
+    /// Topic of a recording that scans are read from; needed where there is more than one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scan_topic: Option<String>,
+    /// Topic of a recording that odometry is read from; needed where there is more than one. Without one odometry is taken from `/tf`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub odometry_topic: Option<String>,
+    /// Where the lidar of a recording sits, in place of what its transforms say: at most one table of `x_m`, `y_m`, `heading_deg` (metres
+    /// ahead and to the left of the middle of the robot, degrees counter-clockwise) and `upside_down`.
+    pub lidars: Vec<LidarMounting>,
     /// Processes of this stage: one reads the source, the others are on standby to go on in its place.
     pub replicas: usize,
 
@@ -41,12 +52,36 @@ pub struct Settings {
     pub keep_every: u64,
 }
 
+/// Where a lidar sits on the robot.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LidarMounting {
+    /// Ahead of the middle of the robot, metres.
+    pub x_m: f64,
+    /// To the left of it, metres.
+    pub y_m: f64,
+    /// Where it looks, degrees counter-clockwise from straight ahead.
+    pub heading_deg: f64,
+    /// It hangs upside down: its angles are counted clockwise as seen from above.
+    pub upside_down: bool,
+}
+
+impl LidarMounting {
+    pub(crate) fn mounting(&self) -> Mounting {
+        let base_from_laser = Pose::new(self.x_m, self.y_m, self.heading_deg.to_radians());
+        Mounting { base_from_laser, upside_down: self.upside_down }
+    }
+}
+
 impl Default for Settings {
     fn default() -> Self {
         Self {
             range_max_m: 49.5,
             max_bad_line_share: 0.01,
             accept_truncated: false,
+            scan_topic: None,
+            odometry_topic: None,
+            lidars: Vec::new(),
             replicas: 1,
             seed: 1,
             start_pose: None,
@@ -73,6 +108,13 @@ impl Settings {
             (
                 self.start_pose.is_none_or(|pose| pose.iter().all(|v| v.abs() < 1e8)),
                 "start_pose must be finite",
+            ),
+            (self.lidars.len() <= 1, "lidars must be one at most"),
+            (
+                self.lidars.iter().all(|lidar| {
+                    [lidar.x_m, lidar.y_m].iter().all(|v| v.abs() < 100.0) && lidar.heading_deg.abs() <= 360.0
+                }),
+                "lidars must sit within 100 m, with a heading of at most 360°",
             ),
             (self.odometry_jumps <= 100_000, "odometry_jumps must be at most 100000"),
             (

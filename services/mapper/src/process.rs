@@ -6,6 +6,7 @@
 mod metrics;
 mod output;
 mod parts;
+mod unsaved;
 
 use crate::{Mapper, Settings};
 use flockslam_bus::SliceSubscriber;
@@ -13,7 +14,6 @@ use flockslam_evidence::Submap;
 use flockslam_messages::{
     ClearedCell, Commit, ControlKind, DropReason, MarksHeader, PoseEstimate, PoseFlags, ScanView, Stage,
 };
-use flockslam_results::SubmapStore;
 use flockslam_stage::{
     Actor, Copies, Deadline, Inbox, Join, JournalReader, LastWord, Notifiers, StageContext, StageError,
     Waited, run,
@@ -22,6 +22,7 @@ use flockslam_telemetry::failpoint;
 use metrics::MapMetrics;
 use output::Output;
 use parts::Parts;
+use unsaved::Unsaved;
 
 /// Live: the mapper waits so long for marks; then it inserts the scan without them.
 const MARKS_DEADLINE_NS: u64 = 50_000_000;
@@ -75,7 +76,7 @@ struct MapperProcess {
     /// All tiles are sent once more: number of other mappers that have not done it yet.
     republishing: Option<u32>,
     republish_deadline: Deadline,
-    store: SubmapStore,
+    unsaved: Unsaved,
     join: Join<PoseEstimate>,
     marks: Inbox<Copies<MarksHeader>>,
     output: Output,
@@ -106,7 +107,7 @@ impl MapperProcess {
             commit_deadline: Deadline::live(context.mode, PARTS_DEADLINE_NS),
             republishing: None,
             republish_deadline: Deadline::new(PARTS_DEADLINE_NS),
-            store: SubmapStore::new(&context.submap_dir),
+            unsaved: Unsaved::new(context),
             join: Join::open(context, MARKS_DEADLINE_NS)?,
             marks: Inbox::unlimited(Copies(marks)),
             map_closed: LastWord::open(context, ControlKind::MapClosed, 0, listeners)?,
@@ -124,14 +125,14 @@ impl MapperProcess {
 
     /// Rebuilds the map of the predecessor: closed submaps from the store, the active one from the journal.
     fn recover(&mut self, context: &mut StageContext) -> Result<(), StageError> {
-        let count = self.store.count();
+        let count = self.unsaved.store().count();
         let mut inserted = 0;
         for number in 0..count {
-            let submap = self.store.load(number)?;
+            let submap = self.unsaved.store().load(number)?;
             inserted += u64::from(submap.insertions);
             self.applied = submap.last + 1;
             if self.parts.is_first() {
-                self.output.publish_submap(&self.store.notice(&submap)?)?;
+                self.output.publish_submap(&self.unsaved.store().notice(&submap)?)?;
             }
             self.logic.resume(submap, inserted);
             context.alive();
@@ -218,11 +219,9 @@ impl MapperProcess {
 
     /// Stores closed submaps, and again those in which cells were cleared since.
     fn store(&mut self, closed: impl IntoIterator<Item = Submap>) -> Result<(), StageError> {
-        for submap in closed {
-            self.store.save(&submap)?;
-            self.output.publish_submap(&self.store.notice(&submap)?)?;
-        }
-        Ok(self.logic.take_cleared().iter().try_for_each(|submap| self.store.save(submap))?)
+        closed.into_iter().for_each(|submap| self.unsaved.add(submap, true));
+        self.logic.take_cleared().into_iter().for_each(|submap| self.unsaved.add(submap, false));
+        if self.unsaved.is_refused() { Ok(()) } else { self.unsaved.save(&self.output) }
     }
 
     /// Sends all live tiles and the last commit again: a reader has started and holds none.
@@ -289,6 +288,7 @@ impl MapperProcess {
             self.catch_up(sequence, context)?;
         }
         if !pose.has(PoseFlags::INSERT) || sequence < self.applied {
+            context.passed_over();
             self.join.finished(sequence + 1)?;
             return Ok(true);
         }
@@ -320,7 +320,11 @@ impl MapperProcess {
     fn close_map(&mut self) -> Result<(), StageError> {
         let last = self.logic.close();
         self.store(last)?;
-        self.map_closed.say(u64::from(self.store.count()))
+        // What a full disk refuses is tried again first.
+        if self.unsaved.is_refused() {
+            return Ok(());
+        }
+        self.map_closed.say(u64::from(self.unsaved.store().count()))
     }
 }
 
@@ -339,7 +343,10 @@ impl Actor for MapperProcess {
         if std::mem::take(&mut self.join.stream.tiles_wanted) {
             self.republish(context)?;
         }
-        let may_close = self.parts.is_first() && self.uncommitted.is_none() && !self.map_closed.is_said();
+        let may_close = self.parts.is_first()
+            && self.uncommitted.is_none()
+            && !self.map_closed.is_said()
+            && !self.unsaved.is_refused();
         if ended && may_close {
             self.close_map()?;
         }
@@ -348,6 +355,9 @@ impl Actor for MapperProcess {
 
     fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.output.refresh();
+        if self.unsaved.is_refused() {
+            self.unsaved.save(&self.output)?;
+        }
         let tiles = self.metrics.look(&self.logic);
         context.report.count("tiles", tiles as u64);
         self.join.refresh()?;

@@ -43,6 +43,7 @@ mod matcher;
 mod motion;
 pub mod process;
 mod settings;
+mod wheel_scale;
 
 pub use matcher::ScanMatcher;
 pub use settings::{Gate, Rescue, Settings, Strategy};

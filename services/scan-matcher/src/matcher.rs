@@ -16,6 +16,7 @@ use judging::Judgement;
 use matcher_state::{Confidence, MapState};
 use points::{MoverMask, ScanPoints};
 use std::ops::Deref;
+use surroundings::Surroundings;
 
 /// A scan with fewer points than this is not matched.
 const POINTS_MIN: usize = 5;
@@ -30,6 +31,10 @@ const START_SCANS: u64 = 10;
 const SIGMA_MAX_M: f64 = 0.1;
 /// Weight of the newest score in the running mean: the mean adapts within some fifty scans, and no single bad score spoils it.
 const MEAN_RATE: f64 = 0.02;
+/// A fit that claims at most this standard deviation of the position, metres, shows the errors of odometry and of fits.
+const CERTAIN_SIGMA_M: f64 = 0.1;
+/// Surroundings whose scans fit better than this in the mean, 0 … 1, are recognised: a robot that is lost there was carried.
+const RECOGNISABLE: f64 = 0.4;
 /// Odometry that misses a fit by more than this means that wheels slip: metres and radians.
 const SLIPPED: (f64, f64) = (0.15, 0.08);
 
@@ -39,7 +44,9 @@ mod flock_robots;
 mod judging;
 mod matcher_state;
 mod movers;
+mod open_place;
 mod points;
+mod surroundings;
 
 /// Fits scans to the grid. A pure function of its calls.
 #[derive(Debug)]
@@ -51,6 +58,8 @@ pub struct ScanMatcher {
     map: MapState,
     /// How well the robot is localised.
     confidence: Confidence,
+    /// The surfaces that the last scans have shown.
+    surroundings: Surroundings,
     /// Published poses of other robots.
     companions: FlockRobots,
     buffers: Buffers,
@@ -84,6 +93,7 @@ impl ScanMatcher {
             motion: Motion::new(),
             map: MapState::new(),
             confidence: Confidence::default(),
+            surroundings: Surroundings::default(),
             companions: FlockRobots::default(),
             buffers: Buffers::default(),
         }
@@ -259,11 +269,14 @@ impl ScanMatcher {
         let fitter = Fitter {
             settings: &self.settings,
             confidence: &self.confidence,
-            before: self.motion.pose.position(),
+            before: self.motion.pose,
+            rival: self.confidence.rival,
             field: &GridField::new(grid, self.settings.unknown_score),
             scan,
             mask,
+            noise: self.motion.noise(),
             solvers: &mut self.buffers.solvers,
+            surroundings: &mut self.surroundings,
         };
         fitter.fit(points, prediction)
     }
@@ -277,7 +290,13 @@ impl ScanMatcher {
         mask: MoverMask,
         judgement: Judgement,
     ) -> PoseEstimate {
-        self.confidence.count(&fitted, &judgement);
+        self.confidence.count(&fitted, &judgement, self.motion.pose, scan.len());
+        if let Some((pose, claimed)) = fitted.alone.filter(|(_, c)| c.position_std_m() <= CERTAIN_SIGMA_M) {
+            self.motion.learn(scan, pose, claimed);
+        }
+        if let Some((held, _)) = fitted.alone.filter(|_| fitted.is_open && scan.odometry().is_some()) {
+            self.motion.learn_scale(fitted.prediction.pose, held);
+        }
         let estimate = self.matched(predicted, &fitted, &judgement);
         (self.buffers.points, self.buffers.mask) = (fitted.points, mask);
         let stays_lost = self.confidence.lost > self.settings.rescue.lost_scans_max;
@@ -295,23 +314,28 @@ impl ScanMatcher {
             return estimate;
         }
         let rescued = if fitted.is_rescued { PoseFlags::RESCUED } else { 0 };
-        let flags = estimate.flags | PoseFlags::MATCHED | rescued;
+        let open = if fitted.is_open || self.confidence.is_far_in_the_open() { PoseFlags::OPEN } else { 0 };
+        let flags = estimate.flags | PoseFlags::MATCHED | rescued | open;
         PoseEstimate { odom_from_base: pose, covariance, flags, ..estimate }
     }
 
     /// A robot that stays lost begins a new trajectory at its predicted pose. The map is left as it is, and a closure may
     /// connect the two.
     fn begun_trajectory(&mut self, estimate: PoseEstimate) -> PoseEstimate {
+        // Where scans usually fit, one place after the other that does not means that odometry is wrong.
+        let continues = estimate.has(PoseFlags::HAS_ODOMETRY) && self.confidence.mean_score < RECOGNISABLE;
+        let flags = estimate.flags | if continues { PoseFlags::CONTINUES } else { 0 };
         self.confidence.begin_anew();
+        self.surroundings.clear();
         self.map.trajectory += 1;
         (self.map.detached, self.map.inserted) = (true, None);
-        PoseEstimate { trajectory: self.map.trajectory, quality: Quality::Degraded as u32, ..estimate }
+        let quality = Quality::Degraded as u32;
+        PoseEstimate { trajectory: self.map.trajectory, quality, flags, ..estimate }
     }
 
     /// The robot has moved to here.
     fn followed(&mut self, scan: ScanView<'_>, estimate: PoseEstimate) -> PoseEstimate {
-        let lost = estimate.quality == Quality::Lost as u32;
-        self.motion.advance(scan, estimate.odom_from_base, estimate.covariance, lost);
+        self.motion.advance(scan, &estimate);
         estimate
     }
 
@@ -322,6 +346,7 @@ impl ScanMatcher {
             return estimate;
         }
         self.map.inserted = Some(estimate.odom_from_base);
+        self.surroundings.add(scan, &self.buffers.mask, estimate.odom_from_base, estimate.twist);
         PoseEstimate { flags: estimate.flags | PoseFlags::INSERT, ..estimate }
     }
 

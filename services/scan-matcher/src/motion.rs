@@ -1,8 +1,10 @@
 //! Prediction of the next pose from odometry or the last velocity, with its covariance, and its fusion with a fit (the
 //! update of a Kalman filter).
 
+use crate::wheel_scale::WheelScale;
 use flockslam_geometry::{Covariance, Pose, Twist, wrap_angle};
-use flockslam_messages::ScanView;
+use flockslam_messages::{PoseEstimate, PoseFlags, Quality, ScanView};
+use flockslam_odometry_noise::OdometryNoise;
 use nalgebra::{Matrix3, Vector3};
 
 /// Seconds between scans, assumed before two stamps are known and for steps that are not positive.
@@ -11,18 +13,23 @@ const PERIOD_START_S: f64 = 0.1;
 const PERIOD_MAX_S: f64 = 2.0;
 /// A first odometry pose farther from the origin than this is not taken over, metres.
 const START_MAX_M: f64 = 1e4;
-/// Growth of a predicted position's variance per metre travelled, m²/m: 0.1 m after half a metre on poor wheels.
-const DRIFT_XY: f64 = 0.02;
-/// Growth of a predicted heading's variance per radian turned, rad²/rad.
-const DRIFT_HEADING: f64 = 0.01;
-
 /// Odometry that differs by more than this from the velocity so far, metres and radians within one scan, may have jumped.
 const SURPRISE: (f64, f64) = (0.15, 0.15);
 
-/// Added in each step, standard deviations in metres and radians: for odometry, and for the velocity so far
+/// Added in each step, standard deviations in metres and radians: for usual odometry, and for the velocity so far
 /// without odometry.
 const STEP_SIGMA: (f64, f64) = (0.01, 0.005);
 const STEP_SIGMA_BLIND: (f64, f64) = (0.15, 0.1);
+
+/// Error of the grid itself, standard deviations in metres and radians: a pose this near to the prediction is as probable.
+const GRID_SIGMA: (f64, f64) = (0.01, 0.003);
+/// Cost of the assumption that wheels have slipped, in units of the negative logarithm of a probability: errors of odometry are
+/// normally distributed for the most part, but any error is possible at this cost.
+pub(crate) const SLIP_COST: f64 = 10.0;
+
+/// Greatest scales of the variances of odometry, of positions and of headings, where surfaces that move with the robot, as the ground
+/// does, could pass poor fits off as poor wheels: 0.03 m and 0.7° over a metre.
+const STEP_SCALES_MAX: (f64, f64) = (0.05, 0.5);
 
 /// Share of the velocity that remains after each rejected scan.
 const KEPT_WHEN_LOST: f64 = 0.5;
@@ -40,6 +47,10 @@ pub(crate) struct Motion {
     stamp_ns: Option<i64>,
     period_s: f64,
     velocity: Twist,
+    /// The error of odometry, as fits have shown it.
+    noise: OdometryNoise,
+    /// The scale of odometry, as surfaces in the open have shown it.
+    scale: WheelScale,
 }
 
 /// Whether a first pose is near enough to the origin to count in centimetres from there.
@@ -54,8 +65,19 @@ pub(crate) struct Prediction {
     /// Velocity since the scan before, in the robot's own frame.
     pub(crate) twist: Twist,
     pub(crate) covariance: Covariance,
+    /// Covariance that the motion since the scan before adds.
+    pub(crate) step: Covariance,
     /// The pose by the velocity so far, if it differs much from odometry, which may have jumped.
     pub(crate) steady: Option<Steady>,
+    /// The motion since the scan before if the robot went on at its velocity, where it has odometry.
+    pub(crate) coasting: Option<Coasting>,
+}
+
+/// A motion from one scan to the next at a constant velocity.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Coasting {
+    pub(crate) pose: Pose,
+    pub(crate) twist: Twist,
 }
 
 /// The pose if the robot went on at its velocity.
@@ -65,11 +87,24 @@ pub(crate) struct Steady {
     pub(crate) twist: Twist,
 }
 
-fn matrix(c: Covariance) -> Matrix3<f64> {
+pub(crate) fn matrix(c: Covariance) -> Matrix3<f64> {
     Matrix3::new(c.xx, c.xy, c.xt, c.xy, c.yy, c.yt, c.xt, c.yt, c.tt)
 }
 
 impl Prediction {
+    /// How improbable a pose is by the prediction alone: the negative logarithm of its probability density relative to the
+    /// predicted pose's, at most [`SLIP_COST`].
+    pub(crate) fn cost(&self, pose: Pose) -> f64 {
+        let grid = Covariance::diagonal(GRID_SIGMA.0, GRID_SIGMA.1);
+        let missed = Vector3::new(
+            pose.x_m - self.pose.x_m,
+            pose.y_m - self.pose.y_m,
+            wrap_angle(pose.heading_rad - self.pose.heading_rad),
+        );
+        let Some(factor) = (matrix(self.covariance) + matrix(grid)).cholesky() else { return 0.0 };
+        (0.5 * missed.dot(&factor.solve(&missed))).min(SLIP_COST)
+    }
+
     /// Fuses a fit that is less certain than the prediction in some direction with it (the update of a Kalman filter):
     /// pose and covariance. `None` where the fit is more certain in all directions: then slipping wheels shall not pull the pose.
     pub(crate) fn fused(&self, fit: Pose, covariance: Covariance) -> Option<(Pose, Covariance)> {
@@ -102,6 +137,8 @@ impl Motion {
             stamp_ns: None,
             period_s: PERIOD_START_S,
             velocity: Twist::default(),
+            noise: OdometryNoise::default(),
+            scale: WheelScale::default(),
         }
     }
 
@@ -124,34 +161,78 @@ impl Motion {
             (self.stamp_ns, placed, scan.odometry().filter(|start| is_near(*start)))
         {
             let (twist, covariance) = (Twist::default(), self.covariance);
-            return Prediction { pose: start, twist, covariance, steady: None };
+            let step = Covariance::default();
+            return Prediction { pose: start, twist, covariance, step, steady: None, coasting: None };
         }
         let step_s = self.step_s(scan.header().times.sensor_ns);
         let unchanged = self.velocity.motion_after(self.even(step_s));
         let (motion, twist) = match (self.odometry, scan.odometry()) {
-            (Some(before), Some(now)) => (before.to(now), Twist::from_motion(before.to(now), step_s)),
+            (Some(before), Some(now)) => {
+                let said = before.to(now);
+                let motion = Pose { x_m: self.scale.factor() * said.x_m, ..said };
+                (motion, Twist::from_motion(motion, step_s))
+            }
             _ => (unchanged, self.velocity),
         };
         let surprises = motion.distance_m(unchanged) > SURPRISE.0 || motion.turn_rad(unchanged) > SURPRISE.1;
         let steady = surprises.then(|| Steady { pose: self.pose * unchanged, twist: self.velocity });
         let (travel, turn) = (motion.x_m.hypot(motion.y_m), motion.heading_rad.abs());
         let mut covariance = self.covariance;
-        let (step_m, step_rad) = if scan.odometry().is_some() { STEP_SIGMA } else { STEP_SIGMA_BLIND };
-        let position = DRIFT_XY * travel + self.covariance.tt * travel * travel + step_m * step_m;
+        let (drift_m2, drift_rad2) = self.drift(scan, travel, turn);
+        let position = drift_m2 + self.covariance.tt * travel * travel;
         covariance.xx += position;
         covariance.yy += position;
-        covariance.tt += DRIFT_HEADING * turn + step_rad * step_rad;
-        Prediction { pose: self.pose * motion, twist, covariance, steady }
+        covariance.tt += drift_rad2;
+        let coasting = self.odometry.map(|_| Coasting { pose: unchanged, twist: self.velocity });
+        let scales = self.noise.scales();
+        let position = drift_m2 * (STEP_SCALES_MAX.0 / scales.0).min(1.0);
+        let heading = drift_rad2 * (STEP_SCALES_MAX.1 / scales.1).min(1.0);
+        let step = Covariance { xx: position, yy: position, tt: heading, ..Covariance::default() };
+        Prediction { pose: self.pose * motion, twist, covariance, step, steady, coasting }
+    }
+
+    /// Variances that one step adds: of the position along each axis, m², and of the heading, rad².
+    fn drift(&self, scan: ScanView<'_>, travel_m: f64, turn_rad: f64) -> (f64, f64) {
+        let has_odometry = scan.odometry().is_some();
+        let (step_m, step_rad) = if has_odometry { STEP_SIGMA } else { STEP_SIGMA_BLIND };
+        let (scale_xy, scale_heading) = if has_odometry { self.noise.scales() } else { (1.0, 1.0) };
+        let (position, heading) = self.noise.variances(travel_m, turn_rad);
+        (position + scale_xy * step_m * step_m, heading + scale_heading * step_rad * step_rad)
+    }
+
+    /// Learns the errors of odometry and of fits from a fit that nothing else took part in.
+    pub(crate) fn learn(&mut self, scan: ScanView<'_>, fit: Pose, claimed: Covariance) {
+        if let Some(odometry) = scan.odometry() {
+            self.noise.learn(fit, odometry, claimed);
+        }
+    }
+
+    /// Learns the scale of odometry from the pose at which surfaces hold a scan, beside the predicted one.
+    pub(crate) fn learn_scale(&mut self, predicted: Pose, held: Pose) {
+        self.scale.learn(self.pose.to(predicted).x_m, predicted.to(held).x_m);
+    }
+
+    /// The errors of odometry and of fits.
+    pub(crate) fn noise(&self) -> &OdometryNoise {
+        &self.noise
     }
 
     /// Updates the state after a scan. The velocity of a `lost` robot is unknown: it fades, or
     /// without odometry it would be predicted out of the map.
-    pub(crate) fn advance(&mut self, scan: ScanView<'_>, pose: Pose, covariance: Covariance, lost: bool) {
+    pub(crate) fn advance(&mut self, scan: ScanView<'_>, estimate: &PoseEstimate) {
+        let (pose, covariance) = (estimate.odom_from_base, estimate.covariance);
+        let lost = estimate.quality == Quality::Lost as u32;
+        // A jump is no motion.
+        let jumped = estimate.has(PoseFlags::RESCUED) && scan.odometry().is_some();
         let stamp_ns = scan.header().times.sensor_ns;
         let step_s = self.step_s(stamp_ns);
         if self.stamp_ns.is_some() {
             let kept = if lost { KEPT_WHEN_LOST } else { 1.0 };
-            self.velocity = scaled(Twist::from_motion(self.pose.to(pose), self.even(step_s)), kept);
+            let motion = match (self.odometry, scan.odometry()) {
+                (Some(before), Some(now)) if jumped => before.to(now),
+                _ => self.pose.to(pose),
+            };
+            self.velocity = scaled(Twist::from_motion(motion, self.even(step_s)), kept);
             self.period_s += 0.05 * (step_s - self.period_s);
         }
         self.pose = pose;

@@ -269,7 +269,7 @@ impl Matcher {
         let journal = self.journal.as_mut().filter(|_| !failpoint("no-journal"));
         let journaled = journal.map(|journal| journal.append(&pose, scan));
         if let Some(Err(error)) = journaled {
-            tracing::error!(scan = header.id.sequence, %error, "not durable");
+            tracing::error!(scan = header.id.sequence, %error, "the journal waits in memory");
             context.dropped("not-journaled");
         }
         self.publish_moving_beams(&pose, context);

@@ -191,6 +191,7 @@ mod tests {
             submap: 0,
             trajectory: 0,
             lost: false,
+            continues: false,
         };
         times_s.iter().zip(stamps_s).enumerate().map(record).collect()
     }

@@ -92,6 +92,7 @@ mod tests {
             submap: 0,
             trajectory: 0,
             lost: false,
+            continues: false,
         };
         let records: Vec<_> = (0..12).map(record).collect();
         let known = [(1, Placement::new(1.0, 0.0, 0.0)), (9, Placement::new(9.0, 0.8, 0.0))];
@@ -117,6 +118,7 @@ mod tests {
             submap: 0,
             trajectory: u32::from(i >= 6),
             lost: (3..6).contains(&i),
+            continues: false,
         };
         let records: Vec<_> = (0..10).map(record).collect();
         let known = [(1, Placement::new(1.0, 0.0, 0.0)), (6, Placement::new(6.0, 50.0, 0.0))];

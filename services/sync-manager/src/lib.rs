@@ -15,4 +15,4 @@ mod solution;
 
 pub use manager::SyncManager;
 pub use settings::Settings;
-pub use solution::{ClosureCounts, FrozenScan, PlacedScan, Solution};
+pub use solution::{ClosureCounts, DetachedPart, FrozenScan, PlacedScan, Solution};

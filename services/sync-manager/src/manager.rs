@@ -3,20 +3,20 @@
 use crate::filled_trajectory::{Between, filled};
 use crate::pose_record::PoseRecord;
 use crate::settings::Settings;
-use crate::solution::{ClosureCounts, FrozenScan, Solution};
+use crate::solution::{FrozenScan, Solution};
+use driven::Driven;
 use final_solution::placed;
 use flockslam_geometry::Pose;
 use flockslam_loop_closure::agreement::eligible;
 use flockslam_loop_closure::closure::{CHI_SQUARED_MAX, Closure};
 use flockslam_loop_closure::connectivity::{self, TrajectoryConnectivity};
-use flockslam_loop_closure::dense::DensePass;
 use flockslam_loop_closure::finder::{
-    ClosureFinder, EVERY_M, LEAST_TRAVEL_M, QUERY_NODES, World, graph_distances,
+    CLOSURE_M, ClosureFinder, EVERY_M, JOINT_M, LEAST_TRAVEL_M, QUERY_NODES, World, graph_distances,
 };
 use flockslam_loop_closure::node::NewNode;
 use flockslam_loop_closure::odometry_graph::OdometryGraph;
+use flockslam_loop_closure::open_finder::OpenFinder;
 use flockslam_loop_closure::place::{KeptScan, Placer};
-use flockslam_loop_closure::refine::Refinement;
 use flockslam_loop_closure::scans::ScanStore;
 use flockslam_loop_closure::segment::Segment;
 use flockslam_map_fusion::PlacedSubmap;
@@ -29,6 +29,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use unpublished::Unpublished;
 
 mod counts;
+mod driven;
+mod final_passes;
 mod final_solution;
 mod freeze;
 mod shown;
@@ -99,11 +101,14 @@ struct Kept {
 pub struct SyncManager {
     settings: Settings,
     records: Vec<PoseRecord>,
+    driven: Driven,
     scans: ScanStore,
     kept: Vec<Kept>,
     odometry: OdometryGraph,
     segments: Vec<Segment>,
     finder: ClosureFinder,
+    /// The search in the open.
+    open_finder: OpenFinder,
     closures: Vec<Closure>,
     /// By closure: whether it is an inlier in the last solution.
     is_inlier: Vec<bool>,
@@ -121,6 +126,8 @@ pub struct SyncManager {
     frozen_closures: u64,
     /// Scans in the store that nothing refers to any more.
     gone_scans: usize,
+    /// First nodes of the trajectories, by sequence, whose constraint by odometry the solution switches off.
+    ruled_out: BTreeSet<u64>,
     /// Closures were found that the solution does not know.
     unsolved: bool,
     /// Findings that are not published to the flock yet, when there is one.
@@ -136,9 +143,11 @@ impl SyncManager {
         Self {
             odometry: OdometryGraph::default(),
             finder: ClosureFinder::default(),
+            open_finder: OpenFinder::default(),
             next_search_m: LEAST_TRAVEL_M,
             settings,
             records: Vec::new(),
+            driven: Driven::default(),
             scans: ScanStore::default(),
             kept: Vec::new(),
             segments: Vec::new(),
@@ -152,6 +161,7 @@ impl SyncManager {
             retired_submaps: BTreeSet::new(),
             frozen_closures: 0,
             gone_scans: 0,
+            ruled_out: BTreeSet::new(),
             unsolved: false,
             unpublished: None,
             solving_credit: 0,
@@ -164,6 +174,7 @@ impl SyncManager {
         let mut record = PoseRecord::new(pose);
         // Numbers of trajectories only rise. A restarted front end may publish an earlier one.
         record.trajectory = self.records.last().map_or(0, |last| last.trajectory).max(record.trajectory);
+        self.driven.count(&record);
         self.records.push(record);
     }
 
@@ -172,15 +183,24 @@ impl SyncManager {
     /// are not matched.
     pub fn node(&mut self, scan: ScanView<'_>, pose: &PoseEstimate, moving: &[BeamRange]) {
         let Some(record) = self.records.iter().rposition(|r| r.id == pose.id) else { return };
-        let PoseRecord { odom, trajectory, .. } = self.records[record];
+        let PoseRecord { odom, trajectory, odometry, .. } = self.records[record];
         let is_node = pose.has(PoseFlags::INSERT) && self.is_due(&odom, trajectory);
         if !is_node && self.rests(&odom) {
             return;
         }
-        let scan = self.scans.keep(scan, pose.twist.into(), moving);
+        let is_open = pose.has(PoseFlags::OPEN);
+        let scan = self.scans.keep(scan, pose.twist.into(), moving, is_open);
         if is_node {
             let sequence = pose.id.sequence;
-            self.odometry.extend(NewNode { sequence, scan, odom, trajectory }, &self.scans);
+            let of_trajectory =
+                self.records[..=record].iter().rev().take_while(|r| r.trajectory == trajectory);
+            // Its first scan may not have arrived.
+            let is_first = self.odometry.nodes().last().is_some_and(|last| last.trajectory != trajectory);
+            let continues = is_first && of_trajectory.into_iter().any(|r| r.continues);
+            self.odometry.extend(
+                NewNode { sequence, scan, odom, trajectory, odometry, continues, is_open },
+                &self.scans,
+            );
         }
         if let Some(node) = self.odometry.nodes().len().checked_sub(1) {
             self.kept.push(Kept { record, scan, node, is_node });
@@ -234,12 +254,19 @@ impl SyncManager {
         }
     }
 
+    /// The constraints by odometry between trajectories that no closure has ruled out.
+    fn joints(&self, known: usize) -> impl Iterator<Item = Edge> {
+        let nodes = self.odometry.nodes();
+        self.odometry.joints(known).filter(|joint| !self.ruled_out.contains(&nodes[joint.to].sequence))
+    }
+
     /// How inlier closures connect the trajectories of the first `known` nodes.
     fn connectivity(&self, known: usize) -> TrajectoryConnectivity {
         let inliers = self.closures.iter().zip(&self.is_inlier).filter(|(_, is_inlier)| **is_inlier);
+        let joints = self.joints(known).map(|joint| (joint.from, joint.to));
         TrajectoryConnectivity::new(
             &self.odometry.nodes()[..known],
-            inliers.map(|(c, _)| (c.edge.from, c.edge.to)),
+            inliers.map(|(c, _)| (c.edge.from, c.edge.to)).chain(joints),
         )
     }
 
@@ -340,11 +367,17 @@ impl SyncManager {
 
     fn search(&mut self, query: usize, known: usize) {
         let inliers = self.closures.iter().zip(&self.is_inlier).filter(|(_, is_inlier)| **is_inlier);
-        let loops: Vec<_> = inliers.map(|(c, _)| (c.edge.from, c.edge.to)).collect();
+        let closures = inliers.map(|(c, _)| (c.edge.from, c.edge.to, CLOSURE_M));
+        let joints = self.joints(known).map(|joint| (joint.from, joint.to, JOINT_M));
+        let loops: Vec<_> = closures.chain(joints).collect();
         let nodes = &self.odometry.nodes()[..known];
         let distances_m = graph_distances(nodes, &loops, query);
         let world = World { nodes, scans: &self.scans, segments: &self.segments, poses: &self.poses };
-        let found = self.finder.find(&world, query, &distances_m);
+        let found = if nodes[query].is_open {
+            self.open_finder.find(&world, query, &distances_m)
+        } else {
+            self.finder.find(&world, query, &distances_m)
+        };
         if let Some(unpublished) = &mut self.unpublished {
             unpublished.found(&found, self.odometry.nodes());
         }
@@ -363,12 +396,18 @@ impl SyncManager {
         edges.extend(
             self.closures.iter().zip(&eligible).filter(|(_, eligible)| **eligible).map(|(c, _)| c.edge),
         );
+        let closures_end = edges.len();
+        edges.extend(self.odometry.joints(known));
         let settings =
             RobustSettings { chi_squared_max: CHI_SQUARED_MAX, growth: 1.6, rounds: 25, warm_up: 6 };
-        let mut poses = connectivity::start(&self.odometry.nodes()[..known], &edges[trusted..]);
+        let mut poses = connectivity::start(&self.odometry.nodes()[..known], &edges[trusted..closures_end]);
         let solved = solve(known, &edges, trusted, &settings, &mut poses);
         (self.poses, self.solving_cost) = (poses, solved.work);
-        let mut inliers = solved.weights[trusted..].iter().map(|&w| w > 0.5);
+        let nodes = self.odometry.nodes();
+        let joints = edges[closures_end..].iter().zip(&solved.weights[closures_end..]);
+        self.ruled_out =
+            joints.filter(|(_, w)| **w <= 0.5).map(|(joint, _)| nodes[joint.to].sequence).collect();
+        let mut inliers = solved.weights[trusted..closures_end].iter().map(|&w| w > 0.5);
         self.is_inlier = eligible.iter().map(|&eligible| eligible && inliers.next() == Some(true)).collect();
     }
 
@@ -380,19 +419,12 @@ impl SyncManager {
             return self.solution(&filled(&self.records, &[], Between::FrontEnd));
         }
         self.close_loops(known, usize::MAX);
+        if self.settings.close_loops {
+            self.attach();
+        }
         self.collect_findings(known);
         self.refine();
         self.placed()
-    }
-
-    /// Matches all nodes of the map to the map that they make together.
-    fn match_to_map(&mut self) {
-        let nodes = self.odometry.nodes();
-        let connectivity = self.connectivity(nodes.len());
-        let in_map: Vec<bool> = nodes.iter().map(|node| connectivity.is_attached(node.trajectory)).collect();
-        let refinement =
-            Refinement { nodes, scans: &self.scans, odometry: self.odometry.edges(), in_map: &in_map };
-        refinement.run(self.finder.scratch(), &mut self.poses);
     }
 
     /// Every kept scan placed among the nodes at their present poses.
@@ -412,44 +444,9 @@ impl SyncManager {
         self.solution(&filled(&self.records, &pairs, Between::Measured))
     }
 
-    /// The dense pass over all nodes, then the match of all nodes to their common map.
-    fn refine(&mut self) {
-        let nodes = self.odometry.nodes();
-        let mut segments = self.segments.clone();
-        let rest = segments.last().map_or(0, |s| s.nodes.end)..nodes.len();
-        if !rest.is_empty() {
-            segments.push(Segment::new(rest));
-        }
-        let connectivity = self.connectivity(nodes.len());
-        let pass = DensePass {
-            nodes,
-            scans: &self.scans,
-            segments: &segments,
-            odometry: self.odometry.edges(),
-            connectivity: &connectivity,
-        };
-        pass.run(self.finder.scratch(), &mut self.poses);
-        self.match_to_map();
-    }
-
     fn placed_nodes(&self) -> Vec<(usize, Placement)> {
         let solved = self.kept.iter().filter(|k| k.is_node && k.node < self.poses.len());
         solved.map(|k| (k.record, self.poses[k.node])).collect()
-    }
-
-    fn counts(&self, connectivity: &TrajectoryConnectivity) -> ClosureCounts {
-        let counts = self.finder.counts();
-        ClosureCounts {
-            searches: counts.searches,
-            matches: counts.matches,
-            accepted: self.closures.len() as u64 + self.frozen_closures,
-            revoked: self.is_inlier.iter().filter(|&&is_inlier| !is_inlier).count() as u64,
-            nodes: self.odometry.nodes().len() as u64,
-            unmatched: self.odometry.unmatched() as u64,
-            trajectories: connectivity.count() as u64,
-            detached_scans: self.records.iter().filter(|r| !connectivity.is_attached(r.trajectory)).count()
-                as u64,
-        }
     }
 }
 

@@ -20,6 +20,8 @@ pub struct PoseRecord {
     pub trajectory: u32,
     /// The front end rejected its fit.
     pub lost: bool,
+    /// It begins a trajectory that odometry connects with the one before.
+    pub continues: bool,
 }
 
 impl PoseRecord {
@@ -33,6 +35,7 @@ impl PoseRecord {
             submap: pose.submap,
             trajectory: pose.trajectory,
             lost: pose.quality == Quality::Lost as u32,
+            continues: pose.has(PoseFlags::CONTINUES),
         }
     }
 }

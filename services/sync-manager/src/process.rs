@@ -6,6 +6,7 @@
 
 use crate::{Settings, SyncManager};
 use clear_at_end::clear_at_end;
+use detached::write_detached;
 use flock_outbox::Outbox;
 use flockslam_bus::{Notifier, Publisher, SUPERVISOR_EVENT, Subscriber};
 use flockslam_flock_network::FlockMetrics;
@@ -16,7 +17,7 @@ use flockslam_messages::{
     ScanView, Stage, SubmapClosed,
 };
 use flockslam_results::SubmapStore;
-use flockslam_results::{self as results, LivePoses, SubmapRow, Summary};
+use flockslam_results::{self as results, LivePoses, SubmapRow, Summary, Unattached};
 use flockslam_stage::{
     Actor, Copies, Inbox, Join, JournalReader, LastWord, LeaderLock, Mode, Notifiers, StageContext,
     StageError, run,
@@ -28,6 +29,7 @@ use std::path::PathBuf;
 use trajectories::Trajectories;
 
 mod clear_at_end;
+mod detached;
 mod flock_outbox;
 mod fuser;
 mod metrics;
@@ -98,6 +100,8 @@ struct SyncProcess {
     /// The state of a predecessor is recovered.
     recovered: bool,
     metrics: CorrectionMetrics,
+    /// What nothing connects with the map, as said last.
+    unattached: Unattached,
 }
 
 impl SyncProcess {
@@ -139,6 +143,7 @@ impl SyncProcess {
             summary: Summary::default(),
             recovered: false,
             metrics: CorrectionMetrics::new(&context.metrics),
+            unattached: Unattached::default(),
         };
         process.join.speak(is_active);
         if !process.settings.flock.name.is_empty() {
@@ -211,7 +216,7 @@ impl SyncProcess {
     ) -> Result<(), StageError> {
         self.logic.pose(pose);
         self.pose = Some(*pose);
-        self.trajectories.published(pose)?;
+        self.trajectories.published(pose);
         self.summary.count(pose);
         if let Some(scan) = scan.filter(|_| self.optimises && pose.has(PoseFlags::MATCHED)) {
             self.logic.node(scan, pose, moving);
@@ -224,7 +229,7 @@ impl SyncProcess {
         let started_ns = context.now_ns();
         let correction = self.logic.submap_closed(notice);
         let took_ns = context.now_ns().saturating_sub(started_ns);
-        self.trajectories.frozen(&self.logic.take_frozen())?;
+        self.trajectories.frozen(&self.logic.take_frozen());
         self.outbox.publish(&mut self.logic, notice.number, &self.store)?;
         self.next_submap = notice.number + 1;
         self.correction = Some(correction);
@@ -237,6 +242,7 @@ impl SyncProcess {
         let retired = self.fuser.follow(&self.logic.submap_poses(), self.next_submap)?;
         self.logic.submaps_retired(&retired);
         self.publish(took_ns);
+        self.say_unattached(context);
         self.show();
         Ok(())
     }
@@ -257,6 +263,19 @@ impl SyncProcess {
             self.metrics.recovered(counts);
         }
         self.metrics.concluded(counts, took_ns, self.fuser.area_m2());
+    }
+
+    /// Says what nothing connects with the map, when that has changed. A failure has no other effect.
+    fn say_unattached(&mut self, context: &StageContext) {
+        let unattached = self.logic.unattached();
+        if unattached == self.unattached {
+            return;
+        }
+        self.unattached = unattached;
+        self.metrics.unattached(&unattached);
+        if let Err(error) = unattached.write(&context.status_dir) {
+            tracing::warn!(%error, "the status does not say what is not in the map");
+        }
     }
 
     /// Writes the solution for readers. A failure has no other effect.
@@ -337,13 +356,15 @@ impl SyncProcess {
             self.conclude(&self.store.notice(&submap)?, context)?;
         }
         let solution = self.logic.finish();
+        self.logic.forget_scans();
         let directory = &context.result_dir.clone();
         let scans = self.trajectories.finish(&solution)?;
         self.fuser.finish(&solution.submaps)?;
         if self.settings.clear_at_end {
             clear_at_end(&mut self.fuser, &solution.submaps, &scans, self.summary.inserted, context)?;
         }
-        results::write_map(directory, &self.fuser.stored_map())?;
+        self.fuser.write_map(directory)?;
+        self.summary.detached = write_detached(&solution, &scans, &self.store, context)?;
         self.summary.submaps = self.fuser.known(&solution.submaps);
         self.fuser.report(&mut self.summary);
         self.summary.trajectories = solution.closures.trajectories;

@@ -15,6 +15,21 @@ pub struct Solution {
     pub submaps: Vec<PlacedSubmap>,
     /// Counts of loops.
     pub closures: ClosureCounts,
+    /// What nothing connects with the map, the longest first.
+    pub detached: Vec<DetachedPart>,
+}
+
+/// Connected trajectories that nothing connects with the map. Their poses are relative to each other.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DetachedPart {
+    /// Number of the first trajectory.
+    pub trajectory: u32,
+    /// Poses of its scans.
+    pub scans: Vec<PlacedScan>,
+    /// Way driven, metres.
+    pub travel_m: f64,
+    /// Where its submaps lie relative to each other.
+    pub submaps: Vec<PlacedSubmap>,
 }
 
 /// A scan whose pose relative to a node will not be measured again.

@@ -3,7 +3,8 @@
 use flockslam_dynamic_cleaner::DynamicCleaner;
 use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::{Covariance, Point, Pose, Twist};
-use flockslam_lidar_ingest::process::BagReader;
+use flockslam_lidar_ingest::Settings as IngestSettings;
+use flockslam_lidar_ingest::process::RecordingReader;
 use flockslam_mapper::Mapper;
 use flockslam_messages::{PoseEstimate, PoseFlags, ScanBuffer, ScanView, Track};
 use flockslam_simulation::{MoverTruth, Settings, Simulation, World};
@@ -89,7 +90,7 @@ pub struct SeenFromAStand {
 
 /// Follows the people of a bag that was recorded from a stand.
 pub fn followed_from_a_stand(bag: &Path) -> SeenFromAStand {
-    let mut reader = BagReader::open(bag).unwrap();
+    let mut reader = RecordingReader::open(bag, &IngestSettings::default()).unwrap();
     let (mut robot, mut scan) = (Robot::new(), ScanBuffer::default());
     let mut ways: BTreeMap<u64, Vec<Point>> = BTreeMap::new();
     let mut number = 0;

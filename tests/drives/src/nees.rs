@@ -20,7 +20,7 @@ pub fn nees_of_run(run: u64) -> f64 {
         world,
         ..Settings::default()
     };
-    let mut simulation = Simulation::new(&settings, World::built_in(world)).unwrap();
+    let mut simulation = Simulation::new(&settings, World::built_in(&settings)).unwrap();
     let mut front_end = FrontEnd::new();
     let (mut scan, mut start) = (ScanBuffer::default(), None);
     let (mut sum, mut count) = (0.0, 0u32);

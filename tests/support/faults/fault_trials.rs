@@ -250,7 +250,7 @@ pub fn with_failpoint(failpoints: &str, stages: &[Stage], settings: &[&str]) -> 
     let mut trial = Trial { fault: format!("failpoints: {failpoints}"), ..Trial::default() };
     let arguments: Vec<String> = settings.iter().flat_map(|set| ["--set", set]).map(str::to_owned).collect();
     let mut subject = Subject::start_with("failpoints", directory.path(), 20.0, "", &arguments, failpoints);
-    let closed = subject.set.runtime_dir().join("submaps/000000.submap");
+    let closed = subject.set.runtime_dir().join("spill/submaps/000000.submap");
     wait_for("a closed submap", || closed.exists().then_some(()));
     let before = subject.calm_down();
     let pids: Vec<_> = stages.iter().map(|stage| subject.set.pid(*stage)).collect();
@@ -416,7 +416,7 @@ pub fn left_behind(robot: &str) -> usize {
         names.unwrap_or_default().iter().filter(|entry| named(entry)).count()
     };
     let set = flockslam_bus::RuntimeDir::path_of(robot);
-    let inside = ["bus/nodes", "bus/services", "status", "journal"];
+    let inside = ["bus/nodes", "bus/services", "status", "spill/journal"];
     let inside = inside.iter().map(|name| count(&set.join(name), "")).sum::<usize>();
     count(Path::new("/dev/shm"), robot) + inside
 }

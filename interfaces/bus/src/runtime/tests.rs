@@ -106,3 +106,23 @@ fn names_are_refused_that_are_too_long_to_open_ports_with() {
     assert!(is_good_name(&"n".repeat(NAME_MAX)) && is_good_name("robot-7"));
     assert!(!is_good_name(&"n".repeat(NAME_MAX + 1)) && !is_good_name("") && !is_good_name("a/b"));
 }
+
+#[test]
+fn the_folder_on_disk_of_a_killed_set_that_is_kept_is_left_alone_by_others_and_taken_over() {
+    let disk = tempfile::tempdir().unwrap();
+    let name = name("heir");
+    let (mut killed, _) = RuntimeDir::create_or_take_over(&name, Some(disk.path())).unwrap();
+    fs::write(killed.configuration(), b"{}").unwrap();
+    fs::write(killed.journal().join("scans.journal"), b"x").unwrap();
+    (killed.lock, killed._spill_lock) = (None, None);
+    drop(RuntimeDir::create_spilling(&format!("{name}-b"), Some(disk.path())).unwrap());
+    let (next, taken_over) = RuntimeDir::create_or_take_over(&name, Some(disk.path())).unwrap();
+    assert!(taken_over && next.journal().join("scans.journal").exists());
+    let folder = next.spill().to_owned();
+    // What is left of a machine that was restarted is of no use.
+    fs::write(folder.join(KEPT_MARK), b"another boot").unwrap();
+    drop(next);
+    fs::remove_dir_all(RuntimeDir::path_of(&name)).unwrap();
+    drop(RuntimeDir::create_spilling(&format!("{name}-b"), Some(disk.path())).unwrap());
+    assert!(!folder.exists());
+}

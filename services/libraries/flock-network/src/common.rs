@@ -98,10 +98,12 @@ fn hash(solution: u64, map: &StoredMap) -> u64 {
     let mut mix = |word: u64| hash = (hash ^ word).wrapping_mul(0x0000_0100_0000_01b3).rotate_left(23);
     [solution, map.width as u64, map.height as u64].into_iter().for_each(&mut mix);
     [map.origin.x_m, map.origin.y_m].into_iter().for_each(|value| mix(value.to_bits()));
-    for cell in &map.cells {
-        mix(u64::from(cell.occupied));
-        mix(u64::from(cell.free));
-    }
+    map.for_each_row(|row| {
+        for cell in row {
+            mix(u64::from(cell.occupied));
+            mix(u64::from(cell.free));
+        }
+    });
     hash
 }
 

@@ -152,6 +152,7 @@ impl Atlas {
                     scan,
                     sequence,
                     odom,
+                    is_open: false,
                 }
             }
             None => Node {
@@ -163,6 +164,7 @@ impl Atlas {
                 scan,
                 sequence,
                 odom,
+                is_open: false,
             },
         };
         self.nodes.push(node);

@@ -248,6 +248,7 @@ mod tests {
                 travel_m: along,
                 drift_bound_m,
                 trajectory,
+                is_open: false,
             }
         };
         (0..2 * NODES).map(node).collect()

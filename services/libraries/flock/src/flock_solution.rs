@@ -162,6 +162,7 @@ impl Atlas {
             scans: &self.scans,
             segments: &self.segments,
             odometry: &held,
+            open: &[],
             connectivity,
         };
         pass.run(grid, &mut solved.poses);
@@ -172,8 +173,13 @@ impl Atlas {
         for part in parts {
             let in_map: Vec<bool> =
                 self.nodes.iter().map(|node| connectivity.part(node.trajectory) == part).collect();
-            let refinement =
-                Refinement { nodes: &self.nodes, scans: &self.scans, odometry: &held, in_map: &in_map };
+            let refinement = Refinement {
+                nodes: &self.nodes,
+                scans: &self.scans,
+                odometry: &held,
+                open: &[],
+                in_map: &in_map,
+            };
             refinement.run(grid, &mut solved.poses);
         }
     }

@@ -5,7 +5,7 @@ use super::flock_solution::Solved;
 use super::inspection::Inspected;
 use flockslam_loop_closure::agreement::eligible;
 use flockslam_loop_closure::closure::Closure;
-use flockslam_loop_closure::finder::{graph_distances, window};
+use flockslam_loop_closure::finder::{CLOSURE_M, graph_distances, window};
 use std::collections::BTreeMap;
 
 /// Closures that are looked at in one go: the work is bounded whatever somebody claims.
@@ -50,7 +50,7 @@ impl Atlas {
     /// Metres from a node to every other over the trajectories and the inlier closures.
     pub(super) fn distances_m(&self, solved: &Solved, node: usize) -> Vec<f64> {
         let inliers = self.closures.iter().zip(&solved.is_inlier).filter(|(_, is_inlier)| **is_inlier);
-        let loops: Vec<_> = inliers.map(|(c, _)| (c.edge.from, c.edge.to)).collect();
+        let loops: Vec<_> = inliers.map(|(c, _)| (c.edge.from, c.edge.to, CLOSURE_M)).collect();
         graph_distances(&self.nodes, &loops, node)
     }
 

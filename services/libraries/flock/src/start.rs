@@ -97,6 +97,7 @@ mod tests {
                 travel_m: k as f64,
                 drift_bound_m: k as f64,
                 trajectory: *trajectory,
+                is_open: false,
             }
         };
         connectivity.iter().enumerate().map(node).collect()

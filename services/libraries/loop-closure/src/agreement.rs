@@ -1,4 +1,4 @@
-//! Which loop closures are eligible: those found in wide windows need others that agree with them over the cycle of odometry and closures.
+//! Which loop closures are eligible: those found in wide windows or in the open need others that agree with them over the cycle of odometry and closures.
 
 use crate::closure::Closure;
 use crate::node::Node;
@@ -26,14 +26,18 @@ const CYCLE: (f64, f64, f64) = (0.2, 0.02, 0.05);
 /// windows that at least two others confirm, that fewer than half as many contradict, and that hold over the longer a stretch
 /// the farther they would move the robot.
 ///
+/// In the open, hedges and rows of trees hold a scan little along them, and those found near are no exception: more others must
+/// confirm than contradict them.
+///
 /// In a long corridor with a door every few metres a single match is wrong easily, and what the odometry knows
 /// after a hundred metres cannot contradict it.
 pub fn eligible(closures: &[Closure], nodes: &[Node]) -> Vec<bool> {
     let neighbours = Neighbours::new(closures, nodes);
     let mut groups = Groups::new(closures, nodes);
     let is_wide = |closure: &Closure| closure.reach_m > WIDE_M;
+    let is_open = |closure: &Closure| nodes[closure.edge.to].is_open;
     let mut eligible: Vec<bool> = closures.iter().map(|closure| !is_wide(closure)).collect();
-    for (i, a) in closures.iter().enumerate().filter(|(_, a)| is_wide(a)) {
+    for (i, a) in closures.iter().enumerate().filter(|(_, a)| is_wide(a) || is_open(a)) {
         let (mut agreeing, mut disagreeing) = (0, 0);
         for k in neighbours.of(a).filter(|k| closures[*k].edge != a.edge) {
             match agree(a, &closures[k], nodes) {
@@ -45,7 +49,11 @@ pub fn eligible(closures: &[Closure], nodes: &[Node]) -> Vec<bool> {
                 None => {}
             }
         }
-        eligible[i] = agreeing >= PARTNERS_MIN && 2 * disagreeing <= agreeing + 1;
+        eligible[i] = if is_wide(a) {
+            agreeing >= PARTNERS_MIN && 2 * disagreeing <= agreeing + 1
+        } else {
+            agreeing > disagreeing
+        };
     }
     for (i, closure) in closures.iter().enumerate().filter(|(_, closure)| is_wide(closure)) {
         eligible[i] &= groups.extent_m(i) >= extent_needed_m(closure);
@@ -157,6 +165,7 @@ mod tests {
                 travel_m,
                 drift_bound_m: travel_m,
                 trajectory: 0,
+                is_open: false,
             }
         };
         (0..100).map(node).collect()

@@ -119,6 +119,7 @@ mod tests {
                 travel_m: k as f64,
                 drift_bound_m: k as f64,
                 trajectory,
+                is_open: false,
             }
         };
         (0..10).map(node).collect()

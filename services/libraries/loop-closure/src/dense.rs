@@ -34,6 +34,8 @@ pub struct DensePass<'a> {
     pub segments: &'a [Segment],
     /// The odometry edges.
     pub odometry: &'a [Edge],
+    /// Closures in the open, where no node is matched again: they stay.
+    pub open: &'a [Edge],
     /// Which trajectories are connected: only among those does nearness mean anything.
     pub connectivity: &'a TrajectoryConnectivity,
 }
@@ -42,6 +44,7 @@ impl DensePass<'_> {
     /// Measures and solves, from the poses given to the poses left.
     pub fn run(&self, grid: &mut MomentGrid, poses: &mut [Placement]) {
         let mut edges = self.odometry.to_vec();
+        edges.extend_from_slice(self.open);
         let wanted = self.pairs(poses);
         let aligner = Aligner::new(AlignSettings { gate_wide_m: 0.4, ..AlignSettings::default() });
         for (segment, nodes) in self.segments.iter().zip(&wanted) {
@@ -61,7 +64,7 @@ impl DensePass<'_> {
     fn pairs(&self, poses: &[Placement]) -> Vec<Vec<usize>> {
         let mut pairs = vec![Vec::new(); self.segments.len()];
         let part = |node: usize| self.connectivity.part(self.nodes[node].trajectory);
-        for (node, at) in poses.iter().enumerate() {
+        for (node, at) in poses.iter().enumerate().filter(|(node, _)| !self.nodes[*node].is_open) {
             let mut near: Vec<(f64, usize)> = Vec::new();
             for (number, segment) in self.segments.iter().enumerate() {
                 // The node's own segment and the one before it were matched by the odometry already.

@@ -217,11 +217,12 @@ impl ClosureFinder {
         let refined =
             self.aligner.align(&mut self.grid, &packed(&picked(points, REFINE_POINTS)), found.placement);
         unload(&mut self.grid, nodes, scans, segment.nodes.clone(), at);
-        let refined = refined.filter(|refined| self.holds(refined, &found))?;
+        let refined = refined.filter(|refined| holds(refined, &found))?;
         let nearest = nearest_node(segment, &refined.placement, at);
         let (intruding, intruded) =
             intrusions(world, query, points, segment, nearest, &refined.placement, at);
-        let free_space_agrees = intruding <= INTRUDING_MAX && intruded <= INTRUDED_MAX;
+        let usual = self_intrusion(world, query, points);
+        let free_space_agrees = intruding <= INTRUDING_MAX + usual && intruded <= INTRUDED_MAX + usual;
         if !free_space_agrees {
             return None;
         }
@@ -256,16 +257,16 @@ impl ClosureFinder {
         }
         Some(found)
     }
+}
 
-    /// Whether a refined match is good enough by itself.
-    fn holds(&self, refined: &Alignment, found: &Found) -> bool {
-        let [xx, xy, _, yy, ..] = refined.information;
-        let (middle, gap) = (0.5 * (xx + yy), (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt());
-        refined.inliers >= INLIERS_MIN
-            && refined.placement.distance_m(&found.placement) <= REFINED_MAX.0
-            && refined.placement.turn_rad(&found.placement) <= REFINED_MAX.1
-            && middle - gap >= DEGENERATE * (middle + gap)
-    }
+/// Whether a refined match is good enough by itself.
+pub(crate) fn holds(refined: &Alignment, found: &Found) -> bool {
+    let [xx, xy, _, yy, ..] = refined.information;
+    let (middle, gap) = (0.5 * (xx + yy), (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt());
+    refined.inliers >= INLIERS_MIN
+        && refined.placement.distance_m(&found.placement) <= REFINED_MAX.0
+        && refined.placement.turn_rad(&found.placement) <= REFINED_MAX.1
+        && middle - gap >= DEGENERATE * (middle + gap)
 }
 
 /// A query's node and its neighbours on the trajectory, so many before and after it.
@@ -287,13 +288,13 @@ pub fn window(distance_m: f64) -> Window {
     Window { reach_m: (0.3 + 0.06 * distance_m).min(25.0), turn_rad: (0.06 + 0.002 * distance_m).min(0.7) }
 }
 
-fn nearest_node(segment: &Segment, to: &Placement, at: impl Fn(usize) -> Placement) -> usize {
+pub(crate) fn nearest_node(segment: &Segment, to: &Placement, at: impl Fn(usize) -> Placement) -> usize {
     let nodes = segment.nodes.clone();
     nodes.min_by(|&a, &b| at(a).distance_m(to).total_cmp(&at(b).distance_m(to))).expect("a segment has nodes")
 }
 
 /// Shares of the points of either side that lie in space that the other saw free: the query's at most, and the segment's.
-fn intrusions(
+pub(crate) fn intrusions(
     world: &World<'_>,
     query: usize,
     points: &[(f64, f64)],
@@ -312,6 +313,18 @@ fn intrusions(
     (most, intruding(&Polar::new(scan_of(query)), placement, theirs))
 }
 
+/// Share of the points of a query's surroundings in space that its own scans saw free: what plants and people do between one
+/// scan and the next.
+pub(crate) fn self_intrusion(world: &World<'_>, query: usize, points: &[(f64, f64)]) -> f64 {
+    let around = surroundings(world.nodes, query, QUERY_NODES);
+    let ends = [around.start, around.end - 1];
+    let share = |i: usize| {
+        let at = world.nodes[query].local_pose.to(world.nodes[i].local_pose);
+        intruding(&Polar::new(world.scans.points(world.nodes[i].scan)), &at, points.iter().copied())
+    };
+    0.5 * (share(ends[0]) + share(ends[1]))
+}
+
 /// Share of the points in space that a scan saw free, of those that it observed at all.
 fn intruding(polar: &Polar, at: &Placement, points: impl Iterator<Item = (f64, f64)>) -> f64 {
     let (mut looked, mut through) = (0u32, 0u32);
@@ -324,18 +337,25 @@ fn intruding(polar: &Polar, at: &Placement, points: impl Iterator<Item = (f64, f
     f64::from(through) / f64::from(looked.max(1))
 }
 
-fn edge(query: usize, nearest: usize, at: &Placement, refined: &Alignment) -> Option<Edge> {
+pub(crate) fn edge(query: usize, nearest: usize, at: &Placement, refined: &Alignment) -> Option<Edge> {
     let information = inflated(&refined.information.map(|v| v * POINT_INFORMATION), SLACK.0, SLACK.1)?;
     let motion = at.to(refined.placement);
     Some(Edge { from: nearest, to: query, motion, information: in_frame(&information, at) })
 }
 
+/// What a closure adds to a distance along the graph, metres.
+pub const CLOSURE_M: f64 = 1.0;
+/// What odometry between two trajectories adds, metres: the window behind it reaches 9 m and 0.36 rad.
+pub const JOINT_M: f64 = 150.0;
+
 /// Distances along the graph from `from` to every node, metres: along the odometry, and across loops that are inliers.
-pub fn graph_distances(nodes: &[Node], loops: &[(usize, usize)], from: usize) -> Vec<f64> {
+///
+/// `loops` are pairs of nodes with the uncertainty between them as a length of path, metres.
+pub fn graph_distances(nodes: &[Node], loops: &[(usize, usize, f64)], from: usize) -> Vec<f64> {
     let mut across = vec![Vec::new(); nodes.len()];
-    for &(a, b) in loops {
-        across[a].push(b);
-        across[b].push(a);
+    for &(a, b, length_m) in loops {
+        across[a].push((b, length_m));
+        across[b].push((a, length_m));
     }
     let mut distances = vec![f64::INFINITY; nodes.len()];
     let mut queue = std::collections::BinaryHeap::new();
@@ -360,8 +380,8 @@ pub fn graph_distances(nodes: &[Node], loops: &[(usize, usize)], from: usize) ->
         if node + 1 < nodes.len() {
             relax(node + 1, step(node, node + 1));
         }
-        for &next in &across[node] {
-            relax(next, 1.0);
+        for &(next, length_m) in &across[node] {
+            relax(next, length_m);
         }
     }
     distances

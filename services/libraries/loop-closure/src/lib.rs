@@ -2,6 +2,7 @@
 //! constraint when enough others agree with it.
 
 pub mod agreement;
+pub mod attachment;
 pub mod closure;
 pub mod connectivity;
 pub mod dense;
@@ -9,6 +10,7 @@ mod fields;
 pub mod finder;
 pub mod node;
 pub mod odometry_graph;
+pub mod open_finder;
 pub mod place;
 pub mod polar;
 pub mod refine;

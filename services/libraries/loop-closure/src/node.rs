@@ -28,6 +28,8 @@ pub struct Node {
     pub drift_bound_m: f64,
     /// Trajectory that it belongs to, counted from 0: relative poses of trajectories are known from closures alone.
     pub trajectory: u32,
+    /// Whether its pose follows from surfaces far apart, as in the open: clouds of points do not hold it.
+    pub is_open: bool,
 }
 
 /// A scan that becomes a node.
@@ -41,13 +43,29 @@ pub struct NewNode {
     pub odom: Placement,
     /// Its trajectory.
     pub trajectory: u32,
+    /// Pose by odometry, if the robot has any.
+    pub odometry: Option<Placement>,
+    /// Whether odometry connects its trajectory, which begins with it, with the one before.
+    pub continues: bool,
+    /// Whether its pose follows from surfaces far apart.
+    pub is_open: bool,
 }
 
 impl NewNode {
     /// The node at its place in the local_pose, at the beginning of the path.
     pub(crate) fn at(self, local_pose: Placement, start_from_local: Placement) -> Node {
-        let NewNode { sequence, scan, odom, trajectory } = self;
+        let NewNode { sequence, scan, odom, trajectory, is_open, .. } = self;
         let start = start_from_local.compose(local_pose);
-        Node { scan, sequence, odom, local_pose, start, travel_m: 0.0, drift_bound_m: 0.0, trajectory }
+        Node {
+            scan,
+            sequence,
+            odom,
+            local_pose,
+            start,
+            travel_m: 0.0,
+            drift_bound_m: 0.0,
+            trajectory,
+            is_open,
+        }
     }
 }

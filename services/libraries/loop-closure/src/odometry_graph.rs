@@ -4,6 +4,8 @@
 use crate::node::{BROKEN_M, NewNode, Node, POINT_INFORMATION};
 use crate::scans::ScanStore;
 use crate::segment::{cloud, picked, scan_cloud};
+use flockslam_geometry::Covariance;
+use flockslam_odometry_noise::OdometryNoise;
 use flockslam_pose_graph::Edge;
 use flockslam_pose_graph::{Symmetric, in_frame, inflated};
 use flockslam_registration::cloud::{
@@ -30,8 +32,26 @@ const APART: Window = Window { reach_m: 0.4, turn_rad: 0.2 };
 const RUNNER_UP: f64 = 0.9;
 /// Points of a scan in a rescue.
 const RESCUE_POINTS: usize = 150;
-/// A node without a match is as doubtful as this much travel, metres.
+/// A node without a match, and without odometry that agrees with the front end, is as uncertain as this much travel, metres.
 const UNMATCHED_DRIFT_M: f64 = 8.0;
+/// The front end's motion is believed where odometry agrees with it within this, metres and radians.
+const FOLLOWED: (f64, f64) = (0.1, 0.1);
+/// Where it is, without a match, the drift bound grows so many times faster than the travel.
+const FOLLOWED_DRIFT: f64 = 2.0;
+/// Standard deviations of the front end's motion in the open, over a metre of travel: metres and radians, as
+/// on simulated campuses. A turn counts as so much travel, metres per radian.
+const OPEN_SIGMA: (f64, f64) = (0.03, 0.0012);
+const OPEN_TURN_M: f64 = 1.0;
+/// Matches that scatter so many times more than they claim, in variance, are compared with odometry …
+const SCATTERING: f64 = 2.0;
+/// … and not believed where they miss it by more than this, in variances: four standard deviations.
+const IMPROBABLE: f64 = 16.0;
+/// Standard deviations of odometry while the robot was lost, metres and radians, beyond so many times what it usually has: the
+/// reason for which it was lost may have moved it.
+const LOST_SIGMA: (f64, f64) = (0.3, 0.05);
+const LOST_FACTOR: f64 = 3.0;
+/// Least standard deviations of such a motion, metres and radians.
+const FOLLOWED_SIGMA: (f64, f64) = (0.01, 0.003);
 /// Each node is matched again to this many before it: enough for a stable map around the robot, few enough that the front end's
 /// errors stay small within.
 const WINDOW_NODES: usize = 20;
@@ -39,11 +59,25 @@ const WINDOW_NODES: usize = 20;
 /// grid's torus.
 const WINDOW_MAX_M: f64 = 10.0;
 
+/// Where odometry alone connects a trajectory with the one before: the robot was lost there, and nothing contradicts odometry.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Joint {
+    /// Sequence of the first node of the trajectory.
+    pub sequence: u64,
+    /// Standard deviations of the motion from the node before: metres and radians.
+    sigmas: (f64, f64),
+    motion: Placement,
+}
+
 /// How a new node was connected to the ones before it.
 #[derive(Clone, Copy)]
 enum Link {
     Matched(Alignment),
     Rescued(Alignment),
+    /// Not matched: the front end's motion, with which odometry agrees.
+    Followed,
+    /// In the open: the front end's motion, which surfaces far apart have given.
+    Open,
     Predicted,
     Broken,
 }
@@ -64,6 +98,12 @@ pub struct OdometryGraph {
     aligner: Aligner,
     searcher: Searcher,
     unmatched: usize,
+    /// Odometry at the last node.
+    odometry: Option<Placement>,
+    /// Where odometry connects a trajectory with the one before.
+    joints: Vec<Joint>,
+    /// The error of the front end's motion, as matches show it.
+    noise: OdometryNoise,
 }
 
 impl Default for OdometryGraph {
@@ -77,6 +117,9 @@ impl Default for OdometryGraph {
             aligner: Aligner::new(AlignSettings::default()),
             searcher: Searcher::default(),
             unmatched: 0,
+            odometry: None,
+            joints: Vec::new(),
+            noise: OdometryNoise::default(),
         }
     }
 }
@@ -104,6 +147,7 @@ impl OdometryGraph {
             Some(&last) => self.matched(last, new, scans),
         };
         self.nodes.push(node);
+        self.odometry = new.odometry;
         self.slide(scans);
     }
 
@@ -140,19 +184,23 @@ impl OdometryGraph {
         let motion = last.odom.to(new.odom);
         let guess = last.local_pose.compose(motion);
         let link = if new.trajectory == last.trajectory {
-            self.link(&guess, new.scan, scans)
+            self.link(&guess, &new, self.follows(&motion, &new), scans)
         } else {
             self.withdraw_all(scans);
+            self.joints.extend(self.joint(&motion, &new));
             Link::Broken
         };
         let (local_pose, drift_bound_m) = match link {
             Link::Matched(found) | Link::Rescued(found) => (found.placement, 0.0),
+            Link::Open => (guess, 0.0),
+            Link::Followed => (guess, (FOLLOWED_DRIFT - 1.0) * motion.distance_m(&Placement::IDENTITY)),
             Link::Predicted => (guess, UNMATCHED_DRIFT_M),
             Link::Broken => (guess, BROKEN_M),
         };
-        self.unmatched += usize::from(matches!(link, Link::Predicted));
+        self.unmatched += usize::from(matches!(link, Link::Predicted | Link::Followed));
         let to = self.nodes.len();
-        let information = in_frame(&information(&link, &motion), &last.local_pose);
+        let said = self.odometry.zip(new.odometry).map(|(before, now)| before.to(now));
+        let information = in_frame(&self.information(&link, &motion, said), &last.local_pose);
         self.edges.push(Edge { from: to - 1, to, motion: last.local_pose.to(local_pose), information });
         let way_m = local_pose.distance_m(&last.local_pose);
         let (travel_m, drift_bound_m) = (last.travel_m + way_m, last.drift_bound_m + way_m + drift_bound_m);
@@ -167,9 +215,66 @@ impl OdometryGraph {
         self.first = self.nodes.len();
     }
 
-    fn link(&mut self, guess: &Placement, scan: usize, scans: &ScanStore) -> Link {
+    /// The constraint that odometry gives between the last node and a new one of another trajectory, its covariance inflated.
+    fn joint(&self, motion: &Placement, new: &NewNode) -> Option<Joint> {
+        let said = self.odometry.zip(new.odometry).filter(|_| new.continues)?;
+        let said = said.0.to(said.1);
+        let way_m = (said.x_m * said.x_m + said.y_m * said.y_m).sqrt();
+        let (position, heading) = self.noise.variances(way_m, said.heading_rad.abs());
+        let sigmas = (
+            LOST_SIGMA.0 + LOST_FACTOR * position.sqrt() + said.distance_m(motion),
+            LOST_SIGMA.1 + LOST_FACTOR * heading.sqrt() + said.turn_rad(motion),
+        );
+        Some(Joint { sequence: new.sequence, sigmas, motion: said })
+    }
+
+    /// The constraints by odometry between trajectories among the first `known` nodes: switchable, unlike [`Self::edges`].
+    pub fn joints(&self, known: usize) -> impl Iterator<Item = Edge> {
+        self.joints.iter().filter_map(move |joint| {
+            let nodes = &self.nodes[..known];
+            let to = nodes.binary_search_by_key(&joint.sequence, |node| node.sequence).ok()?;
+            let from = to.checked_sub(1).filter(|from| nodes[*from].trajectory != nodes[to].trajectory)?;
+            let information = diagonal(joint.sigmas.0, joint.sigmas.1);
+            Some(Edge { from, to, motion: joint.motion, information })
+        })
+    }
+
+    /// Whether odometry agrees with the front end's motion to a node.
+    fn follows(&self, motion: &Placement, new: &NewNode) -> bool {
+        let (Some(before), Some(now)) = (self.odometry, new.odometry) else { return false };
+        let said = before.to(now);
+        said.distance_m(motion) <= FOLLOWED.0 && said.turn_rad(motion) <= FOLLOWED.1
+    }
+
+    /// Learns from a match how far odometry is off, and how much matches scatter. Gives whether the match is believed: where
+    /// matches scatter more than they claim, odometry must not make it improbable.
+    fn learns(&mut self, found: &Alignment, new: &NewNode) -> bool {
+        let (Some(odometry), Some(before), Some(last)) = (new.odometry, self.odometry, self.nodes.last())
+        else {
+            return true;
+        };
+        let claimed = claimed(found);
+        self.noise.learn(found.placement.pose(), odometry.pose(), claimed);
+        if self.noise.excess() < SCATTERING {
+            return true;
+        }
+        let (said, found) = (before.to(odometry), last.local_pose.to(found.placement));
+        let way_m = (said.x_m * said.x_m + said.y_m * said.y_m).sqrt();
+        let (position, heading) = self.noise.variances(way_m, said.heading_rad.abs());
+        let of_match = self.noise.inflated(claimed);
+        let (off_m, off_rad) = (said.distance_m(&found), said.turn_rad(&found));
+        off_m * off_m <= IMPROBABLE * (position + of_match.xx.max(of_match.yy))
+            && off_rad * off_rad <= IMPROBABLE * (heading + of_match.tt)
+    }
+
+    fn link(&mut self, guess: &Placement, new: &NewNode, follows: bool, scans: &ScanStore) -> Link {
+        let scan = new.scan;
+        if new.is_open {
+            return Link::Open;
+        }
+        let unmatched = if follows { Link::Followed } else { Link::Predicted };
         if scans.points(scan).len() < POINTS_MIN {
-            return Link::Predicted;
+            return unmatched;
         }
         let found = self.aligner.align(&mut self.grid, scans.points(scan), *guess);
         let believed = found.filter(|found| {
@@ -179,7 +284,9 @@ impl OdometryGraph {
                 && found.placement.turn_rad(guess) <= MOVE_MAX.1
         });
         match believed {
-            Some(found) => Link::Matched(found),
+            Some(found) if self.learns(&found, new) => Link::Matched(found),
+            Some(_) => unmatched,
+            None if follows => Link::Followed,
             None => self.rescue(guess, scan, scans).map_or(Link::Predicted, Link::Rescued),
         }
     }
@@ -217,28 +324,50 @@ impl OdometryGraph {
         }
         self.grid.add(&at, scans.points(self.nodes[newest].scan));
     }
+
+    /// Information of an odometry edge, in the grid's axes.
+    fn information(&self, link: &Link, motion: &Placement, said: Option<Placement>) -> Symmetric {
+        let way = (motion.x_m * motion.x_m + motion.y_m * motion.y_m).sqrt();
+        let turn = motion.heading_rad.abs();
+        match link {
+            // In degenerate directions the front end's own motion is used.
+            Link::Matched(found) => {
+                let mut sum = diagonal(0.05 + 0.1 * way, 0.02 + 0.1 * turn);
+                let (position, heading) = self.noise.excesses();
+                let mixed = 1.0 / (position * heading).sqrt();
+                let share = [1.0 / position, 1.0 / position, mixed, 1.0 / position, mixed, 1.0 / heading];
+                (0..6).for_each(|i| sum[i] += share[i] * POINT_INFORMATION * found.information[i]);
+                sum
+            }
+            Link::Rescued(found) => {
+                let mut sum = diagonal(0.5, 0.3);
+                (0..6).for_each(|i| sum[i] += POINT_INFORMATION * found.information[i]);
+                inflated(&sum, 0.03, 0.01).unwrap_or(diagonal(0.5, 0.3))
+            }
+            Link::Followed => {
+                let (position, heading) = self.noise.variances(way, turn);
+                let (off_m, off_rad) =
+                    said.map_or((0.0, 0.0), |s| (s.distance_m(motion), s.turn_rad(motion)));
+                diagonal(
+                    FOLLOWED_SIGMA.0 + position.sqrt() + off_m,
+                    FOLLOWED_SIGMA.1 + heading.sqrt() + off_rad,
+                )
+            }
+            Link::Open => {
+                let root = (way + OPEN_TURN_M * turn).sqrt();
+                diagonal(OPEN_SIGMA.0 * root + 1e-3, OPEN_SIGMA.1 * root + 1e-4)
+            }
+            Link::Predicted => diagonal(0.3 + 0.5 * way, 0.2 + 0.5 * turn),
+            // Just enough information to keep the graph connected.
+            Link::Broken => diagonal(1e3, 1e2),
+        }
+    }
 }
 
-/// Information of an odometry edge, in the grid's axes.
-fn information(link: &Link, motion: &Placement) -> Symmetric {
-    let way = (motion.x_m * motion.x_m + motion.y_m * motion.y_m).sqrt();
-    let turn = motion.heading_rad.abs();
-    match link {
-        // In degenerate directions the front end's own motion is used.
-        Link::Matched(found) => {
-            let mut sum = diagonal(0.05 + 0.1 * way, 0.02 + 0.1 * turn);
-            (0..6).for_each(|i| sum[i] += POINT_INFORMATION * found.information[i]);
-            sum
-        }
-        Link::Rescued(found) => {
-            let mut sum = diagonal(0.5, 0.3);
-            (0..6).for_each(|i| sum[i] += POINT_INFORMATION * found.information[i]);
-            inflated(&sum, 0.03, 0.01).unwrap_or(diagonal(0.5, 0.3))
-        }
-        Link::Predicted => diagonal(0.3 + 0.5 * way, 0.2 + 0.5 * turn),
-        // Just enough information to keep the graph connected.
-        Link::Broken => diagonal(1e3, 1e2),
-    }
+/// The covariance of a match as its points claim it.
+fn claimed(found: &Alignment) -> Covariance {
+    let [xx, _, _, yy, _, tt] = found.information.map(|v| 1.0 / (POINT_INFORMATION * v.max(1e-6)));
+    Covariance { xx: xx.min(1.0), yy: yy.min(1.0), tt: tt.min(0.1), ..Covariance::default() }
 }
 
 /// Information of independent errors with these standard deviations.

@@ -50,7 +50,11 @@ impl Placer<'_> {
             if scan.is_node {
                 grid.withdraw(&self.poses[scan.node], self.scans.points(scan.scan));
             }
-            placed.push(place(&aligner, grid, self.scans.points(scan.scan), &scan.guesses));
+            placed.push(if self.nodes[scan.node].is_open {
+                scan.guesses[0]
+            } else {
+                place(&aligner, grid, self.scans.points(scan.scan), &scan.guesses)
+            });
             if scan.is_node {
                 grid.add(&self.poses[scan.node], self.scans.points(scan.scan));
             }

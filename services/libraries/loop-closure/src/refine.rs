@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 /// Side of the squares that scans are matched in together, metres: around each, all points within reach fit on a grid's torus.
 const BLOCK_M: f64 = 8.0;
 /// Points are in reach of a block within this of its centre along both axes, metres.
-const REACH_M: f64 = 0.5 * MomentGrid::SPAN_M - 2.0 * MomentGrid::CELL_M;
+const REACH_M: f64 = 25.4;
 /// Share of points on lines that a match needs.
 const INLIERS_MIN: f64 = 0.5;
 /// Largest root mean square distance of those from their lines, metres.
@@ -34,6 +34,8 @@ pub struct Refinement<'a> {
     pub scans: &'a ScanStore,
     /// The odometry edges.
     pub odometry: &'a [Edge],
+    /// Closures in the open, where no node is matched again: they stay.
+    pub open: &'a [Edge],
     /// By node: whether it is part of the map.
     pub in_map: &'a [bool],
 }
@@ -46,6 +48,7 @@ impl Refinement<'_> {
     pub fn run(&self, grid: &mut MomentGrid, poses: &mut [Placement]) {
         let aligner = Aligner::new(AlignSettings { iterations: 6, ..AlignSettings::default() });
         let mut edges = self.odometry.to_vec();
+        edges.extend_from_slice(self.open);
         self.for_each_node(grid, poses, |grid, around, node| {
             let points = self.scans.points(self.nodes[node].scan);
             let place = around.binary_search_by_key(&node, |(i, _)| *i);
@@ -71,7 +74,7 @@ impl Refinement<'_> {
     ) {
         let block = |metres: f64| (metres / BLOCK_M).floor() as i32;
         let mut blocks: BTreeMap<(i32, i32), Vec<usize>> = BTreeMap::new();
-        for i in (1..self.nodes.len()).filter(|i| self.in_map[*i]) {
+        for i in (1..self.nodes.len()).filter(|i| self.in_map[*i] && !self.nodes[*i].is_open) {
             blocks.entry((block(poses[i].y_m), block(poses[i].x_m))).or_default().push(i);
         }
         for ((row, column), members) in blocks {

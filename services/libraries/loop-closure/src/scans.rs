@@ -1,13 +1,18 @@
 //! The store of scan points: valid points of each kept scan, thinned out, without the robot's own motion during the scan, four bytes each.
 
+use crate::segment::CLOUD_RANGE_M;
 use flockslam_geometry::Twist;
 use flockslam_messages::{BeamRange, ScanView};
 use flockslam_registration::cloud::{PackedPoint, Placement};
 
 /// Of neighbouring points of a scan closer than this only one is kept, metres.
 const SPACING_M: f64 = 0.02;
-/// Farther points are never used, metres: the points of a few nodes must fit on a grid's torus.
+/// Farther points are not used where enough are near, metres …
 const RANGE_MAX_M: f64 = 20.0;
+/// … nor points farther than this of any scan: the points of a few nodes must fit on a grid's torus.
+const SPARSE_RANGE_MAX_M: f64 = 32.0;
+/// A scan with fewer points than this within the usual range of clouds is sparse.
+const SPARSE_POINTS: usize = 80;
 /// Nearer points are never used, metres: the robot's own body.
 const RANGE_MIN_M: f64 = 0.3;
 /// Most points kept of one scan.
@@ -37,6 +42,18 @@ impl From<Twist> for Velocity {
     }
 }
 
+/// Whether a scan has few points near the robot, as in the open.
+fn is_sparse(points: &[PackedPoint]) -> bool {
+    let near = points.iter().filter(|p| p.squared_range_m2() <= CLOUD_RANGE_M * CLOUD_RANGE_M).count();
+    near < SPARSE_POINTS
+}
+
+/// The points of a scan that belong into a cloud: those near the robot, or all where few are near.
+pub fn cloud_points(points: &[PackedPoint]) -> impl Iterator<Item = &PackedPoint> {
+    let range_m = if is_sparse(points) { SPARSE_RANGE_MAX_M } else { CLOUD_RANGE_M };
+    points.iter().filter(move |p| p.squared_range_m2() <= range_m * range_m)
+}
+
 /// The points of all scans that were kept, in the robot's frame, four bytes each.
 #[derive(Default)]
 pub struct ScanStore {
@@ -46,8 +63,14 @@ pub struct ScanStore {
 
 impl ScanStore {
     /// Keeps the valid points of a scan but those on what moves, thinned out, as seen from where the robot was at its stamp; gives
-    /// its number in the store. `moving` is in order.
-    pub fn keep(&mut self, scan: ScanView<'_>, velocity: Velocity, moving: &[BeamRange]) -> usize {
+    /// its number in the store. `moving` is in order. In the open far points and lone ones, as those of trees are, are kept.
+    pub fn keep(
+        &mut self,
+        scan: ScanView<'_>,
+        velocity: Velocity,
+        moving: &[BeamRange],
+        is_open: bool,
+    ) -> usize {
         let first = self.points.len();
         let mount = Placement::from(scan.header().base_from_laser);
         let takes_time =
@@ -62,10 +85,10 @@ impl ScanStore {
                 continue;
             }
             let Some(range_m) = scan.valid_range_m(i) else { continue };
-            if !(RANGE_MIN_M..=RANGE_MAX_M).contains(&range_m) {
+            if !(RANGE_MIN_M..=SPARSE_RANGE_MAX_M).contains(&range_m) {
                 continue;
             }
-            if scan.is_isolated(i) {
+            if !is_open && scan.is_isolated(i) {
                 continue;
             }
             let (sin, cos) = libm::sincos(scan.angle_rad(i));
@@ -81,9 +104,27 @@ impl ScanStore {
                 last = (x, y);
             }
         }
+        if !is_open {
+            self.leave_out_far(first);
+        }
         self.halve_to_fit(first);
         self.ends.push(self.points.len());
         self.ends.len() - 1
+    }
+
+    /// Leaves out the far points of a scan, which begins at `first`, unless it is sparse.
+    fn leave_out_far(&mut self, first: usize) {
+        if is_sparse(&self.points[first..]) {
+            return;
+        }
+        let mut kept = first;
+        for i in first..self.points.len() {
+            if self.points[i].squared_range_m2() <= RANGE_MAX_M * RANGE_MAX_M {
+                self.points[kept] = self.points[i];
+                kept += 1;
+            }
+        }
+        self.points.truncate(kept);
     }
 
     fn halve_to_fit(&mut self, first: usize) {
@@ -151,7 +192,7 @@ mod tests {
             ScanBuffer::from_ranges(&[1.0, f32::NAN, 1.9, 50.0, 0.1], 0.0, std::f64::consts::FRAC_PI_2);
         scan.header.base_from_laser.x_m = 0.5;
         let mut store = ScanStore::default();
-        assert_eq!(store.keep(scan.view().unwrap(), Velocity::default(), &[]), 0);
+        assert_eq!(store.keep(scan.view().unwrap(), Velocity::default(), &[], false), 0);
         let metres: Vec<_> = store.points(0).iter().map(|p| (p.x_m(), p.y_m())).collect();
         let expected = [(1.5, 0.0), (-1.4, 0.0)];
         assert_eq!(metres.len(), 2);
@@ -166,7 +207,7 @@ mod tests {
         let scan = ScanBuffer::from_ranges(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], 0.0, 0.5);
         let moving = [BeamRange { first: 1, end: 3 }, BeamRange { first: 4, end: 5 }];
         let mut store = ScanStore::default();
-        store.keep(scan.view().unwrap(), Velocity::default(), &moving);
+        store.keep(scan.view().unwrap(), Velocity::default(), &moving, false);
         let kept = store.points(0).iter().map(|p| p.x_m().hypot(p.y_m()).round());
         assert_eq!(kept.collect::<Vec<_>>(), [1.0, 4.0, 6.0]);
     }
@@ -179,7 +220,7 @@ mod tests {
         scan.numbers[1] = 1.95;
         let velocity = Velocity { x_m_s: 1.0, ..Velocity::default() };
         let mut store = ScanStore::default();
-        store.keep(scan.view().unwrap(), velocity, &[]);
+        store.keep(scan.view().unwrap(), velocity, &[], false);
         assert_eq!(store.points(0).len(), 1, "all three beams hit the same point");
     }
 
@@ -188,7 +229,7 @@ mod tests {
         let mut store = ScanStore::default();
         for range in [2.0, 3.0, 4.0, 5.0] {
             let scan = ScanBuffer::from_ranges(&[range, range + 0.1, range], 0.0, 0.3);
-            store.keep(scan.view().unwrap(), Velocity::default(), &[]);
+            store.keep(scan.view().unwrap(), Velocity::default(), &[], false);
         }
         let (second, fourth) = (store.points(1).to_vec(), store.points(3).to_vec());
         let renamed = store.retain(&[false, true, false, true]);
@@ -200,7 +241,7 @@ mod tests {
     fn bounds_what_it_keeps_of_a_huge_scan() {
         let scan = ScanBuffer::from_ranges(&vec![15.0; 100_000], 0.0, std::f64::consts::TAU / 1e5);
         let mut store = ScanStore::default();
-        store.keep(scan.view().unwrap(), Velocity::default(), &[]);
+        store.keep(scan.view().unwrap(), Velocity::default(), &[], false);
         let kept = store.points(0).len();
         assert!((POINTS_MAX / 2..=POINTS_MAX).contains(&kept), "{kept}");
     }

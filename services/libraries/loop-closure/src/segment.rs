@@ -1,7 +1,7 @@
 //! Segments: stretches of the trajectory, a few metres long, as clouds of points that scans are matched against; and the clouds of single scans.
 
 use crate::node::Node;
-use crate::scans::ScanStore;
+use crate::scans::{ScanStore, cloud_points};
 use flockslam_registration::cloud::{MomentGrid, PackedPoint, Placement};
 use std::ops::Range;
 
@@ -56,17 +56,14 @@ pub fn cloud(nodes: &[Node], scans: &ScanStore, range: Range<usize>, origin: usi
     let mut points = Vec::new();
     for node in &nodes[range] {
         let at = nodes[origin].local_pose.to(node.local_pose);
-        let near =
-            scans.points(node.scan).iter().filter(|p| p.squared_range_m2() <= CLOUD_RANGE_M * CLOUD_RANGE_M);
-        points.extend(near.map(|p| at.apply(p.x_m(), p.y_m())));
+        points.extend(cloud_points(scans.points(node.scan)).map(|p| at.apply(p.x_m(), p.y_m())));
     }
     cell_means(&points)
 }
 
 /// The points of one scan near the robot, in its frame, the mean of each cell of 0.1 m.
 pub fn scan_cloud(points: &[PackedPoint]) -> Vec<(f64, f64)> {
-    let near = points.iter().filter(|p| p.squared_range_m2() <= CLOUD_RANGE_M * CLOUD_RANGE_M);
-    cell_means(&near.map(|p| (p.x_m(), p.y_m())).collect::<Vec<_>>())
+    cell_means(&cloud_points(points).map(|p| (p.x_m(), p.y_m())).collect::<Vec<_>>())
 }
 
 /// The mean of the points in each cell of 0.1 m, in order of cells.
@@ -132,6 +129,7 @@ mod tests {
             travel_m: 0.3 * k as f64,
             drift_bound_m: 0.0,
             trajectory: u32::from(k >= 30),
+            is_open: false,
         };
         let nodes: Vec<_> = (0..60).map(node).collect();
         let segments = Segment::cut(&nodes, 4);

@@ -45,7 +45,8 @@ pub struct FinalCleaning {
 /// An occupied cell, and how often it was looked through since it was last seen to stand.
 #[derive(Clone, Copy, Debug)]
 struct Watched {
-    cell: CellIndex,
+    /// Its offset in its tile.
+    offset: u16,
     /// By scans of which all beams near it passed too.
     views: u8,
     /// By any scans.
@@ -58,18 +59,20 @@ struct Watched {
 impl FinalCleaning {
     /// Before the first scan.
     pub fn new(map: &FusedMap) -> Self {
-        let occupied = |key: TileKey, cells: &[flockslam_evidence::Cell]| {
+        let occupied = |cells: &[flockslam_evidence::Cell]| {
             let occupied = cells.iter().enumerate().filter(|(_, cell)| cell.occupied > cell.free);
             let watch = |(offset, _)| Watched {
-                cell: key.cell(offset),
+                offset: offset as u16,
                 views: 0,
                 passes: 0,
                 scans: 0,
                 last_ns: i64::MIN,
             };
-            occupied.map(watch).collect::<Vec<_>>()
+            let mut watched: Vec<_> = occupied.map(watch).collect();
+            watched.shrink_to_fit();
+            watched
         };
-        let tiles = map.tiles().map(|(key, cells)| (key, occupied(key, cells)));
+        let tiles = map.tiles().map(|(key, cells)| (key, occupied(&cells[..])));
         Self {
             cell_size_m: map.cell_size_m(),
             tiles: tiles.filter(|(_, watched)| !watched.is_empty()).collect(),
@@ -94,11 +97,12 @@ impl FinalCleaning {
         for key in rows.flat_map(|y| (left..=right).map(move |x| TileKey { x, y })) {
             let Some(tile) = self.tiles.get_mut(&key) else { continue };
             for (place, watched) in tile.iter_mut().enumerate() {
-                let center = center(watched.cell, size_m);
+                let cell = key.cell(usize::from(watched.offset));
+                let center = center(cell, size_m);
                 if center.distance_m(at) > REACH_M {
                     continue;
                 }
-                let is_end_near = self.rays.is_end_near(watched.cell);
+                let is_end_near = self.rays.is_end_near(cell);
                 if is_end_near {
                     (watched.passes, watched.scans) = (0, 0);
                 }
@@ -114,7 +118,7 @@ impl FinalCleaning {
                     }
                     Visibility::Passed | Visibility::Open => (),
                 }
-                if !is_end_near && self.rays.is_crossed(watched.cell) {
+                if !is_end_near && self.rays.is_crossed(cell) {
                     self.through.push((key, place, false));
                 }
             }
@@ -140,12 +144,16 @@ impl FinalCleaning {
     /// The cells that are free by now, in a fixed order: those that were seen through clearly, and those that were passed so often
     /// if something else stands near, so that no wall gets a hole.
     pub fn free(&self) -> Vec<CellIndex> {
-        let is_free = |watched: &&Watched| {
+        let is_free = |watched: &Watched, cell: CellIndex| {
             watched.views >= VIEWS
                 || (watched.passes >= VIEWS && watched.scans >= SCANS)
-                || (watched.passes >= PASSES && self.something_stands_near(watched.cell))
+                || (watched.passes >= PASSES && self.something_stands_near(cell))
         };
-        self.tiles.values().flatten().filter(is_free).map(|watched| watched.cell).collect()
+        let free_of = |(key, watched): (&TileKey, &Vec<Watched>)| {
+            let cells = watched.iter().map(|watched| (watched, key.cell(usize::from(watched.offset))));
+            cells.filter(|(watched, cell)| is_free(watched, *cell)).map(|(_, cell)| cell).collect::<Vec<_>>()
+        };
+        self.tiles.iter().flat_map(free_of).collect()
     }
 
     /// Whether another cell beside this one is not looked through.
@@ -160,7 +168,7 @@ impl FinalCleaning {
     fn watched(&self, cell: CellIndex) -> Option<&Watched> {
         let tile = self.tiles.get(&cell.tile())?;
         // They are in the order of their offsets.
-        let place = tile.binary_search_by_key(&cell.offset(), |watched| watched.cell.offset());
+        let place = tile.binary_search_by_key(&cell.offset(), |watched| usize::from(watched.offset));
         place.ok().map(|place| &tile[place])
     }
 }

@@ -1,6 +1,8 @@
 //! The area that a submap covers in the fused map.
 
-use flockslam_evidence::TileKey;
+use crate::resampling::Resampling;
+use flockslam_evidence::{Submap, TileKey};
+use flockslam_geometry::Pose;
 
 /// Blocks of 8 × 8 cells of the fused map in which a submap has evidence.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -10,6 +12,16 @@ pub struct Footprint {
 }
 
 impl Footprint {
+    /// That of a submap whose reference pose lies at `map_from_submap`, in a map with cells of this side, metres.
+    pub fn of(submap: &Submap, map_from_submap: Pose, cell_size_m: f64) -> Self {
+        let resampling = Resampling::new(submap, map_from_submap, cell_size_m);
+        let mut parts = Vec::new();
+        for tile in &submap.tiles {
+            resampling.for_each(tile, |part| parts.push((part.key, part.blocks)));
+        }
+        Self::new(parts)
+    }
+
     /// The union of parts.
     pub(crate) fn new(mut parts: Vec<(TileKey, u64)>) -> Self {
         parts.sort_unstable_by_key(|(key, _)| *key);

@@ -2,12 +2,13 @@
 //! out again.
 
 use crate::Footprint;
+use crate::fused_tile::FusedTile;
 use crate::resampling::Resampling;
 use flockslam_evidence::{
     Cell, CellIndex, PackedCell, Submap, TILE_CELLS, TILE_SIDE, TileDirectory, TileKey, TooFar,
 };
 use flockslam_geometry::{Point, Pose};
-use flockslam_results::StoredMap;
+use flockslam_results::{MapShape, StoredMap};
 
 /// The sum of submaps at the poses of a solution, in a lattice of its own.
 ///
@@ -36,11 +37,8 @@ use flockslam_results::StoredMap;
 #[derive(Clone, Debug)]
 pub struct FusedMap {
     cell_size_m: f64,
-    tiles: TileDirectory<Box<FusedTile>>,
+    tiles: TileDirectory<FusedTile>,
 }
-
-/// Cells of a tile of the fused map.
-type FusedTile = [Cell; TILE_CELLS];
 
 /// A submap cannot be taken out: it is not in the map at this pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -140,7 +138,7 @@ impl FusedMap {
         keys.sort_unstable();
         keys.dedup();
         for key in keys {
-            if self.tiles.get(key).is_some_and(|cells| cells.iter().all(|cell| cell.is_unknown())) {
+            if self.tiles.get(key).is_some_and(FusedTile::is_empty) {
                 self.tiles.remove(key);
             }
         }
@@ -160,17 +158,17 @@ impl FusedMap {
 
     /// Evidence of a cell.
     pub fn cell(&self, index: CellIndex) -> Cell {
-        self.tiles.get(index.tile()).map_or(Cell::UNKNOWN, |cells| cells[index.offset()])
+        self.tiles.get(index.tile()).map_or(Cell::UNKNOWN, |cells| cells.cell(index.offset()))
     }
 
     /// The cells of a tile (index = y·64 + x), if there is evidence in it.
-    pub fn tile(&self, key: TileKey) -> Option<&[Cell; TILE_CELLS]> {
-        self.tiles.get(key).map(|cells| &**cells)
+    pub fn tile(&self, key: TileKey) -> Option<Box<[Cell; TILE_CELLS]>> {
+        self.tiles.get(key).map(FusedTile::cells)
     }
 
     /// All tiles with their cells (index = y·64 + x), row by row.
-    pub fn tiles(&self) -> impl Iterator<Item = (TileKey, &[Cell; TILE_CELLS])> {
-        self.tiles.iter().map(|(key, cells)| (key, &**cells))
+    pub fn tiles(&self) -> impl Iterator<Item = (TileKey, Box<[Cell; TILE_CELLS]>)> {
+        self.tiles.iter().map(|(key, cells)| (key, cells.cells()))
     }
 
     /// Whether nothing is in the map.
@@ -180,9 +178,9 @@ impl FusedMap {
 
     /// The smallest and the greatest cell index with evidence, both included.
     pub fn bounds(&self) -> Option<(CellIndex, CellIndex)> {
-        let known = self.tiles().flat_map(|(key, cells)| {
-            let known = cells.iter().enumerate().filter(|(_, cell)| !cell.is_unknown());
-            known.map(move |(offset, _)| key.cell(offset))
+        let known = self.tiles.iter().flat_map(|(key, tile)| {
+            let known = (0..TILE_CELLS).filter(|offset| !tile.cell(*offset).is_unknown());
+            known.map(move |offset| key.cell(offset))
         });
         known.fold(None, |bounds, c| {
             let (low, high) = bounds.unwrap_or((c, c));
@@ -195,7 +193,7 @@ impl FusedMap {
 
     fn tile_mut(&mut self, key: TileKey) -> Result<&mut FusedTile, TooFar> {
         if self.tiles.get(key).is_none() {
-            self.tiles.set(key, Box::new([Cell::UNKNOWN; TILE_CELLS]))?;
+            self.tiles.set(key, FusedTile::default())?;
         }
         Ok(self.tiles.get_mut(key).expect("just set"))
     }
@@ -203,7 +201,7 @@ impl FusedMap {
 
 fn add(cells: &mut FusedTile, evidence: &[(u16, PackedCell)]) {
     for (place, evidence) in evidence {
-        let cell = &mut cells[usize::from(*place)];
+        let cell = cells.cell_mut(usize::from(*place));
         *cell = cell.combine(evidence.unpack());
     }
 }
@@ -211,7 +209,7 @@ fn add(cells: &mut FusedTile, evidence: &[(u16, PackedCell)]) {
 /// Subtracts evidence as far as possible; gives the number of changed cells.
 fn withdraw(cells: &mut FusedTile, evidence: &[(u16, PackedCell)]) -> usize {
     for (done, (place, evidence)) in evidence.iter().enumerate() {
-        let cell = &mut cells[usize::from(*place)];
+        let cell = cells.cell_mut(usize::from(*place));
         match cell.withdraw(evidence.unpack()) {
             Some(left) => *cell = left,
             None => return done,
@@ -228,24 +226,52 @@ impl PartialEq for FusedMap {
 
 /// The rectangle of a map that has evidence, as it is stored.
 pub fn stored_map(map: &FusedMap) -> StoredMap {
-    let Some((low, high)) = map.bounds() else { return StoredMap::empty() };
-    let cell_size_m = map.cell_size_m();
-    let (width, height) = ((high.x - low.x + 1) as usize, (high.y - low.y + 1) as usize);
-    let mut cells = vec![Cell::UNKNOWN; width * height];
-    let side = TILE_SIDE as i32;
-    for (key, tile) in map.tiles() {
-        let corner = key.cell(0);
-        let (left, right) = ((low.x - corner.x).max(0), (high.x - corner.x + 1).clamp(0, side));
-        let (bottom, top) = ((low.y - corner.y).max(0), (high.y - corner.y + 1).clamp(0, side));
-        for y in bottom..top {
-            let from = (y * side + left) as usize;
-            let to = (corner.y + y - low.y) as usize * width + (corner.x + left - low.x) as usize;
-            let count = (right - left).max(0) as usize;
-            cells[to..to + count].copy_from_slice(&tile[from..from + count]);
+    let MapShape { width, cell_size_m, origin, .. } = map.shape();
+    let mut stored = StoredMap::of_width(width, cell_size_m, origin);
+    let push = |row: &[Cell]| {
+        stored.push_row(row);
+        Ok::<(), std::convert::Infallible>(())
+    };
+    let Ok(()) = map.for_each_row(push);
+    stored
+}
+
+impl FusedMap {
+    /// Size and place of the rectangle that has evidence.
+    pub fn shape(&self) -> MapShape {
+        let Some((low, high)) = self.bounds() else { return MapShape::empty() };
+        let cell_size_m = self.cell_size_m;
+        MapShape {
+            width: (high.x - low.x + 1) as usize,
+            height: (high.y - low.y + 1) as usize,
+            cell_size_m,
+            origin: Point::new(f64::from(low.x) * cell_size_m, f64::from(low.y) * cell_size_m),
         }
     }
-    let origin = Point::new(f64::from(low.x) * cell_size_m, f64::from(low.y) * cell_size_m);
-    StoredMap { width, height, cell_size_m, origin, cells }
+
+    /// Calls `visit` with each row of the rectangle that has evidence, the lowest y first.
+    ///
+    /// # Errors
+    /// The first of `visit`, after which no row is visited.
+    pub fn for_each_row<E>(&self, mut visit: impl FnMut(&[Cell]) -> Result<(), E>) -> Result<(), E> {
+        let Some((low, high)) = self.bounds() else { return Ok(()) };
+        let mut row = vec![Cell::UNKNOWN; (high.x - low.x + 1) as usize];
+        for y in low.y..=high.y {
+            let left = CellIndex::new(low.x, y);
+            row.fill(Cell::UNKNOWN);
+            for x in left.tile().x..=high.tile().x {
+                let key = TileKey { x, y: left.tile().y };
+                let Some(tile) = self.tiles.get(key) else { continue };
+                let corner = key.cell(0);
+                let (from, to) = (low.x.max(corner.x), high.x.min(corner.x + (TILE_SIDE - 1) as i32));
+                let first = CellIndex::new(from, y).offset();
+                let here = &mut row[(from - low.x) as usize..=(to - low.x) as usize];
+                tile.copy_row(first / TILE_SIDE, first % TILE_SIDE, here);
+            }
+            visit(&row)?;
+        }
+        Ok(())
+    }
 }
 
 #[cfg(test)]

@@ -1,7 +1,8 @@
-//! The fused map, updated step by step with a changing solution: takes submaps and their poses, and gives the next steps.
+//! Which submaps make up the fused map, step by step with a changing solution, and at the end the map itself: takes submaps and their
+//! poses, and gives the next steps.
 
-use crate::FusedMap;
 use crate::coverage::Coverage;
+use crate::{Footprint, FusedMap};
 use flockslam_evidence::{ClearedCells, Submap, TILE_SIDE, TooFar};
 use flockslam_geometry::{Point, Pose};
 use std::collections::{BTreeMap, BTreeSet};
@@ -25,14 +26,19 @@ const CHECKS_PER_SUBMAP: usize = 4;
 /// Share of a submap's blocks that newer ones must know before it retires.
 const COVERED_SHARE: f64 = 0.98;
 
-/// The fused map, kept up with the solution while the robot drives: submaps come in as they are closed, move when the solution
-/// moves them, and retire when newer ones know all that they know.
+/// The parts of the fused map, kept up with the solution while the robot drives: submaps come in as they are closed, move when the
+/// solution moves them, and retire when newer ones know all that they know.
 ///
-/// It holds no submaps: it says which it needs, and is handed them. What it does depends on these calls alone, and the map after
-/// the [`Fusion::last_steps`] is the sum over them at these poses, to the bit, whatever came before.
+/// It holds no submaps: it says which it needs, and is handed them. While the robot drives it holds no evidence either, only where each
+/// submap knows something: the map is made at the end, by the [`Fusion::last_steps`], as the sum of the submaps at their final poses.
 #[derive(Debug)]
 pub struct Fusion {
+    /// The sum of evidence, once it is asked for.
     map: Option<FusedMap>,
+    /// The last steps are on: evidence is summed.
+    sums: bool,
+    /// Side of a cell of the map, metres; that of the first submap.
+    cell_size_m: Option<f64>,
     fused: BTreeMap<u32, Fused>,
     coverage: Coverage,
     retired: BTreeSet<u32>,
@@ -48,7 +54,7 @@ struct Fused {
     map_from_odom: Pose,
     /// The cells that were masked when it was brought in: others may be by now.
     cleared: ClearedCells,
-    footprint: crate::Footprint,
+    footprint: Footprint,
     /// Corners of the box around it, in odom.
     corners: [Point; 4],
     cell_size_m: f64,
@@ -78,6 +84,8 @@ impl Fusion {
     pub fn new(retire_covered_by: usize) -> Self {
         Self {
             map: None,
+            sums: false,
+            cell_size_m: None,
             fused: BTreeMap::new(),
             coverage: Coverage::default(),
             retired: BTreeSet::new(),
@@ -86,14 +94,14 @@ impl Fusion {
         }
     }
 
-    /// The map as it is now; `None` before the first submap.
+    /// The map; `None` before the last steps.
     pub fn map(&self) -> Option<&FusedMap> {
         self.map.as_ref()
     }
 
     /// Area that something is known of, in blocks of 8 × 8 cells, m².
     pub fn area_m2(&self) -> f64 {
-        let block_m = self.map.as_ref().map_or(0.0, |map| 8.0 * map.cell_size_m());
+        let block_m = self.cell_size_m.map_or(0.0, |cell_size_m| 8.0 * cell_size_m);
         self.coverage.blocks() as f64 * block_m * block_m
     }
 
@@ -115,10 +123,11 @@ impl Fusion {
         steps.into_iter().take(STEPS_PER_SUBMAP).map(|(_, step)| step).collect()
     }
 
-    /// The map begins anew for a final solution, of which the first `closed` submaps can be had: all that is to be done, the newest
+    /// The map is made for a final solution, of which the first `closed` submaps can be had: all that is to be done, the newest
     /// first, so that the map holds all newer ones when the turn of a submap comes.
     pub fn last_steps(&mut self, submaps_in_map: &[PlacedSubmap], closed: u32) -> Vec<Step> {
         self.start_over();
+        self.sums = true;
         self.wanted(submaps_in_map, closed).rev().copied().map(Step::Place).collect()
     }
 
@@ -205,8 +214,13 @@ impl Fusion {
     }
 
     fn add(&mut self, submap: &Submap, cleared: ClearedCells, map_from_odom: Pose) -> Result<(), TooFar> {
-        let map = self.map.get_or_insert_with(|| FusedMap::new(submap.cell_size_m));
-        let footprint = map.add(submap, map_from_odom * submap.odom_from_submap)?;
+        let (size_m, map_from_submap) =
+            (*self.cell_size_m.get_or_insert(submap.cell_size_m), map_from_odom * submap.odom_from_submap);
+        let footprint = if self.sums {
+            self.map.get_or_insert_with(|| FusedMap::new(size_m)).add(submap, map_from_submap)?
+        } else {
+            Footprint::of(submap, map_from_submap, size_m)
+        };
         self.coverage.add(submap.number, &footprint);
         let (corners, cell_size_m) = (corners(submap), submap.cell_size_m);
         self.fused.insert(submap.number, Fused { map_from_odom, cleared, footprint, corners, cell_size_m });
@@ -215,16 +229,17 @@ impl Fusion {
 
     /// Takes a submap out as it came in. Should it not be the one that came in, the map begins anew: the next steps fill it.
     fn withdraw(&mut self, submap: &mut Submap) {
-        let (Some(fused), Some(map)) = (self.fused.remove(&submap.number), &mut self.map) else { return };
-        submap.set_cleared(&fused.cleared);
+        let Some(fused) = self.fused.remove(&submap.number) else { return };
         self.coverage.remove(submap.number, &fused.footprint);
+        let Some(map) = &mut self.map else { return };
+        submap.set_cleared(&fused.cleared);
         if map.withdraw(submap, fused.map_from_odom * submap.odom_from_submap).is_err() {
             self.start_over();
         }
     }
 
     fn start_over(&mut self) {
-        (self.map, self.coverage) = (None, Coverage::default());
+        (self.map, self.cell_size_m, self.coverage) = (None, None, Coverage::default());
         self.fused.clear();
     }
 }
@@ -373,7 +388,7 @@ mod tests {
         let mut submaps = store(2);
         let submaps_in_map: Vec<_> = (0..2).map(|number| placed(number, 0.0, 0.0, 0.0)).collect();
         let mut fusion = Fusion::new(0);
-        follow(&mut fusion, &submaps, &submaps_in_map, 2);
+        finish(&mut fusion, &submaps, &submaps_in_map);
         submaps[1].tiles[0].cells[700].free += 100;
         let moved = [submaps_in_map[0], placed(1, 1.0, 0.0, 0.0)];
         follow(&mut fusion, &submaps, &moved, 2);
@@ -383,5 +398,17 @@ mod tests {
         assert!(fusion.map() == Some(&from_scratch(&submaps, &moved, &[])), "the next step fills it");
         finish(&mut fusion, &submaps, &moved);
         assert!(fusion.map() == Some(&from_scratch(&submaps, &moved, &[])));
+    }
+
+    #[test]
+    fn while_the_robot_drives_no_evidence_is_held_and_the_area_is_known() {
+        let submaps = store(3);
+        let submaps_in_map: Vec<_> = (0..3).map(|number| placed(number, 0.0, 0.0, 0.0)).collect();
+        let mut fusion = Fusion::new(0);
+        (0..3).for_each(|_| follow(&mut fusion, &submaps, &submaps_in_map, 3));
+        assert!(fusion.map().is_none());
+        let area_m2 = fusion.area_m2();
+        finish(&mut fusion, &submaps, &submaps_in_map);
+        assert!(area_m2 > 20.0 && fusion.area_m2() == area_m2, "{area_m2}");
     }
 }

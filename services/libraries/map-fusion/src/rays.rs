@@ -21,10 +21,10 @@ pub struct Rays {
     near: i32,
     /// Cell of the lidar.
     middle: CellIndex,
-    /// The number of the last scan of which a beam ended near, and of the last of which one went through.
-    ended: Vec<u32>,
-    crossed: Vec<u32>,
-    scan: u32,
+    /// The number of the last scan of which a beam ended near, and of the last of which one went through; numbers begin again after 255.
+    ended: Vec<u8>,
+    crossed: Vec<u8>,
+    scan: u8,
 }
 
 impl Rays {
@@ -36,7 +36,7 @@ impl Rays {
 
     /// Those of a scan from `at`, in place of those before.
     pub fn look(&mut self, scan: ScanView<'_>, deskew: &Deskew, map_from_base: Pose, at: Point) {
-        if self.scan == u32::MAX {
+        if self.scan == u8::MAX {
             self.ended.fill(0);
             self.crossed.fill(0);
             self.scan = 0;

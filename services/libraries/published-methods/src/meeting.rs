@@ -212,8 +212,9 @@ fn fused(maps: &[FusedMap], fusion: CellFusion, cell_size_m: f64) -> Submap {
     let keys: BTreeSet<TileKey> = maps.iter().flat_map(|map| map.tiles().map(|(key, _)| key)).collect();
     let tile = |key: TileKey| {
         let mut cells = Box::new([PackedCell::UNKNOWN; TILE_CELLS]);
+        let tiles: Vec<_> = maps.iter().filter_map(|map| map.tile(key)).collect();
         for (offset, cell) in cells.iter_mut().enumerate() {
-            let known = maps.iter().filter_map(|map| map.tile(key).map(|cells| cells[offset]));
+            let known = tiles.iter().map(|cells| cells[offset]);
             *cell = one(&known.filter(|cell| !cell.is_unknown()).collect::<Vec<_>>(), fusion).pack();
         }
         SubmapTile::new(key, cells)
@@ -254,7 +255,7 @@ fn of_tiles(cell_size_m: f64, tiles: Vec<SubmapTile>) -> Submap {
 
 /// A fused map in the form in which it is handed over.
 fn handed_over(map: &FusedMap) -> Submap {
-    let tile = |(key, cells): (TileKey, &[Cell; TILE_CELLS])| {
+    let tile = |(key, cells): (TileKey, Box<[Cell; TILE_CELLS]>)| {
         SubmapTile::new(key, Box::new(cells.map(|cell| cell.pack())))
     };
     of_tiles(map.cell_size_m(), map.tiles().map(tile).collect())

@@ -147,6 +147,13 @@ impl Fit {
         }
     }
 
+    /// Logarithm of the likelihood ratio of the same points here and at another pose, when the mean squared residual at the right
+    /// pose is usually `noise`.
+    pub fn gain_over(&self, other: &Fit, noise: f64) -> f64 {
+        let squares = other.points as f64 * (other.noise - self.noise);
+        0.5 * squares / shared_variance(noise)
+    }
+
     /// Covariance of the pose, `k s² (JᵀJ)⁻¹` with s² the mean squared residual; directions that the points do not
     /// determine get the prior's standard deviations (metres, radians).
     pub fn covariance(&self, prior_xy_m: f64, prior_heading_rad: f64) -> Covariance {

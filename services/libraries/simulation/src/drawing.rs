@@ -1,6 +1,7 @@
 //! Draws floor plans from walls, rectangles and rounds.
 
-use super::floor_plan::FloorPlan;
+use super::floor_plan::{FloorPlan, Outline};
+use super::index::Surface;
 use flockslam_geometry::Point;
 use std::f64::consts::TAU;
 
@@ -11,13 +12,21 @@ pub(super) const WALL_M: f64 = 0.2;
 #[derive(Clone, Debug)]
 pub(super) struct Drawing {
     size_m: (f64, f64),
-    outlines: Vec<Vec<Point>>,
+    outlines: Vec<Outline>,
+    /// What the next outlines are made of.
+    surface: Surface,
 }
 
 impl Drawing {
     /// An empty sheet.
     pub(super) fn new(size_m: (f64, f64)) -> Self {
-        Self { size_m, outlines: Vec::new() }
+        Self { size_m, outlines: Vec::new(), surface: Surface::Wall }
+    }
+
+    /// The next outlines are made of this.
+    pub(super) fn made_of(&mut self, surface: Surface) -> &mut Self {
+        self.surface = surface;
+        self
     }
 
     /// A wall along an axis: x and y of both ends of its centre line.
@@ -26,7 +35,7 @@ impl Drawing {
         let (west, east, south, north) =
             (x0.min(x1) - half, x0.max(x1) + half, y0.min(y1) - half, y0.max(y1) + half);
         let corners = [(west, south), (east, south), (east, north), (west, north)];
-        self.outlines.push(corners.map(|(x, y)| Point::new(x, y)).to_vec());
+        self.outline(corners.map(|(x, y)| Point::new(x, y)).to_vec());
     }
 
     /// The four walls around the sheet.
@@ -40,11 +49,7 @@ impl Drawing {
 
     /// A rectangle: centre x and y, length, width, and its turn in degrees.
     pub(super) fn rectangle(&mut self, [x, y, length, width, turn_deg]: [f64; 5]) {
-        let (sin, cos) = turn_deg.to_radians().sin_cos();
-        let corners = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]
-            .map(|(u, v)| (u * length, v * width))
-            .map(|(u, v)| Point::new(x + cos * u - sin * v, y + sin * u + cos * v));
-        self.outlines.push(corners.to_vec());
+        self.outline(rectangle_corners([x, y, length, width, turn_deg]).to_vec());
     }
 
     /// A pillar, a trunk or a round table: centre and radius.
@@ -54,7 +59,11 @@ impl Drawing {
             .map(corner)
             .map(|angle| Point::new(x + radius * angle.cos(), y + radius * angle.sin()))
             .collect();
-        self.outlines.push(corners);
+        self.outline(corners);
+    }
+
+    fn outline(&mut self, corners: Vec<Point>) {
+        self.outlines.push(Outline { corners, surface: self.surface });
     }
 
     /// The plan, with the points that its tour visits.
@@ -62,4 +71,12 @@ impl Drawing {
         let way_points = tour.iter().map(|[x, y]| Point::new(*x, *y)).collect();
         FloorPlan::new(self.size_m, &self.outlines, way_points)
     }
+}
+
+/// Corners of a rectangle: centre x and y, length, width, and its turn in degrees.
+pub(super) fn rectangle_corners([x, y, length, width, turn_deg]: [f64; 5]) -> [Point; 4] {
+    let (sin, cos) = turn_deg.to_radians().sin_cos();
+    [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]
+        .map(|(u, v)| (u * length, v * width))
+        .map(|(u, v)| Point::new(x + cos * u - sin * v, y + sin * u + cos * v))
 }

@@ -2,6 +2,7 @@
 
 use super::free_space::FreeSpace;
 use super::tour::Tour;
+use super::{Settings, WorldName};
 use flockslam_geometry::{Point, Pose, Twist, wrap_angle};
 use flockslam_random::Random;
 use std::collections::VecDeque;
@@ -10,6 +11,8 @@ use std::sync::Arc;
 
 /// Fastest driving, m/s: an easy walking pace.
 pub(super) const SPEED_M_S: f64 = 0.8;
+/// On the campus scans are at most this far apart, metres: with a slow lidar the robot drives and turns slower.
+const APART_M: f64 = 0.3;
 /// Fastest turning, rad/s: faster, a lidar of 10 Hz shears its scans by more than 6°.
 pub(super) const TURN_RAD_S: f64 = 1.0;
 /// The robot steers towards the point of its way this far ahead, metres.
@@ -20,6 +23,10 @@ const ACCELERATION: (f64, f64) = (0.8, 3.0);
 const TURN_ON_SPOT_RAD: f64 = 1.0;
 /// How strongly it turns towards its way on the spot, 1/s.
 const TURN_GAIN: f64 = 2.0;
+/// On the campus the robot pauses every so often, seconds.
+const PAUSE_EVERY_S: f64 = 1000.0;
+/// How long a pause takes, seconds.
+const PAUSE_S: (f64, f64) = (60.0, 180.0);
 /// Who is carried away is put down at least this far off, metres, where the world is large enough.
 const CARRIED_M: f64 = 5.0;
 /// Legs that may be planned before one must lead away from the start.
@@ -29,12 +36,31 @@ const LEGS_TO_LEAVE: usize = 1000;
 #[derive(Clone, Debug)]
 pub(super) struct Drive {
     tick_s: f64,
+    limits: Limits,
+    /// Times at which it stands still, seconds since the start, in their order: from, to.
+    pauses_s: VecDeque<(f64, f64)>,
+    now_s: f64,
     tour: Tour,
     /// What is planned and not yet driven; its first point is steered towards.
     way: VecDeque<Point>,
     pose: Pose,
     twist: Twist,
     turn: Turn,
+}
+
+/// How fast the robot drives and turns.
+#[derive(Clone, Copy, Debug)]
+struct Limits {
+    speed_m_s: f64,
+    turn_rad_s: f64,
+}
+
+impl Limits {
+    fn of(settings: &Settings) -> Self {
+        let is_careful = settings.world == WorldName::Campus;
+        let speed_m_s = if is_careful { SPEED_M_S.min(APART_M * settings.scan_rate_hz) } else { SPEED_M_S };
+        Self { speed_m_s, turn_rad_s: TURN_RAD_S * speed_m_s / SPEED_M_S }
+    }
 }
 
 /// The motion during one turn of the lidar.
@@ -48,7 +74,7 @@ pub(super) struct Turn {
 
 impl Drive {
     /// Stands at the beginning of a tour.
-    pub(super) fn new(mut tour: Tour, tick_s: f64) -> Self {
+    pub(super) fn new(settings: &Settings, mut tour: Tour, tick_s: f64) -> Self {
         let mut way = VecDeque::new();
         let mut ahead = None;
         for _ in 0..LEGS_TO_LEAVE {
@@ -63,6 +89,9 @@ impl Drive {
         let heading_rad = (ahead.y_m - start.y_m).atan2(ahead.x_m - start.x_m);
         Self {
             tick_s,
+            limits: Limits::of(settings),
+            pauses_s: draw_pauses(settings),
+            now_s: 0.0,
             tour,
             way,
             pose: Pose::new(start.x_m, start.y_m, heading_rad),
@@ -76,10 +105,12 @@ impl Drive {
         self.turn.tick_s = self.tick_s;
         self.turn.ticks.clear();
         for _ in 0..ticks {
-            let wanted = pursue(self.pose, self.target());
+            let wanted =
+                if self.pauses() { Twist::default() } else { pursue(self.pose, self.target(), self.limits) };
             self.twist = approach(self.twist, wanted, self.tick_s);
             self.turn.ticks.push((self.pose, self.twist));
             self.pose = self.pose * self.twist.motion_after(self.tick_s);
+            self.now_s += self.tick_s;
         }
         self.turn.end = self.pose;
         &self.turn
@@ -88,6 +119,14 @@ impl Drive {
     /// The motion during the turn that was driven last.
     pub(super) fn last_turn(&self) -> &Turn {
         &self.turn
+    }
+
+    /// Whether it is to stand still now.
+    fn pauses(&mut self) -> bool {
+        while self.pauses_s.front().is_some_and(|(_, to_s)| *to_s <= self.now_s) {
+            self.pauses_s.pop_front();
+        }
+        self.pauses_s.front().is_some_and(|(from_s, _)| *from_s <= self.now_s)
     }
 
     /// The next point of the way that is not reached yet.
@@ -155,17 +194,31 @@ impl Turn {
     }
 }
 
+/// On the campus: one pause at a random time of each of as many equal parts of the drive.
+fn draw_pauses(settings: &Settings) -> VecDeque<(f64, f64)> {
+    if settings.world != WorldName::Campus {
+        return VecDeque::new();
+    }
+    let mut random = Random::new(settings.seed, "pauses");
+    let count = (settings.duration_s / PAUSE_EVERY_S) as u32;
+    let draw = |i| {
+        let from_s = (f64::from(i) + random.between(0.2, 0.7)) * PAUSE_EVERY_S;
+        (from_s, from_s + random.between(PAUSE_S.0, PAUSE_S.1))
+    };
+    (0..count).map(draw).collect()
+}
+
 /// The velocity that leads along the arc to the target, slower the more it must turn.
-fn pursue(pose: Pose, target: Point) -> Twist {
+fn pursue(pose: Pose, target: Point, limits: Limits) -> Twist {
     let (dx, dy) = (target.x_m - pose.x_m, target.y_m - pose.y_m);
     let bearing_rad = wrap_angle(dy.atan2(dx) - pose.heading_rad);
     if bearing_rad.abs() > TURN_ON_SPOT_RAD {
-        let turn_rad_s = (TURN_GAIN * bearing_rad).clamp(-TURN_RAD_S, TURN_RAD_S);
+        let turn_rad_s = (TURN_GAIN * bearing_rad).clamp(-limits.turn_rad_s, limits.turn_rad_s);
         return Twist { turn_rad_s, ..Twist::default() };
     }
     let curvature = 2.0 * bearing_rad.sin() / dx.hypot(dy).max(0.1);
     let slow_down = 1.0 - 0.7 * bearing_rad.abs() / TURN_ON_SPOT_RAD;
-    let speed = (SPEED_M_S * slow_down).min(TURN_RAD_S / curvature.abs().max(1e-9));
+    let speed = (limits.speed_m_s * slow_down).min(limits.turn_rad_s / curvature.abs().max(1e-9));
     Twist { x_m_s: speed, y_m_s: 0.0, turn_rad_s: curvature * speed }
 }
 

@@ -15,6 +15,8 @@ pub struct Errors {
     pub odometry_scale_error: f64,
     /// Random walk of odometry: metres and degrees (standard deviation) over one metre of driving.
     pub odometry_walk: [f64; 2],
+    /// Constant drift of the heading, degrees per metre of driving; its sign is drawn.
+    pub heading_drift_deg_m: f64,
 }
 
 impl Default for Errors {
@@ -27,19 +29,30 @@ impl Default for Errors {
             dropout_share: 0.01,
             odometry_scale_error: 0.02,
             odometry_walk: [0.01, 0.5],
+            heading_drift_deg_m: 0.0,
         }
     }
 }
 
 impl Errors {
-    /// A lidar without errors on wheels that have some.
-    pub fn without_lidar() -> Self {
+    /// A laser scanner of longer range, and good wheels on rough ground that drift to one side.
+    pub fn outdoors() -> Self {
         Self {
-            range_sigma_m: 0.0,
-            range_bias_m: 0.0,
-            mixed_pixel_share: 0.0,
-            dropout_share: 0.0,
+            range_sigma_m: 0.02,
+            odometry_scale_error: 0.01,
+            odometry_walk: [0.02, 0.3],
+            heading_drift_deg_m: 0.01,
             ..Self::default()
         }
+    }
+
+    /// A lidar without errors on wheels that have some.
+    pub fn without_lidar() -> Self {
+        Self::default().of_wheels()
+    }
+
+    /// Only those of the wheels.
+    pub(super) fn of_wheels(self) -> Self {
+        Self { range_sigma_m: 0.0, range_bias_m: 0.0, mixed_pixel_share: 0.0, dropout_share: 0.0, ..self }
     }
 }

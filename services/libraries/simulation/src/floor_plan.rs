@@ -1,11 +1,21 @@
 //! Worlds made of line segments: ray casting in them, and the grid that ways are planned on.
 
-use super::index::{Segment, SegmentIndex, from_to};
+use super::index::{Segment, SegmentIndex, Surface, from_to};
+use super::outdoors::Outdoors;
 use super::planner::PlanningGrid;
 use flockslam_geometry::Point;
 
-/// Cells of the planner, metres.
-const PLANNING_CELL_M: f64 = 0.1;
+/// Cells of the planner, metres: indoors, and outdoors where there is more room.
+const PLANNING_CELLS_M: (f64, f64) = (0.1, 0.25);
+/// Low things up to this height are no obstacle, metres.
+const STEP_M: f32 = 0.2;
+
+/// A closed outline and what it is made of.
+#[derive(Clone, Debug)]
+pub(super) struct Outline {
+    pub(super) corners: Vec<Point>,
+    pub(super) surface: Surface,
+}
 
 /// A world made of line segments.
 #[derive(Clone, Debug)]
@@ -14,14 +24,36 @@ pub struct FloorPlan {
     segments: Vec<Segment>,
     index: SegmentIndex,
     way_points: Vec<Point>,
+    outdoors: Option<Outdoors>,
 }
 
 impl FloorPlan {
     /// A world of closed outlines. The robot stays between the origin and `size_m`.
-    pub(super) fn new(size_m: (f64, f64), outlines: &[Vec<Point>], way_points: Vec<Point>) -> Self {
-        let segments: Vec<_> = outlines.iter().flat_map(|corners| sides(corners)).collect();
+    pub(super) fn new(size_m: (f64, f64), outlines: &[Outline], way_points: Vec<Point>) -> Self {
+        let segments: Vec<_> = outlines.iter().flat_map(sides).collect();
         let index = SegmentIndex::new(&segments);
-        Self { size_m, segments, index, way_points }
+        Self { size_m, segments, index, way_points, outdoors: None }
+    }
+
+    /// The same plan on uneven ground, with plants.
+    pub(super) fn outdoors(self, outdoors: Outdoors) -> Self {
+        Self { outdoors: Some(outdoors), ..self }
+    }
+
+    /// What is there besides the outlines, if the plan lies outdoors.
+    pub(super) fn open_air(&self) -> Option<&Outdoors> {
+        self.outdoors.as_ref()
+    }
+
+    /// Distance to what a beam in `direction` hits first and that `returns` confirms: see [`SegmentIndex::cast_where`].
+    pub(super) fn cast_where(
+        &self,
+        from: Point,
+        direction: Point,
+        max_m: f64,
+        returns: impl Fn(&Segment, f64) -> bool,
+    ) -> f64 {
+        self.index.cast_where(from, direction, max_m, returns)
     }
 
     /// Distance to what a beam in `direction` hits first.
@@ -35,21 +67,25 @@ impl FloorPlan {
     }
 
     pub(super) fn planning_grid(&self) -> PlanningGrid {
-        let cells = |metres: f64| (metres / PLANNING_CELL_M).ceil() as usize + 1;
+        let cell_m = if self.outdoors.is_some() { PLANNING_CELLS_M.1 } else { PLANNING_CELLS_M.0 };
+        let cells = |metres: f64| (metres / cell_m).ceil() as usize + 1;
         let (width, height) = (cells(self.size_m.0), cells(self.size_m.1));
         let mut solid = vec![false; width * height];
-        for segment in &self.segments {
-            let steps = (segment.along.norm_m() / (0.3 * PLANNING_CELL_M)).ceil() as usize;
+        let plants = self.outdoors.iter().flat_map(Outdoors::outlines);
+        let stands =
+            |segment: &Segment| !matches!(segment.surface, Surface::Low(height_m) if height_m <= STEP_M);
+        for segment in self.segments.iter().copied().chain(plants).filter(stands) {
+            let steps = (segment.along.norm_m() / (0.3 * cell_m)).ceil() as usize;
             for step in 0..=steps {
                 let share = step as f64 / steps as f64;
-                let x = (segment.start.x_m + share * segment.along.x_m) / PLANNING_CELL_M;
-                let y = (segment.start.y_m + share * segment.along.y_m) / PLANNING_CELL_M;
+                let x = (segment.start.x_m + share * segment.along.x_m) / cell_m;
+                let y = (segment.start.y_m + share * segment.along.y_m) / cell_m;
                 if x >= 0.0 && y >= 0.0 && (x as usize) < width && (y as usize) < height {
                     solid[y as usize * width + x as usize] = true;
                 }
             }
         }
-        PlanningGrid::new(width, height, PLANNING_CELL_M, solid)
+        PlanningGrid::new(width, height, cell_m, solid)
     }
 
     /// Distance from a point to the nearest wall or piece of furniture, metres.
@@ -66,9 +102,14 @@ impl FloorPlan {
 }
 
 /// The sides of an outline, which is closed.
-fn sides(corners: &[Point]) -> impl Iterator<Item = Segment> {
+pub(super) fn sides(outline: &Outline) -> impl Iterator<Item = Segment> {
+    let Outline { corners, surface } = outline;
     let ends = corners.iter().cycle().skip(1);
-    corners.iter().zip(ends).map(|(start, end)| Segment { start: *start, along: from_to(*start, *end) })
+    corners.iter().zip(ends).map(|(start, end)| Segment {
+        start: *start,
+        along: from_to(*start, *end),
+        surface: *surface,
+    })
 }
 
 #[cfg(test)]

@@ -11,31 +11,42 @@ const DRAWS_MAX: usize = 100;
 #[derive(Clone, Debug)]
 pub(super) struct FreeSpace {
     grid: PlanningGrid,
-    places: Vec<Point>,
+    /// Its cells.
+    cells: Vec<u32>,
 }
 
 impl FreeSpace {
     /// The free space around a point; without places when nobody fits there.
     pub(super) fn around(grid: PlanningGrid, point: Point) -> Self {
-        let places = grid.room_around(point);
-        Self { grid, places }
+        let cells = grid.room_around(point);
+        Self { grid, cells }
     }
 
     /// The largest free space of a world.
     pub(super) fn largest(grid: PlanningGrid) -> Self {
-        let places = grid.largest_room();
-        Self { grid, places }
+        let cells = grid.largest_room();
+        Self { grid, cells }
     }
 
-    /// Centres of its cells.
-    pub(super) fn places(&self) -> &[Point] {
-        &self.places
+    /// Number of its places, the centres of its cells.
+    pub(super) fn len(&self) -> usize {
+        self.cells.len()
+    }
+
+    /// One of its places by its number.
+    pub(super) fn place(&self, number: usize) -> Point {
+        self.grid.centre(self.cells[number] as usize)
+    }
+
+    /// All its places.
+    pub(super) fn places(&self) -> impl Iterator<Item = Point> {
+        (0..self.len()).map(|number| self.place(number))
     }
 
     /// The place nearest to a point.
     pub(super) fn nearest(&self, to: Point) -> Point {
-        let by_distance = |a: &&Point, b: &&Point| a.distance_m(to).total_cmp(&b.distance_m(to));
-        *self.places.iter().min_by(by_distance).expect("a room has places")
+        let by_distance = |a: &Point, b: &Point| a.distance_m(to).total_cmp(&b.distance_m(to));
+        self.places().min_by(by_distance).expect("a room has places")
     }
 
     /// The way between two of its places, about one point for each cell.
@@ -50,7 +61,7 @@ impl FreeSpace {
 
     /// A place, if possible one that `suits`.
     pub(super) fn place_where(&self, random: &mut Random, suits: impl Fn(Point) -> bool) -> Point {
-        let mut draw = || self.places[random.below(self.places.len())];
+        let mut draw = || self.place(random.below(self.len()));
         let first = draw();
         let mut others = std::iter::repeat_with(draw).take(DRAWS_MAX);
         if suits(first) { first } else { others.find(|place| suits(*place)).unwrap_or(first) }

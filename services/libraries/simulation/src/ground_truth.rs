@@ -1,6 +1,6 @@
 //! Exact labels of the cells of a simulated world after a drive, for measurements.
 
-use super::{BeamLabel, Errors, Settings, Simulation, SimulationError, World};
+use super::{BeamLabel, Settings, Simulation, SimulationError, World};
 use flockslam_evidence::{Cell, CellIndex, TILE_CELLS, TileDirectory, floor};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{ScanBuffer, ScanView};
@@ -59,7 +59,7 @@ impl GroundTruth {
     /// # Errors
     /// When there is no such simulation.
     pub fn of_drive(settings: &Settings, world: World, cell_size_m: f64) -> Result<Self, SimulationError> {
-        let exact = Settings { errors: Errors::without_lidar(), ..settings.clone() };
+        let exact = Settings { errors: Some(settings.errors().of_wheels()), ..settings.clone() };
         let mut simulation = Simulation::new(&exact, world)?;
         let mut truth = Self { cell_size_m, tiles: TileDirectory::default() };
         let (mut scan, mut entered, mut number) = (ScanBuffer::default(), None::<Pose>, 0);

@@ -39,8 +39,8 @@ pub struct ImageWorld {
     width: usize,
     height: usize,
     resolution_m: f64,
-    /// Row by row, the lowest y first.
-    solid: Vec<bool>,
+    /// One bit for each pixel, row by row, the lowest y first.
+    solid: Vec<u64>,
 }
 
 impl ImageWorld {
@@ -62,7 +62,10 @@ impl ImageWorld {
             return Err(SimulationError::Resolution(resolution_m));
         }
         let rows_upward = pixels.chunks_exact(width).rev();
-        let solid = rows_upward.flatten().map(|grey| *grey < FREE_GREY).collect();
+        let mut solid = vec![0; pixels.len().div_ceil(64)];
+        for (index, _) in rows_upward.flatten().enumerate().filter(|(_, grey)| **grey < FREE_GREY) {
+            solid[index / 64] |= 1 << (index % 64);
+        }
         Ok(Self { width, height, resolution_m, solid })
     }
 
@@ -83,7 +86,11 @@ impl ImageWorld {
     /// `None` outside of the picture.
     fn is_solid(&self, x: i64, y: i64) -> Option<bool> {
         let (x, y) = (usize::try_from(x).ok()?, usize::try_from(y).ok()?);
-        (x < self.width && y < self.height).then(|| self.solid[y * self.width + x])
+        (x < self.width && y < self.height).then(|| self.is_set(y * self.width + x))
+    }
+
+    fn is_set(&self, index: usize) -> bool {
+        self.solid[index / 64] >> (index % 64) & 1 != 0
     }
 
     pub(super) fn planning_grid(&self) -> PlanningGrid {
@@ -92,7 +99,7 @@ impl ImageWorld {
         let cells = |pixels: usize| pixels.div_ceil(pixels_per_cell) + 1;
         let (width, height) = (cells(self.width), cells(self.height));
         let mut solid = vec![false; width * height];
-        for (index, _) in self.solid.iter().enumerate().filter(|(_, solid)| **solid) {
+        for index in (0..self.width * self.height).filter(|index| self.is_set(*index)) {
             let (x, y) = (index % self.width / pixels_per_cell, index / self.width / pixels_per_cell);
             solid[y * width + x] = true;
         }

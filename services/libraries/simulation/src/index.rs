@@ -15,6 +15,19 @@ const SQUARES_MAX: f64 = 1e6;
 pub(super) struct Segment {
     pub(super) start: Point,
     pub(super) along: Point,
+    pub(super) surface: Surface,
+}
+
+/// What an outline is made of.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) enum Surface {
+    /// Opaque, higher than any beam.
+    #[default]
+    Wall,
+    /// A beam that meets it obliquely passes through.
+    Glass,
+    /// Opaque up to this height above the ground, metres: a beam may pass over it.
+    Low(f32),
 }
 
 /// Segments listed by the squares of a grid, so that a beam meets only those on its way.
@@ -51,6 +64,17 @@ impl SegmentIndex {
     /// Distance to the nearest segment that a beam in `direction` (a unit vector) meets, metres; infinite when it meets none
     /// within about `max_m`. Walks from square to square (Amanatides and Woo 1987).
     pub(super) fn cast(&self, from: Point, direction: Point, max_m: f64) -> f64 {
+        self.cast_where(from, direction, max_m, |_, _| true)
+    }
+
+    /// Like [`Self::cast`], but counts only hits that `returns` confirms: it is given the segment and its distance, metres.
+    pub(super) fn cast_where(
+        &self,
+        from: Point,
+        direction: Point,
+        max_m: f64,
+        returns: impl Fn(&Segment, f64) -> bool,
+    ) -> f64 {
         let mut x = Axis::new((from.x_m - self.origin.x_m) / self.square_m, direction.x_m / self.square_m);
         let mut y = Axis::new((from.y_m - self.origin.y_m) / self.square_m, direction.y_m / self.square_m);
         let (mut nearest_m, mut entered_m) = (f64::INFINITY, 0.0);
@@ -58,8 +82,12 @@ impl SegmentIndex {
         while entered_m <= nearest_m.min(max_m) {
             if let Some(square) = self.square(x.cell, y.cell) {
                 let listed = &self.listed[self.starts[square] as usize..self.starts[square + 1] as usize];
-                nearest_m =
-                    listed.iter().map(|segment| segment.cast(from, direction)).fold(nearest_m, f64::min);
+                for segment in listed {
+                    let at_m = segment.cast(from, direction);
+                    if at_m < nearest_m && returns(segment, at_m) {
+                        nearest_m = at_m;
+                    }
+                }
             } else if x.leaves(self.columns) || y.leaves(self.rows) {
                 break;
             }
@@ -146,6 +174,7 @@ mod tests {
             (-9.0..9.0f64, -9.0..9.0f64, -6.0..6.0f64, -6.0..6.0f64).prop_map(|(x, y, u, v)| Segment {
                 start: Point::new(x.round(), y),
                 along: Point::new(u.round(), if u.abs() < 1.0 { v } else { v.round() }),
+                surface: Surface::Wall,
             });
         proptest::collection::vec(segment, 1..40)
     }

@@ -19,8 +19,10 @@ mod image;
 mod index;
 mod label;
 mod lidar;
+mod outdoors;
 mod planner;
 mod settings;
+mod terrain;
 mod tour;
 mod wheels;
 mod world;
@@ -84,7 +86,7 @@ impl Simulation {
         let tour = world.tour(Random::new(settings.seed, "tour"))?;
         let mut kidnaps_s = settings.kidnap_at_s.clone();
         kidnaps_s.sort_by(|a, b| b.total_cmp(a));
-        let mut drive = Drive::new(tour, period_s / TICKS_PER_SCAN as f64);
+        let mut drive = Drive::new(settings, tour, period_s / TICKS_PER_SCAN as f64);
         for _ in 0..(settings.lead_s * settings.scan_rate_hz).round() as usize {
             drive.advance(TICKS_PER_SCAN);
         }

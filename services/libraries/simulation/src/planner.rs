@@ -21,20 +21,22 @@ pub(super) struct PlanningGrid {
     width: usize,
     height: usize,
     cell_m: f64,
-    /// Per cell what a step of cost 1 costs there; `None` where the robot does not fit.
-    toll: Vec<Option<u32>>,
+    /// Per cell what a step of cost 1 costs there; 0 where the robot does not fit.
+    toll: Vec<u8>,
 }
 
 impl PlanningGrid {
     /// A grid from its solid cells, row by row. Outside is solid.
     pub(super) fn new(width: usize, height: usize, cell_m: f64, solid: Vec<bool>) -> Self {
         let scale_m = cell_m / f64::from(STEP.0);
-        let toll_of = |clearance: u32| {
+        let toll_of = |clearance: u8| {
             let clearance_m = f64::from(clearance) * scale_m;
             let discomfort = ((COMFORT_M - clearance_m) / (COMFORT_M - CLEARANCE_M)).clamp(0.0, 1.0);
-            (clearance_m >= CLEARANCE_M).then_some(10 + (f64::from(10 * DETOUR) * discomfort) as u32)
+            let toll = 10 + (f64::from(10 * DETOUR) * discomfort) as u8;
+            if clearance_m >= CLEARANCE_M { toll } else { 0 }
         };
-        let toll = clearances(width, height, &solid).into_iter().map(toll_of).collect();
+        let mut toll = clearances(width, height, &solid);
+        toll.iter_mut().for_each(|cell| *cell = toll_of(*cell));
         Self { width, height, cell_m, toll }
     }
 
@@ -42,22 +44,24 @@ impl PlanningGrid {
     /// Raphael 1968.)
     pub(super) fn path(&self, from: Point, to: Point) -> Option<Vec<Point>> {
         let (start, goal) = (self.cell_at(from)?, self.cell_at(to)?);
-        let mut costs = vec![u32::MAX; self.toll.len()];
-        let mut came_from = vec![usize::MAX; self.toll.len()];
+        let mut seen = Seen::new(self.width, self.height);
         let mut open = BinaryHeap::from([(Reverse(self.least_cost(start, goal)), start)]);
-        costs[start] = 0;
+        seen.set(start, Step { cost: 0, came_from: usize::MAX });
         while let Some((Reverse(estimate), cell)) = open.pop() {
             if cell == goal {
-                return Some(smooth(&self.trace(&came_from, goal)));
+                return Some(smooth(&self.trace(&seen, goal)));
             }
-            if estimate > costs[cell].saturating_add(self.least_cost(cell, goal)) {
+            let so_far = seen.get(cell).cost;
+            if estimate > so_far.saturating_add(self.least_cost(cell, goal)) {
                 continue;
             }
             for (neighbour, step) in self.neighbours(cell) {
-                let Some(toll) = self.toll[neighbour] else { continue };
-                let cost = costs[cell] + step * toll;
-                if cost < costs[neighbour] {
-                    (costs[neighbour], came_from[neighbour]) = (cost, cell);
+                if self.toll[neighbour] == 0 {
+                    continue;
+                }
+                let cost = so_far + step * u32::from(self.toll[neighbour]);
+                if cost < seen.get(neighbour).cost {
+                    seen.set(neighbour, Step { cost, came_from: cell });
                     open.push((Reverse(cost + self.least_cost(neighbour, goal)), neighbour));
                 }
             }
@@ -65,37 +69,41 @@ impl PlanningGrid {
         None
     }
 
-    /// Centres of the cells of the largest connected free space.
-    pub(super) fn largest_room(&self) -> Vec<Point> {
+    /// The cells of the largest connected free space.
+    pub(super) fn largest_room(&self) -> Vec<u32> {
         let mut seen = vec![false; self.toll.len()];
         let mut largest = Vec::new();
         for start in 0..self.toll.len() {
-            if self.toll[start].is_some() && !seen[start] {
+            if self.toll[start] != 0 && !seen[start] {
                 let room = self.flood(start, &mut seen);
                 if room.len() > largest.len() {
                     largest = room;
                 }
             }
         }
-        largest.into_iter().map(|cell| self.centre(cell)).collect()
+        largest.shrink_to_fit();
+        largest
     }
 
-    /// Centres of the cells that can be reached from a point; none when the robot does not fit there.
-    pub(super) fn room_around(&self, point: Point) -> Vec<Point> {
+    /// The cells that can be reached from a point; none when the robot does not fit there.
+    pub(super) fn room_around(&self, point: Point) -> Vec<u32> {
         let mut seen = vec![false; self.toll.len()];
         let start = self.cell_at(point);
-        let room = start.map_or_else(Vec::new, |start| self.flood(start, &mut seen));
-        room.into_iter().map(|cell| self.centre(cell)).collect()
+        let mut room = start.map_or_else(Vec::new, |start| self.flood(start, &mut seen));
+        room.shrink_to_fit();
+        room
     }
 
-    fn flood(&self, start: usize, seen: &mut [bool]) -> Vec<usize> {
-        let (mut room, mut next) = (vec![start], 0);
+    fn flood(&self, start: usize, seen: &mut [bool]) -> Vec<u32> {
+        // A world of more cells would fill the memory.
+        let number = |cell: usize| u32::try_from(cell).expect("a world has fewer than 2^32 cells");
+        let (mut room, mut next) = (vec![number(start)], 0);
         seen[start] = true;
         while next < room.len() {
-            for (neighbour, _) in self.neighbours(room[next]) {
-                if self.toll[neighbour].is_some() && !seen[neighbour] {
+            for (neighbour, _) in self.neighbours(room[next] as usize) {
+                if self.toll[neighbour] != 0 && !seen[neighbour] {
                     seen[neighbour] = true;
-                    room.push(neighbour);
+                    room.push(number(neighbour));
                 }
             }
             next += 1;
@@ -121,16 +129,17 @@ impl PlanningGrid {
         10 * (STEP.0 * dx.abs_diff(dy) + STEP.1 * dx.min(dy))
     }
 
-    fn trace(&self, came_from: &[usize], goal: usize) -> Vec<Point> {
+    fn trace(&self, seen: &Seen, goal: usize) -> Vec<Point> {
         let cells = std::iter::successors(Some(goal), |cell| {
-            Some(came_from[*cell]).filter(|from| *from != usize::MAX)
+            Some(seen.get(*cell).came_from).filter(|from| *from != usize::MAX)
         });
         let mut points: Vec<Point> = cells.map(|cell| self.centre(cell)).collect();
         points.reverse();
         points
     }
 
-    fn centre(&self, cell: usize) -> Point {
+    /// Centre of a cell.
+    pub(super) fn centre(&self, cell: usize) -> Point {
         let centre = |index: usize| (index as f64 + 0.5) * self.cell_m;
         Point::new(centre(cell % self.width), centre(cell / self.width))
     }
@@ -139,13 +148,57 @@ impl PlanningGrid {
         let (x, y) = ((point.x_m / self.cell_m).floor(), (point.y_m / self.cell_m).floor());
         let inside = x >= 0.0 && y >= 0.0 && x < self.width as f64 && y < self.height as f64;
         let cell = inside.then(|| y as usize * self.width + x as usize)?;
-        self.toll[cell].map(|_| cell)
+        (self.toll[cell] != 0).then_some(cell)
     }
 }
 
-/// Distance of each cell from the next solid one, in steps: two sweeps of a chamfer mask (Borgefors 1986).
-fn clearances(width: usize, height: usize, solid: &[bool]) -> Vec<u32> {
-    let mut clearance: Vec<u32> = solid.iter().map(|solid| if *solid { 0 } else { u32::MAX }).collect();
+/// How the search came to a cell.
+#[derive(Clone, Copy)]
+struct Step {
+    /// Cost of the best way so far; the greatest number before there is one.
+    cost: u32,
+    came_from: usize,
+}
+
+/// Not reached yet.
+const UNREACHED: Step = Step { cost: u32::MAX, came_from: usize::MAX };
+/// Cells along a side of a block.
+const BLOCK_SIDE: usize = 16;
+
+/// The cells that a search has reached. A world is much larger than its ways, so memory is taken by blocks as they are reached.
+struct Seen {
+    width: usize,
+    blocks_in_row: usize,
+    blocks: Vec<Option<Box<[Step; BLOCK_SIDE * BLOCK_SIDE]>>>,
+}
+
+impl Seen {
+    fn new(width: usize, height: usize) -> Self {
+        let (blocks_in_row, rows) = (width.div_ceil(BLOCK_SIDE), height.div_ceil(BLOCK_SIDE));
+        Self { width, blocks_in_row, blocks: vec![None; blocks_in_row * rows] }
+    }
+
+    /// The block of a cell, and its place there.
+    fn place(&self, cell: usize) -> (usize, usize) {
+        let (x, y) = (cell % self.width, cell / self.width);
+        (y / BLOCK_SIDE * self.blocks_in_row + x / BLOCK_SIDE, y % BLOCK_SIDE * BLOCK_SIDE + x % BLOCK_SIDE)
+    }
+
+    fn get(&self, cell: usize) -> Step {
+        let (block, place) = self.place(cell);
+        self.blocks[block].as_ref().map_or(UNREACHED, |steps| steps[place])
+    }
+
+    fn set(&mut self, cell: usize, step: Step) {
+        let (block, place) = self.place(cell);
+        let steps = self.blocks[block].get_or_insert_with(|| Box::new([UNREACHED; BLOCK_SIDE * BLOCK_SIDE]));
+        steps[place] = step;
+    }
+}
+
+/// Distance of each cell from the next solid one, in steps, at most 255: two sweeps of a chamfer mask (Borgefors 1986).
+fn clearances(width: usize, height: usize, solid: &[bool]) -> Vec<u8> {
+    let mut clearance: Vec<u8> = solid.iter().map(|solid| if *solid { 0 } else { u8::MAX }).collect();
     let cells = width * height;
     for backward in [false, true] {
         for i in 0..cells {
@@ -158,7 +211,7 @@ fn clearances(width: usize, height: usize, solid: &[bool]) -> Vec<u32> {
                 let (x, y) = (x + dx, y + dy);
                 let inside = x >= 0 && y >= 0 && x < width as i64 && y < height as i64;
                 let there = if inside { clearance[y as usize * width + x as usize] } else { 0 };
-                clearance[cell] = clearance[cell].min(there.saturating_add(step));
+                clearance[cell] = clearance[cell].min(there.saturating_add(step as u8));
             }
         }
     }

@@ -16,6 +16,8 @@ pub enum WorldName {
     Warehouse,
     /// Outdoors, 130 × 80 m: a path between two buildings and a car park, for tens of metres along nothing or a tree.
     Yard,
+    /// Outdoors, 250 × 200 m on uneven ground: buildings with glass and colonnades, lawns, hedges, trees, traffic.
+    Campus,
 }
 
 /// Section `[simulation]`: the simulated world, its robot and its lidar.
@@ -26,17 +28,22 @@ pub struct Settings {
     pub seed: u64,
     /// What the robot drives through: `office` – A floor of 30 × 20 m: two corridors and two halls around a block, nine
     /// rooms; `hotel` – Four parallel corridors of 60 m with identical rooms at regular spacing; `warehouse` – Nine
-    /// parallel aisles of 32 m between identical racks; `yard` – Outdoors: for tens of metres along nothing or a tree. A
-    /// map given with `--world` takes its place.
+    /// parallel aisles of 32 m between identical racks; `yard` – Outdoors: for tens of metres along nothing or a tree;
+    /// `campus` – Outdoors, 50 000 m² on uneven ground: glass, colonnades, lawns, hedges, trees, traffic. A map given with
+    /// `--world` takes its place.
     pub world: WorldName,
+    /// Seed from which the campus is made.
+    pub world_seed: u64,
     /// How long the robot drives, seconds.
     pub duration_s: f64,
     /// How far into its tour the robot is when it takes the first scan, seconds of driving.
     pub lead_s: f64,
-    /// Turns of the lidar per second.
+    /// Turns of the lidar per second. On the campus the robot drives so slowly that scans are 0.3 m apart at most.
     pub scan_rate_hz: f64,
     /// Beams of a scan.
     pub beams: u32,
+    /// Angle that the beams cover, the middle one ahead, degrees.
+    pub field_of_view_deg: f64,
     /// Nothing farther than this is measured (+Inf), metres.
     pub range_max_m: f32,
     /// How often, over the whole drive, a wheel slips for about a second.
@@ -52,9 +59,9 @@ pub struct Settings {
     pub doors: u32,
     /// Pallets that appear around the robot and vanish.
     pub pallets: u32,
-    /// Errors of lidar and wheels. Not a key: the same in every configuration, other ones are for tests.
+    /// Errors of lidar and wheels. Not a key; `None`: those that the world has, other ones are for tests.
     #[serde(skip)]
-    pub errors: Errors,
+    pub errors: Option<Errors>,
 }
 
 /// Kidnaps in one drive.
@@ -67,10 +74,12 @@ impl Default for Settings {
         Self {
             seed: 1,
             world: WorldName::Office,
+            world_seed: 1,
             duration_s: 250.0,
             lead_s: 0.0,
             scan_rate_hz: 10.0,
             beams: 360,
+            field_of_view_deg: 360.0,
             range_max_m: 12.0,
             wheel_slips: 4,
             kidnap_at_s: Vec::new(),
@@ -78,12 +87,18 @@ impl Default for Settings {
             follower: false,
             doors: 0,
             pallets: 0,
-            errors: Errors::default(),
+            errors: None,
         }
     }
 }
 
 impl Settings {
+    /// Errors of lidar and wheels: those given, else those usual in the world.
+    pub(super) fn errors(&self) -> Errors {
+        let outdoors = matches!(self.world, WorldName::Campus);
+        self.errors.clone().unwrap_or_else(|| if outdoors { Errors::outdoors() } else { Errors::default() })
+    }
+
     /// Says which setting is out of its range, and what the range is.
     ///
     /// # Errors
@@ -93,6 +108,7 @@ impl Settings {
             ((0.1..=100_000.0).contains(&self.duration_s), "duration_s must be between 0.1 and 100000"),
             ((0.0..=10_000.0).contains(&self.lead_s), "lead_s must be between 0 and 10000"),
             ((0.1..=1000.0).contains(&self.scan_rate_hz), "scan_rate_hz must be between 0.1 and 1000"),
+            ((1.0..=360.0).contains(&self.field_of_view_deg), "field_of_view_deg must be between 1 and 360"),
             ((1..=10_000_000).contains(&self.beams), "beams must be between 1 and 10000000"),
             ((1.0..=1000.0).contains(&self.range_max_m), "range_max_m must be between 1 and 1000"),
             (self.wheel_slips <= 10_000, "wheel_slips must be at most 10000"),
@@ -122,6 +138,7 @@ mod tests {
             (Settings { duration_s: 0.0, ..good() }, "duration_s must be between 0.1 and 100000"),
             (Settings { lead_s: -1.0, ..good() }, "lead_s must be between 0 and 10000"),
             (Settings { scan_rate_hz: f64::NAN, ..good() }, "scan_rate_hz must be between 0.1 and 1000"),
+            (Settings { field_of_view_deg: 361.0, ..good() }, "field_of_view_deg must be between 1 and 360"),
             (Settings { beams: 0, ..good() }, "beams must be between 1 and 10000000"),
             (Settings { range_max_m: 1001.0, ..good() }, "range_max_m must be between 1 and 1000"),
             (Settings { range_max_m: f32::NAN, ..good() }, "range_max_m must be between 1 and 1000"),

@@ -12,11 +12,11 @@ fn short() -> Settings {
 /// A lidar and wheels without errors.
 fn ideal(settings: Settings) -> Settings {
     let errors = Errors { odometry_scale_error: 0.0, odometry_walk: [0.0; 2], ..Errors::without_lidar() };
-    Settings { errors, wheel_slips: 0, ..settings }
+    Settings { errors: Some(errors), wheel_slips: 0, ..settings }
 }
 
 fn run(settings: &Settings) -> Vec<(ScanBuffer, Pose)> {
-    Simulation::new(settings, World::built_in(settings.world)).unwrap().collect()
+    Simulation::new(settings, World::built_in(settings)).unwrap().collect()
 }
 
 /// Bounded motion, clear of walls, past every way point, and at the end back near the start.
@@ -52,7 +52,7 @@ fn the_worlds_have_rounds_that_close() {
     {
         let settings = Settings { world, duration_s: round_s, beams: 8, ..Settings::default() };
         let truth: Vec<Pose> = run(&settings).iter().map(|(_, truth)| *truth).collect();
-        let World::FloorPlan(plan) = World::built_in(world) else { unreachable!() };
+        let World::FloorPlan(plan) = World::built_in(&settings) else { unreachable!() };
         let nearest_m =
             truth.iter().step_by(7).map(|at| plan.distance_m(at.position())).fold(f64::INFINITY, f64::min);
         let passed = |point: &Point| truth.iter().any(|at| at.position().distance_m(*point) < 0.6);
@@ -168,7 +168,8 @@ impl Settings {
 #[test]
 fn noise_has_the_size_that_was_asked_for() {
     let exact = run(&ideal(short()));
-    let noisy = run(&Settings { errors: Errors { mixed_pixel_share: 0.0, ..Errors::default() }, ..short() });
+    let noisy =
+        run(&Settings { errors: Some(Errors { mixed_pixel_share: 0.0, ..Errors::default() }), ..short() });
     let (mut errors, mut lost, mut seen) = (Vec::new(), 0.0, 0.0);
     for ((exact, _), (noisy, _)) in exact.iter().zip(&noisy) {
         for (exact, noisy) in exact.numbers.iter().zip(&noisy.numbers).filter(|(exact, _)| **exact < 11.9) {
@@ -182,7 +183,7 @@ fn noise_has_the_size_that_was_asked_for() {
     assert!((mean - 0.005).abs() < 0.001 && (sigma - 0.01).abs() < 0.001, "{mean} {sigma}");
     assert!((lost / seen - 0.01f64).abs() < 0.003, "{lost} of {seen}");
     let mixed = run(&Settings {
-        errors: Errors { mixed_pixel_share: 0.2, ..ideal(short()).errors },
+        errors: Some(Errors { mixed_pixel_share: 0.2, ..ideal(short()).errors() }),
         ..ideal(short())
     });
     let far_off = |(a, b): (&f32, &f32)| a.is_finite() && b.is_finite() && (a - b).abs() > 0.1;

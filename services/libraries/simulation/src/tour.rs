@@ -49,11 +49,10 @@ impl Tour {
     /// Visits random points of the largest room, and every now and then one of those again.
     pub(super) fn random(grid: PlanningGrid, mut random: Random) -> Result<Self, SimulationError> {
         let room = Arc::new(FreeSpace::largest(grid));
-        let places = room.places();
-        if !places.iter().any(|place| place.distance_m(places[0]) >= EXTENT_MIN_M) {
+        if !room.places().any(|place| place.distance_m(room.place(0)) >= EXTENT_MIN_M) {
             return Err(SimulationError::NoRoom);
         }
-        let visited = vec![places[random.below(places.len())]];
+        let visited = vec![room.place(random.below(room.len()))];
         Ok(Self { room, plan: Plan::Random { visited, count: 1, random } })
     }
 
@@ -71,11 +70,11 @@ impl Tour {
                 let next = if again {
                     visited[random.below(known)]
                 } else {
-                    self.room.places()[random.below(self.room.places().len())]
+                    self.room.place(random.below(self.room.len()))
                 };
                 let last = visited[(*count - 1) % VISITED_MAX];
                 remember(visited, count, last);
-                if last.distance_m(next) < LEG_MIN_M && self.room.places().len() > ROOMY_CELLS {
+                if last.distance_m(next) < LEG_MIN_M && self.room.len() > ROOMY_CELLS {
                     continue;
                 }
                 visited[(*count - 1) % VISITED_MAX] = next;

@@ -24,6 +24,8 @@ pub(super) struct Wheels {
     /// Slips that are not over yet, in the order of their starts.
     slips: VecDeque<Slip>,
     walk: [f64; 2],
+    /// Radians per metre of driving.
+    drift_rad_m: f64,
     ticks: usize,
     odom_from_base: Pose,
 }
@@ -40,13 +42,17 @@ struct Slip {
 impl Wheels {
     pub(super) fn new(settings: &Settings) -> Self {
         let mut random = Random::new(settings.seed, "wheels");
-        let scale = [0; 2].map(|_| 1.0 + settings.errors.odometry_scale_error * random.normal());
+        let errors = settings.errors();
+        let scale = [0; 2].map(|_| 1.0 + errors.odometry_scale_error * random.normal());
         let slips = draw_slips(settings, &mut random);
+        let drift_rad_m = errors.heading_drift_deg_m.to_radians();
+        let to_the_left = drift_rad_m == 0.0 || random.happens(0.5);
         Self {
             random,
             scale,
             slips,
-            walk: settings.errors.odometry_walk,
+            walk: errors.odometry_walk,
+            drift_rad_m: if to_the_left { drift_rad_m } else { -drift_rad_m },
             ticks: 0,
             odom_from_base: Pose::IDENTITY,
         }
@@ -71,7 +77,9 @@ impl Wheels {
             self.ticks += 1;
         }
         let driven_m = turn.start().distance_m(turn.end());
-        self.odom_from_base = self.odom_from_base * random_step(driven_m, self.walk, &mut self.random);
+        let drift = Pose::new(0.0, 0.0, self.drift_rad_m * driven_m);
+        self.odom_from_base =
+            self.odom_from_base * random_step(driven_m, self.walk, &mut self.random) * drift;
     }
 }
 

@@ -3,6 +3,7 @@
 use crate::report::ReportWriter;
 use crate::{Clock, GridReader, StageError};
 use flockslam_bus::{Bus, Capacity, RuntimeDir};
+use flockslam_journal::is_durable;
 use flockslam_messages::{DropReason, ScanView, Stage};
 use flockslam_telemetry::{Heartbeat, LogLevels, MetricsEndpoint, StageMetrics};
 use std::path::{Path, PathBuf};
@@ -223,6 +224,13 @@ impl StageContext {
         self.alive();
     }
 
+    /// A scan has passed that leaves nothing to do for this stage: the process works all the same.
+    pub fn passed_over(&mut self) {
+        if self.heartbeat.set_works() {
+            self.alive();
+        }
+    }
+
     /// The stage has recovered the state of its predecessor, and works from now on.
     pub fn ready(&mut self) {
         self.heartbeat.set_ready();
@@ -234,6 +242,12 @@ impl StageContext {
         let now_ns = self.now_ns();
         self.metrics.alive(now_ns);
         self.levels.look(now_ns);
+        let durable = is_durable();
+        match (self.heartbeat.set_durable(durable), durable) {
+            (true, false) => tracing::info!("what cannot be written waits in memory"),
+            (true, true) => tracing::info!("all that waited is written"),
+            _ => {}
+        }
         if let Err(error) = self.heartbeat.beat(now_ns, self.metrics.handled_count() + self.followed) {
             tracing::warn!(%error, "no heartbeat");
         }

@@ -23,6 +23,7 @@ mod stage_error;
 pub use actor::{Actor, run, step_aside};
 pub use context::{Mode, StageContext, StageOptions, StopFlag, heartbeat_file, metrics_socket};
 pub use deadline::Deadline;
+pub use flockslam_journal::{GrowingFile, Refusal};
 pub use grid_reader::GridReader;
 pub use inbox::{Copies, Inbox, Named, Port};
 pub use join::{Join, Waited};

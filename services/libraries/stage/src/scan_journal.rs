@@ -1,8 +1,9 @@
 //! The journal of poses and accepted scans: the matcher writes it, other stages read it to recover missed scans.
 
 use crate::StageError;
-use flockslam_journal::{Ending, JournalError, RecordReader, RecordWriter};
+use flockslam_journal::{Ending, JournalError, RecordReader, RecordWriter, Refusal};
 use flockslam_messages::{PoseEstimate, PoseFlags, ScanBuffer, ScanHeader, ScanView};
+use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use zerocopy::{FromBytes, IntoBytes};
 
@@ -19,6 +20,46 @@ pub fn journal_file(directory: &Path) -> PathBuf {
 /// The matcher's side: every pose, with its scan when that is accepted, before the pose is published.
 pub struct JournalWriter {
     records: RecordWriter,
+    waiting: Waiting,
+}
+
+/// Records that a full disk refuses are kept in memory up to so many bytes; the oldest are lost then.
+const WAITING_MAX_BYTES: usize = 64 << 20;
+
+/// Records that were refused, oldest first.
+#[derive(Default)]
+struct Waiting {
+    records: VecDeque<(u32, Vec<u8>)>,
+    bytes: usize,
+    refusal: Refusal,
+}
+
+impl Waiting {
+    /// Keeps a record; how many older ones are lost by that.
+    fn push(&mut self, kind: u32, parts: &[&[u8]]) -> u64 {
+        let record = parts.concat();
+        self.bytes += record.len();
+        self.records.push_back((kind, record));
+        self.refusal.set(true);
+        let mut lost = 0;
+        while self.bytes > WAITING_MAX_BYTES {
+            let Some((_, oldest)) = self.records.pop_front() else { break };
+            self.bytes -= oldest.len();
+            lost += 1;
+        }
+        lost
+    }
+
+    /// Appends what waits, as far as there is room.
+    fn append_to(&mut self, journal: &mut RecordWriter) -> Result<(), JournalError> {
+        while let Some((kind, record)) = self.records.front() {
+            journal.append(*kind, &[record])?;
+            self.bytes -= record.len();
+            self.records.pop_front();
+        }
+        self.refusal.set(false);
+        Ok(())
+    }
 }
 
 impl JournalWriter {
@@ -27,7 +68,7 @@ impl JournalWriter {
     /// # Errors
     /// When the file cannot be opened.
     pub fn open(directory: &Path) -> Result<Self, StageError> {
-        Ok(Self { records: RecordWriter::open(&journal_file(directory))? })
+        Ok(Self { records: RecordWriter::open(&journal_file(directory))?, waiting: Waiting::default() })
     }
 
     /// Opens the journal after the records that `reader` has read. They are not read again.
@@ -36,20 +77,33 @@ impl JournalWriter {
     /// As [`Self::open`].
     pub fn open_behind(directory: &Path, reader: &JournalReader) -> Result<Self, StageError> {
         let good_bytes = reader.records.as_ref().map_or(0, RecordReader::good_bytes);
-        Ok(Self { records: RecordWriter::open_from(&journal_file(directory), good_bytes)? })
+        let records = RecordWriter::open_from(&journal_file(directory), good_bytes)?;
+        Ok(Self { records, waiting: Waiting::default() })
     }
 
-    /// Appends a pose, with its scan when it is to be inserted.
+    /// Appends a pose, with its scan when it is to be inserted. What a disk refuses waits in memory and is appended before the next
+    /// record for which there is room.
     ///
     /// # Errors
-    /// When the disk refuses.
+    /// When the disk begins to refuse, and when records were lost since too many wait.
     pub fn append(&mut self, pose: &PoseEstimate, scan: ScanView<'_>) -> Result<(), JournalError> {
         if pose.has(PoseFlags::INSERT) {
-            self.records
-                .append(ACCEPTED, &[pose.as_bytes(), scan.header().as_bytes(), scan.numbers().as_bytes()])
+            self.append_parts(
+                ACCEPTED,
+                &[pose.as_bytes(), scan.header().as_bytes(), scan.numbers().as_bytes()],
+            )
         } else {
-            self.records.append(POSE, &[pose.as_bytes()])
+            self.append_parts(POSE, &[pose.as_bytes()])
         }
+    }
+
+    fn append_parts(&mut self, kind: u32, parts: &[&[u8]]) -> Result<(), JournalError> {
+        let appended =
+            self.waiting.append_to(&mut self.records).and_then(|()| self.records.append(kind, parts));
+        let Err(error) = appended else { return Ok(()) };
+        let is_known = self.waiting.refusal.is_set();
+        let lost = self.waiting.push(kind, parts);
+        if is_known && lost == 0 { Ok(()) } else { Err(error) }
     }
 }
 

@@ -1,12 +1,14 @@
-//! One interface to all sources of scans – log, bag, pipe, simulation – with the experiment's changes applied.
+//! One interface to all sources of scans – log, recording, pipe, simulation – with the experiment's changes applied.
 
-use super::bag::{BagError, BagReader, is_bag};
 use super::pipe::{Pipe, Piped};
+use super::recording_reader::{ReadRecordingError, RecordingReader};
 use super::truth_file::TruthWriter;
 use super::{Source, Task, first_stages, world_file};
+use crate::Settings;
 use crate::carmen::{CarmenReader, Tally};
 use crate::experiment::Experiment;
 use flockslam_messages::ScanBuffer;
+use flockslam_recordings::is_recording;
 use flockslam_simulation::{Simulation, World};
 use flockslam_stage::{StageContext, StageError};
 use std::fs::File;
@@ -21,7 +23,7 @@ pub struct Feed {
 
 enum Kind {
     Log(Box<CarmenReader<BufReader<File>>>),
-    Bag(Box<BagReader>),
+    Recording(Box<RecordingReader>),
     Pipe(Pipe),
     Simulation { simulation: Box<Simulation>, truth: TruthWriter },
     Nothing,
@@ -44,12 +46,13 @@ impl Feed {
     /// Opens the source.
     pub fn open(context: &StageContext, task: &Task) -> Result<Self, StageError> {
         let (kind, expected) = match &task.source {
-            Source::Log(path) if is_bag(path) => {
-                let reader = BagReader::open(path).map_err(of_bag)?;
-                (Kind::Bag(Box::new(reader)), count_scans(path)?)
+            Source::Log(path) if is_recording(path) => {
+                let reader = RecordingReader::open(path, &task.settings).map_err(of_recording)?;
+                let expected = reader.expected_scans();
+                (Kind::Recording(Box::new(reader)), expected)
             }
             Source::Log(path) => {
-                let expected = count_scans(path)?;
+                let expected = count_scans(path, &task.settings)?;
                 let reader = BufReader::with_capacity(BUFFER_BYTES, open(path)?);
                 let name = path.display().to_string();
                 (Kind::Log(Box::new(CarmenReader::new(reader, name, task.settings.clone()))), expected)
@@ -59,7 +62,7 @@ impl Feed {
                 (Kind::Pipe(Pipe::start(context, task.settings.clone(), first)?), 0)
             }
             Source::Simulation => {
-                let built_in = || Ok(World::built_in(task.simulation.world));
+                let built_in = || Ok(World::built_in(&task.simulation));
                 let world = task.world.as_deref().map_or_else(built_in, world_file::read)?;
                 let simulation = Simulation::new(&task.simulation, world);
                 let simulation = Box::new(simulation.map_err(|e| StageError::Source(e.to_string()))?);
@@ -102,7 +105,7 @@ impl Feed {
                     Fed::End
                 }
             }
-            Kind::Bag(reader) => match reader.next_scan(scan).map_err(of_bag)? {
+            Kind::Recording(reader) => match reader.next_scan(scan).map_err(of_recording)? {
                 true => Fed::Scan,
                 false => Fed::End,
             },
@@ -116,7 +119,7 @@ impl Feed {
             },
             Kind::Simulation { simulation, truth } => match simulation.next_scan(scan) {
                 Some(pose) => {
-                    truth.push(scan.header.times.sensor_ns, pose)?;
+                    truth.push(scan.header.times.sensor_ns, pose);
                     Fed::Scan
                 }
                 None => Fed::End,
@@ -133,9 +136,17 @@ impl Feed {
     pub fn tally(&self) -> Option<Tally> {
         match &self.kind {
             Kind::Log(reader) => Some(reader.tally().clone()),
-            Kind::Bag(reader) => Some(reader.tally().clone()),
+            Kind::Recording(reader) => Some(reader.tally().clone()),
             Kind::Pipe(pipe) => Some(pipe.tally()),
             Kind::Simulation { .. } | Kind::Nothing => None,
+        }
+    }
+
+    /// Why the source ended before its end.
+    pub fn cut_short(&self) -> Option<&str> {
+        match &self.kind {
+            Kind::Recording(reader) => reader.cut_short(),
+            _ => None,
         }
     }
 
@@ -152,20 +163,17 @@ fn open(path: &Path) -> Result<File, StageError> {
     File::open(path).map_err(|error| StageError::Source(format!("{}: {error}", path.display())))
 }
 
-fn of_bag(error: BagError) -> StageError {
+fn of_recording(error: ReadRecordingError) -> StageError {
     StageError::Source(error.to_string())
 }
 
-/// Scans of a log (of a bag: read to its end): what experiments spread their events over, and what progress is measured against.
+/// Scans of a log or a recording: what experiments spread their events over, and what progress is measured against.
 ///
 /// # Errors
 /// When the file cannot be read.
-pub fn count_scans(path: &Path) -> Result<u64, StageError> {
-    if is_bag(path) {
-        let mut reader = BagReader::open(path).map_err(of_bag)?;
-        let mut scan = ScanBuffer::default();
-        while reader.next_scan(&mut scan).map_err(of_bag)? {}
-        return Ok(reader.tally().scans);
+pub fn count_scans(path: &Path, settings: &Settings) -> Result<u64, StageError> {
+    if is_recording(path) {
+        return Ok(RecordingReader::open(path, settings).map_err(of_recording)?.expected_scans());
     }
     let mut reader = BufReader::with_capacity(BUFFER_BYTES, open(path)?);
     let unreadable = |error| StageError::Source(format!("{}: {error}", path.display()));

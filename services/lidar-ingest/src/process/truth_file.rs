@@ -2,17 +2,14 @@
 
 use flockslam_geometry::Pose;
 use flockslam_results::{StampedPose, TRUE_TRAJECTORY};
-use flockslam_stage::StageError;
-use std::fs::{File, rename};
-use std::io::{BufWriter, Write};
+use flockslam_stage::{GrowingFile, StageError};
 use std::path::{Path, PathBuf};
 use zerocopy::IntoBytes;
 
 /// The exact trajectory of a simulated robot, written pose by pose: a drive of any length takes no more memory.
 #[derive(Debug)]
 pub struct TruthWriter {
-    file: BufWriter<File>,
-    growing: PathBuf,
+    file: GrowingFile,
     whole: PathBuf,
 }
 
@@ -20,21 +17,18 @@ impl TruthWriter {
     /// Begins the trajectory anew, under a name that says that it is not whole yet.
     pub fn create(result_dir: &Path) -> Result<Self, StageError> {
         let whole = result_dir.join(TRUE_TRAJECTORY);
-        let growing = whole.with_extension("growing");
-        let file = File::create(&growing).map_err(|e| StageError::file(&growing, e))?;
-        Ok(Self { file: BufWriter::new(file), growing, whole })
+        Ok(Self { file: GrowingFile::create(whole.with_extension("growing"))?, whole })
     }
 
     /// Appends a pose.
-    pub fn push(&mut self, stamp_ns: i64, pose: Pose) -> Result<(), StageError> {
-        let row = StampedPose { stamp_ns, pose };
-        self.file.write_all(row.as_bytes()).map_err(|e| StageError::file(&self.growing, e))
+    pub fn push(&mut self, stamp_ns: i64, pose: Pose) {
+        self.file.push(StampedPose { stamp_ns, pose }.as_bytes());
     }
 
     /// The drive is over: gives the trajectory its name.
     pub fn finish(&mut self) -> Result<(), StageError> {
-        let finished = self.file.flush().and_then(|()| rename(&self.growing, &self.whole));
-        finished.map_err(|e| StageError::file(&self.whole, e))
+        self.file.flush()?;
+        Ok(self.file.rename(self.whole.clone())?)
     }
 }
 
@@ -48,7 +42,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let mut truth = TruthWriter::create(directory.path()).unwrap();
         let pose = |i: i64| Pose::new(i as f64, 1.0, 0.5);
-        (0..1000).for_each(|i| truth.push(i, pose(i)).unwrap());
+        (0..1000).for_each(|i| truth.push(i, pose(i)));
         assert!(read_trajectory(directory.path(), TRUE_TRAJECTORY).is_err());
         truth.finish().unwrap();
         let rows = read_trajectory(directory.path(), TRUE_TRAJECTORY).unwrap();

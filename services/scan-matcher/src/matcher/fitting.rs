@@ -2,12 +2,15 @@
 
 use super::POINTS_MIN_FOR_SHARE;
 use super::matcher_state::Confidence;
+use super::open_place::{Open, is_held};
 use super::points::{MoverMask, ScanPoints};
-use crate::motion::Prediction;
+use super::surroundings::Surroundings;
+use crate::motion::{Coasting, Prediction, SLIP_COST};
 use crate::settings::{Settings, Strategy};
 use flockslam_evidence::Level;
 use flockslam_geometry::{Covariance, Point, Pose, Twist};
 use flockslam_messages::ScanView;
+use flockslam_odometry_noise::OdometryNoise;
 use flockslam_published_methods::{beam_weight, hill_climbing, monte_carlo};
 use flockslam_registration::{
     Correlative, CorrelativeSearch, Expected, Fit, GaussNewton, MotionState, Ndt, ScoreField, ScoreRead,
@@ -42,8 +45,18 @@ const SWEEP_STEPS: usize = 8;
 const CELL_ERROR: f64 = 0.1;
 /// Least share of surfaces (mean squared cosine) that is assumed to face a direction.
 const HELD_MIN: f64 = 1e-5;
+/// Mean squared residual of a good fit at least: with less, single points would decide.
+const NOISE_MIN: f64 = 0.1;
+/// What the best of the poses of a wide search gains by chance: some thousand independent ones are tried.
+const SEARCH_COST: f64 = 8.0;
+/// What a scan of a place that never looks the same gains by chance when it is fitted.
+const CHANCE_GAIN: f64 = 2.0;
+/// Standard deviations of where the robot is if it goes on as before, metres and radians.
+const COASTING_SIGMA: (f64, f64) = (0.1, 0.1);
+/// A fit that costs less than this by odometry is not compared with the predicted pose: two standard deviations.
+const PLAUSIBLE_COST: f64 = 2.0;
 /// Standard deviations of the prediction in directions that the scan does not determine.
-const PRIOR_SIGMA: (f64, f64) = (0.3, 0.15);
+pub(super) const PRIOR_SIGMA: (f64, f64) = (0.3, 0.15);
 
 /// A scan fitted to the grid.
 #[derive(Debug)]
@@ -58,12 +71,31 @@ pub(super) struct Fitted {
     pub(super) twist: Twist,
     /// Covariance of the pose.
     pub(super) covariance: Covariance,
+    /// The pose that the scan alone gives near the prediction, and its covariance as the fit claims it.
+    pub(super) alone: Option<(Pose, Covariance)>,
     /// Whether a wide search found it.
     pub(super) is_rescued: bool,
     /// Whether it is less certain than the prediction in some direction, and was fused with it.
     pub(super) is_fused: bool,
+    /// Whether the scan fits nowhere so well that odometry would be disbelieved: it lies at the predicted pose.
+    pub(super) is_predicted: bool,
     /// Centre of the last wide search, if no fit was good since.
     pub(super) searched: Option<Pose>,
+    /// The pose that fits better than the predicted one, but is not believed yet.
+    pub(super) rival: Option<Rival>,
+    /// Whether the pose is that of the surfaces around, as the grid does not hold the scan.
+    pub(super) is_open: bool,
+}
+
+/// A pose that explains the last scans better than the one that odometry gives, as when wheels slip for some scans.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Rival {
+    /// In odom.
+    pub(super) pose: Pose,
+    /// The motion before the wheels slipped: it is assumed to go on.
+    motion: Coasting,
+    /// Logarithm of the ratio of the likelihoods of these scans at both.
+    pub(super) gain: f64,
 }
 
 /// Memory of the strategies that is used again for each scan.
@@ -79,37 +111,112 @@ pub(super) struct Solvers {
 pub(super) struct Fitter<'a, F> {
     pub(super) settings: &'a Settings,
     pub(super) confidence: &'a Confidence,
-    /// Where the robot was at the scan before, in odom.
-    pub(super) before: Point,
+    /// The pose of the scan before, in odom.
+    pub(super) before: Pose,
+    /// The rival of that pose.
+    pub(super) rival: Option<Rival>,
     pub(super) field: &'a F,
     pub(super) scan: ScanView<'a>,
     pub(super) mask: &'a MoverMask,
+    /// Errors of odometry and of fits.
+    pub(super) noise: &'a OdometryNoise,
     pub(super) solvers: &'a mut Solvers,
+    pub(super) surroundings: &'a mut Surroundings,
 }
 
 /// A pose found by the strategy, before the velocity during the scan is fitted.
 struct Placed {
     fit: Fit,
     is_rescued: bool,
+    is_predicted: bool,
     searched: Option<Pose>,
+}
+
+/// A scan whose motion is decided: by odometry, or by the velocity so far.
+struct Settled {
+    prediction: Prediction,
+    points: ScanPoints,
+    /// The fit near the prediction, if it was made.
+    near: Option<Fit>,
+    rival: Option<Rival>,
+}
+
+/// Where a better pose is looked for after a bad fit to the grid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Search {
+    /// In a wide window.
+    Wide,
+    /// Nowhere: the surfaces around hold the scan where it is.
+    None,
 }
 
 impl<F: ScoreField> Fitter<'_, F> {
     /// Fits the points of the scan, which begin straightened by the velocity of the prediction.
     pub(super) fn fit(mut self, points: ScanPoints, prediction: Prediction) -> Fitted {
-        let (prediction, points, near) = self.settled(points, prediction);
+        let first = self.descends().then(|| self.track(&points, prediction.pose, None));
+        let Some(poor) = first.filter(|first| !is_held(first, points.of_beams(self.scan.len()))) else {
+            return self.fit_to_grid(points, prediction, first, Search::Wide);
+        };
+        match self.in_the_open(&points, prediction, poor) {
+            Open::Held(held) => self.held(points, prediction, &held),
+            Open::Dense(fit, from) => {
+                let prediction = Prediction { pose: from, steady: None, ..prediction };
+                self.fit_to_grid(points, prediction, Some(fit), Search::None)
+            }
+            Open::New(is_held) => {
+                let search = if is_held { Search::None } else { Search::Wide };
+                self.fit_to_grid(points, prediction, first, search)
+            }
+            Open::Unknown => {
+                let fitted = self.fit_to_grid(points, prediction, first, Search::Wide);
+                if is_held(&fitted.fit, fitted.points.of_beams(self.scan.len())) {
+                    fitted
+                } else {
+                    self.predicted(fitted, prediction)
+                }
+            }
+        }
+    }
+
+    /// Fits the points to the grid; `first` is the strategy's descent from the prediction.
+    fn fit_to_grid(
+        &mut self,
+        points: ScanPoints,
+        prediction: Prediction,
+        first: Option<Fit>,
+        search: Search,
+    ) -> Fitted {
+        let Settled { prediction, points, near, rival } = self.settled(points, prediction, first);
+        let (mut near_pose, mut near_covariance) = (prediction.pose, prediction.covariance);
         let (points, placed) = if self.descends() {
-            let near = self.track(&points, prediction.pose, near);
-            let placed = self.rescue(&points, prediction.pose, near);
+            let near = near.unwrap_or_else(|| self.track(&points, prediction.pose, None));
+            (near_pose, near_covariance) = (near.pose, near.covariance(PRIOR_SIGMA.0, PRIOR_SIGMA.1));
+            let placed = self.rescue(&points, &prediction, near, search);
             (points, placed)
         } else {
             self.sampled(points, prediction.pose)
         };
-        let Placed { fit, is_rescued, searched } = placed;
+        let Placed { fit, is_rescued, is_predicted, searched } = placed;
         let covariance = fit.covariance(PRIOR_SIGMA.0, PRIOR_SIGMA.1);
         let twist = prediction.twist;
-        let fitted =
-            Fitted { prediction, points, fit, twist, covariance, is_rescued, is_fused: false, searched };
+        let fitted = Fitted {
+            prediction,
+            points,
+            fit,
+            twist,
+            covariance,
+            alone: None,
+            is_rescued,
+            is_fused: false,
+            is_predicted,
+            searched,
+            rival,
+            is_open: false,
+        };
+        if is_predicted {
+            let claimed = self.claimed(near_covariance, &fitted.points, near_pose);
+            return Fitted { covariance: prediction.covariance, alone: Some((near_pose, claimed)), ..fitted };
+        }
         let fits_velocity = self.descends() && self.settings.fits_velocity && self.scan.takes_time();
         let fitted = if fits_velocity { self.straightened(fitted) } else { fitted };
         self.weighed(fitted)
@@ -117,20 +224,24 @@ impl<F: ScoreField> Fitter<'_, F> {
 
     /// Decides between odometry and velocity where they contradict each other: the better fit wins, and is
     /// returned too.
-    fn settled(
-        &mut self,
-        points: ScanPoints,
-        prediction: Prediction,
-    ) -> (Prediction, ScanPoints, Option<Fit>) {
-        let Some(steady) = prediction.steady else { return (prediction, points, None) };
-        let by_odometry = self.refine(&points, prediction.pose, prediction.pose);
+    fn settled(&mut self, points: ScanPoints, prediction: Prediction, first: Option<Fit>) -> Settled {
+        let Some(by_odometry) = first else {
+            return Settled { prediction, points, near: None, rival: None };
+        };
+        let Some(steady) = prediction.steady else {
+            return self.slipped(points, prediction, by_odometry);
+        };
         let points = self.retaken(points, steady.twist);
         let by_velocity = self.refine(&points, steady.pose, steady.pose);
-        if by_velocity.score > by_odometry.score + JUMPED {
+        if by_velocity.score > by_odometry.score + JUMPED
+            && self.gain(&by_velocity, &by_odometry) >= SLIP_COST
+        {
             let prediction = Prediction { pose: steady.pose, twist: steady.twist, ..prediction };
-            return (prediction, points, Some(by_velocity));
+            let near = self.track(&points, prediction.pose, Some(by_velocity));
+            return Settled { prediction, points, near: Some(near), rival: None };
         }
-        (prediction, self.retaken(points, prediction.twist), Some(by_odometry))
+        let points = self.retaken(points, prediction.twist);
+        Settled { prediction, points, near: Some(by_odometry), rival: None }
     }
 
     /// The same points straightened by another velocity.
@@ -141,6 +252,12 @@ impl<F: ScoreField> Fitter<'_, F> {
     /// Whether the strategy goes down a slope, as opposed to trying poses.
     fn descends(&self) -> bool {
         !matches!(self.settings.strategy, Strategy::MonteCarlo | Strategy::HillClimbing)
+    }
+
+    /// Whether fits and odometry are weighed against each other. The published methods believe their fits.
+    fn weighs_odometry(&self) -> bool {
+        let is_ours = matches!(self.settings.strategy, Strategy::GaussNewton | Strategy::Correlative);
+        is_ours && self.scan.odometry().is_some()
     }
 
     /// Fits pose and velocity of a scan that takes time together, starting at a fit of its pose alone.
@@ -165,14 +282,24 @@ impl<F: ScoreField> Fitter<'_, F> {
 
     /// The covariance of a fit: large where the scan determines little; there the fit is fused with the prediction.
     fn weighed(&self, fitted: Fitted) -> Fitted {
-        let cell_m = self.field.reader(Level::Full).cell_size_m();
-        let rough = inflated_everywhere(fitted.covariance, CELL_ERROR * cell_m);
-        let covariance = inflated(rough, &fitted.points.ends, fitted.fit.pose);
-        let fused =
-            (!fitted.is_rescued).then(|| fitted.prediction.fused(fitted.fit.pose, covariance)).flatten();
-        let Some((pose, covariance)) = fused else { return Fitted { covariance, ..fitted } };
+        let claimed = self.claimed(fitted.covariance, &fitted.points, fitted.fit.pose);
+        let has_odometry = self.scan.odometry().is_some();
+        let covariance = if has_odometry { self.noise.inflated(claimed) } else { claimed };
+        if fitted.is_rescued {
+            return Fitted { covariance, ..fitted };
+        }
+        let alone = self.weighs_odometry().then_some((fitted.fit.pose, claimed));
+        let fused = fitted.prediction.fused(fitted.fit.pose, covariance);
+        let Some((pose, covariance)) = fused else { return Fitted { covariance, alone, ..fitted } };
         let fit = Fit::at(self.field, &fitted.points.ends, pose);
-        Fitted { fit, covariance, is_fused: true, ..fitted }
+        Fitted { fit, covariance, alone, is_fused: true, ..fitted }
+    }
+
+    /// The covariance of a fit as its points claim it.
+    fn claimed(&self, covariance: Covariance, points: &ScanPoints, pose: Pose) -> Covariance {
+        let cell_m = self.field.reader(Level::Full).cell_size_m();
+        let rough = inflated_everywhere(covariance, CELL_ERROR * cell_m);
+        inflated(rough, &points.ends, pose)
     }
 
     /// The fit near the prediction; a scan without odometry is looked for before. `near` is the strategy's descent from there, when it
@@ -192,10 +319,10 @@ impl<F: ScoreField> Fitter<'_, F> {
     }
 
     /// The strategy's own descent from `start`.
-    fn refine(&mut self, points: &ScanPoints, prediction: Pose, start: Pose) -> Fit {
+    pub(super) fn refine(&mut self, points: &ScanPoints, prediction: Pose, start: Pose) -> Fit {
         let ends = &points.ends;
         if self.settings.strategy == Strategy::Ndt {
-            let expected = Expected { pose: prediction, from: Some(self.before) };
+            let expected = Expected { pose: prediction, from: Some(self.before.position()) };
             let pose = self.solvers.ndt.fit(&self.settings.ndt, self.field, ends, expected, start);
             return Fit::at(self.field, ends, pose.unwrap_or(start));
         }
@@ -203,21 +330,85 @@ impl<F: ScoreField> Fitter<'_, F> {
     }
 
     /// A wide search when the fit scores badly, which gives its best pose when that is better.
-    fn rescue(&mut self, points: &ScanPoints, prediction: Pose, fit: Fit) -> Placed {
+    fn rescue(&mut self, points: &ScanPoints, by_motion: &Prediction, near: Fit, search: Search) -> Placed {
         let Confidence { mean_score, lost, searched, .. } = *self.confidence;
-        if fit.score >= self.settings.rescue.below * mean_score || points.len() < POINTS_MIN_FOR_SHARE {
-            return Placed { fit, is_rescued: false, searched: None };
+        let prediction = by_motion.pose;
+        let (fit, is_predicted) = self.plausible(points, by_motion, near);
+        if search == Search::None
+            || near.score >= self.settings.rescue.below * mean_score
+            || points.len() < POINTS_MIN_FOR_SHARE
+        {
+            return Placed { fit, is_rescued: false, is_predicted, searched: None };
         }
         let near =
             |at: Pose| at.distance_m(prediction) < SEARCH_AGAIN.0 && at.turn_rad(prediction) < SEARCH_AGAIN.1;
         if lost == 0 && searched.is_some_and(near) {
-            return Placed { fit, is_rescued: false, searched };
+            return Placed { fit, is_rescued: false, is_predicted, searched };
         }
         let wider = f64::from(1 + lost.min(2));
         let window = window(prediction, (wider * RESCUE_REACH.0, wider * RESCUE_REACH.1));
         let best = self.search(points, window, fit.pose);
-        let better = best.filter(|best| best.score > fit.score + RESCUE_GAIN);
-        Placed { fit: better.unwrap_or(fit), is_rescued: better.is_some(), searched: Some(prediction) }
+        let better = best.filter(|best| {
+            best.score > fit.score + RESCUE_GAIN && self.outweighs_widely(by_motion, best, &fit)
+        });
+        Placed {
+            fit: better.unwrap_or(fit),
+            is_rescued: better.is_some(),
+            is_predicted: is_predicted && better.is_none(),
+            searched: Some(prediction),
+        }
+    }
+
+    /// The fit, or the scan at the predicted pose where the fit is too improbable by odometry for what it explains, and whether it
+    /// is that.
+    fn plausible(&self, points: &ScanPoints, by_motion: &Prediction, fit: Fit) -> (Fit, bool) {
+        if !self.weighs_odometry() || by_motion.cost(fit.pose) < PLAUSIBLE_COST {
+            return (fit, false);
+        }
+        let expected = Fit::at(self.field, &points.ends, by_motion.pose);
+        if self.outweighs(by_motion, &fit, &expected) { (fit, false) } else { (expected, true) }
+    }
+
+    /// Whether wheels slip: a scan that fits badly where odometry says is tried where the robot would be if it had gone on as
+    /// before. The evidence of several scans adds up in a [`Rival`].
+    fn slipped(&mut self, points: ScanPoints, prediction: Prediction, near: Fit) -> Settled {
+        let is_poor = near.score < self.settings.rescue.below * self.confidence.mean_score;
+        let asks = self.weighs_odometry() && self.confidence.has_started();
+        let Some(coasting) = prediction.coasting.filter(|_| is_poor && asks) else {
+            return Settled { prediction, points, near: Some(near), rival: None };
+        };
+        let Rival { pose, motion, gain } =
+            self.rival.unwrap_or(Rival { pose: self.before, motion: coasting, gain: 0.0 });
+        let start = pose * motion.pose;
+        let points = self.retaken(points, motion.twist);
+        let fit = self.refine(&points, start, start);
+        let gain = gain + self.gain(&fit, &near) - CHANCE_GAIN;
+        if gain >= SLIP_COST {
+            let covariance = Covariance::diagonal(COASTING_SIGMA.0, COASTING_SIGMA.1);
+            let prediction = Prediction { pose: start, twist: motion.twist, covariance, ..prediction };
+            return Settled { prediction, points, near: Some(fit), rival: None };
+        }
+        let points = self.retaken(points, prediction.twist);
+        let rival = Some(Rival { pose: fit.pose, motion, gain }).filter(|rival| rival.gain > 0.0);
+        Settled { prediction, points, near: Some(near), rival }
+    }
+
+    /// Whether a pose explains the scan so much better than another that the odometry may have been wrong: the ratio of the
+    /// likelihoods of the scan against that of the poses.
+    fn outweighs(&self, by_motion: &Prediction, fit: &Fit, other: &Fit) -> bool {
+        !self.weighs_odometry()
+            || self.gain(fit, other) >= by_motion.cost(fit.pose) - by_motion.cost(other.pose)
+    }
+
+    /// The same of a pose that was the best of many.
+    fn outweighs_widely(&self, by_motion: &Prediction, fit: &Fit, other: &Fit) -> bool {
+        !self.weighs_odometry()
+            || self.gain(fit, other) - SEARCH_COST >= by_motion.cost(fit.pose) - by_motion.cost(other.pose)
+    }
+
+    /// How much better a fit explains the scan than another, as the logarithm of the ratio of likelihoods.
+    pub(super) fn gain(&self, fit: &Fit, other: &Fit) -> f64 {
+        fit.gain_over(other, self.confidence.noise.max(NOISE_MIN)) / self.noise.excess()
     }
 
     /// The best of the poses in a window, each refined, that promise more than `rival`.
@@ -246,7 +437,8 @@ impl<F: ScoreField> Fitter<'_, F> {
             _ => hill_climbing(field, ends, weights, prediction),
         };
         let fit = Fit::at(field, ends, pose);
-        (points, Placed { fit, is_rescued: false, searched: self.confidence.searched })
+        let searched = self.confidence.searched;
+        (points, Placed { fit, is_rescued: false, is_predicted: false, searched })
     }
 }
 

@@ -20,6 +20,10 @@ const CONTRADICTED: (f64, f64) = (0.5, 0.1);
 /// A scan with this share of its points in unknown space shows a new place.
 const NEW_PLACE: f64 = 0.7;
 
+/// A scan is held firmly when it alone gives a pose near that of scan and odometry with at most these standard deviations, metres
+/// and radians.
+const FIRM: (f64, f64) = (0.05, 0.01);
+
 /// The judgement of a fit.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Judgement {
@@ -41,8 +45,11 @@ impl ScanMatcher {
         grid: &TileGrid<H>,
     ) -> Judgement {
         let Fitted { twist, covariance, .. } = *fitted;
+        if fitted.is_open {
+            return Judgement { pose: fitted.fit.pose, twist, covariance, quality: open_quality(fitted) };
+        }
         let as_fitted = Judgement { pose: fitted.fit.pose, twist, covariance, quality: self.quality(fitted) };
-        let is_poor = fitted.fit.score < CONTRADICTED.0 * self.confidence.mean_score;
+        let is_poor = fitted.fit.score < self.least_score(fitted, CONTRADICTED.0);
         if self.settings.rescue.lost_scans_max == 0 || !is_poor {
             return as_fitted;
         }
@@ -55,21 +62,44 @@ impl ScanMatcher {
         if is_new { Judgement { pose, twist, covariance, quality: Quality::Degraded } } else { as_fitted }
     }
 
+    /// The score from which a fit is believed: a share of the usual one. Where scores scatter a fit near the prediction may be
+    /// worse; a place found by a wide search must be recognised.
+    fn least_score(&self, fitted: &Fitted, share: f64) -> f64 {
+        let least = share * self.confidence.mean_score;
+        if fitted.is_rescued { least } else { least.min(self.confidence.unusual_score()) }
+    }
+
     /// Judgement by the score.
     fn quality(&self, fitted: &Fitted) -> Quality {
         let (fit, prediction) = (&fitted.fit, fitted.prediction.pose);
         let rescue = &self.settings.rescue;
         let share = fit.score / self.confidence.mean_score.max(f64::MIN_POSITIVE);
         let jumps = fit.pose.distance_m(prediction) > JUMP.0 || fit.pose.turn_rad(prediction) > JUMP.1;
-        let believed = share >= if jumps { rescue.below } else { LOST_BELOW };
+        let least = self.least_score(fitted, if jumps { rescue.below } else { LOST_BELOW });
+        let believed = fit.score >= least;
         if !believed && rescue.lost_scans_max > 0 {
             Quality::Lost
-        } else if share < rescue.below || fit.weakest_direction() < WEAK_DIRECTION || fitted.is_fused {
+        } else if share < rescue.below
+            || fit.weakest_direction() < WEAK_DIRECTION
+            || fitted.is_fused
+            || fitted.is_predicted
+        {
             Quality::Degraded
         } else {
             Quality::Tracking
         }
     }
+}
+
+/// Judgement of a pose among the surfaces around: by how firmly they hold the scan.
+fn open_quality(fitted: &Fitted) -> Quality {
+    let is_firm = fitted.alone.is_some_and(|(alone, covariance)| {
+        covariance.position_std_m() <= FIRM.0
+            && covariance.tt <= FIRM.1 * FIRM.1
+            && alone.distance_m(fitted.fit.pose) <= FIRM.0
+            && alone.turn_rad(fitted.fit.pose) <= FIRM.1
+    });
+    if is_firm { Quality::Tracking } else { Quality::Degraded }
 }
 
 /// Whether too many points of a poor fit end in space known to be free. Points that were set aside count as such.

@@ -1,8 +1,25 @@
 //! The state that the matcher keeps from scan to scan: the map, and how well the robot is localised in it.
 
+use super::fitting::Rival;
+use super::open_place::is_held;
 use super::{Fitted, Judgement, MEAN_RATE, POINTS_MIN_FOR_SHARE, SLIPPED, START_SCANS};
 use flockslam_geometry::Pose;
 use flockslam_messages::{PoseEstimate, Quality};
+
+/// Weight of the newest fit in the mean of the residuals: what a scan sees changes within some metres.
+const NOISE_RATE: f64 = 0.2;
+/// Weight of the newest scan in the share of those that the grid does not hold, when the robot has moved by this much since the scan
+/// before, metres or radians; with less it weighs less, as a robot that stands sees the same again.
+const OPEN_RATE: f64 = 0.05;
+const OPEN_STEP: (f64, f64) = (0.2, 0.25);
+/// The share from which on a place is open: twelve scans in a row, more than prove that the robot is lost where scans usually fit.
+const OPEN_FROM: f64 = 0.45;
+/// The share from which on the back end leaves poses to surfaces: a corridor full of people is below.
+const FAR_OPEN_FROM: f64 = 0.6;
+/// Share at the start: nothing is known, and nothing can have moved the robot.
+const OPEN_AT_START: f64 = 0.5;
+/// Standard deviations below the mean from which on a score is unusual.
+const UNUSUAL: f64 = 3.0;
 
 /// The map that scans are matched to and enter.
 #[derive(Debug)]
@@ -24,11 +41,17 @@ pub(super) struct MapState {
 }
 
 /// How well the robot is localised, by the fits so far.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Confidence {
     /// Running mean of the scores of accepted fits.
     pub(super) mean_score: f64,
+    /// Running mean of their squared deviation from it.
+    pub(super) score_variance: f64,
     pub(super) last_score: f64,
+    /// Mean squared residual of the last accepted fits.
+    pub(super) noise: f64,
+    /// Running share of scans that the grid does not hold.
+    pub(super) open: f64,
     /// Accepted fits.
     pub(super) matched: u64,
     /// Scans in a row whose fit was rejected.
@@ -37,6 +60,8 @@ pub(super) struct Confidence {
     pub(super) slips: bool,
     /// Centre of the last wide search; reset by a good fit.
     pub(super) searched: Option<Pose>,
+    /// The rival of the last pose.
+    pub(super) rival: Option<Rival>,
 }
 
 impl MapState {
@@ -65,14 +90,35 @@ impl MapState {
     }
 }
 
+impl Default for Confidence {
+    fn default() -> Self {
+        Self {
+            mean_score: 0.0,
+            score_variance: 0.0,
+            last_score: 0.0,
+            noise: 0.0,
+            open: OPEN_AT_START,
+            matched: 0,
+            lost: 0,
+            slips: false,
+            searched: None,
+            rival: None,
+        }
+    }
+}
+
 impl Confidence {
-    /// Counts a fit and its judgement.
-    pub(super) fn count(&mut self, fitted: &Fitted, judgement: &Judgement) {
+    /// Counts a fit and its judgement; `before` is the pose of the scan before, `beams` how many the scan has.
+    pub(super) fn count(&mut self, fitted: &Fitted, judgement: &Judgement, before: Pose, beams: usize) {
         let Judgement { pose, quality, .. } = *judgement;
         let odometry = fitted.prediction.pose;
         self.slips = pose.distance_m(odometry) > SLIPPED.0 || pose.turn_rad(odometry) > SLIPPED.1;
         self.searched = fitted.searched;
+        self.rival = fitted.rival;
         self.last_score = fitted.fit.score;
+        let open = if is_held(&fitted.fit, fitted.points.of_beams(beams)) { 0.0 } else { 1.0 };
+        let moved = (pose.distance_m(before) / OPEN_STEP.0).max(pose.turn_rad(before) / OPEN_STEP.1);
+        self.open += OPEN_RATE * moved.min(1.0) * (open - self.open);
         if quality == Quality::Lost {
             self.lost += u32::from(fitted.points.len() >= POINTS_MIN_FOR_SHARE);
             return;
@@ -80,7 +126,29 @@ impl Confidence {
         self.lost = 0;
         self.matched += 1;
         let rate = MEAN_RATE.max(1.0 / self.matched as f64);
-        self.mean_score += rate * (fitted.fit.score - self.mean_score);
+        self.noise += NOISE_RATE.max(1.0 / self.matched as f64) * (fitted.fit.noise - self.noise);
+        let off = fitted.fit.score - self.mean_score;
+        self.mean_score += rate * off;
+        // The first fits are to a thin map.
+        if self.has_started() {
+            self.score_variance += rate * (off * off - self.score_variance);
+        }
+    }
+
+    /// The score below which a fit is unusual. Surroundings that look different in each scan, such as plants, give scores that
+    /// scatter: there a low one proves nothing.
+    pub(super) fn unusual_score(&self) -> f64 {
+        self.mean_score - UNUSUAL * self.score_variance.sqrt()
+    }
+
+    /// Whether the grid usually does not hold a scan here.
+    pub(super) fn is_in_the_open(&self) -> bool {
+        self.open > OPEN_FROM
+    }
+
+    /// Whether the grid holds hardly any scan here.
+    pub(super) fn is_far_in_the_open(&self) -> bool {
+        self.has_started() && self.open > FAR_OPEN_FROM
     }
 
     /// Whether enough fits were accepted to call the robot localised.
@@ -88,9 +156,11 @@ impl Confidence {
         self.matched >= START_SCANS
     }
 
-    /// Begins with an empty map: earlier fits do not count.
+    /// Begins with an empty map: earlier fits do not count. Whether the place is open is known.
     pub(super) fn begin_anew(&mut self) {
         (self.matched, self.lost, self.mean_score, self.last_score) = (0, 0, 0.0, 0.0);
+        self.score_variance = 0.0;
         self.searched = None;
+        self.rival = None;
     }
 }

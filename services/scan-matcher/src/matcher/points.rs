@@ -5,6 +5,7 @@ use crate::settings::Settings;
 use flockslam_geometry::{Point, Twist};
 use flockslam_messages::{BeamRange, Deskew, ScanView};
 use std::iter::Peekable;
+use std::ops::RangeInclusive;
 
 /// Where the matched beams of a scan end, in the order of the beams. All lists are of the same length.
 #[derive(Debug, Default)]
@@ -37,17 +38,45 @@ impl ScanPoints {
         self.ends.len()
     }
 
+    /// Of a scan of so many beams how many could have become points.
+    pub(super) fn of_beams(&self, beams: usize) -> usize {
+        beams.div_ceil(self.stride.max(1) as usize)
+    }
+
     /// The points of a scan without those that are masked, straightened by `twist`, in this memory.
     pub(super) fn retaken(
-        mut self,
+        self,
         scan: ScanView<'_>,
         twist: Twist,
         mask: &MoverMask,
         settings: &Settings,
     ) -> Self {
-        let deskew = Deskew::new(scan, twist);
         let limits = settings.range_min_m..=settings.range_max_m;
-        let stride = scan.len().div_ceil(BEAMS_MAX).max(1);
+        self.taken(scan, twist, mask, (limits, BEAMS_MAX), settings.skip_isolated)
+    }
+
+    /// The same of at most so many beams that return from within a range, metres, isolated ones too: far trees are.
+    pub(super) fn thinned(
+        self,
+        scan: ScanView<'_>,
+        twist: Twist,
+        mask: &MoverMask,
+        range_max_m: f64,
+        beams_max: usize,
+    ) -> Self {
+        self.taken(scan, twist, mask, (0.0..=range_max_m, beams_max), false)
+    }
+
+    fn taken(
+        mut self,
+        scan: ScanView<'_>,
+        twist: Twist,
+        mask: &MoverMask,
+        (limits, beams_max): (RangeInclusive<f64>, usize),
+        skips_isolated: bool,
+    ) -> Self {
+        let deskew = Deskew::new(scan, twist);
+        let stride = scan.len().div_ceil(beams_max).max(1);
         self.stride = stride as u32;
         self.truncate(0);
         let [mut moving, mut bodies] = [&mask.moving, &mask.bodies].map(|ranges| ranges.iter().peekable());
@@ -57,7 +86,7 @@ impl ScanPoints {
                 continue;
             }
             let Some(range) = scan.valid_range_m(beam) else { continue };
-            if limits.contains(&range) && !(settings.skip_isolated && scan.is_isolated(beam)) {
+            if limits.contains(&range) && !(skips_isolated && scan.is_isolated(beam)) {
                 self.ends.push(deskew.end_in_base(scan, beam, range));
                 self.beams.push(number);
                 self.times_s.push(scan.time_s(beam));

@@ -8,8 +8,9 @@ use flockslam_map_fusion::stale_cells;
 use flockslam_map_fusion::stored_map;
 use flockslam_map_fusion::{Fusion, Step};
 use flockslam_results::SubmapStore;
-use flockslam_results::{StoredMap, Summary};
+use flockslam_results::{StoredMap, Summary, write_map, write_map_rows};
 use flockslam_stage::StageError;
+use std::path::Path;
 
 /// Loads stored submaps for the fusion.
 pub struct Fuser {
@@ -24,7 +25,18 @@ impl Fuser {
         Self { fusion: Fusion::new(settings.retire_covered_by), store, known_area_m2: 0.0 }
     }
 
-    /// Brings the fused map a few steps closer to a solution, of which the first `closed` submaps are stored; gives the submaps that have retired now.
+    /// A fused map of its own, of these submaps alone, as they are stored.
+    ///
+    /// # Errors
+    /// When the store fails, or a submap is absurdly far from the others.
+    pub fn of_part(store: SubmapStore, submaps: &[PlacedSubmap]) -> Result<StoredMap, StageError> {
+        let mut fuser = Self { fusion: Fusion::new(0), store, known_area_m2: 0.0 };
+        let closed = fuser.store.count();
+        fuser.take_all(submaps, closed)?;
+        Ok(fuser.stored_map())
+    }
+
+    /// Brings the parts of the fused map a few steps closer to a solution, of which the first `closed` submaps are stored; gives the submaps that have retired now.
     ///
     /// # Errors
     /// When the store fails.
@@ -38,17 +50,20 @@ impl Fuser {
         let covered = self.fusion.covered();
         for number in &covered {
             let emptied = self.fusion.retire(self.store.load(*number)?);
-            self.store.save(&emptied)?;
+            if let Err(error) = self.store.save(&emptied) {
+                // It takes more room than it needs; at the end it is emptied again.
+                tracing::warn!(%error, number, "a submap that has retired is not emptied");
+            }
         }
         Ok(covered)
     }
 
-    /// Area of the map as it is now, m².
+    /// Area that the closed submaps know, m².
     pub fn area_m2(&self) -> f64 {
         self.fusion.area_m2()
     }
 
-    /// Brings the fused map to the final solution: it is the sum over the stored submaps at their poses then.
+    /// Makes the fused map of the final solution: it is the sum over the stored submaps at their poses then.
     ///
     /// # Errors
     /// When the store fails, or a submap is absurdly far from the others.
@@ -59,14 +74,26 @@ impl Fuser {
         self.empty_retired()
     }
 
-    /// The fused map as it is now; `None` before the first submap.
+    /// The fused map, once it is finished; `None` when there is no submap.
     pub fn map(&self) -> Option<&FusedMap> {
         self.fusion.map()
     }
 
-    /// The fused map as it is now, on the rectangle that has evidence.
+    /// The fused map, once it is finished, on the rectangle that has evidence.
     pub fn stored_map(&self) -> StoredMap {
         self.map().map_or_else(StoredMap::empty, stored_map)
+    }
+
+    /// Writes the fused map, once it is finished, into a set's results.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub fn write_map(&self, directory: &Path) -> Result<(), StageError> {
+        match self.map() {
+            Some(map) => write_map_rows(directory, &map.shape(), |push| map.for_each_row(push))?,
+            None => write_map(directory, &StoredMap::empty())?,
+        }
+        Ok(())
     }
 
     /// Masks the evidence that makes these cells of the map occupied, in all submaps of the final solution.

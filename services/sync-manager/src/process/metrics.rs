@@ -1,6 +1,7 @@
 //! Metrics of the back end: searches, closures, time for each closed submap and area of the map.
 
 use crate::ClosureCounts;
+use flockslam_results::Unattached;
 use flockslam_telemetry::{Counter, Gauge, Histogram, StageMetrics, names};
 
 /// Metrics of loop closures, time and map.
@@ -10,6 +11,7 @@ pub struct CorrectionMetrics {
     revoked: Gauge,
     optimisation: Histogram,
     area: Gauge,
+    unattached: [Gauge; 2],
     seen: ClosureCounts,
 }
 
@@ -22,6 +24,8 @@ impl CorrectionMetrics {
             revoked: metrics.gauge(names::CLOSURES_REVOKED),
             optimisation: metrics.histogram(names::OPTIMISATION),
             area: metrics.gauge(names::MAP_AREA),
+            unattached: [names::UNATTACHED_SCANS, names::UNATTACHED_TRAVEL]
+                .map(|metric| metrics.gauge(metric)),
             seen: ClosureCounts::default(),
         }
     }
@@ -30,6 +34,13 @@ impl CorrectionMetrics {
     pub fn recovered(&mut self, counts: ClosureCounts) {
         self.seen = counts;
         self.revoked.set(counts.revoked as f64);
+    }
+
+    /// Shows what nothing connects with the map.
+    pub fn unattached(&self, now: &Unattached) {
+        let [scans, travel] = &self.unattached;
+        scans.set(now.scans as f64);
+        travel.set(now.travel_m);
     }
 
     /// Counts the closures after a closed submap, and the time for it, nanoseconds.

@@ -5,9 +5,9 @@ use flockslam_geometry::Pose;
 use flockslam_messages::{PoseEstimate, ScanId};
 use flockslam_results::flock_files::NamedPose;
 use flockslam_results::{self as results, StampedPose};
-use flockslam_stage::StageError;
+use flockslam_stage::{GrowingFile, StageError};
 use std::fs::File;
-use std::io::{BufReader, BufWriter, Read, Write};
+use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
@@ -52,22 +52,16 @@ impl Trajectories {
     }
 
     /// Adds a pose as it was published.
-    ///
-    /// # Errors
-    /// When the disk refuses.
-    pub fn published(&mut self, pose: &PoseEstimate) -> Result<(), StageError> {
-        self.online.push(&StampedPose { stamp_ns: pose.times.sensor_ns, pose: pose.map_from_base() })
+    pub fn published(&mut self, pose: &PoseEstimate) {
+        self.online.push(&StampedPose { stamp_ns: pose.times.sensor_ns, pose: pose.map_from_base() });
     }
 
     /// Keeps scans that are frozen, in the order of their sequences.
-    ///
-    /// # Errors
-    /// When the disk refuses.
-    pub fn frozen(&mut self, scans: &[FrozenScan]) -> Result<(), StageError> {
-        scans.iter().try_for_each(|scan| {
+    pub fn frozen(&mut self, scans: &[FrozenScan]) {
+        for scan in scans {
             let FrozenScan { id, stamp_ns, anchor, anchor_from_base } = *scan;
-            self.frozen.push(&FrozenRow { sequence: id.sequence, stamp_ns, anchor, anchor_from_base })
-        })
+            self.frozen.push(&FrozenRow { sequence: id.sequence, stamp_ns, anchor, anchor_from_base });
+        }
     }
 
     /// Writes the published trajectory, and the final one in the order of the scans, which it gives by their names.
@@ -107,32 +101,28 @@ impl FrozenRow {
 
 /// Rows of one kind, appended to a file.
 struct RowFile<T> {
-    path: PathBuf,
-    file: BufWriter<File>,
+    file: GrowingFile,
     rows: std::marker::PhantomData<T>,
 }
 
 impl<T: FromBytes + IntoBytes + Immutable> RowFile<T> {
     fn create(path: PathBuf) -> Result<Self, StageError> {
-        let file = File::create(&path).map_err(|e| StageError::file(&path, e))?;
-        Ok(Self { file: BufWriter::new(file), path, rows: std::marker::PhantomData })
+        Ok(Self { file: GrowingFile::create(path)?, rows: std::marker::PhantomData })
     }
 
     fn move_to(&mut self, directory: &Path) -> Result<(), StageError> {
-        let to = directory.join(self.path.file_name().expect("a file of rows has a name"));
-        std::fs::rename(&self.path, &to).map_err(|e| StageError::file(&self.path, e))?;
-        self.path = to;
-        Ok(())
+        let to = directory.join(self.file.path().file_name().expect("a file of rows has a name"));
+        Ok(self.file.rename(to)?)
     }
 
-    fn push(&mut self, row: &T) -> Result<(), StageError> {
-        self.file.write_all(row.as_bytes()).map_err(|e| StageError::file(&self.path, e))
+    fn push(&mut self, row: &T) {
+        self.file.push(row.as_bytes());
     }
 
     fn read(&mut self) -> Result<Vec<T>, StageError> {
-        let wrong = |e| StageError::file(&self.path, e);
-        self.file.flush().map_err(wrong)?;
-        let file = File::open(&self.path).map_err(wrong)?;
+        self.file.flush()?;
+        let wrong = |e| StageError::file(self.file.path(), e);
+        let file = File::open(self.file.path()).map_err(wrong)?;
         let rows = file.metadata().map_err(wrong)?.len() as usize / size_of::<T>();
         let mut file = BufReader::new(file);
         let mut row = vec![0; size_of::<T>()];
@@ -157,7 +147,7 @@ mod tests {
         for sequence in 0..5 {
             let mut pose = PoseEstimate { id: id(sequence), ..PoseEstimate::default() };
             pose.times.sensor_ns = sequence as i64;
-            trajectories.published(&pose).unwrap();
+            trajectories.published(&pose);
         }
         let freeze = |sequence: u64| FrozenScan {
             id: id(sequence),
@@ -165,7 +155,7 @@ mod tests {
             anchor: 0,
             anchor_from_base: Pose::new(sequence as f64, 0.0, 0.0),
         };
-        trajectories.frozen(&[freeze(1), freeze(3)]).unwrap();
+        trajectories.frozen(&[freeze(1), freeze(3)]);
         let place = |sequence: u64| PlacedScan {
             id: id(sequence),
             stamp_ns: sequence as i64,

@@ -24,6 +24,17 @@ fn replay_trajectories(
     trajectory: impl Fn(usize) -> u32,
     settings: Settings,
 ) -> (Vec<Correction>, Solution) {
+    replay_poses(building, truth, odom, |i, pose| pose.trajectory = trajectory(i), settings)
+}
+
+/// The same, with poses that `completed` gives the rest of what the front end says.
+fn replay_poses(
+    building: &Building,
+    truth: &[Pose],
+    odom: &[Pose],
+    completed: impl Fn(usize, &mut PoseEstimate),
+    settings: Settings,
+) -> (Vec<Correction>, Solution) {
     let mut manager = SyncManager::new(settings);
     let mut noise = Noise(7);
     let mut headers = Vec::new();
@@ -31,9 +42,9 @@ fn replay_trajectories(
         let id = ScanId { sequence: i as u64, ..ScanId::default() };
         let mut pose =
             PoseEstimate { id, odom_from_base: *odom, submap: i as u32 / 60, ..PoseEstimate::default() };
-        pose.trajectory = trajectory(i);
         pose.times.sensor_ns = i as i64 * 100_000_000;
         pose.flags = if i % 2 == 0 { PoseFlags::MATCHED | PoseFlags::INSERT } else { PoseFlags::MATCHED };
+        completed(i, &mut pose);
         manager.pose(&pose);
         // One scan in seven never arrives with its points: its pose has to be filled in.
         if i % 7 != 3 {
@@ -101,6 +112,62 @@ fn a_robot_that_was_carried_away_is_found_by_its_own_past() {
     assert!(headers.iter().any(|header| (header.trajectory, header.attached) == (1, 0)));
     let all = headers.len() as u32;
     assert!(solution.submaps.iter().map(|placed| placed.number).eq(0..=all), "all submaps are in the map");
+}
+
+#[test]
+fn a_short_drive_after_the_robot_was_carried_is_found_as_a_whole() {
+    let (building, laps) = (Building::ring(), laps(2));
+    let carried = laps.len() / 2 + 40;
+    let truth = &laps[..carried + 70];
+    let elsewhere = Pose::new(30.0, -20.0, 2.2);
+    let odom: Vec<Pose> =
+        truth.iter().enumerate().map(|(i, at)| if i < carried { *at } else { elsewhere * *at }).collect();
+    let trajectory = |i: usize| u32::from(i >= carried);
+    let (headers, solution) = replay_trajectories(&building, truth, &odom, trajectory, Settings::default());
+    assert!(headers.iter().all(|header| (header.trajectory, header.attached) != (1, 1)), "not while driving");
+    assert_eq!((solution.closures.trajectories, solution.closures.detached_scans), (2, 0));
+    let worst_m = worst_error_m(&solution, truth);
+    assert!(worst_m < 0.05, "{worst_m} {:?}", solution.closures);
+}
+
+/// In the second half of a drive the robot is lost and goes on where odometry says; in truth it is `off` from there.
+fn lost_and_followed(odom: &[Pose], lost: usize) -> impl Fn(usize, &mut PoseEstimate) {
+    let odom = odom.to_vec();
+    move |i, pose| {
+        (pose.odometry, pose.trajectory) = (odom[i], u32::from(i >= lost));
+        pose.flags |= PoseFlags::HAS_ODOMETRY | if i == lost { PoseFlags::CONTINUES } else { 0 };
+    }
+}
+
+#[test]
+fn a_robot_that_was_lost_stays_in_the_map_where_odometry_says() {
+    // A lap is too short for a closure: odometry alone connects its halves.
+    let (building, truth) = (Building::ring(), laps(1));
+    let lost = truth.len() / 2;
+    let odom = drifting(&truth, 0.002, 1.005);
+    let (headers, solution) =
+        replay_poses(&building, &truth, &odom, lost_and_followed(&odom, lost), Settings::default());
+    assert_eq!((solution.closures.trajectories, solution.closures.detached_scans), (2, 0));
+    assert!(headers.iter().all(|header| header.attached == 1), "it is never said to be apart");
+    let worst_m = worst_error_m(&solution, &truth);
+    assert!(worst_m < 0.6, "{worst_m} {:?}", solution.closures);
+}
+
+#[test]
+fn closures_rule_odometry_out_that_was_wrong_while_the_robot_was_lost() {
+    let (building, truth) = (Building::ring(), laps(2));
+    let lost = truth.len() / 2 + 40;
+    let off = Pose::new(2.5, -1.5, 0.3);
+    let odom: Vec<Pose> = truth
+        .iter()
+        .enumerate()
+        .map(|(i, at)| if i < lost { *at } else { truth[lost] * off * truth[lost].to(*at) })
+        .collect();
+    let (_, solution) =
+        replay_poses(&building, &truth, &odom, lost_and_followed(&odom, lost), Settings::default());
+    assert_eq!((solution.closures.trajectories, solution.closures.detached_scans), (2, 0));
+    let worst_m = worst_error_m(&solution, &truth);
+    assert!(worst_m < 0.1, "{worst_m} {:?}", solution.closures);
 }
 
 #[test]

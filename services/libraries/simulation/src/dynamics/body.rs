@@ -13,6 +13,7 @@ const SQUEEZED_M: f64 = 0.45;
 pub(super) struct Body {
     pub(super) start: Point,
     pub(super) end: Point,
+    pub(super) radius_m: f64,
 }
 
 /// The exact motion of somebody, in the frame of the world.
@@ -36,7 +37,7 @@ impl Body {
             Point::new(self.start.x_m + share * dx - from.x_m, self.start.y_m + share * dy - from.y_m);
         let along_m = to_center.x_m * direction.x_m + to_center.y_m * direction.y_m;
         let beside_m = to_center.x_m * direction.y_m - to_center.y_m * direction.x_m;
-        let half_chord_2 = RADIUS_M * RADIUS_M - beside_m * beside_m;
+        let half_chord_2 = self.radius_m * self.radius_m - beside_m * beside_m;
         let near_m = along_m - half_chord_2.max(0.0).sqrt();
         (half_chord_2 > 0.0 && near_m > 0.0).then_some(near_m)
     }
@@ -47,7 +48,7 @@ impl Body {
             id,
             center: self.start,
             velocity_m_s: Point::new(rate(self.start.x_m, self.end.x_m), rate(self.start.y_m, self.end.y_m)),
-            radius_m: RADIUS_M,
+            radius_m: self.radius_m,
         }
     }
 }
@@ -65,7 +66,7 @@ mod tests {
 
     #[test]
     fn a_beam_ends_at_the_near_side_of_where_the_body_is_at_its_time() {
-        let body = Body { start: Point::new(2.0, 0.0), end: Point::new(3.0, 0.0) };
+        let body = Body { start: Point::new(2.0, 0.0), end: Point::new(3.0, 0.0), radius_m: RADIUS_M };
         let (here, ahead) = (Point::new(0.0, 0.0), Point::new(1.0, 0.0));
         assert_eq!(body.cast(here, ahead, 0.0), Some(2.0 - RADIUS_M));
         assert_eq!(body.cast(here, ahead, 0.5), Some(2.5 - RADIUS_M));

@@ -2,7 +2,7 @@
 
 use crate::World;
 use crate::free_space::FreeSpace;
-use crate::index::{Segment, from_to};
+use crate::index::{Segment, Surface, from_to};
 use flockslam_geometry::Point;
 use flockslam_random::Random;
 use std::f64::consts::PI;
@@ -64,7 +64,7 @@ fn passage(world: &World, place: Point) -> Option<Segment> {
     let is_open =
         |sign: f64| world.cast(place, Point::new(sign * through.x_m, sign * through.y_m), DEPTH_M).is_none();
     let fits = (WIDTH_M.0..=WIDTH_M.1).contains(&width_m) && is_open(1.0) && is_open(-1.0);
-    fits.then(|| Segment { start, along: from_to(start, end) })
+    fits.then(|| Segment { start, along: from_to(start, end), surface: Surface::Wall })
 }
 
 impl Door {

@@ -1,6 +1,6 @@
 //! A simulated person who follows the robot.
 
-use super::body::{Body, squeezed};
+use super::body::{Body, RADIUS_M, squeezed};
 use crate::drive::Turn;
 use flockslam_geometry::{Point, Pose};
 use std::collections::VecDeque;
@@ -35,7 +35,7 @@ impl Follower {
         let start = self.position;
         // The robot may come back the way it went.
         self.position = squeezed(self.trail[0], turn.end().position());
-        Body { start, end: self.position }
+        Body { start, end: self.position, radius_m: RADIUS_M }
     }
 
     /// Lets the trail begin so far behind its end.

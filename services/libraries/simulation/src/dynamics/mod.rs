@@ -5,6 +5,7 @@ mod body;
 mod door;
 mod follower;
 mod pallet;
+mod traffic;
 mod walker;
 
 pub use body::MoverTruth;
@@ -19,6 +20,7 @@ use flockslam_random::Random;
 use follower::Follower;
 use pallet::Pallet;
 use std::sync::Arc;
+use traffic::Passer;
 use walker::Walker;
 
 /// Everything that moves or changes.
@@ -29,7 +31,9 @@ pub(super) struct Dynamics {
     follower: Option<Follower>,
     doors: Vec<Door>,
     pallets: Vec<Pallet>,
-    /// Where everybody who walks is during the turn at hand: the walkers in their order, then the follower.
+    traffic: Vec<Passer>,
+    /// Where everybody who walks is during the turn at hand: the walkers in their order, then the follower, then
+    /// the traffic.
     bodies: Vec<Body>,
     turn_s: f64,
     now_s: f64,
@@ -53,6 +57,7 @@ impl Dynamics {
             follower: settings.follower.then(|| Follower::new(robot)),
             doors: door::hang(settings.doors, world, &room, start, settings.seed),
             pallets: (0..settings.pallets).map(pallet).collect(),
+            traffic: traffic::on_paths(world.paths(), settings.seed),
             bodies: Vec::new(),
             room,
             turn_s,
@@ -68,6 +73,9 @@ impl Dynamics {
             self.bodies.push(walker.walk(world, &self.room, robot, self.turn_s));
         }
         self.bodies.extend(self.follower.as_mut().map(|follower| follower.follow(turn)));
+        for passer in &mut self.traffic {
+            self.bodies.extend(passer.pass(robot, self.turn_s));
+        }
         for door in &mut self.doors {
             let passers = std::iter::once(robot).chain(self.bodies.iter().map(|body| body.start));
             door.decide(self.now_s, passers);

@@ -1,7 +1,7 @@
 //! Simulated pallets that appear, stand and vanish.
 
 use crate::free_space::FreeSpace;
-use crate::index::{Segment, from_to};
+use crate::index::{Segment, Surface, from_to};
 use flockslam_geometry::{Point, Pose};
 use flockslam_random::Random;
 use std::f64::consts::PI;
@@ -64,5 +64,9 @@ fn sides(pose: Pose) -> [Segment; 4] {
     let (x_m, y_m) = (SIZE_M.0 / 2.0, SIZE_M.1 / 2.0);
     let corners =
         [(-x_m, -y_m), (x_m, -y_m), (x_m, y_m), (-x_m, y_m)].map(|(x, y)| pose.apply(Point::new(x, y)));
-    std::array::from_fn(|i| Segment { start: corners[i], along: from_to(corners[i], corners[(i + 1) % 4]) })
+    std::array::from_fn(|i| Segment {
+        start: corners[i],
+        along: from_to(corners[i], corners[(i + 1) % 4]),
+        surface: Surface::Wall,
+    })
 }

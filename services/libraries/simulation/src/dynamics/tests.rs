@@ -8,7 +8,7 @@ use flockslam_messages::ScanBuffer;
 fn lively() -> Settings {
     Settings {
         duration_s: 120.0,
-        errors: Errors::without_lidar(),
+        errors: Some(Errors::without_lidar()),
         walkers: 8,
         follower: true,
         doors: 4,

@@ -57,7 +57,7 @@ impl Walker {
         let taken = clear.unwrap_or(velocity);
         let position = Point::new(start.x_m + turn_s * taken.x_m, start.y_m + turn_s * taken.y_m);
         self.position = squeezed(position, robot);
-        Body { start, end: self.position }
+        Body { start, end: self.position, radius_m: RADIUS_M }
     }
 
     /// The velocity that leads along the way.

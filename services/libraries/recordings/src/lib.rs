@@ -1,0 +1,29 @@
+//! Recordings of robots, message by message: ROS 1 bags, and rosbag2 folders and their files (SQLite and MCAP).
+//!
+//! [`Recording`] opens any of them by its content and gives its messages in the order in which they were recorded;
+//! [`Reading`] is what a message says, where it is one of those that are understood.
+
+mod any_recording;
+mod bag_file;
+mod bag_record;
+mod db3_file;
+mod mcap_messages;
+mod message_fields;
+mod recording_error;
+mod ros_messages;
+
+pub use any_recording::{Recording, Topic, is_recording};
+pub use message_fields::{MessageProblem, Wire};
+pub use recording_error::RecordingError;
+pub use ros_messages::{FramedScan, OdometryReading, Reading, ReadingKind};
+
+/// A message as it was recorded.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Message {
+    /// Which of the recording's topics.
+    topic: usize,
+    /// When it was recorded, nanoseconds.
+    recorded_ns: i64,
+    /// Its serialized fields.
+    bytes: Vec<u8>,
+}

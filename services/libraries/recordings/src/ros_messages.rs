@@ -1,0 +1,294 @@
+//! What messages of ROS say: a scan, odometry, transforms.
+
+use crate::message_fields::{Fields, MessageProblem, Wire};
+use flockslam_messages::{ScanBuffer, ScanSections};
+use flockslam_transforms::{Isometry3, StampedTransform};
+use nalgebra::{Quaternion, Translation3, UnitQuaternion};
+
+/// Ranges below are not returns, metres: nothing is nearer to a lidar than its own housing, and sensors write 0 for "no return".
+const RANGE_MIN_M: f32 = 0.05;
+/// More beams than this are refused: ten times as many as any known lidar has.
+const BEAMS_MAX: usize = 10_000_000;
+/// No lidar takes longer for a turn, seconds; a driver that says so fills the field with something else.
+const SWEEP_MAX_S: f32 = 1.2;
+
+/// Kinds of messages that are understood.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum ReadingKind {
+    /// `sensor_msgs/LaserScan`.
+    Scan,
+    /// `sensor_msgs/MultiEchoLaserScan`.
+    MultiEchoScan,
+    /// `nav_msgs/Odometry`.
+    Odometry,
+    /// `tf2_msgs/TFMessage`, `tf/tfMessage`.
+    Transforms,
+}
+
+/// What a message says.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Reading {
+    /// A scan.
+    Scan(FramedScan),
+    /// The pose by odometry.
+    Odometry(OdometryReading),
+    /// Poses of frames.
+    Transforms(Vec<StampedTransform>),
+}
+
+/// A scan, and the frame that it was taken in.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FramedScan {
+    /// The lidar's frame.
+    pub frame: String,
+    /// The scan: stamp, angles, times of beams, limits, ranges and intensities. The rest of its header is as new.
+    pub scan: ScanBuffer,
+}
+
+/// A pose by odometry.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OdometryReading {
+    /// From the frame of odometry to that of the robot.
+    pub transform: StampedTransform,
+}
+
+impl ReadingKind {
+    /// The kind by the name of a message's type, with or without `msg/` in it.
+    pub fn of_type(name: &str) -> Option<Self> {
+        match name.replace("/msg/", "/").as_str() {
+            "sensor_msgs/LaserScan" => Some(Self::Scan),
+            "sensor_msgs/MultiEchoLaserScan" => Some(Self::MultiEchoScan),
+            "nav_msgs/Odometry" => Some(Self::Odometry),
+            "tf2_msgs/TFMessage" | "tf/tfMessage" => Some(Self::Transforms),
+            _ => None,
+        }
+    }
+
+    /// Whether it is a scan of whatever kind.
+    pub fn is_scan(self) -> bool {
+        matches!(self, Self::Scan | Self::MultiEchoScan)
+    }
+}
+
+impl Reading {
+    /// Reads a serialized message.
+    ///
+    /// # Errors
+    /// When the bytes are not such a message, or it has more beams than are taken.
+    pub fn decode(kind: ReadingKind, bytes: &[u8], wire: Wire) -> Result<Self, MessageProblem> {
+        let fields = Fields::new(bytes, wire)?;
+        match kind {
+            ReadingKind::Scan | ReadingKind::MultiEchoScan => laser_scan(fields, kind).map(Self::Scan),
+            ReadingKind::Odometry => odometry(fields).map(Self::Odometry),
+            ReadingKind::Transforms => transforms(fields).map(Self::Transforms),
+        }
+    }
+}
+
+fn laser_scan(mut fields: Fields<'_>, kind: ReadingKind) -> Result<FramedScan, MessageProblem> {
+    let (stamp_ns, frame) = fields.header()?;
+    let mut shape = [0.0; 7];
+    for number in &mut shape {
+        *number = fields.f32()?;
+    }
+    let [angle_min, _angle_max, increment, time_increment, _scan_time, range_min, range_max] = shape;
+    let mut numbers = Vec::new();
+    let beams = match kind {
+        ReadingKind::MultiEchoScan => last_echoes(&mut fields, &mut numbers)?,
+        _ => fields.floats(&mut numbers)?,
+    };
+    if beams > BEAMS_MAX {
+        return Err(MessageProblem::TooManyBeams);
+    }
+    let intensities = match kind {
+        ReadingKind::MultiEchoScan => last_echoes(&mut fields, &mut numbers)?,
+        _ => fields.floats(&mut numbers)?,
+    };
+    let has_intensities = beams > 0 && intensities == beams;
+    if !has_intensities {
+        numbers.truncate(beams);
+    }
+    if ![angle_min, increment, range_min, range_max].into_iter().all(f32::is_finite) {
+        return Err(MessageProblem::NotFinite);
+    }
+    let mut scan = ScanBuffer { numbers, ..ScanBuffer::default() };
+    let header = &mut scan.header;
+    header.times.sensor_ns = stamp_ns;
+    (header.angle_min_rad, header.angle_increment_rad) = (f64::from(angle_min), f64::from(increment));
+    header.range_min_m = range_min.max(RANGE_MIN_M);
+    header.range_max_m = range_max;
+    // Written this way round, so that NaN fails.
+    let is_plausible = time_increment.abs() * beams as f32 <= SWEEP_MAX_S;
+    header.time_increment_s = if is_plausible { time_increment } else { 0.0 };
+    header.beam_count = beams as u32;
+    header.sections = if has_intensities { ScanSections::INTENSITIES } else { 0 };
+    Ok(FramedScan { frame, scan })
+}
+
+/// Of each beam of a `LaserEcho[]` the last echo: what lies behind glass and rain. NaN where a beam has none.
+fn last_echoes(fields: &mut Fields<'_>, numbers: &mut Vec<f32>) -> Result<usize, MessageProblem> {
+    let beams = fields.u32()? as usize;
+    for beam in 0..beams {
+        if beam == BEAMS_MAX {
+            return Err(MessageProblem::TooManyBeams);
+        }
+        let echoes = fields.u32()? as usize;
+        let last = match echoes.checked_sub(1) {
+            Some(before) => {
+                fields.skip_floats(before)?;
+                fields.f32()?
+            }
+            None => f32::NAN,
+        };
+        numbers.push(last);
+    }
+    Ok(beams)
+}
+
+fn odometry(mut fields: Fields<'_>) -> Result<OdometryReading, MessageProblem> {
+    let (stamp_ns, parent) = fields.header()?;
+    let child = fields.text()?;
+    let parent_from_child = pose(&mut fields)?;
+    Ok(OdometryReading { transform: StampedTransform { stamp_ns, parent, child, parent_from_child } })
+}
+
+fn transforms(mut fields: Fields<'_>) -> Result<Vec<StampedTransform>, MessageProblem> {
+    let count = fields.u32()?;
+    let mut found = Vec::new();
+    for _ in 0..count {
+        let (stamp_ns, parent) = fields.header()?;
+        let child = fields.text()?;
+        let parent_from_child = pose(&mut fields)?;
+        found.push(StampedTransform { stamp_ns, parent, child, parent_from_child });
+    }
+    Ok(found)
+}
+
+/// A position and a quaternion.
+fn pose(fields: &mut Fields<'_>) -> Result<Isometry3<f64>, MessageProblem> {
+    let mut numbers = [0.0; 7];
+    for number in &mut numbers {
+        *number = fields.f64()?;
+    }
+    let [x, y, z, i, j, k, w] = numbers;
+    let quaternion = Quaternion::new(w, i, j, k);
+    let is_sound = numbers.iter().all(|number| number.is_finite()) && quaternion.norm() > 1e-6;
+    if !is_sound {
+        return Err(MessageProblem::NotFinite);
+    }
+    Ok(Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::from_quaternion(quaternion)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn text(text: &str) -> Vec<u8> {
+        [&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat()
+    }
+
+    fn header(frame: &str) -> Vec<u8> {
+        [&7u32.to_le_bytes()[..], &12u32.to_le_bytes(), &500u32.to_le_bytes(), &text(frame)].concat()
+    }
+
+    fn floats(values: &[f32]) -> Vec<u8> {
+        values.iter().flat_map(|value| value.to_le_bytes()).collect()
+    }
+
+    fn array(values: &[f32]) -> Vec<u8> {
+        [&(values.len() as u32).to_le_bytes()[..], &floats(values)].concat()
+    }
+
+    fn doubles(values: &[f64]) -> Vec<u8> {
+        values.iter().flat_map(|value| value.to_le_bytes()).collect()
+    }
+
+    const SHAPE: [f32; 7] = [-1.5, 1.5, 0.5, 1e-3, 0.1, 0.02, 30.0];
+
+    fn message(time_increment_s: f32) -> Vec<u8> {
+        let mut shape = SHAPE;
+        shape[3] = time_increment_s;
+        let ranges = array(&[1.0, f32::INFINITY, f32::NAN, 2.5]);
+        [header("laser"), floats(&shape), ranges, array(&[])].concat()
+    }
+
+    fn scan(bytes: &[u8], kind: ReadingKind) -> Result<FramedScan, MessageProblem> {
+        Reading::decode(kind, bytes, Wire::Ros1).map(|reading| match reading {
+            Reading::Scan(scan) => scan,
+            other => panic!("{other:?}"),
+        })
+    }
+
+    #[test]
+    fn a_laser_scan_becomes_a_scan() {
+        let found = scan(&message(1e-3), ReadingKind::Scan).unwrap();
+        let view = found.scan.view().unwrap();
+        assert_eq!((found.frame.as_str(), view.len()), ("laser", 4));
+        assert_eq!(found.scan.header.times.sensor_ns, 12_000_000_500);
+        assert_eq!([0, 1, 2, 3].map(|beam| view.valid_range_m(beam)), [Some(1.0), None, None, Some(2.5)]);
+        assert_eq!((view.angle_rad(3), found.scan.header.range_max_m), (0.0, 30.0));
+        assert_eq!(found.scan.header.time_increment_s, 1e-3);
+        for cut in 0..message(0.0).len() {
+            assert!(scan(&message(0.0)[..cut], ReadingKind::Scan).is_err(), "{cut}");
+        }
+    }
+
+    #[test]
+    fn times_of_beams_that_no_lidar_has_are_left_out() {
+        for senseless in [153_333.0, f32::NAN, -1.0] {
+            let found = scan(&message(senseless), ReadingKind::Scan).unwrap();
+            assert_eq!(found.scan.header.time_increment_s, 0.0, "{senseless}");
+        }
+    }
+
+    #[test]
+    fn of_several_echoes_the_last_counts() {
+        let echoes = [&3u32.to_le_bytes()[..], &array(&[1.0, 4.0]), &array(&[]), &array(&[2.0])].concat();
+        let bytes = [header("laser"), floats(&SHAPE), echoes, 0u32.to_le_bytes().to_vec()].concat();
+        let found = scan(&bytes, ReadingKind::MultiEchoScan).unwrap();
+        let view = found.scan.view().unwrap();
+        assert_eq!([0, 1, 2].map(|beam| view.valid_range_m(beam)), [Some(4.0), None, Some(2.0)]);
+    }
+
+    #[test]
+    fn odometry_and_transforms_are_poses_between_frames() {
+        let pose = doubles(&[1.0, -2.0, 0.3, 0.0, 0.0, (0.25f64).sin(), (0.25f64).cos()]);
+        let one = [header("odom"), text("base_link"), pose].concat();
+        let Reading::Odometry(found) = Reading::decode(ReadingKind::Odometry, &one, Wire::Ros1).unwrap()
+        else {
+            panic!("not odometry")
+        };
+        let transform = found.transform;
+        assert_eq!((transform.parent.as_str(), transform.child.as_str()), ("odom", "base_link"));
+        assert!((transform.parent_from_child.rotation.euler_angles().2 - 0.5).abs() < 1e-12);
+        let two = [&2u32.to_le_bytes()[..], &one, &one].concat();
+        let found = Reading::decode(ReadingKind::Transforms, &two, Wire::Ros1).unwrap();
+        assert_eq!(found, Reading::Transforms(vec![transform.clone(), transform]));
+        let nowhere = [header("odom"), text("base_link"), doubles(&[0.0; 7])].concat();
+        let found = Reading::decode(ReadingKind::Odometry, &nowhere, Wire::Ros1);
+        assert_eq!(found, Err(MessageProblem::NotFinite));
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_are_survived(
+            at in 0usize..80, value in any::<u8>(), more in prop::collection::vec(any::<u8>(), 0..40), cdr in any::<bool>()
+        ) {
+            let mut bytes = message(0.0);
+            if cdr {
+                bytes.splice(0..4, [0, 1, 0, 0]);
+            }
+            bytes.extend(more);
+            let place = at % bytes.len();
+            bytes[place] = value;
+            let wire = if cdr { Wire::Cdr } else { Wire::Ros1 };
+            use ReadingKind::{MultiEchoScan, Odometry, Scan, Transforms};
+            for kind in [Scan, MultiEchoScan, Odometry, Transforms] {
+                if let Ok(Reading::Scan(found)) = Reading::decode(kind, &bytes, wire) {
+                    prop_assert!(found.scan.view().is_ok());
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,8 @@
+//! Poses of frames on a robot, over time and in space, as `/tf` and `/tf_static` give them, and what a scan in the plane needs of them.
+
+mod mounting;
+mod transform_buffer;
+
+pub use mounting::{Mounting, MountingError, planar};
+pub use nalgebra::Isometry3;
+pub use transform_buffer::{LookupError, StampedTransform, TransformBuffer, frame_name};

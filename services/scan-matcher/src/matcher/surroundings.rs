@@ -1,0 +1,127 @@
+//! The surfaces around the robot, to which scans are fitted where the grid does not hold them.
+
+use super::points::{MoverMask, ScanPoints};
+use crate::motion::{Prediction, SLIP_COST, matrix};
+use flockslam_geometry::{Covariance, Pose, Twist, wrap_angle};
+use flockslam_messages::ScanView;
+use flockslam_registration::{SURFACE_RANGE_MAX_M, SurfaceFit, SurfaceMap, SurfacePrior};
+use nalgebra::{Matrix3, Vector3};
+
+/// Of scans with more beams than this only every n-th beam is used: surfaces are as wide as several beams are apart.
+const BEAMS_MAX: usize = 400;
+/// Odometry is doubted when the scan alone gives a pose that costs more than this by it: three standard deviations.
+const DOUBTFUL_COST: f64 = 4.5;
+/// Wheels are taken to slip only where fewer than the first share of the usual inliers are found by odometry, and at least the second
+/// elsewhere: surfaces that move with the robot, as the ground does, hold a scan a little better in many places.
+const POOR_SHARE: f64 = 0.6;
+const GOOD_SHARE: f64 = 0.8;
+/// Wheels that slip err this many times more than usual.
+const SLIP_TIMES: f64 = 10.0;
+/// A prediction is known no better than this, metres and radians.
+const SIGMA_MIN: (f64, f64) = (1e-3, 3e-4);
+/// A fit is believed when at least this share of the points lies on surfaces, and no fewer than so many standard deviations below
+/// the usual share.
+const INLIERS_MIN: f64 = 0.15;
+const UNUSUAL: f64 = 3.0;
+/// Fits after which the usual share is known.
+const START_FITS: u64 = 20;
+/// Weight of the newest fit in the usual share of inliers.
+const RATE: f64 = 0.02;
+
+/// The surfaces that the last scans have shown.
+#[derive(Debug, Default)]
+pub(super) struct Surroundings {
+    map: SurfaceMap,
+    points: ScanPoints,
+    /// Running mean of the share of inliers and of its squared deviation, and the scans that they were taken over.
+    usual: f64,
+    variance: f64,
+    fits: u64,
+}
+
+impl Surroundings {
+    /// Forgets all scans.
+    pub(super) fn clear(&mut self) {
+        self.map.clear();
+        (self.usual, self.variance, self.fits) = (0.0, 0.0, 0);
+    }
+
+    /// Whether enough scans were fitted to say that another does not belong here.
+    pub(super) fn are_known(&self) -> bool {
+        self.fits >= START_FITS
+    }
+
+    /// A scan was made at this pose.
+    pub(super) fn add(&mut self, scan: ScanView<'_>, mask: &MoverMask, pose: Pose, twist: Twist) {
+        self.take(scan, twist, mask);
+        if !self.map.is_empty() && self.points.len() > 0 {
+            let inliers = self.map.inliers_at(&self.points.ends, pose);
+            self.count(inliers);
+        }
+        self.map.add(pose, &self.points.ends);
+    }
+
+    /// The pose that explains a scan and its prediction best; `None` when too little of the scan is known.
+    pub(super) fn fit(
+        &mut self,
+        scan: ScanView<'_>,
+        mask: &MoverMask,
+        prediction: &Prediction,
+    ) -> Option<SurfaceFit> {
+        if self.map.is_empty() {
+            return None;
+        }
+        self.take(scan, prediction.twist, mask);
+        let usual = prior(prediction.pose, prediction.step);
+        let by_odometry = self.map.fit(&self.points.ends, &usual)?;
+        let fit = self.slipped(&usual, by_odometry);
+        let is_usual = !self.are_known() || fit.inliers >= self.usual - UNUSUAL * self.variance.sqrt();
+        if fit.inliers < INLIERS_MIN || !is_usual {
+            return None;
+        }
+        Some(fit)
+    }
+
+    fn count(&mut self, inliers: f64) {
+        self.fits += 1;
+        let (rate, off) = (RATE.max(1.0 / self.fits as f64), inliers - self.usual);
+        self.usual += rate * off;
+        self.variance += rate * (off * off - self.variance);
+    }
+
+    /// The fit by odometry, or a likelier one where wheels slip and turn the robot by more than they say.
+    fn slipped(&self, usual: &SurfacePrior, by_odometry: SurfaceFit) -> SurfaceFit {
+        let is_poor = by_odometry.inliers < POOR_SHARE * self.usual;
+        if !is_poor || prior_cost(usual, by_odometry.alone) < DOUBTFUL_COST {
+            return by_odometry;
+        }
+        let mut weak = *usual;
+        weak.information[(2, 2)] /= SLIP_TIMES * SLIP_TIMES;
+        let slipped = self.map.fit(&self.points.ends, &weak).filter(|fit| {
+            fit.inliers >= GOOD_SHARE * self.usual
+                && fit.cost + fit.prior_cost + SLIP_COST < by_odometry.cost + by_odometry.prior_cost
+        });
+        slipped.unwrap_or(by_odometry)
+    }
+
+    fn take(&mut self, scan: ScanView<'_>, twist: Twist, mask: &MoverMask) {
+        let points = std::mem::take(&mut self.points);
+        self.points = points.thinned(scan, twist, mask, SURFACE_RANGE_MAX_M, BEAMS_MAX);
+    }
+}
+
+/// How improbable a pose is by a prediction: half the squared Mahalanobis distance.
+fn prior_cost(prior: &SurfacePrior, pose: Pose) -> f64 {
+    let off = Vector3::new(
+        pose.x_m - prior.pose.x_m,
+        pose.y_m - prior.pose.y_m,
+        wrap_angle(pose.heading_rad - prior.pose.heading_rad),
+    );
+    0.5 * off.dot(&(prior.information * off))
+}
+
+fn prior(pose: Pose, covariance: Covariance) -> SurfacePrior {
+    let least = Vector3::new(SIGMA_MIN.0.powi(2), SIGMA_MIN.0.powi(2), SIGMA_MIN.1.powi(2));
+    let covariance = matrix(covariance) + Matrix3::from_diagonal(&least);
+    SurfacePrior { pose, information: covariance.try_inverse().unwrap_or_else(Matrix3::zeros) }
+}

@@ -1,0 +1,90 @@
+//! The passes over all nodes at the end: they match the nodes again and solve the graph of these matches.
+
+use super::SyncManager;
+use flockslam_loop_closure::attachment::AttachmentFinder;
+use flockslam_loop_closure::dense::DensePass;
+use flockslam_loop_closure::finder::World;
+use flockslam_loop_closure::node::Node;
+use flockslam_loop_closure::refine::Refinement;
+use flockslam_loop_closure::segment::Segment;
+use flockslam_pose_graph::Edge;
+use std::collections::BTreeSet;
+use std::ops::Range;
+
+impl SyncManager {
+    /// Looks for the trajectories that no closure has attached, the longest first, as wholes.
+    pub(super) fn attach(&mut self) {
+        let known = self.odometry.nodes().len();
+        let mut tried = BTreeSet::new();
+        while let Some(part) = self.largest_detached(&tried) {
+            let nodes = self.odometry.nodes();
+            tried.insert(nodes[part.start].trajectory);
+            let connectivity = self.connectivity(known);
+            let in_map = |node: &Node| connectivity.is_attached(node.trajectory);
+            let world = World { nodes, scans: &self.scans, segments: &self.segments, poses: &self.poses };
+            let found = AttachmentFinder::default().find(&world, part, in_map, self.finder.scratch());
+            if let Some(closure) = found {
+                self.closures.push(closure);
+                self.is_inlier.push(true);
+                self.solve(known);
+            }
+        }
+    }
+
+    /// The nodes of the largest trajectory that does not belong to the map, except those tried.
+    fn largest_detached(&self, tried: &BTreeSet<u32>) -> Option<Range<usize>> {
+        let nodes = self.odometry.nodes();
+        let connectivity = self.connectivity(nodes.len());
+        let (mut start, mut largest) = (0, 0..0);
+        for trajectory in nodes.chunk_by(|a, b| a.trajectory == b.trajectory) {
+            let number = trajectory[0].trajectory;
+            let is_asked = !connectivity.is_attached(number) && !tried.contains(&number);
+            if is_asked && trajectory.len() > largest.len() {
+                largest = start..start + trajectory.len();
+            }
+            start += trajectory.len();
+        }
+        Some(largest).filter(|largest| !largest.is_empty())
+    }
+
+    /// The dense pass over all nodes, then the match of all nodes to their common map.
+    pub(super) fn refine(&mut self) {
+        let nodes = self.odometry.nodes();
+        let mut segments = self.segments.clone();
+        let rest = segments.last().map_or(0, |s| s.nodes.end)..nodes.len();
+        if !rest.is_empty() {
+            segments.push(Segment::new(rest));
+        }
+        let connectivity = self.connectivity(nodes.len());
+        let pass = DensePass {
+            nodes,
+            scans: &self.scans,
+            segments: &segments,
+            odometry: self.odometry.edges(),
+            open: &self.closures_in_the_open(),
+            connectivity: &connectivity,
+        };
+        pass.run(self.finder.scratch(), &mut self.poses);
+        self.match_to_map();
+    }
+
+    /// The inliers among the closures of nodes that the dense pass leaves as they are.
+    fn closures_in_the_open(&self) -> Vec<Edge> {
+        let nodes = self.odometry.nodes();
+        let inliers = self.closures.iter().zip(&self.is_inlier).filter(|(_, is_inlier)| **is_inlier);
+        inliers
+            .map(|(c, _)| c.edge)
+            .filter(|edge| nodes[edge.from].is_open || nodes[edge.to].is_open)
+            .collect()
+    }
+
+    /// Matches all nodes of the map to the map that they make together.
+    pub(super) fn match_to_map(&mut self) {
+        let nodes = self.odometry.nodes();
+        let connectivity = self.connectivity(nodes.len());
+        let in_map: Vec<bool> = nodes.iter().map(|node| connectivity.is_attached(node.trajectory)).collect();
+        let (odometry, open) = (self.odometry.edges(), &self.closures_in_the_open());
+        let refinement = Refinement { nodes, scans: &self.scans, odometry, open, in_map: &in_map };
+        refinement.run(self.finder.scratch(), &mut self.poses);
+    }
+}

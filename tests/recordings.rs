@@ -1,0 +1,137 @@
+//! Recordings as people have them go in as they are, whatever wrote and packed them; one that was cut off goes in as far as it goes.
+
+use crate::support;
+use crate::support::public_logs::Log;
+use crate::support::tools::{python_with, tool};
+use crate::support::{Outputs, data_dir, stderr};
+use flockslam::evaluation::{evaluate_truth, parse_tum};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Mean error of the drive under motion capture, metres: a tenth more than 0.0121 m.
+const CAPTURED_ERROR_M: f64 = 0.0133;
+
+fn recording(name: &str) -> Option<PathBuf> {
+    Some(data_dir()?.join("robot").join(name))
+}
+
+fn mapped(place: &Path, recording: &Path) -> Outputs {
+    Log::map(recording, &place.join("out"), &[])
+}
+
+/// What the executable says when it refuses a recording.
+fn refusal(place: &Path, recording: &Path, more: &[&str]) -> String {
+    let mut args = vec!["map".to_owned(), recording.display().to_string()];
+    args.extend(more.iter().map(|arg| (*arg).to_owned()));
+    let output = support::run("refused", &place.join("out"), &args);
+    assert_eq!(output.status.code(), Some(2), "{recording:?}: {}", stderr(&output));
+    let text = stderr(&output);
+    assert_eq!(text.trim_end().lines().count(), 1, "{text}");
+    text
+}
+
+#[test]
+fn a_bag_and_the_rosbag2_of_the_same_drive_give_the_same_bytes_and_are_true() {
+    let (Some(bag), Some(folder)) = (recording("mocap/drive.bag"), recording("mocap/drive-rosbag2")) else {
+        return;
+    };
+    let directory = tempfile::tempdir().unwrap();
+    let outputs = mapped(directory.path(), &bag);
+    let truth = fs::read(recording("mocap/drive.truth.tum").unwrap()).unwrap();
+    let truth = parse_tum("truth", &truth).unwrap();
+    let error = evaluate_truth(&outputs.trajectory("trajectory.tum"), &truth).unwrap();
+    let mean_m = error.absolute.translation_m.unwrap().mean;
+    println!("{mean_m:.4} m");
+    assert!(mean_m < CAPTURED_ERROR_M, "{mean_m} m");
+    let of_bag = (outputs.report.map_hash.clone(), outputs.lines("trajectory.tum"));
+    let outputs = mapped(directory.path(), &folder);
+    assert_eq!(of_bag, (outputs.report.map_hash.clone(), outputs.lines("trajectory.tum")));
+}
+
+#[test]
+fn real_recordings_of_all_kinds_give_one_map_each() {
+    for (name, scans) in [
+        ("carried/before.bag", 857),
+        ("carried/after.bag", 730),
+        ("carried/within-2.bag", 920),
+        ("transforms/odometry-in-tf.bag", 819),
+        ("transforms/tf-out-of-order.bag", 136),
+        ("varying-beams/rosbag2", 436),
+    ] {
+        let Some(file) = recording(name) else { return };
+        let directory = tempfile::tempdir().unwrap();
+        let report = mapped(directory.path(), &file).report;
+        assert_eq!((report.scans, report.detached_scans), (scans, 0), "{name}");
+    }
+}
+
+/// Packed and unpacked, in SQLite and in MCAP, converted by the public package.
+#[test]
+fn one_drive_in_eight_formats_gives_one_map() {
+    let Some(bag) = recording("carried/after.bag") else { return };
+    let directory = tempfile::tempdir().unwrap();
+    let place = directory.path();
+    if python_with(place, &["rosbags"]).is_none() {
+        return;
+    }
+    let plain = mapped(place, &bag).report.map_hash;
+    for (to, options) in [
+        ("sqlite", "--dst-storage sqlite3"),
+        ("mcap", "--dst-storage mcap"),
+        ("file", "--dst-storage sqlite3 --compress zstd --compress-mode file"),
+        ("message", "--dst-storage sqlite3 --compress zstd --compress-mode message"),
+        ("chunks", "--dst-storage mcap --compress zstd --compress-mode storage"),
+        ("bz2.bag", "--compress bz2"),
+        ("lz4.bag", "--compress lz4"),
+    ] {
+        let mut args = vec!["--src", bag.to_str().unwrap(), "--dst", to];
+        args.extend(options.split(' '));
+        tool(place, &place.join("venv/bin/rosbags-convert"), &args).expect("it was installed");
+        assert_eq!(mapped(place, &place.join(to)).report.map_hash, plain, "{to}");
+    }
+    // Whatever lies beside the files of a folder, and whether its description is there.
+    fs::remove_file(place.join("mcap/metadata.yaml")).unwrap();
+    fs::write(place.join("mcap/notes.txt"), "a drive").unwrap();
+    assert_eq!(mapped(place, &place.join("mcap")).report.map_hash, plain);
+    // Cut off, it is read up to there.
+    let bytes = fs::read(place.join("mcap/mcap.mcap")).unwrap();
+    fs::write(place.join("cut.mcap"), &bytes[..bytes.len() / 2]).unwrap();
+    let scans = mapped(place, &place.join("cut.mcap")).report.scans;
+    assert!((300..500).contains(&scans), "{scans} of 730");
+}
+
+#[test]
+fn a_bag_that_was_cut_off_is_read_up_to_there_and_a_damaged_one_is_refused() {
+    let Some(bag) = recording("carried/before.bag") else { return };
+    let directory = tempfile::tempdir().unwrap();
+    let place = directory.path();
+    let bytes = fs::read(&bag).unwrap();
+    let cut = place.join("cut.bag");
+    fs::write(&cut, &bytes[..bytes.len() * 6 / 10]).unwrap();
+    let args = ["map".to_owned(), cut.display().to_string()];
+    let output = support::run("cut", &place.join("out"), &args);
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(stderr(&output).contains("cut off: read up to where it ends"), "{}", stderr(&output));
+    let scans = Outputs::read(&place.join("out")).report.scans;
+    assert!((300..700).contains(&scans), "{scans} of 857");
+    let damaged = data_dir().unwrap().join("malformed/ccny_demo_corrupt.bag");
+    assert!(
+        refusal(place, &damaged, &[]).contains("byte 798265: the bag breaks off in a record, or is damaged")
+    );
+}
+
+#[test]
+fn what_is_missing_or_not_clear_is_said_in_one_line_with_its_cure() {
+    let Some(bag) = recording("carried/before.bag") else { return };
+    let directory = tempfile::tempdir().unwrap();
+    let place = directory.path();
+    let text = refusal(place, &bag, &["--scan", "/front"]);
+    assert!(text.contains("no scans on /front; there are: /scan (857)"), "{text}");
+    let text = refusal(place, &bag, &["--odom", "/scan"]);
+    assert!(text.contains("no odometry on /scan; there are: /odom (863)"), "{text}");
+    fs::create_dir(place.join("empty")).unwrap();
+    assert!(refusal(place, &place.join("empty"), &[]).contains("not a recording that can be read"));
+    let noise = place.join("noise.mcap");
+    fs::write(&noise, [b"\x89MCAP0\r\n".as_slice(), &[0xff; 400]].concat()).unwrap();
+    assert!(refusal(place, &noise, &[]).contains("noise.mcap"));
+}
