@@ -58,7 +58,7 @@ fn files_that_cannot_be_read_are_refused() {
     let missing = missing.to_str().unwrap();
     refused_at(&["map", missing], &format!("{missing}: "), "No such file");
     let directory = directory.path().to_str().unwrap();
-    refused_at(&["map", directory], &format!("{directory}: "), "directory");
+    refused_at(&["map", directory], &format!("{directory}: "), "not a recording that can be read");
     refused_at(&["demo", "--world", missing], &format!("{missing}: "), "No such file");
 }
 
@@ -208,7 +208,7 @@ fn arguments_that_make_no_sense_are_refused() {
         let text = refused(&["demo", &format!("--rate={rate}")]);
         assert!(text.contains("--rate"), "{text}");
     }
-    assert!(refused(&["map"]).contains("LOG"));
+    assert!(refused(&["map"]).contains("RECORDING"));
 }
 
 #[test]

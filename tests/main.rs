@@ -19,6 +19,7 @@ mod live_set;
 mod log_readers;
 mod logs;
 mod metrics;
+mod mountings;
 mod moving_world;
 mod ndt_experiments;
 mod old_words;

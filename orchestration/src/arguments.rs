@@ -23,6 +23,8 @@ pub struct Cli {
 pub enum Command {
     /// Turns a lidar log into a map, a trajectory, a picture and a report, by six processes
     Map(MapArgs),
+    /// Says what is in a recording, what would be read of it, and what it lacks
+    Inspect(InspectArgs),
     /// The same from a simulated building, with its error against the exact truth
     Demo(DemoArgs),
     /// Lets several robots, each a process set of its own, map together: spans of one log, or the simulated building
@@ -84,15 +86,56 @@ pub struct MapArgs {
     /// Where scans come from, in place of a log: `-` reads CARMEN lines from the standard input as they arrive
     #[arg(long, value_name = "-")]
     pub source: Option<PathBuf>,
-    /// Topic of the recording that scans are read from; needed where there is more than one
-    #[arg(long, value_name = "TOPIC")]
-    pub scan: Option<String>,
-    /// Topic of the recording that odometry is read from; needed where there is more than one
-    #[arg(long, value_name = "TOPIC")]
-    pub odom: Option<String>,
+    /// What is read of the recording
+    #[command(flatten)]
+    pub topics: TopicArgs,
     /// What every run shares
     #[command(flatten)]
     pub run: RunArgs,
+}
+
+/// Topics of a recording that are read.
+#[derive(Clone, Debug, Args)]
+pub struct TopicArgs {
+    /// Topic of the recording that scans are read from; needed where there is more than one; for several lidars given for each
+    #[arg(long, value_name = "TOPIC")]
+    pub scan: Vec<String>,
+    /// Topic of the recording that odometry is read from; needed where there is more than one
+    #[arg(long, value_name = "TOPIC")]
+    pub odom: Option<String>,
+    /// Topic of the recording with an IMU whose turns replace those of odometry
+    #[arg(long, value_name = "TOPIC")]
+    pub imu: Option<String>,
+}
+
+impl TopicArgs {
+    /// The settings that say the same.
+    pub fn assignments(&self) -> Vec<String> {
+        let named = [("odometry_topic", &self.odom), ("imu_topic", &self.imu)];
+        let named = named.into_iter().filter_map(|(key, topic)| topic.as_ref().map(|topic| (key, topic)));
+        let mut found: Vec<String> = named.map(|(key, topic)| format!("lidar_ingest.{key}={topic:?}")).collect();
+        if !self.scan.is_empty() {
+            found.push(format!("lidar_ingest.scan_topics={:?}", self.scan));
+        }
+        found
+    }
+}
+
+/// `flockslam inspect`.
+#[derive(Clone, Debug, Args)]
+pub struct InspectArgs {
+    /// CARMEN log, ROS 1 bag, rosbag2 folder, .db3 or .mcap file
+    #[arg(value_name = "RECORDING")]
+    pub recording: PathBuf,
+    /// What would be read of it
+    #[command(flatten)]
+    pub topics: TopicArgs,
+    /// Prints JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Settings
+    #[command(flatten)]
+    pub configuration: ConfigurationArgs,
 }
 
 /// What every run of a set needs.

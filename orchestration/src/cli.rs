@@ -25,6 +25,7 @@ pub fn main() -> ExitCode {
     let outcome = match cli.command {
         Command::Stage(args) => return commands::stage::run(&args),
         Command::Map(args) => commands::map::run(&args),
+        Command::Inspect(args) => commands::inspect::run(&args),
         Command::Demo(args) => commands::demo::run(&args),
         Command::Swarm(args) => commands::swarm::run(&args),
         Command::Up(args) => commands::up::run(&args),

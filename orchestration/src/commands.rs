@@ -7,6 +7,7 @@ mod contacts;
 pub mod control_command;
 pub mod demo;
 pub mod evaluate;
+pub mod inspect;
 mod joined_map;
 pub mod log_command;
 pub mod map;

@@ -18,6 +18,7 @@ mod outputs;
 mod pictures;
 mod poses;
 pub mod public_logs;
+pub mod ros_recording;
 mod running;
 pub mod seeded_drives;
 mod simulated_log;

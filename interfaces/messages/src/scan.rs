@@ -4,9 +4,13 @@
 use crate::message::message;
 use crate::{ScanId, Times};
 use flockslam_geometry::Pose;
+use zerocopy::{FromBytes, IntoBytes};
 
 /// Scans with more beams than this travel on a service of their own, so that ordinary sets stay small.
 pub const LARGE_SCAN_BEAMS: usize = 64 * 1024;
+
+/// Of the odometry of a scan only the heading is known.
+pub const HEADING_ONLY: u32 = 2;
 
 message! {
     /// The header of a scan. The numbers of its beams follow as a slice of `f32`, see [`ScanView`].
@@ -29,7 +33,7 @@ message! {
         pub range_max_m: f32,
         /// Seconds between neighbouring beams; 0 when all were taken at once. Unless explicit.
         pub time_increment_s: f32,
-        /// 1 when `odometry` is set.
+        /// 1 when `odometry` is set; [`HEADING_ONLY`] when only its heading is, from a gyroscope.
         pub has_odometry: u32,
         /// Number of beams.
         pub beam_count: u32,
@@ -133,6 +137,11 @@ impl<'a> ScanView<'a> {
         self.numbers
     }
 
+    /// Header and numbers as they lie in memory.
+    pub fn bytes(&self) -> Vec<u8> {
+        [self.header.as_bytes(), self.numbers.as_bytes()].concat()
+    }
+
     /// Number of beams.
     pub fn len(&self) -> usize {
         self.header.beam_count as usize
@@ -203,6 +212,11 @@ impl<'a> ScanView<'a> {
         (self.header.has_odometry == 1).then_some(self.header.odometry)
     }
 
+    /// How far the robot has turned by its gyroscope, radians from an arbitrary beginning, where odometry is not known.
+    pub fn gyro_heading_rad(&self) -> Option<f64> {
+        (self.header.has_odometry == HEADING_ONLY).then_some(self.header.odometry.heading_rad)
+    }
+
     fn section(&self, bit: u32) -> Option<&'a [f32]> {
         if self.header.sections & bit == 0 {
             return None;
@@ -247,6 +261,14 @@ impl ScanBuffer {
         Self { header, numbers: ranges.to_vec() }
     }
 
+    /// A scan from its bytes as [`ScanView::bytes`] gives them; `None` when they are none.
+    pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
+        let (header, numbers) = ScanHeader::read_from_prefix(bytes).ok()?;
+        let numbers = numbers.as_chunks::<4>();
+        let scan = Self { header, numbers: numbers.0.iter().map(|bytes| f32::from_ne_bytes(*bytes)).collect() };
+        (numbers.1.is_empty() && scan.view().is_ok()).then_some(scan)
+    }
+
     /// A view on it.
     ///
     /// # Errors
@@ -278,6 +300,18 @@ mod tests {
         assert_eq!((view.ranges(), view.intensities()), (&[1.0, 2.0][..], Some(&[0.0, 0.125][..])));
         scan.header.sections = 8;
         assert_eq!(scan.view().unwrap_err(), ScanProblem::UnknownSections(8));
+    }
+
+    #[test]
+    fn a_scan_survives_as_bytes_and_damaged_ones_are_none() {
+        let mut scan = ScanBuffer::from_ranges(&[1.0, f32::NAN], -1.0, 0.5);
+        scan.header.odometry.x_m = 0.1;
+        let bytes = scan.view().unwrap().bytes();
+        let found = ScanBuffer::from_bytes(&bytes).unwrap();
+        assert_eq!(found.view().unwrap().bytes(), bytes);
+        for cut in 0..bytes.len() {
+            assert_eq!(ScanBuffer::from_bytes(&bytes[..cut]), None);
+        }
     }
 
     #[test]

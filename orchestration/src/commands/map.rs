@@ -2,7 +2,7 @@
 
 use super::run::{Run, run as run_set, summary};
 use super::{CommandError, say};
-use crate::arguments::{MapArgs, RunArgs};
+use crate::arguments::MapArgs;
 use crate::configuration::Configuration;
 use flockslam_lidar_ingest::process::{Source, count_scans};
 
@@ -11,7 +11,9 @@ use flockslam_lidar_ingest::process::{Source, count_scans};
 /// # Errors
 /// When the log, the configuration or the directory is not usable, or the set fails.
 pub fn run(args: &MapArgs) -> Result<(), CommandError> {
-    let run = with_topics(args);
+    // What was named for itself comes after the settings, and counts.
+    let mut run = args.run.clone();
+    run.configuration.assignments.extend(args.topics.assignments());
     let (source, scans) = match (&args.log, &args.source) {
         (Some(log), _) => {
             let absolute = std::path::absolute(log)
@@ -33,14 +35,4 @@ pub fn run(args: &MapArgs) -> Result<(), CommandError> {
     let outcome = run_set(&run, Run { source, world: None, scans, continues: None })?;
     say(&summary(&run.out, &outcome.report));
     Ok(())
-}
-
-/// The arguments with the topics that were named among the settings.
-fn with_topics(args: &MapArgs) -> RunArgs {
-    let mut run = args.run.clone();
-    for (key, topic) in [("scan_topic", &args.scan), ("odometry_topic", &args.odom)] {
-        let assignment = topic.as_ref().map(|topic| format!("lidar_ingest.{key}={topic:?}"));
-        run.configuration.assignments.extend(assignment);
-    }
-    run
 }

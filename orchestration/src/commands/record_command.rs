@@ -23,6 +23,8 @@ pub fn run(args: &RecordArgs) -> Result<(), CommandError> {
     let robot = choose(&args.robot)?;
     let interrupts = count_interrupts()?;
     let runtime = RuntimeDir::open(&RuntimeDir::path_of(&robot)).map_err(CommandError::user)?;
+    // First it hears everything, then there is a file: who waits for the file misses nothing.
+    let mut reader = SetReader::join(&runtime).map_err(CommandError::failed)?;
     let mut sinks = Sinks {
         file: args.out.as_deref().map(McapFile::create).transpose().map_err(CommandError::user)?,
         server: args
@@ -34,7 +36,6 @@ pub fn run(args: &RecordArgs) -> Result<(), CommandError> {
     if let Some(server) = &sinks.server {
         say(&format!("Foxglove: open ws://127.0.0.1:{}\n", server.port()));
     }
-    let mut reader = SetReader::join(&runtime).map_err(CommandError::failed)?;
     let mut looked = Instant::now();
     while interrupts.load(Ordering::Relaxed) == 0 {
         match reader.read(&mut |message| sinks.put(message)) {
@@ -77,7 +78,7 @@ impl Sinks {
 
     fn finish(self, missed: u64) -> Result<(), RecordError> {
         if let Some(file) = self.file {
-            let counts = RecordTopic::ALL.iter().zip(file.counts());
+            let counts = RecordTopic::all().zip(file.counts());
             let counts: Vec<_> = counts.map(|(topic, count)| format!("{} {count}", topic.name())).collect();
             file.finish()?;
             say(&format!("recorded {}; missed {missed} scans and poses\n", counts.join(", ")));

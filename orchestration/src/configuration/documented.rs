@@ -33,7 +33,7 @@ fn keys_of(configuration: &Configuration) -> BTreeMap<String, Value> {
     let mut found = BTreeMap::new();
     keys(&serde_json::to_value(configuration).unwrap(), "", &mut found);
     // Keys that are left out when they have no value.
-    for key in ["start_pose", "scan_topic", "odometry_topic"] {
+    for key in ["start_pose", "odometry_topic", "imu_topic"] {
         found.entry(format!("lidar_ingest.{key}")).or_insert(Value::Null);
     }
     found
@@ -86,7 +86,7 @@ fn the_document_lists_exactly_the_keys_that_exist_with_their_defaults() {
 }
 
 /// More keys than this nobody looks through: one that nobody turns becomes a constant.
-const ROWS_MAX: usize = 104;
+const ROWS_MAX: usize = 107;
 
 #[test]
 fn the_document_stays_short() {

@@ -7,15 +7,15 @@ use serde::Serialize;
 use serde_json::Value;
 
 /// A message of a recording: its topic, its time (wall clock, when the scan was put on the bus or the line was logged,
-/// nanoseconds), and itself as JSON.
+/// nanoseconds), and its bytes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Recorded {
     /// Where it belongs.
     pub topic: RecordTopic,
     /// Its time.
     pub utc_ns: u64,
-    /// JSON by the topic's schema.
-    pub json: Vec<u8>,
+    /// JSON by the topic's schema, or a scan as it lies on the bus.
+    pub data: Vec<u8>,
 }
 
 #[derive(Clone, Copy, Serialize)]
@@ -140,6 +140,11 @@ pub fn scan(scan: ScanView<'_>) -> Recorded {
     recorded(RecordTopic::Scan, utc_ns, &message)
 }
 
+/// A scan as it lies on the bus.
+pub fn bus_scan(scan: ScanView<'_>) -> Recorded {
+    Recorded { topic: RecordTopic::BusScan, utc_ns: scan.header().times.utc_ns, data: scan.bytes() }
+}
+
 /// A pose, in map with the latest correction and in odom.
 pub fn pose(pose: &PoseEstimate) -> [Recorded; 2] {
     let utc_ns = wall(pose.times.utc_ns);
@@ -217,7 +222,7 @@ pub(super) fn grid(
 
 pub(super) fn recorded(topic: RecordTopic, utc_ns: u64, message: &impl Serialize) -> Recorded {
     let json = serde_json::to_vec(message).expect("numbers and texts can always be written");
-    Recorded { topic, utc_ns, json }
+    Recorded { topic, utc_ns, data: json }
 }
 
 pub(super) fn wall(utc_ns: i64) -> u64 {
@@ -234,7 +239,7 @@ mod tests {
     use flockslam_messages::{ScanBuffer, ScanHeader};
 
     fn value(recorded: &Recorded) -> Value {
-        serde_json::from_slice(&recorded.json).unwrap()
+        serde_json::from_slice(&recorded.data).unwrap()
     }
 
     /// Every property of the schema is there, and nothing else.

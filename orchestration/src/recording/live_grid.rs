@@ -101,7 +101,7 @@ mod tests {
         grid.take(&tile(-1, 0, occupied));
         grid.take(&tile(0, 1, free));
         let message = grid.message(&Commit::default()).unwrap();
-        let seen: Value = serde_json::from_slice(&message.json).unwrap();
+        let seen: Value = serde_json::from_slice(&message.data).unwrap();
         assert_eq!(seen["column_count"], 128);
         assert!((seen["pose"]["position"]["x"].as_f64().unwrap() + 3.2).abs() < 1e-9);
         let cells = data_encoding::BASE64.decode(seen["data"].as_str().unwrap().as_bytes()).unwrap();
@@ -111,7 +111,7 @@ mod tests {
         let mut gone = tile(-1, 0, occupied);
         gone.retired = 1;
         grid.take(&gone);
-        let seen: Value = serde_json::from_slice(&grid.message(&Commit::default()).unwrap().json).unwrap();
+        let seen: Value = serde_json::from_slice(&grid.message(&Commit::default()).unwrap().data).unwrap();
         assert_eq!(seen["column_count"], 64);
     }
 
@@ -126,6 +126,6 @@ mod tests {
         assert_eq!((first, last), (TileKey { x: -15, y: -16 }, TileKey { x: 15, y: 16 }));
         let message = grid.message(&Commit::default()).unwrap();
         // Base64 takes four bytes for three cells.
-        assert!(message.json.len() < 31 * 33 * TILE_CELLS * 4 / 3 + 2000, "{}", message.json.len());
+        assert!(message.data.len() < 31 * 33 * TILE_CELLS * 4 / 3 + 2000, "{}", message.data.len());
     }
 }

@@ -1,6 +1,7 @@
 //! Writes messages of a recording to an MCAP file, uncompressed and in chunks.
 
 use super::{RecordError, RecordTopic, Recorded};
+use flockslam_recordings::bus_encoding;
 use mcap::records::MessageHeader;
 use mcap::{WriteOptions, Writer};
 use std::collections::BTreeMap;
@@ -17,8 +18,8 @@ const FLUSH_PERIOD: Duration = Duration::from_secs(1);
 pub struct McapFile {
     path: PathBuf,
     writer: Writer<BufWriter<File>>,
-    channels: [u16; RecordTopic::ALL.len()],
-    counts: [u32; RecordTopic::ALL.len()],
+    channels: [u16; RecordTopic::COUNT],
+    counts: [u32; RecordTopic::COUNT],
     flushed: Instant,
 }
 
@@ -36,20 +37,24 @@ impl McapFile {
             .library(format!("flockslam {}", crate::VERSION))
             .create(BufWriter::new(file))
             .map_err(|error| failed(&error))?;
-        let mut channels = [0; RecordTopic::ALL.len()];
-        for topic in RecordTopic::ALL {
+        let mut channels = [0; RecordTopic::COUNT];
+        for topic in RecordTopic::all() {
+            let (schema_encoding, encoding) = match topic {
+                RecordTopic::BusScan => ("", bus_encoding()),
+                _ => ("jsonschema", "json".to_owned()),
+            };
             let schema = writer
-                .add_schema(topic.schema_name(), "jsonschema", topic.schema().as_bytes())
+                .add_schema(topic.schema_name(), schema_encoding, topic.schema().as_bytes())
                 .map_err(|error| failed(&error))?;
             channels[topic.place()] = writer
-                .add_channel(schema, topic.name(), "json", &BTreeMap::new())
+                .add_channel(schema, topic.name(), &encoding, &BTreeMap::new())
                 .map_err(|error| failed(&error))?;
         }
         let mut file = Self {
             path: path.to_owned(),
             writer,
             channels,
-            counts: [0; RecordTopic::ALL.len()],
+            counts: [0; RecordTopic::COUNT],
             flushed: Instant::now(),
         };
         file.flush()?;
@@ -69,7 +74,7 @@ impl McapFile {
             publish_time: message.utc_ns,
         };
         self.counts[place] = self.counts[place].wrapping_add(1);
-        let written = self.writer.write_to_known_channel(&header, &message.json);
+        let written = self.writer.write_to_known_channel(&header, &message.data);
         written.map_err(|error| failed(&self.path, &error))
     }
 
@@ -86,8 +91,8 @@ impl McapFile {
         self.writer.flush().map_err(|error| failed(&self.path, &error))
     }
 
-    /// Messages of each topic so far, in the order of [`RecordTopic::ALL`].
-    pub fn counts(&self) -> [u32; RecordTopic::ALL.len()] {
+    /// Messages of each topic so far, in the order of [`RecordTopic::all`].
+    pub fn counts(&self) -> [u32; RecordTopic::COUNT] {
         self.counts
     }
 
@@ -110,7 +115,7 @@ mod tests {
     use mcap::read::{MessageStream, Options};
 
     fn message(utc_ns: u64) -> Recorded {
-        Recorded { topic: RecordTopic::Log, utc_ns, json: format!("{{\"line\":{utc_ns}}}").into_bytes() }
+        Recorded { topic: RecordTopic::Log, utc_ns, data: format!("{{\"line\":{utc_ns}}}").into_bytes() }
     }
 
     #[test]

@@ -134,7 +134,7 @@ mod tests {
             ..Track::default()
         };
         let times = Times { utc_ns: 5_000_000_001, ..Times::default() };
-        let scene: Value = serde_json::from_slice(&tracks(&times, &[track]).json).unwrap();
+        let scene: Value = serde_json::from_slice(&tracks(&times, &[track]).data).unwrap();
         let body = &scene["entities"][0];
         assert_eq!((body["id"].as_str(), body["timestamp"]["sec"].as_u64()), (Some("7"), Some(5)));
         assert_eq!(body["cylinders"][0]["pose"]["position"]["y"], 2.0);

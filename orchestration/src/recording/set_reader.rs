@@ -1,6 +1,6 @@
 //! Reads the bus and the log stream of a running set, and gives what it has read as messages of a recording.
 
-use super::{LiveGrid, RecordError, Recorded, log, pose, scan, tracks, transforms};
+use super::{LiveGrid, RecordError, Recorded, bus_scan, log, pose, scan, tracks, transforms};
 use flockslam_bus::{Bus, BusError, Capacity, RuntimeDir, ScanSubscriber, SliceSubscriber, Subscriber};
 use flockslam_geometry::Pose;
 use flockslam_messages::{Commit, Control, ControlKind, PoseEstimate, Stage, TileMessage, TracksHeader};
@@ -75,6 +75,7 @@ impl SetReader {
             self.base_from_laser = sample.header().base_from_laser;
             if let Ok(view) = sample.view() {
                 put(scan(view))?;
+                put(bus_scan(view))?;
             }
         }
         while let Some(estimate) = self.poses.receive()? {
@@ -102,7 +103,7 @@ impl SetReader {
         }
         let due = newest.filter(|_| Instant::now() >= self.grid_due);
         if let Some(message) = due.and_then(|commit| self.grid.message(&commit)) {
-            let size = message.json.len() as f64 / GRID_BYTES_A_SECOND as f64;
+            let size = message.data.len() as f64 / GRID_BYTES_A_SECOND as f64;
             self.grid_due = Instant::now() + GRID_PERIOD.max(Duration::from_secs_f64(size));
             put(message)?;
         }

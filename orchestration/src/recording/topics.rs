@@ -1,5 +1,6 @@
 //! The topics of a recording, their names, and their JSON schemas.
 
+use flockslam_messages::{Message, ScanHeader};
 use serde_json::{Value, json};
 
 /// A topic of a recording.
@@ -19,12 +20,21 @@ pub enum RecordTopic {
     Tracks,
     /// Log lines.
     Log,
+    /// Scans as they are on the bus: what a replay is made of. Only files have them.
+    BusScan,
 }
 
 impl RecordTopic {
-    /// All topics.
-    pub const ALL: [RecordTopic; 7] =
+    /// Those whose messages are JSON.
+    pub const OF_JSON: [RecordTopic; 7] =
         [Self::Scan, Self::Pose, Self::OdomPose, Self::Transforms, Self::Grid, Self::Tracks, Self::Log];
+    /// Number of all.
+    pub const COUNT: usize = Self::OF_JSON.len() + 1;
+
+    /// All topics.
+    pub fn all() -> impl Iterator<Item = RecordTopic> {
+        Self::OF_JSON.into_iter().chain([Self::BusScan])
+    }
 
     /// Its name.
     pub fn name(self) -> &'static str {
@@ -36,10 +46,11 @@ impl RecordTopic {
             Self::Grid => "/grid",
             Self::Tracks => "/tracks",
             Self::Log => "/log",
+            Self::BusScan => "/flockslam/scan",
         }
     }
 
-    /// Its place in [`Self::ALL`].
+    /// Its place among [all](Self::all).
     pub fn place(self) -> usize {
         self as usize
     }
@@ -53,10 +64,11 @@ impl RecordTopic {
             Self::Grid => "foxglove.Grid",
             Self::Tracks => "foxglove.SceneUpdate",
             Self::Log => "foxglove.Log",
+            Self::BusScan => ScanHeader::TYPE_NAME,
         }
     }
 
-    /// Its schema, as JSON Schema.
+    /// Its schema, as JSON Schema; empty where its messages are not JSON.
     pub fn schema(self) -> String {
         let fields = match self {
             Self::Scan => json!({
@@ -82,6 +94,7 @@ impl RecordTopic {
                 "timestamp": time(), "level": { "type": "integer" }, "message": text(), "name": text(),
                 "file": text(), "line": whole(),
             }),
+            Self::BusScan => return String::new(),
         };
         object(self.schema_name(), fields).to_string()
     }
@@ -166,8 +179,8 @@ mod tests {
 
     #[test]
     fn topics_stand_at_their_places_and_schemas_bear_their_names() {
-        for (place, topic) in RecordTopic::ALL.into_iter().enumerate() {
-            assert_eq!(topic.place(), place);
+        assert!(RecordTopic::all().map(RecordTopic::place).eq(0..RecordTopic::COUNT));
+        for topic in RecordTopic::OF_JSON {
             let schema: Value = serde_json::from_str(&topic.schema()).unwrap();
             assert_eq!(schema["title"], topic.schema_name());
             let stamped = match topic {

@@ -194,7 +194,7 @@ fn obey(request: &str, subscriptions: &mut Subscriptions) -> Vec<RecordTopic> {
         Some("subscribe") => {
             let wanted = list("subscriptions").into_iter().filter_map(|one| {
                 let place = number(&one["channelId"])? as usize;
-                Some((number(&one["id"])?, *RecordTopic::ALL.get(place.checked_sub(1)?)?))
+                Some((number(&one["id"])?, *RecordTopic::OF_JSON.get(place.checked_sub(1)?)?))
             });
             let wanted: Vec<_> = wanted.collect();
             subscriptions.extend(wanted.iter().copied());
@@ -222,11 +222,11 @@ fn tell(
 }
 
 fn message_data(subscription: u32, message: &Recorded) -> Vec<u8> {
-    let mut bytes = Vec::with_capacity(13 + message.json.len());
+    let mut bytes = Vec::with_capacity(13 + message.data.len());
     bytes.push(MESSAGE_DATA);
     bytes.extend_from_slice(&subscription.to_le_bytes());
     bytes.extend_from_slice(&message.utc_ns.to_le_bytes());
-    bytes.extend_from_slice(&message.json);
+    bytes.extend_from_slice(&message.data);
     bytes
 }
 
@@ -234,7 +234,7 @@ fn server_info(robot: &str) -> Value {
     json!({ "op": "serverInfo", "name": format!("flockslam {robot}"), "capabilities": [], "metadata": {} })
 }
 
-/// All topics; channels are numbered from 1 in their order.
+/// All topics of JSON; channels are numbered from 1 in their order.
 fn advertisement() -> Value {
     let channel = |topic: RecordTopic| {
         json!({
@@ -242,7 +242,7 @@ fn advertisement() -> Value {
             "schema": topic.schema(), "schemaEncoding": "jsonschema",
         })
     };
-    json!({ "op": "advertise", "channels": RecordTopic::ALL.map(channel) })
+    json!({ "op": "advertise", "channels": RecordTopic::OF_JSON.map(channel) })
 }
 
 #[cfg(test)]
@@ -275,16 +275,16 @@ mod tests {
         let mut client = connect(server.port(), Some("foxglove.websocket.v1")).unwrap();
         assert_eq!(text(client.read().unwrap())["name"], "flockslam r1");
         let channels = text(client.read().unwrap())["channels"].clone();
-        assert_eq!(channels.as_array().unwrap().len(), RecordTopic::ALL.len());
-        let grid = Recorded { topic: RecordTopic::Grid, utc_ns: 5, json: b"{\"grid\":1}".to_vec() };
+        assert_eq!(channels.as_array().unwrap().len(), RecordTopic::OF_JSON.len());
+        let grid = Recorded { topic: RecordTopic::Grid, utc_ns: 5, data: b"{\"grid\":1}".to_vec() };
         server.put(grid.clone());
         let id = channels.as_array().unwrap().iter().find(|c| c["topic"] == "/grid").unwrap()["id"].clone();
         let wanted = json!({ "op": "subscribe", "subscriptions": [{ "id": 77, "channelId": id }] });
         client.send(Message::text(wanted.to_string())).unwrap();
         // The last one comes at once, though it was sent before.
         assert_eq!(client.read().unwrap().into_data().to_vec(), message_data(77, &grid));
-        server.put(Recorded { topic: RecordTopic::Log, utc_ns: 6, json: b"{}".to_vec() });
-        let next = Recorded { topic: RecordTopic::Grid, utc_ns: 7, json: b"{\"grid\":2}".to_vec() };
+        server.put(Recorded { topic: RecordTopic::Log, utc_ns: 6, data: b"{}".to_vec() });
+        let next = Recorded { topic: RecordTopic::Grid, utc_ns: 7, data: b"{\"grid\":2}".to_vec() };
         server.put(next.clone());
         // The first may come twice: from the queue as well.
         let newer = std::iter::repeat_with(|| client.read().unwrap().into_data().to_vec())

@@ -4,10 +4,13 @@
 //! and publishing belong to the process around it.
 
 pub mod carmen;
+mod cloud_slice;
 mod continuity;
 pub mod experiment;
+mod gyro_heading;
 pub mod process;
 mod scan_locator;
+mod self_mask;
 mod settings;
 pub mod stamp;
 

@@ -5,7 +5,9 @@ mod cursor;
 mod feed;
 mod pacer;
 mod pipe;
+mod recording_inspection;
 mod recording_reader;
+mod topic_choice;
 mod truth_file;
 mod world_file;
 
@@ -21,7 +23,9 @@ use flockslam_stage::{
 };
 use flockslam_telemetry::{failpoint, utc_ns};
 use pacer::Pacer;
-pub use recording_reader::{ReadRecordingError, RecordingReader};
+pub use recording_inspection::{Inspection, LidarSummary, TopicSummary, TransformSummary, inspect};
+pub use recording_reader::RecordingReader;
+pub use topic_choice::ReadRecordingError;
 use std::path::PathBuf;
 use std::time::Duration;
 pub use world_file::read as read_world;
@@ -260,6 +264,10 @@ impl Ingest {
         context.report.count("unknown_lines", tally.unknown);
         context.report.count("invalid_beams", tally.invalid_beams);
         context.report.count("stamps_backward", tally.steps_backward);
+        if tally.missing > 0 {
+            context.report.count("missing_scans", tally.missing);
+            tracing::warn!(missing = tally.missing, "the recorder missed scans: this is not an exact replay");
+        }
         if let Some(reason) = self.feed.cut_short() {
             context.report.count("cut_short", 1);
             tracing::warn!(scans = tally.scans, "{reason}: read up to where it ends");

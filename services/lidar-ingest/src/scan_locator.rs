@@ -3,18 +3,20 @@
 //! Both come from messages of their own, which may be recorded later than the scan and out of order: scans wait for them, for a time
 //! that is counted in the recording.
 
-use crate::settings::LidarMounting;
-use flockslam_geometry::Pose;
-use flockslam_messages::ScanBuffer;
-use flockslam_recordings::{FramedScan, OdometryReading};
+use crate::cloud_slice::slice;
+use crate::gyro_heading::GyroHeading;
+use crate::settings::Settings;
+use flockslam_geometry::{Pose, wrap_angle};
+use flockslam_messages::{HEADING_ONLY, ScanBuffer};
+use flockslam_recordings::{FramedCloud, FramedScan, ImuReading, OdometryReading};
 use flockslam_transforms::{
     Isometry3, LookupError, Mounting, MountingError, StampedTransform, TransformBuffer, frame_name, planar,
 };
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 /// So long the first scan waits for transforms, nanoseconds: robots publish where their lidar sits once a second or more often.
 const FIRST_WAIT_NS: i64 = 2_000_000_000;
-/// So long each scan waits for odometry behind it, nanoseconds.
+/// So long each scan waits for odometry behind it, and for scans of other lidars before it, nanoseconds.
 const WAIT_NS: i64 = 500_000_000;
 /// Odometry that is that old is taken where none behind the scan comes, nanoseconds.
 const ODOMETRY_AGE_NS: i64 = 100_000_000;
@@ -43,45 +45,86 @@ pub enum LocateError {
     },
 }
 
+/// What a sensor has seen at once.
+#[derive(Clone, Debug)]
+pub enum Sighting {
+    /// A scan in the lidar's own plane.
+    Scan(FramedScan),
+    /// Points in space.
+    Cloud(FramedCloud),
+}
+
+impl Sighting {
+    fn frame(&self) -> &str {
+        frame_name(match self {
+            Self::Scan(scan) => &scan.frame,
+            Self::Cloud(cloud) => &cloud.frame,
+        })
+    }
+
+    fn stamp_ns(&self) -> i64 {
+        match self {
+            Self::Scan(scan) => scan.scan.header.times.sensor_ns,
+            Self::Cloud(cloud) => cloud.stamp_ns,
+        }
+    }
+}
+
 /// Places scans on the robot, and in the frame of odometry, from transforms and odometry.
 #[derive(Debug, Default)]
 pub struct ScanLocator {
-    /// What the settings say, whatever the transforms do.
-    given: Option<Mounting>,
+    settings: Settings,
+    /// Number of lidars whose scans come.
+    lidars: usize,
     transforms: TransformBuffer,
     /// Poses from messages of odometry.
     odometry: TransformBuffer,
     /// The frames that messages of odometry have: the fixed one, and that of the robot.
     odometry_frames: Option<(String, String)>,
-    /// With the time at which each was recorded.
-    waiting: VecDeque<(i64, FramedScan)>,
+    gyro: GyroHeading,
+    /// The gyro's turns replace those of odometry, not only missing ones.
+    gyro_leads: bool,
+    /// Raw odometry, the gyro's heading where it was known, and the pose by both, at the scan before.
+    fused: Option<(Pose, Option<f64>, Pose)>,
+    waiting: VecDeque<Waiting>,
     /// When the last message was recorded, nanoseconds.
     newest_ns: i64,
     frames: Option<Frames>,
-    /// Where the lidar sat at the scan before.
-    last_mounting: Option<Mounting>,
+    /// Where each lidar sat at its scan before, by its number.
+    last_places: BTreeMap<u32, Isometry3<f64>>,
+}
+
+#[derive(Debug)]
+struct Waiting {
+    recorded_ns: i64,
+    lidar: u32,
+    sighting: Sighting,
 }
 
 /// Frames of a robot.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Frames {
     base: String,
-    /// The lidar is linked to it.
-    has_mounting: bool,
     /// Where transforms have odometry.
     odom: Option<String>,
 }
 
 impl ScanLocator {
-    /// With what the settings say of the lidar.
-    pub fn new(lidar: Option<&LidarMounting>) -> Self {
-        Self { given: lidar.map(LidarMounting::mounting), newest_ns: i64::MIN, ..Self::default() }
+    /// For so many lidars, with what the settings say of them; whether turns by the gyro replace those of odometry.
+    pub fn new(settings: &Settings, lidars: usize, gyro_leads: bool) -> Self {
+        Self { settings: settings.clone(), lidars, gyro_leads, newest_ns: i64::MIN, ..Self::default() }
     }
 
-    /// Takes a scan that was recorded at this time.
-    pub fn push_scan(&mut self, recorded_ns: i64, scan: FramedScan) {
+    /// Takes what a lidar has seen and that was recorded at this time. Scans of one lidar keep their order, those of several are
+    /// brought into the order of time.
+    pub fn push_sighting(&mut self, recorded_ns: i64, lidar: u32, sighting: Sighting) {
         self.newest_ns = self.newest_ns.max(recorded_ns);
-        self.waiting.push_back((recorded_ns, scan));
+        let is_later = |other: &Waiting| {
+            other.lidar != lidar && other.sighting.stamp_ns() > sighting.stamp_ns()
+        };
+        let later = self.waiting.iter().rev().take_while(|other| is_later(other)).count();
+        let at = self.waiting.len() - later;
+        self.waiting.insert(at, Waiting { recorded_ns, lidar, sighting });
     }
 
     /// Takes odometry.
@@ -98,6 +141,12 @@ impl ScanLocator {
         self.odometry.insert(&StampedTransform { parent, child, ..transform.clone() }, false);
     }
 
+    /// Takes rates of turning.
+    pub fn push_imu(&mut self, recorded_ns: i64, reading: ImuReading) {
+        self.newest_ns = self.newest_ns.max(recorded_ns);
+        self.gyro.push(reading);
+    }
+
     /// Takes transforms.
     pub fn push_transforms(&mut self, recorded_ns: i64, transforms: &[StampedTransform], is_static: bool) {
         self.newest_ns = self.newest_ns.max(recorded_ns);
@@ -109,24 +158,33 @@ impl ScanLocator {
     /// # Errors
     /// When transforms do not say where the lidar sits, or say that it is tilted.
     pub fn take(&mut self, at_end: bool) -> Result<Option<ScanBuffer>, LocateError> {
-        let Some((recorded_ns, front)) = self.waiting.front() else { return Ok(None) };
-        let waited_ns = self.newest_ns.saturating_sub(*recorded_ns);
-        let frame = frame_name(&front.frame).to_owned();
+        let Some(front) = self.waiting.front() else { return Ok(None) };
+        let waited_ns = self.newest_ns.saturating_sub(front.recorded_ns);
+        let (lidar, stamp_ns) = (front.lidar, front.sighting.stamp_ns());
+        let frame = front.sighting.frame().to_owned();
         let frames = match &self.frames {
             Some(frames) => frames.clone(),
             None if waited_ns < FIRST_WAIT_NS && !at_end => return Ok(None),
             None => self.frames.insert(self.choose_frames(&frame)).clone(),
         };
-        let stamp_ns = front.scan.header.times.sensor_ns;
+        self.integrate_gyro(&frames);
         let odometry = self.odometry_at(&frames, stamp_ns);
-        if odometry == Err(LookupError::NotYet) && waited_ns < WAIT_NS && !at_end {
+        let heading_rad = self.heading_at(&frames, stamp_ns);
+        let may_come = odometry == Err(LookupError::NotYet) || heading_rad == Err(LookupError::NotYet);
+        if (may_come || self.lidars > 1) && waited_ns < WAIT_NS && !at_end {
             return Ok(None);
         }
-        let mounting = self.mounting(&frames, &frame, stamp_ns)?;
-        self.last_mounting = Some(mounting);
+        let place = self.place(&frames, lidar, &frame, stamp_ns)?;
+        self.last_places.insert(lidar, place);
         let odometry = odometry.ok().or_else(|| self.last_odometry(&frames, stamp_ns));
-        let Some((_, located)) = self.waiting.pop_front() else { return Ok(None) };
-        Ok(Some(placed(located.scan, mounting, odometry)))
+        let Some(Waiting { sighting, .. }) = self.waiting.pop_front() else { return Ok(None) };
+        let mut scan = match sighting {
+            Sighting::Scan(scan) => self.mounted(scan.scan, lidar, &place).map_err(|problem| LocateError::Tilted { frame, problem })?,
+            Sighting::Cloud(cloud) => slice(&cloud, &place, self.settings.cloud_heights_m),
+        };
+        scan.header.id.lidar = lidar;
+        self.add_motion(&mut scan, odometry, heading_rad.ok());
+        Ok(Some(scan))
     }
 
     fn choose_frames(&self, laser: &str) -> Frames {
@@ -138,35 +196,55 @@ impl ScanLocator {
         let ancestors = self.transforms.ancestors(base);
         Frames {
             base: base.to_owned(),
-            has_mounting: linked.is_some(),
             odom: ancestors.into_iter().find(|frame| frame.contains("odom")).map(str::to_owned),
         }
     }
 
-    fn mounting(&self, frames: &Frames, laser: &str, stamp_ns: i64) -> Result<Mounting, LocateError> {
-        if let Some(given) = self.given {
-            return Ok(given);
+    /// `base_from_laser`, in space.
+    fn place(&self, frames: &Frames, lidar: u32, laser: &str, stamp_ns: i64) -> Result<Isometry3<f64>, LocateError> {
+        if let Some(given) = self.settings.lidars.get(lidar as usize) {
+            return Ok(given.base_from_laser());
         }
-        if !frames.has_mounting {
+        if frames.base == laser || self.transforms.is_empty() {
             // Nobody has said anything: the lidar is the robot.
-            let is_silent = self.transforms.is_empty();
-            let unlinked = || LocateError::Unlinked { frame: laser.to_owned() };
-            return if is_silent { Ok(Mounting::MIDDLE) } else { Err(unlinked()) };
+            return Ok(Isometry3::identity());
         }
-        let transform = if frames.base == laser {
-            Ok(Isometry3::identity())
-        } else {
-            let at_stamp = self.transforms.lookup(&frames.base, laser, stamp_ns);
-            let until_ns = self.transforms.known_until_ns(&frames.base, laser);
-            // What is published as if it moved, and is fixed, holds beyond its last message.
-            let last = || self.transforms.lookup(&frames.base, laser, until_ns.unwrap_or(stamp_ns));
-            at_stamp.or_else(|error| self.last_mounting.map_or_else(last, |_| Err(error)))
+        let before = self.last_places.get(&lidar).copied();
+        let at_stamp = self.transforms.lookup(&frames.base, laser, stamp_ns).ok();
+        // What is published as if it moved, and is fixed, holds beyond its last message.
+        let last = || {
+            let until_ns = self.transforms.known_until_ns(&frames.base, laser)?;
+            self.transforms.lookup(&frames.base, laser, until_ns).ok()
         };
-        match transform {
-            Ok(transform) => Mounting::from_transform(&transform)
-                .map_err(|problem| LocateError::Tilted { frame: laser.to_owned(), problem }),
-            Err(_) => self.last_mounting.ok_or(LocateError::Unlinked { frame: laser.to_owned() }),
+        let place = at_stamp.or(before).or_else(last);
+        place.ok_or(LocateError::Unlinked { frame: laser.to_owned() })
+    }
+
+    /// A scan with the place of its lidar, in the plane.
+    fn mounted(&self, mut scan: ScanBuffer, lidar: u32, place: &Isometry3<f64>) -> Result<ScanBuffer, MountingError> {
+        let mounting = Mounting::from_transform(place)?;
+        let mirrored = self.settings.lidars.get(lidar as usize).is_some_and(|given| given.mirrored);
+        let header = &mut scan.header;
+        header.base_from_laser = mounting.base_from_laser;
+        if mounting.upside_down != mirrored {
+            header.angle_min_rad = -header.angle_min_rad;
+            header.angle_increment_rad = -header.angle_increment_rad;
         }
+        Ok(scan)
+    }
+
+    fn integrate_gyro(&mut self, frames: &Frames) {
+        let transforms = &self.transforms;
+        self.gyro.integrate(|reading| {
+            let base_from_imu = transforms.lookup(&frames.base, &reading.frame, reading.stamp_ns);
+            base_from_imu.map(|transform| transform.rotation).unwrap_or_default()
+        });
+    }
+
+    /// The heading by the gyro at a time, where it is asked for.
+    fn heading_at(&self, frames: &Frames, at_ns: i64) -> Result<f64, LookupError> {
+        let has_odometry = self.odometry_frames.is_some() || frames.odom.is_some();
+        if has_odometry && !self.gyro_leads { Err(LookupError::Unlinked) } else { self.gyro.heading_rad(at_ns) }
     }
 
     /// `odom_from_base` at a time.
@@ -190,31 +268,51 @@ impl ScanLocator {
         let is_near = (0..=ODOMETRY_AGE_NS).contains(&stamp_ns.saturating_sub(known_until_ns));
         is_near.then(|| self.odometry_at(frames, known_until_ns).ok()).flatten()
     }
-}
 
-fn placed(mut scan: ScanBuffer, mounting: Mounting, odometry: Option<Pose>) -> ScanBuffer {
-    let header = &mut scan.header;
-    header.base_from_laser = mounting.base_from_laser;
-    if mounting.upside_down {
-        header.angle_min_rad = -header.angle_min_rad;
-        header.angle_increment_rad = -header.angle_increment_rad;
+    /// Gives a scan the pose by odometry, with the gyro's turns where these lead; the gyro's heading alone where there is no odometry.
+    fn add_motion(&mut self, scan: &mut ScanBuffer, odometry: Option<Pose>, heading_rad: Option<f64>) {
+        let odometry = odometry.filter(|pose| pose.is_finite());
+        let header = &mut scan.header;
+        match (odometry, heading_rad) {
+            (Some(odometry), heading_rad) if self.gyro_leads => {
+                let fused = self.fused.map_or(odometry, |(before, heading_before_rad, fused)| {
+                    let motion = before.to(odometry);
+                    let turned_rad = heading_rad.zip(heading_before_rad).map(|(now, before)| wrap_angle(now - before));
+                    fused * Pose { heading_rad: turned_rad.unwrap_or(motion.heading_rad), ..motion }
+                });
+                self.fused = Some((odometry, heading_rad, fused));
+                (header.odometry, header.has_odometry) = (fused, 1);
+            }
+            (Some(odometry), _) => (header.odometry, header.has_odometry) = (odometry, 1),
+            (None, Some(heading_rad)) => {
+                (header.odometry, header.has_odometry) = (Pose::new(0.0, 0.0, heading_rad), HEADING_ONLY);
+            }
+            (None, None) => {}
+        }
     }
-    if let Some(odometry) = odometry.filter(|pose| pose.is_finite()) {
-        (header.odometry, header.has_odometry) = (odometry, 1);
-    }
-    scan
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::settings::LidarMounting;
+    use nalgebra::Vector3;
 
     const MS: i64 = 1_000_000;
 
-    fn scan(stamp_ms: i64) -> FramedScan {
+    fn locator(lidars: &[LidarMounting]) -> ScanLocator {
+        let settings = Settings { lidars: lidars.to_vec(), ..Settings::default() };
+        ScanLocator::new(&settings, 1, false)
+    }
+
+    fn scan_in(frame: &str, stamp_ms: i64) -> Sighting {
         let mut scan = ScanBuffer::from_ranges(&[1.0, 2.0], -0.5, 1.0);
         scan.header.times.sensor_ns = stamp_ms * MS;
-        FramedScan { frame: "/laser".to_owned(), scan }
+        Sighting::Scan(FramedScan { frame: frame.to_owned(), scan })
+    }
+
+    fn scan(stamp_ms: i64) -> Sighting {
+        scan_in("/laser", stamp_ms)
     }
 
     fn transform(stamp_ms: i64, parent: &str, child: &str, x_m: f64) -> StampedTransform {
@@ -232,9 +330,9 @@ mod tests {
 
     #[test]
     fn odometry_is_interpolated_at_the_time_of_the_scan_whatever_comes_first() {
-        let mut locator = ScanLocator::new(None);
+        let mut locator = locator(&[]);
         locator.push_transforms(0, &[transform(0, "base_link", "laser", 0.3)], true);
-        locator.push_scan(100 * MS, scan(100));
+        locator.push_sighting(100 * MS, 0, scan(100));
         locator.push_transforms(160 * MS, &[transform(150, "odom", "base_link", 1.5)], false);
         locator.push_transforms(170 * MS, &[transform(50, "odom", "base_link", 0.5)], false);
         assert_eq!(locator.take(false), Ok(None), "more may come");
@@ -246,36 +344,84 @@ mod tests {
 
     #[test]
     fn scans_wait_for_odometry_and_not_for_ever() {
-        let mut locator = ScanLocator::new(None);
+        let mut locator = locator(&[]);
         let odometry = |at_ms: i64| OdometryReading { transform: transform(at_ms, "odom", "", 1.0) };
         locator.push_odometry(0, &odometry(0));
-        locator.push_scan(10 * MS, scan(10));
-        locator.push_scan(2100 * MS, scan(2100));
+        locator.push_sighting(10 * MS, 0, scan(10));
+        locator.push_sighting(2100 * MS, 0, scan(2100));
         let first = locator.take(false).unwrap().unwrap();
         assert_eq!((stamp_ms(&first), first.header.has_odometry), (10, 1), "the pose before is not too old");
         assert_eq!(locator.take(false), Ok(None));
-        locator.push_scan(2700 * MS, scan(2700));
+        locator.push_sighting(2700 * MS, 0, scan(2700));
         let second = locator.take(false).unwrap().unwrap();
         assert_eq!((stamp_ms(&second), second.header.has_odometry), (2100, 0));
     }
 
     #[test]
     fn without_any_transform_the_lidar_is_the_robot_and_with_others_it_is_refused() {
-        let mut locator = ScanLocator::new(None);
-        locator.push_scan(0, scan(0));
+        let mut locator = locator(&[]);
+        locator.push_sighting(0, 0, scan(0));
         let alone = locator.take(true).unwrap().unwrap();
         assert_eq!((alone.header.base_from_laser, alone.header.has_odometry), (Pose::IDENTITY, 0));
-        let mut locator = ScanLocator::new(None);
+        let mut locator = locator(&[]);
         locator.push_transforms(0, &[transform(0, "odom", "base_link", 0.0)], false);
-        locator.push_scan(0, scan(0));
+        locator.push_sighting(0, 0, scan(0));
         let error = locator.take(true).unwrap_err().to_string();
         assert!(error.contains("'laser'") && error.contains("lidar_ingest.lidars"), "{error}");
         let given = LidarMounting { x_m: 0.2, upside_down: true, ..LidarMounting::default() };
-        let mut locator = ScanLocator::new(Some(&given));
+        let mut locator = locator(&[given]);
         locator.push_transforms(0, &[transform(0, "odom", "base_link", 0.0)], false);
-        locator.push_scan(0, scan(0));
+        locator.push_sighting(0, 0, scan(0));
         let found = locator.take(true).unwrap().unwrap();
         assert_eq!(found.header.base_from_laser.x_m, 0.2);
         assert_eq!((found.header.angle_min_rad, found.header.angle_increment_rad), (0.5, -1.0));
+    }
+
+    #[test]
+    fn scans_of_several_lidars_come_in_the_order_of_time_each_from_its_place() {
+        let mut locator = ScanLocator::new(&Settings::default(), 2, false);
+        let places = [transform(0, "base_link", "front", 0.3), transform(0, "base_link", "rear", -0.3)];
+        locator.push_transforms(0, &places, true);
+        for (recorded_ms, lidar, frame, stamp_ms) in
+            [(10, 0, "front", 5), (20, 0, "front", 15), (30, 1, "rear", 2), (40, 1, "rear", 12), (50, 0, "front", 25)]
+        {
+            locator.push_sighting(recorded_ms * MS, lidar, scan_in(frame, stamp_ms));
+        }
+        assert_eq!(locator.take(false), Ok(None), "one of the other may still come");
+        let found: Vec<_> = std::iter::from_fn(|| locator.take(true).unwrap())
+            .map(|scan| (stamp_ms(&scan), scan.header.id.lidar, scan.header.base_from_laser.x_m))
+            .collect();
+        assert_eq!(found, [(2, 1, -0.3), (5, 0, 0.3), (12, 1, -0.3), (15, 0, 0.3), (25, 0, 0.3)]);
+    }
+
+    #[test]
+    fn without_odometry_the_gyro_gives_the_heading_and_where_it_leads_all_turns() {
+        for gyro_leads in [false, true] {
+            for has_odometry in [false, true] {
+                let mut locator = ScanLocator::new(&Settings::default(), 1, gyro_leads);
+                for stamp_ms in [0, 100, 200] {
+                    let turn_rad_s = Vector3::new(0.0, 0.0, 1.0);
+                    let reading = ImuReading { stamp_ns: stamp_ms * MS, frame: "imu".to_owned(), turn_rad_s };
+                    locator.push_imu(stamp_ms * MS, reading);
+                    if has_odometry {
+                        let transform = transform(stamp_ms, "odom", "", 0.01 * stamp_ms as f64);
+                        locator.push_odometry(stamp_ms * MS, &OdometryReading { transform });
+                    }
+                }
+                locator.push_sighting(100 * MS, 0, scan(100));
+                locator.push_sighting(200 * MS, 0, scan(200));
+                let found = [(); 2].map(|()| locator.take(true).unwrap().unwrap().header);
+                let motion = found[0].odometry.to(found[1].odometry);
+                let expected = match (has_odometry, gyro_leads) {
+                    (false, _) => (HEADING_ONLY, 0.0, 0.1),
+                    (true, false) => (1, 1.0, 0.0),
+                    (true, true) => (1, 1.0, 0.1),
+                };
+                assert_eq!(found[1].has_odometry, expected.0);
+                assert!((motion.heading_rad - expected.2).abs() < 1e-9, "{has_odometry} {gyro_leads}");
+                let travel_m = if has_odometry { motion.x_m } else { 0.0 };
+                assert!((travel_m - expected.1).abs() < 1e-9, "{has_odometry} {gyro_leads}");
+            }
+        }
     }
 }

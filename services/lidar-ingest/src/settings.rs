@@ -1,8 +1,9 @@
 //! Settings of the stage, section `[lidar_ingest]` of the configuration.
 
-use flockslam_geometry::Pose;
-use flockslam_transforms::Mounting;
+use flockslam_transforms::Isometry3;
+use nalgebra::{Translation3, UnitQuaternion};
 use serde::{Deserialize, Serialize};
+use std::f64::consts::PI;
 
 /// Ranges below are not returns, metres: nothing is nearer to a lidar than its own housing, and sensors write 0 for "no return".
 pub(crate) const RANGE_MIN_M: f32 = 0.05;
@@ -22,15 +23,24 @@ pub struct Settings {
     pub max_bad_line_share: f64,
     /// Whether a log that ends in the middle of a line is taken as far as it goes instead of being refused.
     pub accept_truncated: bool,
-    /// Topic of a recording that scans are read from; needed where there is more than one.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub scan_topic: Option<String>,
+    /// Topics of a recording that scans are read from, one for each lidar; needed where there is more than one. Without scans of a
+    /// planar lidar a topic of point clouds is taken.
+    pub scan_topics: Vec<String>,
     /// Topic of a recording that odometry is read from; needed where there is more than one. Without one odometry is taken from `/tf`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub odometry_topic: Option<String>,
-    /// Where the lidar of a recording sits, in place of what its transforms say: at most one table of `x_m`, `y_m`, `heading_deg` (metres
-    /// ahead and to the left of the middle of the robot, degrees counter-clockwise) and `upside_down`.
+    /// Topic of a recording with an IMU whose turns replace those of odometry. Without odometry an IMU is used unasked.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub imu_topic: Option<String>,
+    /// Where the lidars of a recording sit, in place of what its transforms say: for each topic of scans a table of `x_m`, `y_m`,
+    /// `heading_deg` (metres ahead and to the left of the middle of the robot, degrees counter-clockwise), `upside_down` and `mirrored`.
     pub lidars: Vec<LidarMounting>,
+    /// Points of a cloud are taken from so far below to so far above the sensor, metres; never from the floor, where the sensor's height is
+    /// known.
+    pub cloud_heights_m: [f64; 2],
+    /// The robot's own body, which its lidars see: returns within these boxes count as none. Each is the least and the greatest x, the
+    /// least and the greatest y in the frame of the robot, metres.
+    pub self_mask: Vec<[f64; 4]>,
     /// Processes of this stage: one reads the source, the others are on standby to go on in its place.
     pub replicas: usize,
 
@@ -64,12 +74,16 @@ pub struct LidarMounting {
     pub heading_deg: f64,
     /// It hangs upside down: its angles are counted clockwise as seen from above.
     pub upside_down: bool,
+    /// Its driver counts angles the wrong way round.
+    pub mirrored: bool,
 }
 
 impl LidarMounting {
-    pub(crate) fn mounting(&self) -> Mounting {
-        let base_from_laser = Pose::new(self.x_m, self.y_m, self.heading_deg.to_radians());
-        Mounting { base_from_laser, upside_down: self.upside_down }
+    /// `base_from_laser`, in space.
+    pub(crate) fn base_from_laser(&self) -> Isometry3<f64> {
+        let roll_rad = if self.upside_down { PI } else { 0.0 };
+        let rotation = UnitQuaternion::from_euler_angles(roll_rad, 0.0, self.heading_deg.to_radians());
+        Isometry3::from_parts(Translation3::new(self.x_m, self.y_m, 0.0), rotation)
     }
 }
 
@@ -79,9 +93,12 @@ impl Default for Settings {
             range_max_m: 49.5,
             max_bad_line_share: 0.01,
             accept_truncated: false,
-            scan_topic: None,
+            scan_topics: Vec::new(),
             odometry_topic: None,
+            imu_topic: None,
             lidars: Vec::new(),
+            cloud_heights_m: [-0.3, 0.3],
+            self_mask: Vec::new(),
             replicas: 1,
             seed: 1,
             start_pose: None,
@@ -109,7 +126,12 @@ impl Settings {
                 self.start_pose.is_none_or(|pose| pose.iter().all(|v| v.abs() < 1e8)),
                 "start_pose must be finite",
             ),
-            (self.lidars.len() <= 1, "lidars must be one at most"),
+            (self.lidars.len() <= 16 && self.scan_topics.len() <= 16, "lidars and scan_topics must be 16 at most"),
+            (self.cloud_heights_m.is_sorted_by(|a, b| a < b), "cloud_heights_m must be two heights, the lower first"),
+            (
+                self.self_mask.iter().all(|[x, to_x, y, to_y]| x < to_x && y < to_y),
+                "self_mask must be boxes: the least and the greatest x, the least and the greatest y",
+            ),
             (
                 self.lidars.iter().all(|lidar| {
                     [lidar.x_m, lidar.y_m].iter().all(|v| v.abs() < 100.0) && lidar.heading_deg.abs() <= 360.0
@@ -148,6 +170,14 @@ mod tests {
             (Settings { odometry_jumps: 100_001, ..good() }, "odometry_jumps must be at most 100000"),
             (Settings { odometry_noise: [0.0, -1.0], ..good() }, "odometry_noise must be between 0 and 180"),
             (Settings { beam_noise_share: 1.1, ..good() }, "beam_noise_share must be between 0 and 1"),
+            (
+                Settings { cloud_heights_m: [0.3, 0.3], ..good() },
+                "cloud_heights_m must be two heights, the lower first",
+            ),
+            (
+                Settings { self_mask: vec![[0.3, -0.3, -0.2, 0.2]], ..good() },
+                "self_mask must be boxes: the least and the greatest x, the least and the greatest y",
+            ),
             (Settings { keep_every: 0, ..good() }, "keep_every must be at least 1"),
         ];
         for (settings, rule) in wrong {

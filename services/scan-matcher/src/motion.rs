@@ -20,6 +20,8 @@ const SURPRISE: (f64, f64) = (0.15, 0.15);
 /// without odometry.
 const STEP_SIGMA: (f64, f64) = (0.01, 0.005);
 const STEP_SIGMA_BLIND: (f64, f64) = (0.15, 0.1);
+/// The same of the heading where a gyroscope measures it, radians.
+const STEP_SIGMA_GYRO_RAD: f64 = 0.01;
 
 /// Error of the grid itself, standard deviations in metres and radians: a pose this near to the prediction is as probable.
 const GRID_SIGMA: (f64, f64) = (0.01, 0.003);
@@ -44,7 +46,11 @@ pub(crate) struct Motion {
     pub(crate) pose: Pose,
     pub(crate) covariance: Covariance,
     odometry: Option<Pose>,
+    /// The heading by the gyroscope, where there is no odometry.
+    gyro_rad: Option<f64>,
     stamp_ns: Option<i64>,
+    /// The lidar of the last scan.
+    lidar: u32,
     period_s: f64,
     velocity: Twist,
     /// The error of odometry, as fits have shown it.
@@ -134,7 +140,9 @@ impl Motion {
             pose: Pose::IDENTITY,
             covariance: Covariance::default(),
             odometry: None,
+            gyro_rad: None,
             stamp_ns: None,
+            lidar: 0,
             period_s: PERIOD_START_S,
             velocity: Twist::default(),
             noise: OdometryNoise::default(),
@@ -164,15 +172,22 @@ impl Motion {
             let step = Covariance::default();
             return Prediction { pose: start, twist, covariance, step, steady: None, coasting: None };
         }
-        let step_s = self.step_s(scan.header().times.sensor_ns);
-        let unchanged = self.velocity.motion_after(self.even(step_s));
+        let step_s = self.step_s(scan);
+        let unchanged = self.velocity.motion_after(self.even(scan, step_s));
+        let is_brief = self.is_brief(scan, step_s);
         let (motion, twist) = match (self.odometry, scan.odometry()) {
             (Some(before), Some(now)) => {
                 let said = before.to(now);
                 let motion = Pose { x_m: self.scale.factor() * said.x_m, ..said };
-                (motion, Twist::from_motion(motion, step_s))
+                (motion, if is_brief { self.velocity } else { Twist::from_motion(motion, step_s) })
             }
-            _ => (unchanged, self.velocity),
+            _ => match self.turned_rad(scan) {
+                Some(turned_rad) => {
+                    let turn_rad_s = if is_brief { self.velocity.turn_rad_s } else { turned_rad / step_s };
+                    (Pose { heading_rad: turned_rad, ..unchanged }, Twist { turn_rad_s, ..self.velocity })
+                }
+                None => (unchanged, self.velocity),
+            },
         };
         let surprises = motion.distance_m(unchanged) > SURPRISE.0 || motion.turn_rad(unchanged) > SURPRISE.1;
         let steady = surprises.then(|| Steady { pose: self.pose * unchanged, twist: self.velocity });
@@ -191,10 +206,19 @@ impl Motion {
         Prediction { pose: self.pose * motion, twist, covariance, step, steady, coasting }
     }
 
+    /// By how much the gyroscope says that the robot has turned since the scan before, where there is no odometry.
+    fn turned_rad(&self, scan: ScanView<'_>) -> Option<f64> {
+        self.gyro_rad.zip(scan.gyro_heading_rad()).map(|(before, now)| wrap_angle(now - before))
+    }
+
     /// Variances that one step adds: of the position along each axis, m², and of the heading, rad².
     fn drift(&self, scan: ScanView<'_>, travel_m: f64, turn_rad: f64) -> (f64, f64) {
         let has_odometry = scan.odometry().is_some();
-        let (step_m, step_rad) = if has_odometry { STEP_SIGMA } else { STEP_SIGMA_BLIND };
+        let (step_m, step_rad) = match self.turned_rad(scan) {
+            _ if has_odometry => STEP_SIGMA,
+            Some(_) => (STEP_SIGMA_BLIND.0, STEP_SIGMA_GYRO_RAD),
+            None => STEP_SIGMA_BLIND,
+        };
         let (scale_xy, scale_heading) = if has_odometry { self.noise.scales() } else { (1.0, 1.0) };
         let (position, heading) = self.noise.variances(travel_m, turn_rad);
         (position + scale_xy * step_m * step_m, heading + scale_heading * step_rad * step_rad)
@@ -224,33 +248,48 @@ impl Motion {
         let lost = estimate.quality == Quality::Lost as u32;
         // A jump is no motion.
         let jumped = estimate.has(PoseFlags::RESCUED) && scan.odometry().is_some();
-        let stamp_ns = scan.header().times.sensor_ns;
-        let step_s = self.step_s(stamp_ns);
-        if self.stamp_ns.is_some() {
+        let step_s = self.step_s(scan);
+        if self.stamp_ns.is_some() && !self.is_brief(scan, step_s) {
             let kept = if lost { KEPT_WHEN_LOST } else { 1.0 };
             let motion = match (self.odometry, scan.odometry()) {
                 (Some(before), Some(now)) if jumped => before.to(now),
                 _ => self.pose.to(pose),
             };
-            self.velocity = scaled(Twist::from_motion(motion, self.even(step_s)), kept);
+            self.velocity = scaled(Twist::from_motion(motion, self.even(scan, step_s)), kept);
             self.period_s += 0.05 * (step_s - self.period_s);
         }
         self.pose = pose;
         self.covariance = covariance;
         self.odometry = scan.odometry();
-        self.stamp_ns = Some(stamp_ns);
+        self.gyro_rad = scan.gyro_heading_rad();
+        self.stamp_ns = Some(scan.header().times.sensor_ns);
+        self.lidar = scan.header().id.lidar;
     }
 
-    /// A step between stamps that jitter, kept near the nominal period: scans come at even times even if their stamps do
+    /// A step between stamps that jitter, kept near the nominal period: scans of a lidar come at even times even if their stamps do
     /// not, and a velocity over a step far too short would be far too great.
-    fn even(&self, step_s: f64) -> f64 {
+    fn even(&self, scan: ScanView<'_>, step_s: f64) -> f64 {
+        if self.is_of_another(scan) {
+            return step_s.min(2.0 * self.period_s);
+        }
         step_s.clamp(0.5 * self.period_s, 2.0 * self.period_s)
     }
 
-    /// Seconds since the scan before; the nominal period when the stamps do not step forward.
-    fn step_s(&self, stamp_ns: i64) -> f64 {
+    /// Whether a scan is of another lidar than the one before.
+    fn is_of_another(&self, scan: ScanView<'_>) -> bool {
+        self.stamp_ns.is_some() && scan.header().id.lidar != self.lidar
+    }
+
+    /// Whether a scan of another lidar is so near in time that the two do not show a velocity.
+    fn is_brief(&self, scan: ScanView<'_>, step_s: f64) -> bool {
+        self.is_of_another(scan) && step_s < 0.5 * self.period_s
+    }
+
+    /// Seconds since the scan before; the nominal period when the stamps of a lidar do not step forward.
+    fn step_s(&self, scan: ScanView<'_>) -> f64 {
         let Some(before) = self.stamp_ns else { return self.period_s };
-        let step = stamp_ns.saturating_sub(before) as f64 * 1e-9;
-        if step > 0.0 && step <= PERIOD_MAX_S { step } else { self.period_s }
+        let step_s = scan.header().times.sensor_ns.saturating_sub(before) as f64 * 1e-9;
+        let is_forward = step_s > 0.0 || (step_s == 0.0 && self.is_of_another(scan));
+        if is_forward && step_s <= PERIOD_MAX_S { step_s } else { self.period_s }
     }
 }

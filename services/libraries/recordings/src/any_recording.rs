@@ -3,7 +3,7 @@
 use crate::bag_file::{self, BagFile};
 use crate::db3_file::{self, Db3File, ZSTD_MAGIC};
 use crate::mcap_messages::{self, McapFile};
-use crate::{Message, Reading, ReadingKind, RecordingError, Wire};
+use crate::{Message, MessageProblem, Reading, ReadingKind, RecordingError, Wire};
 use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -29,6 +29,17 @@ impl Topic {
     }
 }
 
+/// A message of a recording.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TopicReading {
+    /// Which of the recording's topics.
+    pub topic: usize,
+    /// When it was recorded, nanoseconds.
+    pub recorded_ns: i64,
+    /// What it says, unless it does not match its type.
+    pub reading: Result<Reading, MessageProblem>,
+}
+
 /// Messages of one file.
 pub(crate) trait MessageSource: Send {
     /// All topics, with their numbers of messages.
@@ -49,8 +60,6 @@ pub struct Recording {
     source: Option<OpenFile>,
     topics: Vec<Topic>,
     wanted: Vec<bool>,
-    /// Messages read so far.
-    read: u64,
     cut_short: Option<String>,
 }
 
@@ -104,7 +113,6 @@ impl Recording {
             source: None,
             topics: Vec::new(),
             wanted: Vec::new(),
-            read: 0,
             cut_short: None,
         };
         for file in recording.files.clone() {
@@ -117,6 +125,11 @@ impl Recording {
         }
         recording.wanted = vec![false; recording.topics.len()];
         Ok(recording)
+    }
+
+    /// Its files, in the order in which they are read.
+    pub fn files(&self) -> &[PathBuf] {
+        &self.files
     }
 
     /// The file or folder.
@@ -135,11 +148,11 @@ impl Recording {
         self.wanted = self.topics.iter().enumerate().map(wanted).collect();
     }
 
-    /// The next message of a wanted topic: which topic, when it was recorded in nanoseconds, and what it says. `None` at the end.
+    /// The next message of a wanted topic; `None` at the end.
     ///
     /// # Errors
-    /// When the recording is damaged, or a message does not match its type.
-    pub fn next_reading(&mut self) -> Result<Option<(usize, i64, Reading)>, RecordingError> {
+    /// When the recording is damaged.
+    pub fn next_reading(&mut self) -> Result<Option<TopicReading>, RecordingError> {
         loop {
             let Some(source) = &mut self.source else {
                 let Some(file) = self.files.get(self.next_file) else { return Ok(None) };
@@ -162,15 +175,14 @@ impl Recording {
                 self.source = None;
                 continue;
             };
-            self.read += 1;
             let topic = &source.messages.topics()[message.topic];
             let known = self.topics.iter().position(|known| known.is_same(topic));
             let (Some(at), Some(kind), Some(wire)) = (known, topic.kind(), topic.wire) else { continue };
-            let reading = Reading::decode(kind, &message.bytes, wire).map_err(|problem| {
-                let (name, topic) = (self.name.clone(), topic.name.clone());
-                RecordingError::Message { name, number: self.read, topic, problem }
-            })?;
-            return Ok(Some((at, message.recorded_ns, reading)));
+            return Ok(Some(TopicReading {
+                topic: at,
+                recorded_ns: message.recorded_ns,
+                reading: Reading::decode(kind, &message.bytes, wire),
+            }));
         }
     }
 

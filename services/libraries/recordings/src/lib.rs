@@ -6,16 +6,19 @@
 mod any_recording;
 mod bag_file;
 mod bag_record;
+mod cloud_message;
 mod db3_file;
 mod mcap_messages;
 mod message_fields;
 mod recording_error;
 mod ros_messages;
 
-pub use any_recording::{Recording, Topic, is_recording};
+pub use any_recording::{Recording, Topic, TopicReading, is_recording};
+pub use cloud_message::FramedCloud;
+pub use mcap_messages::bus_encoding;
 pub use message_fields::{MessageProblem, Wire};
 pub use recording_error::RecordingError;
-pub use ros_messages::{FramedScan, OdometryReading, Reading, ReadingKind};
+pub use ros_messages::{FramedScan, ImuReading, OdometryReading, Reading, ReadingKind};
 
 /// A message as it was recorded.
 #[derive(Clone, Debug, PartialEq, Eq)]

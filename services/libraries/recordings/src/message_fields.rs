@@ -12,9 +12,12 @@ pub enum MessageProblem {
     /// More beams than are taken.
     #[error("the scan claims to have more than 10 million beams")]
     TooManyBeams,
-    /// An angle, a limit or a pose is not finite.
-    #[error("an angle, a limit or a pose is not finite")]
+    /// An angle, a limit, a pose or a rate is not finite.
+    #[error("an angle, a limit, a pose or a rate is not finite")]
     NotFinite,
+    /// A cloud of points without places.
+    #[error("the points of the cloud have no fields x, y and z of 32 or 64 bits")]
+    NoPlaces,
 }
 
 /// How the fields of a message lie in its bytes.
@@ -24,6 +27,8 @@ pub enum Wire {
     Ros1,
     /// Aligned to the size of each number, behind four bytes that name the order of bytes.
     Cdr,
+    /// As messages lie on the bus of this build.
+    Bus,
 }
 
 /// Fields of a message, read from its beginning on.
@@ -37,7 +42,7 @@ pub(crate) struct Fields<'a> {
 impl<'a> Fields<'a> {
     pub fn new(bytes: &'a [u8], wire: Wire) -> Result<Self, MessageProblem> {
         let whole = Self { bytes, at: 0, wire, big_endian: false };
-        if wire == Wire::Ros1 {
+        if wire != Wire::Cdr {
             return Ok(whole);
         }
         let (head, bytes) = bytes.split_first_chunk::<4>().ok_or(MessageProblem::BreaksOff)?;
@@ -67,6 +72,21 @@ impl<'a> Fields<'a> {
         if self.wire == Wire::Cdr {
             self.at = self.at.next_multiple_of(size);
         }
+    }
+
+    /// Whether a byte is not 0.
+    pub fn flag(&mut self) -> Result<bool, MessageProblem> {
+        Ok(self.u8()? != 0)
+    }
+
+    pub fn u8(&mut self) -> Result<u8, MessageProblem> {
+        Ok(u8::from_le_bytes(self.number()?))
+    }
+
+    /// The bytes of a `uint8[]`.
+    pub fn bytes(&mut self) -> Result<&'a [u8], MessageProblem> {
+        let count = self.u32()? as usize;
+        self.take(count)
     }
 
     pub fn u32(&mut self) -> Result<u32, MessageProblem> {

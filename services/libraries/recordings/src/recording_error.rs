@@ -30,8 +30,8 @@ pub enum RecordingError {
         /// What is wrong there.
         problem: String,
     },
-    /// A message does not match its type.
-    #[error("{name}: message {number} on {topic}: {problem}")]
+    /// Messages do not match their types, more than are tolerated.
+    #[error("{name}: message {number} on {topic}: {problem}; with this {bad} of {number} are bad")]
     Message {
         /// The file.
         name: String,
@@ -39,6 +39,8 @@ pub enum RecordingError {
         number: u64,
         /// Its topic.
         topic: String,
+        /// Those that were bad so far.
+        bad: u64,
         /// The reason.
         problem: MessageProblem,
     },

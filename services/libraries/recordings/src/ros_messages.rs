@@ -1,9 +1,10 @@
-//! What messages of ROS say: a scan, odometry, transforms.
+//! What messages of ROS say: a scan, odometry, transforms, rates of turning. Clouds of points have a file of their own.
 
+use crate::cloud_message::{FramedCloud, point_cloud};
 use crate::message_fields::{Fields, MessageProblem, Wire};
-use flockslam_messages::{ScanBuffer, ScanSections};
+use flockslam_messages::{Message, ScanBuffer, ScanHeader, ScanSections};
 use flockslam_transforms::{Isometry3, StampedTransform};
-use nalgebra::{Quaternion, Translation3, UnitQuaternion};
+use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
 
 /// Ranges below are not returns, metres: nothing is nearer to a lidar than its own housing, and sensors write 0 for "no return".
 const RANGE_MIN_M: f32 = 0.05;
@@ -19,10 +20,16 @@ pub enum ReadingKind {
     Scan,
     /// `sensor_msgs/MultiEchoLaserScan`.
     MultiEchoScan,
+    /// `sensor_msgs/PointCloud2`.
+    Cloud,
     /// `nav_msgs/Odometry`.
     Odometry,
+    /// `sensor_msgs/Imu`.
+    Imu,
     /// `tf2_msgs/TFMessage`, `tf/tfMessage`.
     Transforms,
+    /// A scan as it was on the bus of a set.
+    BusScan,
 }
 
 /// What a message says.
@@ -30,10 +37,16 @@ pub enum ReadingKind {
 pub enum Reading {
     /// A scan.
     Scan(FramedScan),
+    /// Points in space.
+    Cloud(FramedCloud),
     /// The pose by odometry.
     Odometry(OdometryReading),
+    /// How fast the robot turns.
+    Imu(ImuReading),
     /// Poses of frames.
     Transforms(Vec<StampedTransform>),
+    /// A scan as it was on the bus of a set, with everything that belongs to it.
+    BusScan(ScanBuffer),
 }
 
 /// A scan, and the frame that it was taken in.
@@ -52,19 +65,33 @@ pub struct OdometryReading {
     pub transform: StampedTransform,
 }
 
+/// How fast a frame turns, by its gyroscopes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImuReading {
+    /// When it was measured, nanoseconds.
+    pub stamp_ns: i64,
+    /// The frame of the IMU.
+    pub frame: String,
+    /// About its three axes, radians a second.
+    pub turn_rad_s: Vector3<f64>,
+}
+
 impl ReadingKind {
     /// The kind by the name of a message's type, with or without `msg/` in it.
     pub fn of_type(name: &str) -> Option<Self> {
         match name.replace("/msg/", "/").as_str() {
             "sensor_msgs/LaserScan" => Some(Self::Scan),
             "sensor_msgs/MultiEchoLaserScan" => Some(Self::MultiEchoScan),
+            "sensor_msgs/PointCloud2" => Some(Self::Cloud),
             "nav_msgs/Odometry" => Some(Self::Odometry),
+            "sensor_msgs/Imu" => Some(Self::Imu),
             "tf2_msgs/TFMessage" | "tf/tfMessage" => Some(Self::Transforms),
+            ScanHeader::TYPE_NAME => Some(Self::BusScan),
             _ => None,
         }
     }
 
-    /// Whether it is a scan of whatever kind.
+    /// Whether it is a scan of a planar lidar.
     pub fn is_scan(self) -> bool {
         matches!(self, Self::Scan | Self::MultiEchoScan)
     }
@@ -76,10 +103,18 @@ impl Reading {
     /// # Errors
     /// When the bytes are not such a message, or it has more beams than are taken.
     pub fn decode(kind: ReadingKind, bytes: &[u8], wire: Wire) -> Result<Self, MessageProblem> {
+        if (kind == ReadingKind::BusScan) != (wire == Wire::Bus) {
+            return Err(MessageProblem::UnknownEncoding);
+        }
         let fields = Fields::new(bytes, wire)?;
         match kind {
+            ReadingKind::BusScan => {
+                ScanBuffer::from_bytes(bytes).map(Self::BusScan).ok_or(MessageProblem::BreaksOff)
+            }
             ReadingKind::Scan | ReadingKind::MultiEchoScan => laser_scan(fields, kind).map(Self::Scan),
+            ReadingKind::Cloud => point_cloud(fields).map(Self::Cloud),
             ReadingKind::Odometry => odometry(fields).map(Self::Odometry),
+            ReadingKind::Imu => imu(fields).map(Self::Imu),
             ReadingKind::Transforms => transforms(fields).map(Self::Transforms),
         }
     }
@@ -150,6 +185,19 @@ fn odometry(mut fields: Fields<'_>) -> Result<OdometryReading, MessageProblem> {
     let child = fields.text()?;
     let parent_from_child = pose(&mut fields)?;
     Ok(OdometryReading { transform: StampedTransform { stamp_ns, parent, child, parent_from_child } })
+}
+
+fn imu(mut fields: Fields<'_>) -> Result<ImuReading, MessageProblem> {
+    let (stamp_ns, frame) = fields.header()?;
+    // A quaternion and its covariance.
+    for _ in 0..4 + 9 {
+        fields.f64()?;
+    }
+    let turn_rad_s = Vector3::new(fields.f64()?, fields.f64()?, fields.f64()?);
+    if !turn_rad_s.iter().all(|rate| rate.is_finite()) {
+        return Err(MessageProblem::NotFinite);
+    }
+    Ok(ImuReading { stamp_ns, frame, turn_rad_s })
 }
 
 fn transforms(mut fields: Fields<'_>) -> Result<Vec<StampedTransform>, MessageProblem> {
@@ -270,6 +318,16 @@ mod tests {
         assert_eq!(found, Err(MessageProblem::NotFinite));
     }
 
+    #[test]
+    fn an_imu_says_how_fast_it_turns() {
+        let rates = doubles(&[0.1, -0.2, 0.3]);
+        let bytes = [header("imu"), doubles(&[0.0; 13]), rates, doubles(&[0.0; 21])].concat();
+        let Ok(Reading::Imu(found)) = Reading::decode(ReadingKind::Imu, &bytes, Wire::Ros1) else {
+            panic!("not an IMU")
+        };
+        assert_eq!((found.frame.as_str(), found.turn_rad_s), ("imu", Vector3::new(0.1, -0.2, 0.3)));
+    }
+
     proptest! {
         #[test]
         fn any_bytes_are_survived(
@@ -283,8 +341,8 @@ mod tests {
             let place = at % bytes.len();
             bytes[place] = value;
             let wire = if cdr { Wire::Cdr } else { Wire::Ros1 };
-            use ReadingKind::{MultiEchoScan, Odometry, Scan, Transforms};
-            for kind in [Scan, MultiEchoScan, Odometry, Transforms] {
+            use ReadingKind::{Cloud, Imu, MultiEchoScan, Odometry, Scan, Transforms};
+            for kind in [Scan, MultiEchoScan, Cloud, Odometry, Imu, Transforms] {
                 if let Ok(Reading::Scan(found)) = Reading::decode(kind, &bytes, wire) {
                     prop_assert!(found.scan.view().is_ok());
                 }

@@ -105,6 +105,13 @@ impl Simulation {
         })
     }
 
+    /// With the lidar elsewhere on the robot: `base_from_laser`.
+    #[must_use]
+    pub fn mounted(mut self, base_from_laser: Pose) -> Self {
+        self.lidar.put(base_from_laser);
+        self
+    }
+
     /// How many scans the whole drive has.
     pub fn scans(&self) -> usize {
         self.scans

@@ -78,6 +78,11 @@ impl Lidar {
         }
     }
 
+    /// Puts it elsewhere on the robot.
+    pub(super) fn put(&mut self, base_from_laser: Pose) {
+        self.mount = base_from_laser;
+    }
+
     /// Its pose on the robot, `base_from_laser`.
     pub(super) fn mount(&self) -> Pose {
         self.mount

@@ -24,9 +24,6 @@ pub struct MountingError {
 }
 
 impl Mounting {
-    /// In the middle of the robot, looking ahead.
-    pub const MIDDLE: Self = Self { base_from_laser: Pose::IDENTITY, upside_down: false };
-
     /// From the pose of the lidar in the frame of the robot.
     ///
     /// # Errors

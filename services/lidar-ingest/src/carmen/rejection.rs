@@ -33,6 +33,9 @@ pub enum Rejection {
     /// Odometry has moved and every range is the same as before.
     #[error("the scan repeats the one before it although the robot has moved")]
     Frozen,
+    /// A message of a recording does not match its type.
+    #[error("a message does not match its type")]
+    BadMessage,
 }
 
 impl Rejection {
@@ -49,6 +52,7 @@ impl Rejection {
             Self::BadStamp => "bad_stamp",
             Self::TimeReversed => "time_reversed",
             Self::Frozen => "frozen",
+            Self::BadMessage => "bad_message",
         }
     }
 }

@@ -1,12 +1,14 @@
 //! One interface to all sources of scans – log, recording, pipe, simulation – with the experiment's changes applied.
 
 use super::pipe::{Pipe, Piped};
-use super::recording_reader::{ReadRecordingError, RecordingReader};
+use super::recording_reader::RecordingReader;
+use super::topic_choice::ReadRecordingError;
 use super::truth_file::TruthWriter;
 use super::{Source, Task, first_stages, world_file};
 use crate::Settings;
 use crate::carmen::{CarmenReader, Tally};
 use crate::experiment::Experiment;
+use crate::self_mask::mask;
 use flockslam_messages::ScanBuffer;
 use flockslam_recordings::is_recording;
 use flockslam_simulation::{Simulation, World};
@@ -18,6 +20,7 @@ use std::path::Path;
 /// Scans one after another, from whatever source, with the experiment's changes applied.
 pub struct Feed {
     kind: Kind,
+    self_mask: Vec<[f64; 4]>,
     experiment: Experiment,
 }
 
@@ -71,7 +74,8 @@ impl Feed {
             }
             Source::Nothing => (Kind::Nothing, 0),
         };
-        Ok(Self { kind, experiment: Experiment::new(&task.settings, expected) })
+        let self_mask = task.settings.self_mask.clone();
+        Ok(Self { kind, self_mask, experiment: Experiment::new(&task.settings, expected) })
     }
 
     /// Goes past the scans that a predecessor has sent.
@@ -127,6 +131,7 @@ impl Feed {
             Kind::Nothing => Fed::End,
         };
         if fed == Fed::Scan {
+            mask(scan, &self.self_mask);
             self.experiment.apply(scan);
         }
         Ok(fed)

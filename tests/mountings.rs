@@ -1,0 +1,136 @@
+//! Wherever lidars sit on a robot, however many they are and whatever tells how it turns: recordings with transforms give the same poses.
+
+use crate::support::ros_recording::{RosRecording, in_space};
+use crate::support::run_well;
+use flockslam::evaluation::{TrajectoryPoint, evaluate_truth};
+use flockslam_geometry::Pose;
+use flockslam_messages::ScanBuffer;
+use flockslam_simulation::{Settings, Simulation, World, WorldName};
+use flockslam_transforms::Isometry3;
+use nalgebra::{Translation3, UnitQuaternion};
+use std::f64::consts::PI;
+use std::path::Path;
+
+/// The simulated lidars turn so often a second; those that are slower leave turns out.
+const RATE_HZ: f64 = 20.0;
+
+/// A lidar on the robot.
+#[derive(Clone, Copy)]
+struct Mounted {
+    place: Pose,
+    upside_down: bool,
+    /// It gives every so many turns a scan.
+    every: usize,
+}
+
+/// What tells how the robot moves.
+#[derive(Clone, Copy, PartialEq)]
+enum Motion {
+    Wheels,
+    Gyroscope,
+}
+
+/// A lidar at ten turns a second, so far ahead of the middle of the robot, and looking there.
+fn at(x_m: f64, heading_deg: f64) -> Mounted {
+    Mounted { place: Pose::new(x_m, 0.0, heading_deg.to_radians()), upside_down: false, every: 2 }
+}
+
+const MS: i64 = 1_000_000;
+
+/// Writes a drive with these lidars on the robot; the exact poses at the times of its scans.
+fn record(path: &Path, settings: &Settings, lidars: &[Mounted], motion: Motion) -> Vec<TrajectoryPoint> {
+    let mut recording = RosRecording::create(path);
+    for (number, lidar) in lidars.iter().enumerate() {
+        let mut place = in_space(lidar.place);
+        place.translation.z = 0.3;
+        if lidar.upside_down {
+            place.rotation *= UnitQuaternion::from_euler_angles(PI, 0.0, 0.0);
+        }
+        recording.static_transform("base_link", &format!("laser_{number}"), &place);
+    }
+    // The IMU lies on its side: the robot turns about its y axis.
+    let on_its_side = UnitQuaternion::from_euler_angles(PI / 2.0, 0.0, 0.0);
+    recording.static_transform("base_link", "imu", &Isometry3::from_parts(Translation3::identity(), on_its_side));
+    let simulated = |lidar: &Mounted| {
+        Simulation::new(settings, World::built_in(settings)).unwrap().mounted(lidar.place)
+    };
+    let mut drives: Vec<_> = lidars.iter().map(simulated).collect();
+    let (mut scan, mut truth) = (ScanBuffer::default(), Vec::new());
+    for turn in 0..drives[0].scans() {
+        for (number, (lidar, drive)) in lidars.iter().zip(&mut drives).enumerate() {
+            let map_from_base = drive.next_scan(&mut scan).unwrap();
+            let stamp_ns = scan.header.times.sensor_ns;
+            if number == 0 {
+                let rate_rad_s = drive.twist().turn_rad_s + GYRO_BIAS_RAD_S;
+                recording.imu(stamp_ns, "imu", [0.0, rate_rad_s, 0.0]);
+                if motion == Motion::Wheels {
+                    recording.odometry(stamp_ns, scan.header.odometry);
+                }
+                truth.push(TrajectoryPoint { stamp_ns, map_from_base });
+            }
+            if lidar.upside_down {
+                scan.header.angle_min_rad = -scan.header.angle_min_rad;
+                scan.header.angle_increment_rad = -scan.header.angle_increment_rad;
+            }
+            if turn.is_multiple_of(lidar.every) {
+                recording.scan(&format!("/scan_{number}"), &format!("laser_{number}"), &scan);
+            }
+        }
+    }
+    recording.finish();
+    truth
+}
+
+/// What gyroscopes of small robots are off by.
+const GYRO_BIAS_RAD_S: f64 = 0.01;
+
+/// Mean error of the poses of a recording, metres.
+fn error_m(place: &Path, recording: &Path, more: &[String], truth: &[TrajectoryPoint]) -> f64 {
+    let args = [&["map".to_owned(), recording.display().to_string()], more].concat();
+    let outputs = run_well("mounted", &place.join("out"), &args);
+    let report = evaluate_truth(&outputs.trajectory("trajectory.tum"), truth).unwrap();
+    assert_eq!(report.without_truth, 0);
+    report.absolute.translation_m.unwrap().mean
+}
+
+fn settings(world: WorldName, duration_s: f64) -> Settings {
+    Settings { world, duration_s, scan_rate_hz: RATE_HZ, wheel_slips: 0, ..Settings::default() }
+}
+
+#[test]
+fn lidars_wherever_and_how_many_give_poses_as_true_as_one_in_the_middle() {
+    let directory = tempfile::tempdir().unwrap();
+    let settings = settings(WorldName::Office, 60.0);
+    let error_of = |lidars: &[Mounted]| {
+        let file = directory.path().join("drive.mcap");
+        let truth = record(&file, &settings, lidars, Motion::Wheels);
+        let topics = (0..lidars.len()).flat_map(|number| ["--scan".to_owned(), format!("/scan_{number}")]);
+        error_m(directory.path(), &file, &topics.collect::<Vec<_>>(), &truth)
+    };
+    let plain_m = error_of(&[at(0.1, 0.0)]);
+    println!("plain {:.4} m", plain_m);
+    for (name, lidars) in [
+        ("ahead and turned", vec![at(0.3, 30.0)]),
+        ("upside down", vec![Mounted { upside_down: true, ..at(0.1, 90.0) }]),
+        ("back to back", vec![at(0.3, 0.0), at(-0.3, 180.0)]),
+        ("three rates", vec![at(0.2, 0.0), Mounted { every: 4, ..at(-0.2, 120.0) }, Mounted { every: 1, ..at(0.0, -120.0) }]),
+    ] {
+        let found_m = error_of(&lidars);
+        println!("{name} {found_m:.4} m");
+        assert!(found_m < 1.1 * plain_m, "{name}: {found_m} m beside {plain_m} m");
+    }
+}
+
+#[test]
+fn a_gyroscope_stands_in_for_wheels() {
+    let directory = tempfile::tempdir().unwrap();
+    let settings = settings(WorldName::Hotel, 60.0);
+    let error_of = |motion: Motion| {
+        let file = directory.path().join("drive.mcap");
+        let truth = record(&file, &settings, &[at(0.1, 0.0)], motion);
+        error_m(directory.path(), &file, &[], &truth)
+    };
+    let (wheels_m, gyroscope_m) = (error_of(Motion::Wheels), error_of(Motion::Gyroscope));
+    println!("wheels {wheels_m:.4} m, gyroscope {gyroscope_m:.4} m");
+    assert!(gyroscope_m < 1.5 * wheels_m);
+}
