@@ -3,7 +3,9 @@
 
 use crate::support;
 use crate::support::tools::{python_with, tool};
-use crate::support::{Drive, LiveSet, Outputs, RunningSet, flockslam, run_well, send, stderr, stdout, wait_for};
+use crate::support::{
+    Drive, LiveSet, Outputs, RunningSet, flockslam, run_well, send, simulated_log, stderr, stdout, wait_for,
+};
 use flockslam::recording::RecordTopic;
 use flockslam::supervisor::Request;
 use flockslam_messages::{ScanHeader, Stage};
@@ -133,7 +135,7 @@ fn the_recording_of_a_set_is_mapped_to_the_same_bytes_and_one_changed_byte_is_se
     let mut set = RunningSet::start_with_pipe("recorded", &place.join("seen"), &args);
     set.pid(Stage::SyncManager);
     let file = place.join("drive.mcap");
-    let recorder = Recorder::of_robot(set.robot(), &[file.to_str().unwrap()]);
+    let mut recorder = Recorder::of_robot(set.robot(), &[file.to_str().unwrap()]);
     wait_for("the recorder", || file.exists().then_some(()));
     let mut stdin = set.stdin.take().unwrap();
     for line in simulated_log(20.0).lines() {
@@ -142,10 +144,10 @@ fn the_recording_of_a_set_is_mapped_to_the_same_bytes_and_one_changed_byte_is_se
         std::thread::sleep(Duration::from_millis(10));
     }
     drop(stdin);
-    let seen = set.finish();
+    // The set ends with its pipe, and the recorder with the set.
     let mut said = String::new();
-    let mut recorder = recorder;
     recorder.0.stdout.take().unwrap().read_to_string(&mut said).unwrap();
+    let seen = set.finish();
     assert!(said.contains("missed 0 scans"), "{said}");
     let replayed = |name: &str| {
         let args = ["map".to_owned(), place.join(name).display().to_string()];

@@ -113,7 +113,8 @@ impl TopicArgs {
     pub fn assignments(&self) -> Vec<String> {
         let named = [("odometry_topic", &self.odom), ("imu_topic", &self.imu)];
         let named = named.into_iter().filter_map(|(key, topic)| topic.as_ref().map(|topic| (key, topic)));
-        let mut found: Vec<String> = named.map(|(key, topic)| format!("lidar_ingest.{key}={topic:?}")).collect();
+        let mut found: Vec<String> =
+            named.map(|(key, topic)| format!("lidar_ingest.{key}={topic:?}")).collect();
         if !self.scan.is_empty() {
             found.push(format!("lidar_ingest.scan_topics={:?}", self.scan));
         }

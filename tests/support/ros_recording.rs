@@ -130,9 +130,10 @@ impl RosRecording {
     /// Points.
     pub fn cloud(&mut self, frame: &str, stamp_ns: i64, points: &[Point3<f32>]) {
         let message = Cdr::message(stamp_ns, frame).u32(1).u32(points.len() as u32).u32(3);
-        let message = ["x", "y", "z"].into_iter().zip([0, 4, 8]).fold(message, |message, (name, offset)| {
-            message.text(name).u32(offset).bytes([7]).u32(1)
-        });
+        let message = ["x", "y", "z"]
+            .into_iter()
+            .zip([0, 4, 8])
+            .fold(message, |message, (name, offset)| message.text(name).u32(offset).bytes([7]).u32(1));
         let size = 12 * points.len() as u32;
         let message = message.bytes([0]).u32(12).u32(size).u32(size);
         let message = points.iter().fold(message, |message, point| message.f32s(point.iter().copied()));

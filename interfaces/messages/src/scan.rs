@@ -265,7 +265,8 @@ impl ScanBuffer {
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let (header, numbers) = ScanHeader::read_from_prefix(bytes).ok()?;
         let numbers = numbers.as_chunks::<4>();
-        let scan = Self { header, numbers: numbers.0.iter().map(|bytes| f32::from_ne_bytes(*bytes)).collect() };
+        let scan =
+            Self { header, numbers: numbers.0.iter().map(|bytes| f32::from_ne_bytes(*bytes)).collect() };
         (numbers.1.is_empty() && scan.view().is_ok()).then_some(scan)
     }
 

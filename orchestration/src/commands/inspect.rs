@@ -6,13 +6,17 @@ use crate::configuration::Configuration;
 use flockslam_lidar_ingest::process::{Inspection, LidarSummary, TopicSummary, TransformSummary, inspect};
 use std::fmt::Write;
 
+/// More transforms than these are only counted: the whole shall fit on a screen.
+const TRANSFORMS_SHOWN: usize = 12;
+
 /// Runs the command.
 ///
 /// # Errors
 /// When the recording cannot be opened, or the configuration is not usable.
 pub fn run(args: &InspectArgs) -> Result<(), CommandError> {
     let given = &args.configuration;
-    let assignments: Vec<String> = given.assignments.iter().cloned().chain(args.topics.assignments()).collect();
+    let assignments: Vec<String> =
+        given.assignments.iter().cloned().chain(args.topics.assignments()).collect();
     let configuration = Configuration::load(given.profile, given.config.as_deref(), &assignments)?;
     let found = inspect(&args.recording, &configuration.lidar_ingest).map_err(CommandError::user)?;
     if args.json {
@@ -52,8 +56,10 @@ fn screen(found: &Inspection) -> String {
         let one = |link: &TransformSummary| {
             format!("{} → {}{}", link.parent, link.child, if link.is_static { " (static)" } else { "" })
         };
-        let all: Vec<String> = found.transforms.iter().map(one).collect();
-        let _ = writeln!(text, "transforms: {}", all.join(", "));
+        let shown: Vec<String> = found.transforms.iter().take(TRANSFORMS_SHOWN).map(one).collect();
+        let more = found.transforms.len() - shown.len();
+        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+        let _ = writeln!(text, "transforms: {}{more}", shown.join(", "));
     }
     for (reason, count) in &found.rejected {
         let _ = writeln!(text, "left out: {count} ({reason})");
@@ -73,18 +79,18 @@ fn topics(text: &mut String, topics: &[TopicSummary]) {
             _ => " ".repeat(34),
         };
         let used = topic.used_as.as_ref().map(|used| format!("  used: {used}")).unwrap_or_default();
-        let line = format!(
-            "  {:names$}  {:types$} {:8} {times}{used}",
-            topic.name, topic.type_name, topic.messages
-        );
+        let line =
+            format!("  {:names$}  {:types$} {:8} {times}{used}", topic.name, topic.type_name, topic.messages);
         let _ = writeln!(text, "{}", line.trim_end());
     }
 }
 
 fn sentence(lidar: &LidarSummary) -> String {
-    let LidarSummary { topic, scans, beams: [least, greatest], field_of_view_deg, range_m, returns, .. } = lidar;
+    let LidarSummary { topic, scans, beams: [least, greatest], field_of_view_deg, range_m, returns, .. } =
+        lidar;
     let beams = if least == greatest { least.to_string() } else { format!("{least} to {greatest}") };
-    let sweep = if lidar.sweep_s == 0.0 { String::new() } else { format!(" within {:.0} ms", 1e3 * lidar.sweep_s) };
+    let sweep =
+        if lidar.sweep_s == 0.0 { String::new() } else { format!(" within {:.0} ms", 1e3 * lidar.sweep_s) };
     let [x_m, y_m, heading_deg] = lidar.base_from_laser;
     let clockwise = if lidar.clockwise { ", angles clockwise" } else { "" };
     format!(

@@ -3,7 +3,14 @@
 use toml::{Table, Value};
 
 /// Keys whose numbers may be negative; their own sections bound them.
-const SIGNED: &[&str] = &["lidar_ingest.start_pose"];
+const SIGNED: &[&str] = &[
+    "lidar_ingest.start_pose",
+    "lidar_ingest.lidars.x_m",
+    "lidar_ingest.lidars.y_m",
+    "lidar_ingest.lidars.heading_deg",
+    "lidar_ingest.cloud_heights_m",
+    "lidar_ingest.self_mask",
+];
 
 /// Keys that need more than "not negative": least and greatest value.
 const BOUNDED: &[(&str, f64, f64)] = &[

@@ -142,7 +142,7 @@ pub fn scan(scan: ScanView<'_>) -> Recorded {
 
 /// A scan as it lies on the bus.
 pub fn bus_scan(scan: ScanView<'_>) -> Recorded {
-    Recorded { topic: RecordTopic::BusScan, utc_ns: scan.header().times.utc_ns, data: scan.bytes() }
+    Recorded { topic: RecordTopic::BusScan, utc_ns: wall(scan.header().times.utc_ns), data: scan.bytes() }
 }
 
 /// A pose, in map with the latest correction and in odom.

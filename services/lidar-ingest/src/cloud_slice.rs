@@ -70,7 +70,10 @@ mod tests {
         let expected = [(0.0, 2.0), (PI / 4.0, 2f64.sqrt())];
         assert_eq!(returns.len(), 2, "{returns:?}");
         for (found, expected) in returns.iter().zip(expected) {
-            assert!((found.0 - expected.0).abs() < 1e-6 && (found.1 - expected.1).abs() < 1e-6, "{returns:?}");
+            assert!(
+                (found.0 - expected.0).abs() < 1e-6 && (found.1 - expected.1).abs() < 1e-6,
+                "{returns:?}"
+            );
         }
     }
 }

@@ -26,11 +26,6 @@ impl GyroHeading {
         self.waiting.push_back(reading);
     }
 
-    /// Whether nothing was measured.
-    pub fn is_empty(&self) -> bool {
-        self.last.is_none() && self.waiting.is_empty()
-    }
-
     /// Integrates what has come; `base_from_imu` gives the rotation of a frame of the IMU.
     pub fn integrate(&mut self, base_from_imu: impl Fn(&ImuReading) -> UnitQuaternion<f64>) {
         while let Some(reading) = self.waiting.pop_front() {

@@ -25,9 +25,9 @@ use flockslam_telemetry::{failpoint, utc_ns};
 use pacer::Pacer;
 pub use recording_inspection::{Inspection, LidarSummary, TopicSummary, TransformSummary, inspect};
 pub use recording_reader::RecordingReader;
-pub use topic_choice::ReadRecordingError;
 use std::path::PathBuf;
 use std::time::Duration;
+pub use topic_choice::ReadRecordingError;
 pub use world_file::read as read_world;
 
 /// The source of scans.

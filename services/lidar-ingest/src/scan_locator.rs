@@ -119,9 +119,8 @@ impl ScanLocator {
     /// brought into the order of time.
     pub fn push_sighting(&mut self, recorded_ns: i64, lidar: u32, sighting: Sighting) {
         self.newest_ns = self.newest_ns.max(recorded_ns);
-        let is_later = |other: &Waiting| {
-            other.lidar != lidar && other.sighting.stamp_ns() > sighting.stamp_ns()
-        };
+        let is_later =
+            |other: &Waiting| other.lidar != lidar && other.sighting.stamp_ns() > sighting.stamp_ns();
         let later = self.waiting.iter().rev().take_while(|other| is_later(other)).count();
         let at = self.waiting.len() - later;
         self.waiting.insert(at, Waiting { recorded_ns, lidar, sighting });
@@ -179,7 +178,9 @@ impl ScanLocator {
         let odometry = odometry.ok().or_else(|| self.last_odometry(&frames, stamp_ns));
         let Some(Waiting { sighting, .. }) = self.waiting.pop_front() else { return Ok(None) };
         let mut scan = match sighting {
-            Sighting::Scan(scan) => self.mounted(scan.scan, lidar, &place).map_err(|problem| LocateError::Tilted { frame, problem })?,
+            Sighting::Scan(scan) => self
+                .mounted(scan.scan, lidar, &place)
+                .map_err(|problem| LocateError::Tilted { frame, problem })?,
             Sighting::Cloud(cloud) => slice(&cloud, &place, self.settings.cloud_heights_m),
         };
         scan.header.id.lidar = lidar;
@@ -201,7 +202,13 @@ impl ScanLocator {
     }
 
     /// `base_from_laser`, in space.
-    fn place(&self, frames: &Frames, lidar: u32, laser: &str, stamp_ns: i64) -> Result<Isometry3<f64>, LocateError> {
+    fn place(
+        &self,
+        frames: &Frames,
+        lidar: u32,
+        laser: &str,
+        stamp_ns: i64,
+    ) -> Result<Isometry3<f64>, LocateError> {
         if let Some(given) = self.settings.lidars.get(lidar as usize) {
             return Ok(given.base_from_laser());
         }
@@ -221,7 +228,12 @@ impl ScanLocator {
     }
 
     /// A scan with the place of its lidar, in the plane.
-    fn mounted(&self, mut scan: ScanBuffer, lidar: u32, place: &Isometry3<f64>) -> Result<ScanBuffer, MountingError> {
+    fn mounted(
+        &self,
+        mut scan: ScanBuffer,
+        lidar: u32,
+        place: &Isometry3<f64>,
+    ) -> Result<ScanBuffer, MountingError> {
         let mounting = Mounting::from_transform(place)?;
         let mirrored = self.settings.lidars.get(lidar as usize).is_some_and(|given| given.mirrored);
         let header = &mut scan.header;
@@ -244,7 +256,11 @@ impl ScanLocator {
     /// The heading by the gyro at a time, where it is asked for.
     fn heading_at(&self, frames: &Frames, at_ns: i64) -> Result<f64, LookupError> {
         let has_odometry = self.odometry_frames.is_some() || frames.odom.is_some();
-        if has_odometry && !self.gyro_leads { Err(LookupError::Unlinked) } else { self.gyro.heading_rad(at_ns) }
+        if has_odometry && !self.gyro_leads {
+            Err(LookupError::Unlinked)
+        } else {
+            self.gyro.heading_rad(at_ns)
+        }
     }
 
     /// `odom_from_base` at a time.
@@ -277,7 +293,8 @@ impl ScanLocator {
             (Some(odometry), heading_rad) if self.gyro_leads => {
                 let fused = self.fused.map_or(odometry, |(before, heading_before_rad, fused)| {
                     let motion = before.to(odometry);
-                    let turned_rad = heading_rad.zip(heading_before_rad).map(|(now, before)| wrap_angle(now - before));
+                    let turned_rad =
+                        heading_rad.zip(heading_before_rad).map(|(now, before)| wrap_angle(now - before));
                     fused * Pose { heading_rad: turned_rad.unwrap_or(motion.heading_rad), ..motion }
                 });
                 self.fused = Some((odometry, heading_rad, fused));
@@ -300,7 +317,7 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
-    fn locator(lidars: &[LidarMounting]) -> ScanLocator {
+    fn locator_of(lidars: &[LidarMounting]) -> ScanLocator {
         let settings = Settings { lidars: lidars.to_vec(), ..Settings::default() };
         ScanLocator::new(&settings, 1, false)
     }
@@ -330,7 +347,7 @@ mod tests {
 
     #[test]
     fn odometry_is_interpolated_at_the_time_of_the_scan_whatever_comes_first() {
-        let mut locator = locator(&[]);
+        let mut locator = locator_of(&[]);
         locator.push_transforms(0, &[transform(0, "base_link", "laser", 0.3)], true);
         locator.push_sighting(100 * MS, 0, scan(100));
         locator.push_transforms(160 * MS, &[transform(150, "odom", "base_link", 1.5)], false);
@@ -344,7 +361,7 @@ mod tests {
 
     #[test]
     fn scans_wait_for_odometry_and_not_for_ever() {
-        let mut locator = locator(&[]);
+        let mut locator = locator_of(&[]);
         let odometry = |at_ms: i64| OdometryReading { transform: transform(at_ms, "odom", "", 1.0) };
         locator.push_odometry(0, &odometry(0));
         locator.push_sighting(10 * MS, 0, scan(10));
@@ -359,17 +376,17 @@ mod tests {
 
     #[test]
     fn without_any_transform_the_lidar_is_the_robot_and_with_others_it_is_refused() {
-        let mut locator = locator(&[]);
+        let mut locator = locator_of(&[]);
         locator.push_sighting(0, 0, scan(0));
         let alone = locator.take(true).unwrap().unwrap();
         assert_eq!((alone.header.base_from_laser, alone.header.has_odometry), (Pose::IDENTITY, 0));
-        let mut locator = locator(&[]);
+        let mut locator = locator_of(&[]);
         locator.push_transforms(0, &[transform(0, "odom", "base_link", 0.0)], false);
         locator.push_sighting(0, 0, scan(0));
         let error = locator.take(true).unwrap_err().to_string();
         assert!(error.contains("'laser'") && error.contains("lidar_ingest.lidars"), "{error}");
         let given = LidarMounting { x_m: 0.2, upside_down: true, ..LidarMounting::default() };
-        let mut locator = locator(&[given]);
+        let mut locator = locator_of(&[given]);
         locator.push_transforms(0, &[transform(0, "odom", "base_link", 0.0)], false);
         locator.push_sighting(0, 0, scan(0));
         let found = locator.take(true).unwrap().unwrap();
@@ -382,9 +399,13 @@ mod tests {
         let mut locator = ScanLocator::new(&Settings::default(), 2, false);
         let places = [transform(0, "base_link", "front", 0.3), transform(0, "base_link", "rear", -0.3)];
         locator.push_transforms(0, &places, true);
-        for (recorded_ms, lidar, frame, stamp_ms) in
-            [(10, 0, "front", 5), (20, 0, "front", 15), (30, 1, "rear", 2), (40, 1, "rear", 12), (50, 0, "front", 25)]
-        {
+        for (recorded_ms, lidar, frame, stamp_ms) in [
+            (10, 0, "front", 5),
+            (20, 0, "front", 15),
+            (30, 1, "rear", 2),
+            (40, 1, "rear", 12),
+            (50, 0, "front", 25),
+        ] {
             locator.push_sighting(recorded_ms * MS, lidar, scan_in(frame, stamp_ms));
         }
         assert_eq!(locator.take(false), Ok(None), "one of the other may still come");

@@ -126,8 +126,14 @@ impl Settings {
                 self.start_pose.is_none_or(|pose| pose.iter().all(|v| v.abs() < 1e8)),
                 "start_pose must be finite",
             ),
-            (self.lidars.len() <= 16 && self.scan_topics.len() <= 16, "lidars and scan_topics must be 16 at most"),
-            (self.cloud_heights_m.is_sorted_by(|a, b| a < b), "cloud_heights_m must be two heights, the lower first"),
+            (
+                self.lidars.len() <= 16 && self.scan_topics.len() <= 16,
+                "lidars and scan_topics must be 16 at most",
+            ),
+            (
+                self.cloud_heights_m.is_sorted_by(|a, b| a < b),
+                "cloud_heights_m must be two heights, the lower first",
+            ),
             (
                 self.self_mask.iter().all(|[x, to_x, y, to_y]| x < to_x && y < to_y),
                 "self_mask must be boxes: the least and the greatest x, the least and the greatest y",

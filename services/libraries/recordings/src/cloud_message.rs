@@ -33,7 +33,9 @@ pub(crate) fn point_cloud(mut fields: Fields<'_>) -> Result<FramedCloud, Message
     let (point_step, row_step) = (fields.u32()? as usize, fields.u32()? as usize);
     let data = fields.bytes()?;
     let end = places.iter().map(|field| field.offset + if field.is_double { 8 } else { 4 }).max();
-    if point_step < end.unwrap_or(usize::MAX) || point_step.checked_mul(width).is_none_or(|row| row_step < row) {
+    if point_step < end.unwrap_or(usize::MAX)
+        || point_step.checked_mul(width).is_none_or(|row| row_step < row)
+    {
         return Err(MessageProblem::BreaksOff);
     }
     if height > 0 && width > 0 && row_step.checked_mul(height).is_none_or(|bytes| bytes > data.len()) {
@@ -102,7 +104,8 @@ mod tests {
         let point = |x: f64, y: f32, z: f32| {
             [&y.to_le_bytes()[..], &z.to_le_bytes(), &x.to_le_bytes(), &[9; 4]].concat()
         };
-        let data = [point(1.0, 2.0, 3.0), point(f64::NAN, 0.0, 0.0), point(4.0, 5.0, 6.0), point(7.0, 8.0, 9.0)];
+        let data =
+            [point(1.0, 2.0, 3.0), point(f64::NAN, 0.0, 0.0), point(4.0, 5.0, 6.0), point(7.0, 8.0, 9.0)];
         let head = [0u32, 5, 500].map(u32::to_le_bytes).concat();
         let size = [2u32, 2, 3].map(u32::to_le_bytes).concat();
         let fields = [field("y", 0, FLOAT32), field("z", 4, FLOAT32), field("x", 8, FLOAT64)].concat();

@@ -127,7 +127,11 @@ fn inspect_recording(found: &mut Inspection, path: &Path, settings: &Settings) -
 }
 
 /// Everything that is understood in a recording, as it was recorded; what stops the reading.
-fn messages(found: &mut Inspection, recording: &mut Recording, choice: Option<&TopicChoice>) -> Option<String> {
+fn messages(
+    found: &mut Inspection,
+    recording: &mut Recording,
+    choice: Option<&TopicChoice>,
+) -> Option<String> {
     let all: Vec<usize> = (0..recording.topics().len()).collect();
     recording.want(&all);
     let mut times = vec![Times::default(); all.len()];

@@ -19,7 +19,9 @@ pub enum ReadRecordingError {
         topics: String,
     },
     /// More than one lidar.
-    #[error("{name}: scans on {topics}: choose one with --scan TOPIC, or name that of each lidar with a --scan of its own")]
+    #[error(
+        "{name}: scans on {topics}: choose one with --scan TOPIC, or name that of each lidar with a --scan of its own"
+    )]
     SeveralScans {
         /// The recording.
         name: String,
