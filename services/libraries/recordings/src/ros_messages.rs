@@ -13,6 +13,9 @@ const BEAMS_MAX: usize = 10_000_000;
 /// No lidar takes longer for a turn, seconds; a driver that says so fills the field with something else.
 const SWEEP_MAX_S: f32 = 1.2;
 
+/// Into so many parts a degree is divided by the steps of lidars: 1°, 0.5°, ⅓°, 0.25° …; the last has the fractions of a turn by 1024.
+const FRACTIONS_OF_DEGREES: [f64; 8] = [1.0, 2.0, 3.0, 4.0, 10.0, 16.0, 100.0, 128.0];
+
 /// Kinds of messages that are understood.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum ReadingKind {
@@ -149,7 +152,7 @@ fn laser_scan(mut fields: Fields<'_>, kind: ReadingKind) -> Result<FramedScan, M
     let mut scan = ScanBuffer { numbers, ..ScanBuffer::default() };
     let header = &mut scan.header;
     header.times.sensor_ns = stamp_ns;
-    (header.angle_min_rad, header.angle_increment_rad) = (f64::from(angle_min), f64::from(increment));
+    (header.angle_min_rad, header.angle_increment_rad) = (exact_rad(angle_min), exact_rad(increment));
     header.range_min_m = range_min.max(RANGE_MIN_M);
     header.range_max_m = range_max;
     // Written this way round, so that NaN fails.
@@ -158,6 +161,14 @@ fn laser_scan(mut fields: Fields<'_>, kind: ReadingKind) -> Result<FramedScan, M
     header.beam_count = beams as u32;
     header.sections = if has_intensities { ScanSections::INTENSITIES } else { 0 };
     Ok(FramedScan { frame, scan })
+}
+
+/// An angle of which a message has the nearest number of 32 bits: lidars have steps and limits of whole degrees, or of simple fractions
+/// of them, and the last of a thousand beams is as exact as the first.
+fn exact_rad(rounded_rad: f32) -> f64 {
+    let degrees = f64::from(rounded_rad).to_degrees();
+    let candidates = FRACTIONS_OF_DEGREES.iter().map(|parts| ((degrees * parts).round() / parts).to_radians());
+    candidates.into_iter().find(|exact| *exact as f32 == rounded_rad).unwrap_or(f64::from(rounded_rad))
 }
 
 /// Of each beam of a `LaserEcho[]` the last echo: what lies behind glass and rain. NaN where a beam has none.
@@ -231,6 +242,7 @@ fn pose(fields: &mut Fields<'_>) -> Result<Isometry3<f64>, MessageProblem> {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use std::f64::consts::{FRAC_PI_2, PI};
 
     fn text(text: &str) -> Vec<u8> {
         [&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat()
@@ -280,6 +292,14 @@ mod tests {
         for cut in 0..message(0.0).len() {
             assert!(scan(&message(0.0)[..cut], ReadingKind::Scan).is_err(), "{cut}");
         }
+    }
+
+    #[test]
+    fn angles_of_whole_degrees_and_simple_fractions_are_exact() {
+        for exact in [-FRAC_PI_2, PI / 180.0, PI / 360.0, PI / 720.0, PI / 512.0, 0.0] {
+            assert!((exact_rad(exact as f32) - exact).abs() < 1e-16, "{exact}");
+        }
+        assert_eq!(exact_rad(0.007_016_24), f64::from(0.007_016_24_f32));
     }
 
     #[test]
