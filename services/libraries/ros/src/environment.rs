@@ -1,0 +1,121 @@
+//! What the environment says of a ROS graph: the domain, and how far it reaches.
+
+use crate::RosError;
+
+/// Domains whose ports lie in the range that Linux leaves free.
+const DOMAIN_MAX: u16 = 232;
+/// What DDS implementations call themselves: a node speaks with all of them, so either is as good as none.
+const DDS: [&str; 4] = ["", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp"];
+
+/// How far nodes look for each other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reach {
+    /// On this machine.
+    Localhost,
+    /// In the networks that this machine is in.
+    Subnet,
+}
+
+/// The part of the environment that every node of ROS 2 follows.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Environment {
+    /// Nodes of different domains do not hear each other (`ROS_DOMAIN_ID`).
+    pub domain: u16,
+    /// From `ROS_LOCALHOST_ONLY` and `ROS_AUTOMATIC_DISCOVERY_RANGE`.
+    pub reach: Reach,
+    /// Variables that are set and have no effect here, each with the reason.
+    pub unhonoured: Vec<String>,
+}
+
+impl Environment {
+    /// From the environment of this process.
+    ///
+    /// # Errors
+    /// When a variable has no sense.
+    pub fn of_this_process() -> Result<Self, RosError> {
+        Self::from_variables(|name| std::env::var(name).ok())
+    }
+
+    /// From variables by name.
+    ///
+    /// # Errors
+    /// When a variable has no sense.
+    pub fn from_variables(variable: impl Fn(&str) -> Option<String>) -> Result<Self, RosError> {
+        let text = |name: &str| variable(name).unwrap_or_default();
+        let domain = match text("ROS_DOMAIN_ID").as_str() {
+            "" => 0,
+            value => match value.parse() {
+                Ok(domain) if domain <= DOMAIN_MAX => domain,
+                _ => {
+                    let reason = "a domain is a number from 0 to 232";
+                    return Err(RosError::Environment {
+                        name: "ROS_DOMAIN_ID",
+                        value: value.to_owned(),
+                        reason,
+                    });
+                }
+            },
+        };
+        let range = text("ROS_AUTOMATIC_DISCOVERY_RANGE");
+        let reach = match range.to_ascii_uppercase().as_str() {
+            _ if text("ROS_LOCALHOST_ONLY") == "1" => Reach::Localhost,
+            "" | "SUBNET" | "SYSTEM_DEFAULT" => Reach::Subnet,
+            "LOCALHOST" => Reach::Localhost,
+            _ => {
+                let reason = "it may be SUBNET or LOCALHOST: without discovery no node is heard";
+                return Err(RosError::Environment {
+                    name: "ROS_AUTOMATIC_DISCOVERY_RANGE",
+                    value: range,
+                    reason,
+                });
+            }
+        };
+        let mut unhonoured = Vec::new();
+        let middleware = text("RMW_IMPLEMENTATION");
+        if !DDS.contains(&middleware.as_str()) {
+            unhonoured.push(format!("RMW_IMPLEMENTATION={middleware}: nodes of DDS are heard, others are not"));
+        }
+        for name in ["ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS"] {
+            let value = text(name);
+            if !value.is_empty() {
+                unhonoured.push(format!("{name}={value}: nodes are found by multicast only"));
+            }
+        }
+        Ok(Self { domain, reach, unhonoured })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(variables: &[(&str, &str)]) -> Result<Environment, String> {
+        let find = |name: &str| variables.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned());
+        Environment::from_variables(find).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn domain_and_reach_follow_the_variables() {
+        let plain = read(&[]).unwrap();
+        assert_eq!((plain.domain, plain.reach, plain.unhonoured.len()), (0, Reach::Subnet, 0));
+        let there = read(&[("ROS_DOMAIN_ID", "42"), ("ROS_LOCALHOST_ONLY", "1")]).unwrap();
+        assert_eq!((there.domain, there.reach), (42, Reach::Localhost));
+        let range = read(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", "localhost"), ("ROS_LOCALHOST_ONLY", "0")]);
+        assert_eq!(range.unwrap().reach, Reach::Localhost);
+    }
+
+    #[test]
+    fn what_has_no_sense_is_refused_and_what_has_no_effect_is_named() {
+        for domain in ["x", "-1", "233", "70000"] {
+            assert!(read(&[("ROS_DOMAIN_ID", domain)]).unwrap_err().starts_with("ROS_DOMAIN_ID="), "{domain}");
+        }
+        assert!(read(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")]).unwrap_err().contains("no node is heard"));
+        let named = read(&[
+            ("RMW_IMPLEMENTATION", "rmw_zenoh_cpp"),
+            ("ROS_DISCOVERY_SERVER", "10.0.0.1:11811"),
+            ("ROS_STATIC_PEERS", "10.0.0.2"),
+        ]);
+        assert_eq!(named.unwrap().unhonoured.len(), 3);
+        assert!(read(&[("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")]).unwrap().unhonoured.is_empty());
+    }
+}

@@ -1,0 +1,177 @@
+//! Services that maps and measurements are handled with: those of slam_toolbox, nav2 and std_srvs.
+
+use super::{OccupancyGrid, service};
+
+service! {
+    /// `std_srvs/Empty`.
+    Empty = "std_srvs" / "Empty",
+    EmptyRequest {
+        /// Of no meaning.
+        structure_needs_at_least_one_member: u8,
+    },
+    EmptyResponse {
+        /// Of no meaning.
+        structure_needs_at_least_one_member: u8,
+    }
+}
+
+service! {
+    /// `std_srvs/Trigger`.
+    Trigger = "std_srvs" / "Trigger",
+    TriggerRequest {
+        /// Of no meaning.
+        structure_needs_at_least_one_member: u8,
+    },
+    TriggerResponse {
+        /// Whether it was done.
+        success: bool,
+        /// Or why not.
+        message: String,
+    }
+}
+
+service! {
+    /// `std_srvs/SetBool`.
+    SetBool = "std_srvs" / "SetBool",
+    SetBoolRequest {
+        /// On or off.
+        data: bool,
+    },
+    SetBoolResponse {
+        /// Whether it was done.
+        success: bool,
+        /// Or why not.
+        message: String,
+    }
+}
+
+service! {
+    /// `nav_msgs/GetMap`.
+    GetMap = "nav_msgs" / "GetMap",
+    GetMapRequest {
+        /// Of no meaning.
+        structure_needs_at_least_one_member: u8,
+    },
+    GetMapResponse {
+        /// The map.
+        map: OccupancyGrid,
+    }
+}
+
+service! {
+    /// `slam_toolbox/SaveMap`.
+    ToolboxSaveMap = "slam_toolbox" / "SaveMap",
+    ToolboxSaveMapRequest {
+        /// Path without an ending.
+        name: String,
+    },
+    ToolboxSaveMapResponse {
+        /// 0 for success, 1 when there is no map, else 255.
+        result: u8,
+    }
+}
+
+service! {
+    /// `slam_toolbox/SerializePoseGraph`.
+    SerializePoseGraph = "slam_toolbox" / "SerializePoseGraph",
+    SerializePoseGraphRequest {
+        /// Where to.
+        filename: String,
+    },
+    SerializePoseGraphResponse {
+        /// 0 for success, else 255.
+        result: u8,
+    }
+}
+
+service! {
+    /// `slam_toolbox/DeserializePoseGraph`. The pose at the end of its request has another type in each release, and is not read.
+    DeserializePoseGraph = "slam_toolbox" / "DeserializePoseGraph",
+    DeserializePoseGraphRequest {
+        /// Where from.
+        filename: String,
+        /// How to begin.
+        match_type: i8,
+    },
+    DeserializePoseGraphResponse {
+        /// 0 for success, 3 when the file cannot be read, else 255.
+        result: u8,
+    }
+}
+
+service! {
+    /// `slam_toolbox/Pause`: each call toggles.
+    TogglePause = "slam_toolbox" / "Pause",
+    TogglePauseRequest {
+        /// Of no meaning.
+        structure_needs_at_least_one_member: u8,
+    },
+    TogglePauseResponse {
+        /// Whether it was done.
+        status: bool,
+    }
+}
+
+service! {
+    /// `slam_toolbox/ClearQueue`.
+    ClearQueue = "slam_toolbox" / "ClearQueue",
+    ClearQueueRequest {
+        /// Of no meaning.
+        structure_needs_at_least_one_member: u8,
+    },
+    ClearQueueResponse {
+        /// Whether it was done.
+        status: bool,
+    }
+}
+
+service! {
+    /// `slam_toolbox/Reset`.
+    Reset = "slam_toolbox" / "Reset",
+    ResetRequest {
+        /// Whether measurements are paused from then on.
+        pause_new_measurements: bool,
+    },
+    ResetResponse {
+        /// 0 for success.
+        result: u8,
+    }
+}
+
+service! {
+    /// `nav2_msgs/SaveMap`.
+    NavigationSaveMap = "nav2_msgs" / "SaveMap",
+    NavigationSaveMapRequest {
+        /// Whose map; of no meaning here.
+        map_topic: String,
+        /// Path without an ending.
+        map_url: String,
+        /// Of the picture.
+        image_format: String,
+        /// Of the picture's cells.
+        map_mode: String,
+        /// Below this share of black a cell is free.
+        free_thresh: f32,
+        /// Above it, occupied.
+        occupied_thresh: f32,
+    },
+    NavigationSaveMapResponse {
+        /// Whether it was done.
+        result: bool,
+    }
+}
+
+service! {
+    /// `nav2_msgs/LoadMap`.
+    NavigationLoadMap = "nav2_msgs" / "LoadMap",
+    NavigationLoadMapRequest {
+        /// Where from.
+        map_url: String,
+    },
+    NavigationLoadMapResponse {
+        /// The map.
+        map: OccupancyGrid,
+        /// 0 for success, 1 when there is none, 2 and 3 when it is damaged, else 255.
+        result: u8,
+    }
+}
