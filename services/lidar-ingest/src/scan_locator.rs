@@ -8,7 +8,8 @@ use crate::gyro_heading::GyroHeading;
 use crate::settings::Settings;
 use flockslam_geometry::{Pose, wrap_angle};
 use flockslam_messages::{HEADING_ONLY, ScanBuffer};
-use flockslam_recordings::{FramedCloud, FramedScan, ImuReading, OdometryReading};
+use flockslam_recordings::FramedCloud;
+use flockslam_sensor_stream::{FramedScan, ImuReading, OdometryReading};
 use flockslam_transforms::{
     Isometry3, LookupError, Mounting, MountingError, StampedTransform, TransformBuffer, frame_name, planar,
 };
