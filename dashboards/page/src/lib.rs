@@ -8,6 +8,7 @@
 
 mod bus_watch;
 mod connection;
+mod followed_map;
 mod frame;
 mod fused_picture;
 mod guard;
@@ -25,6 +26,7 @@ mod stage_latency;
 mod tile_code;
 mod view;
 
+pub use followed_map::{FollowedMap, Stored};
 pub use guard::Guard;
 pub use health::{Health, StageHealth};
 pub use outbox::Outbox;

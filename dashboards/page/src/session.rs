@@ -1,6 +1,6 @@
 //! Reads the bus and the files of a set and puts what is new into the view.
 
-use crate::fused_picture::FusedPicture;
+use crate::followed_map::FollowedMap;
 use crate::health::{Event, EventKind};
 use crate::path::Path;
 use crate::shade::{Shader, Shades};
@@ -9,19 +9,15 @@ use crate::view::{Companion, Graph, RobotNow, SCAN_UNIT_M, ScanNow, Track, numbe
 use flockslam_bus::{
     Bus, Publisher, RuntimeDir, Sample, ScanSample, ScanSubscriber, SliceSubscriber, Subscriber,
 };
-use flockslam_evidence::{Submap, TILE_CELLS, TileKey};
-use flockslam_geometry::Pose;
+use flockslam_evidence::{TILE_CELLS, TileKey};
 use flockslam_messages::{
     Control, ControlKind, Deskew, FlockRobot, FlockRobots, PoseEstimate, Quality, ScanView, Stage,
     TileMessage, TracksHeader,
 };
-use flockslam_results::SubmapStore;
-use flockslam_results::{self as results, LivePoses};
+use flockslam_results::LivePoses;
 use flockslam_stage::{JournalReader, StageError};
 use flockslam_telemetry::monotonic_ns;
 use std::collections::{BTreeMap, VecDeque};
-use std::os::unix::fs::MetadataExt;
-use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 /// Records of the journal are read for no longer than this at a time.
@@ -38,8 +34,6 @@ const MAP_TILES_PER_TICK: usize = 128;
 const FILES_EVERY: u64 = 5;
 /// Closed loops are reported no oftener than this: there may be many, one after the other.
 const LOOPS_EVERY_MS: u64 = 20_000;
-/// The newest submaps may be stored once more, with cells that have been cleared.
-const REPLACED_AMONG: usize = 12;
 
 /// A look at the bus: joined when somebody looks at the page, left when nobody does any more.
 pub struct Session {
@@ -52,27 +46,14 @@ pub struct Session {
     journal: JournalReader,
     /// The journal was read to its end once.
     has_caught_up: bool,
-    store: SubmapStore,
-    results: PathBuf,
-    optimises: bool,
-    /// Submaps that are stored.
-    stored: u32,
-    origins: Vec<(u32, [f64; 3])>,
+    followed: FollowedMap,
     /// Loops that have been reported, and when; `None` before the first look.
     loops: Option<(u64, u64)>,
-    submap_poses: BTreeMap<u32, Pose>,
-    poses_file: Option<Version>,
-    /// Which version of each of the newest files is in the picture.
-    versions: BTreeMap<u32, Version>,
-    picture: FusedPicture,
     shader: Shader,
     ticks: u64,
     // The bus goes last.
     bus: Bus,
 }
-
-/// Tells versions of a file apart that replace one another.
-type Version = (u64, i64, i64);
 
 impl Session {
     /// Joins the bus and asks for the grid that is being built.
@@ -91,16 +72,8 @@ impl Session {
             waiting_scans: VecDeque::new(),
             journal: JournalReader::open(&runtime.journal())?,
             has_caught_up: false,
-            store: SubmapStore::new(&runtime.submaps()),
-            results: runtime.results(),
-            optimises: place.optimises,
-            stored: 0,
-            origins: Vec::new(),
+            followed: FollowedMap::new(&runtime, place.optimises),
             loops: None,
-            submap_poses: BTreeMap::new(),
-            poses_file: None,
-            versions: BTreeMap::new(),
-            picture: FusedPicture::default(),
             shader: Shader::default(),
             ticks: 0,
             bus,
@@ -136,7 +109,7 @@ impl Session {
         if self.ticks.is_multiple_of(FILES_EVERY) {
             self.look_at_files(shared);
         }
-        self.follow_submap_poses();
+        self.followed.step();
         self.draw_map(shared);
         self.ticks += 1;
         Ok(())
@@ -230,43 +203,29 @@ impl Session {
 
     /// Looks at what stages have stored. What cannot be read now is read later.
     fn look_at_files(&mut self, shared: &Shared) {
-        let mut is_new = false;
-        while let Ok(bytes) = std::fs::read(self.store.file(self.stored)) {
-            if let Ok(submap) = Submap::decode(&bytes) {
-                self.origins.push((self.stored, numbers(submap.odom_from_submap)));
-            }
-            self.stored += 1;
-            is_new = true;
-        }
-        let file = results::live_poses_file(&self.results);
-        let version = version_of(&file);
-        let mut stored = LivePoses::default();
-        if version != self.poses_file || (is_new && !self.optimises) {
-            self.poses_file = version;
-            stored = results::read_live_poses(&self.results).unwrap_or_default();
-            self.submap_poses = if self.optimises {
-                stored.submaps.iter().map(|row| (row.number, pose_of(row.map_from_odom))).collect()
-            } else {
-                (0..self.stored).map(|number| (number, Pose::IDENTITY)).collect()
-            };
-            is_new = true;
-        } else {
+        let stored = self.followed.look();
+        let poses = stored.poses.unwrap_or_else(|| {
             let view = shared.view();
             let known = view.graph.get();
-            stored.closures.clone_from(&known.closures);
-            (stored.searches, stored.accepted) = (known.searches, known.accepted);
-        }
-        self.show_loops(stored.accepted, shared);
-        if is_new {
+            LivePoses {
+                closures: known.closures.clone(),
+                searches: known.searches,
+                accepted: known.accepted,
+                ..LivePoses::default()
+            }
+        });
+        self.show_loops(poses.accepted, shared);
+        if stored.is_new {
+            let places = self.followed.submap_poses().iter();
+            let origins = self.followed.origins().iter();
             shared.view().graph.set(Graph {
-                submaps: self.submap_poses.iter().map(|(number, pose)| (*number, numbers(*pose))).collect(),
-                origins: self.origins.clone(),
-                closures: stored.closures,
-                searches: stored.searches,
-                accepted: stored.accepted,
+                submaps: places.map(|(number, pose)| (*number, numbers(*pose))).collect(),
+                origins: origins.map(|(number, pose)| (*number, numbers(*pose))).collect(),
+                closures: poses.closures,
+                searches: poses.searches,
+                accepted: poses.accepted,
             });
         }
-        self.forget_replaced();
     }
 
     fn show_loops(&mut self, loops: u64, shared: &Shared) {
@@ -283,40 +242,10 @@ impl Session {
         }
     }
 
-    /// Takes submaps out of the picture whose file was replaced: they come in anew.
-    fn forget_replaced(&mut self) {
-        for (number, version) in self.versions.clone().iter().rev().take(REPLACED_AMONG) {
-            if version_of(&self.store.file(*number)).is_some_and(|present| present != *version) {
-                self.versions.remove(number);
-                self.picture.remove(*number);
-            }
-        }
-    }
-
-    /// One step of the picture towards the solution: it may take as long as a few tens of milliseconds.
-    fn follow_submap_poses(&mut self) {
-        if let Some(stray) = self.picture.next_stray(&self.submap_poses) {
-            self.picture.remove(stray);
-        }
-        let Some((number, place)) = self.picture.next_step(&self.submap_poses, self.stored) else { return };
-        let file = self.store.file(number);
-        let Some(version) = version_of(&file) else { return };
-        let placed = std::fs::read(&file).map(|bytes| self.picture.place(number, bytes, place));
-        if let Ok(Err(far)) = placed {
-            tracing::warn!(%far, number, "a submap is not on the page");
-        }
-        if self.picture.holds(number) {
-            self.versions.insert(number, version);
-        } else {
-            // It is not a submap, or has no place: it is not tried again.
-            self.submap_poses.remove(&number);
-        }
-    }
-
     fn draw_map(&mut self, shared: &Shared) {
         for _ in 0..MAP_TILES_PER_TICK {
-            let Some(key) = self.picture.next_changed() else { return };
-            let Some(cells) = self.picture.map().and_then(|map| map.tile(key)) else {
+            let Some(key) = self.followed.next_changed() else { return };
+            let Some(cells) = self.followed.map().and_then(|map| map.tile(key)) else {
                 shared.view().map.remove(key);
                 continue;
             };
@@ -327,15 +256,6 @@ impl Session {
             shared.view().map.set(key, &shades);
         }
     }
-}
-
-fn version_of(file: &std::path::Path) -> Option<Version> {
-    let metadata = std::fs::metadata(file).ok()?;
-    Some((metadata.ino(), metadata.mtime(), metadata.mtime_nsec()))
-}
-
-fn pose_of([x_m, y_m, heading_rad]: [f64; 3]) -> Pose {
-    Pose::new(x_m, y_m, heading_rad)
 }
 
 fn robot_now(pose: &PoseEstimate, length_m: f64) -> RobotNow {
@@ -394,6 +314,7 @@ fn scan_now(scan: ScanView<'_>, pose: &PoseEstimate) -> ScanNow {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use flockslam_geometry::Pose;
     use flockslam_messages::ScanBuffer;
 
     #[test]

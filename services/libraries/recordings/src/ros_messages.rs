@@ -108,27 +108,78 @@ fn laser_scan(mut fields: Fields<'_>, kind: ReadingKind) -> Result<FramedScan, M
     if beams > BEAMS_MAX {
         return Err(MessageProblem::TooManyBeams);
     }
-    let intensities = match kind {
+    match kind {
         ReadingKind::MultiEchoScan => last_echoes(&mut fields, &mut numbers)?,
         _ => fields.floats(&mut numbers)?,
     };
-    let has_intensities = beams > 0 && intensities == beams;
-    if !has_intensities {
-        numbers.truncate(beams);
+    let message = LaserScanMessage {
+        stamp_ns,
+        frame,
+        angle_min_rad: angle_min,
+        angle_increment_rad: increment,
+        time_increment_s: time_increment,
+        range_min_m: range_min,
+        range_max_m: range_max,
+        beams,
+        numbers,
+    };
+    message.into_scan()
+}
+
+/// What a `sensor_msgs/LaserScan` says, as it says it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LaserScanMessage {
+    /// When the first beam was measured, nanoseconds.
+    pub stamp_ns: i64,
+    /// The lidar's frame.
+    pub frame: String,
+    /// Of the first beam, radians.
+    pub angle_min_rad: f32,
+    /// From beam to beam, radians.
+    pub angle_increment_rad: f32,
+    /// From beam to beam, seconds.
+    pub time_increment_s: f32,
+    /// Nothing is measured below, metres.
+    pub range_min_m: f32,
+    /// Nothing is measured beyond, metres.
+    pub range_max_m: f32,
+    /// Number of ranges.
+    pub beams: usize,
+    /// The ranges, metres, and behind them the intensities.
+    pub numbers: Vec<f32>,
+}
+
+impl LaserScanMessage {
+    /// The scan that it is: angles exact, limits and times of beams plausible, intensities where each beam has one.
+    ///
+    /// # Errors
+    /// When it has more beams than are taken, or limits that are no numbers.
+    pub fn into_scan(self) -> Result<FramedScan, MessageProblem> {
+        if self.beams > BEAMS_MAX {
+            return Err(MessageProblem::TooManyBeams);
+        }
+        let (beams, mut numbers) = (self.beams, self.numbers);
+        let has_intensities = beams > 0 && numbers.len() == 2 * beams;
+        if !has_intensities {
+            numbers.truncate(beams);
+        }
+        let limits = [self.angle_min_rad, self.angle_increment_rad, self.range_min_m, self.range_max_m];
+        if !limits.into_iter().all(f32::is_finite) {
+            return Err(MessageProblem::NotFinite);
+        }
+        let mut scan = ScanBuffer { numbers, ..ScanBuffer::default() };
+        let header = &mut scan.header;
+        header.times.sensor_ns = self.stamp_ns;
+        header.angle_min_rad = exact_rad(self.angle_min_rad);
+        header.angle_increment_rad = exact_rad(self.angle_increment_rad);
+        header.range_min_m = self.range_min_m.max(RANGE_MIN_M);
+        header.range_max_m = self.range_max_m;
+        let is_plausible = is_plausible_sweep(self.time_increment_s, beams);
+        header.time_increment_s = if is_plausible { self.time_increment_s } else { 0.0 };
+        header.beam_count = beams as u32;
+        header.sections = if has_intensities { ScanSections::INTENSITIES } else { 0 };
+        Ok(FramedScan { frame: self.frame, scan, mounting: None })
     }
-    if ![angle_min, increment, range_min, range_max].into_iter().all(f32::is_finite) {
-        return Err(MessageProblem::NotFinite);
-    }
-    let mut scan = ScanBuffer { numbers, ..ScanBuffer::default() };
-    let header = &mut scan.header;
-    header.times.sensor_ns = stamp_ns;
-    (header.angle_min_rad, header.angle_increment_rad) = (exact_rad(angle_min), exact_rad(increment));
-    header.range_min_m = range_min.max(RANGE_MIN_M);
-    header.range_max_m = range_max;
-    header.time_increment_s = if is_plausible_sweep(time_increment, beams) { time_increment } else { 0.0 };
-    header.beam_count = beams as u32;
-    header.sections = if has_intensities { ScanSections::INTENSITIES } else { 0 };
-    Ok(FramedScan { frame, scan, mounting: None })
 }
 
 /// An angle of which a message has the nearest number of 32 bits: lidars have steps and limits of whole degrees, or of simple fractions

@@ -3,12 +3,12 @@
 use crate::messages::{RosMessage, RosService};
 use crate::{Environment, NodeIdentity, ParameterValue, QualityOfService, Reach, RosError};
 use ros2_client::dds::rustdds::DomainParticipantBuilder;
-use ros2_client::{Context, MessageTypeName, Name, NodeName, NodeOptions, ServiceMapping, ServiceTypeName};
+use ros2_client::{Context, Gid, MessageTypeName, Name, NodeName, NodeOptions, ServiceMapping, ServiceTypeName};
 use std::future::Future;
 use std::net::Ipv4Addr;
 use std::pin::Pin;
 use std::rc::Rc;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
@@ -37,6 +37,8 @@ pub struct Node {
     node: ros2_client::Node,
     ears: Vec<Ear>,
     undecodable: Arc<AtomicU64>,
+    /// Of its own publishers.
+    own: Arc<Mutex<Vec<Gid>>>,
 }
 
 /// A node that hears. It leaves the graph when it is dropped.
@@ -105,7 +107,7 @@ impl Node {
         })?;
         let node =
             context.new_node(name, options(parameters)).map_err(|error| refused(format!("{error:?}")))?;
-        Ok(Self { identity, node, ears: Vec::new(), undecodable: Arc::default() })
+        Ok(Self { identity, node, ears: Vec::new(), undecodable: Arc::default(), own: Arc::default() })
     }
 
     /// A topic to send on.
@@ -122,10 +124,11 @@ impl Node {
             .node
             .create_publisher(&topic, Some(quality.profile()))
             .map_err(|error| refused(&full, &error))?;
+        self.own.lock().expect("no thread panics with it").push(publisher.gid());
         Ok(Publisher { topic: full, publisher })
     }
 
-    /// Hears a topic: `hear` gets each message, on the node's thread. What is no such message is counted.
+    /// Hears a topic: `hear` gets each message of other nodes, on the node's thread. What is no such message is counted.
     ///
     /// # Errors
     /// When its name is none, or DDS refuses.
@@ -140,11 +143,17 @@ impl Node {
             .node
             .create_subscription::<M>(&topic, Some(quality.profile()))
             .map_err(|error| refused(&full, &error))?;
-        let undecodable = Arc::clone(&self.undecodable);
+        let (undecodable, own) = (Arc::clone(&self.undecodable), Arc::clone(&self.own));
         let listen = async move {
             loop {
                 match subscription.async_take().await {
-                    Ok((message, _)) => hear(message),
+                    Ok((message, info)) => {
+                        let sender = info.publisher_gid();
+                        let is_own = own.lock().expect("no thread panics with it").contains(&sender);
+                        if !is_own {
+                            hear(message);
+                        }
+                    }
                     Err(error) => note(&undecodable, &full, &error).await,
                 }
             }
@@ -273,7 +282,10 @@ fn options(parameters: Vec<Parameter>) -> NodeOptions {
     let mut changes = Vec::new();
     for parameter in parameters {
         options = options.declare_parameter(&parameter.name, parameter.value.into());
-        changes.push((parameter.name, parameter.change));
+        // The client looks after the time itself.
+        if parameter.name != "use_sim_time" {
+            changes.push((parameter.name, parameter.change));
+        }
     }
     // Each parameter is validated once when it is declared; what comes later is a change.
     let declared = changes.len();
@@ -285,11 +297,8 @@ fn options(parameters: Vec<Parameter>) -> NodeOptions {
             is_open.store(before + 1 >= declared as u64, Ordering::Relaxed);
             return Ok(());
         }
-        let Some((_, change)) = changes.iter().find(|(known, _)| known == name) else {
-            // `use_sim_time` is declared by the client itself.
-            return Ok(());
-        };
-        let change = change.as_ref().ok_or_else(|| format!("{name} cannot be changed while the node runs"))?;
+        let change = changes.iter().find(|(known, _)| known == name).and_then(|(_, change)| change.as_ref());
+        let change = change.ok_or_else(|| format!("{name} cannot be changed while the node runs"))?;
         let value = ParameterValue::from_wire(value).ok_or("a value of this type has no meaning here")?;
         change(&value)
     }))

@@ -1,0 +1,23 @@
+//! The bridge between a set and a ROS 2 graph: a process beside the stages that is a node of the graph and a reader of the bus.
+//!
+//! What sensors say in the graph goes to lidar-ingest over its local socket; poses, transforms, the map and the state of the set go
+//! into the graph. A crash of it harms no stage.
+
+mod bond;
+mod bridge;
+mod bridge_error;
+mod bridge_parameters;
+mod bridge_publishers;
+mod bridge_services;
+mod graph_clock;
+mod kept_state;
+mod lifecycle;
+mod map_correction;
+mod map_picture;
+mod map_thread;
+mod sensor_messages;
+mod sensor_relay;
+mod set_diagnostics;
+
+pub use bridge::run_bridge;
+pub use bridge_error::BridgeError;

@@ -1,0 +1,526 @@
+//! The bridge at work: one loop that hears the graph, reads the bus, and says what is new.
+
+use super::bond::{Bond, HEARTBEAT_PERIOD};
+use super::bridge_parameters::BridgeParameters;
+use super::bridge_publishers::BridgePublishers;
+use super::bridge_services::{SetOrders, offer};
+use super::graph_clock::GraphClock;
+use super::kept_state::KeptState;
+use super::lifecycle::NodeState;
+use super::map_correction::{Correction, JUMP_M, JUMP_RAD, MapCorrection};
+use super::map_thread::{self, MapOrder, MapPlace, MapPublishers};
+use super::sensor_relay::SensorRelay;
+use super::set_diagnostics::{BridgeReport, diagnostics, status};
+use super::BridgeError;
+use crate::supervisor::{Reply, Request, ask};
+use flockslam_bus::{Bus, Capacity, RuntimeDir, Subscriber};
+use flockslam_messages::{PoseEstimate, Quality};
+use flockslam_ros::messages::{
+    ChangeState, ChangeStateResponse, Clock, DiagnosticArray, DiagnosticStatus, GetAvailableStates,
+    GetAvailableStatesResponse, GetAvailableTransitions, GetAvailableTransitionsResponse, GetState,
+    GetStateResponse, Header, Imu, LaserScan, Odometry, PoseWithCovarianceStamped, TFMessage, Transition,
+    TransitionEvent,
+};
+use flockslam_ros::{
+    Call, Environment, Node, NodeArguments, NodeIdentity, Publisher, QualityOfService, RosError, RunningNode,
+};
+use flockslam_telemetry::{LatencyHistogram, monotonic_ns, utc_ns};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
+use std::time::{Duration, Instant};
+
+/// Name of the node, unless the command line gives it another.
+const NODE: &str = "flockslam";
+/// What was heard and is not yet handled; more is dropped and counted.
+const HEARD_MAX: usize = 1024;
+/// While the pose of a scan is awaited, the bus is looked at so often …
+const LOOK_AWAITING: Duration = Duration::from_millis(1);
+/// … while poses come that are not of scans from the graph …
+const LOOK_WATCHING: Duration = Duration::from_millis(10);
+/// … and else.
+const LOOK_IDLE: Duration = Duration::from_millis(50);
+/// Poses come, when one came within this.
+const WATCHING: Duration = Duration::from_secs(2);
+/// Diagnostics follow one another after this.
+const DIAGNOSTICS_PERIOD: Duration = Duration::from_secs(1);
+/// Another node that was heard to publish map → odom within this still does, nanoseconds.
+const FOREIGN_NS: u64 = 5_000_000_000;
+/// Messages that are handled before the bus is looked at again.
+const BATCH: usize = 256;
+
+/// What the bridge needs to know of the set that it serves.
+pub struct BridgeSet {
+    /// Its directory.
+    pub runtime: RuntimeDir,
+    /// Sizes of the set.
+    pub capacity: Capacity,
+    /// Its sync-manager says where submaps lie.
+    pub optimises: bool,
+    /// Side of a cell, metres.
+    pub cell_size_m: f64,
+    /// The socket that lidar-ingest reads.
+    pub scan_socket: PathBuf,
+}
+
+/// What the graph says.
+enum Heard {
+    Scan(Arc<str>, Box<LaserScan>, Instant),
+    Transforms(TFMessage, bool),
+    Odometry(Box<Odometry>),
+    Imu(Box<Imu>),
+    Clock(i64),
+    InitialPose,
+    ChangeState(Call<ChangeState>),
+    GetState(Call<GetState>),
+    GetTransitions(Call<GetAvailableTransitions>),
+}
+
+/// Runs the bridge until the set ends.
+///
+/// # Errors
+/// When the graph or the bus cannot be joined, or an argument has no sense.
+pub fn run_bridge(set: &BridgeSet, arguments: &[String]) -> Result<(), BridgeError> {
+    let arguments = NodeArguments::parse(arguments)?;
+    let environment = Environment::of_this_process()?;
+    let identity = NodeIdentity::new(NODE, arguments.remaps.clone())?;
+    let parameters = BridgeParameters::of(&arguments, &identity)?;
+    for named in environment.unhonoured.iter().chain(&arguments.unhonoured) {
+        tracing::warn!("without effect here: {named}");
+    }
+    if let Some(line) = parameters.unknown_line() {
+        tracing::warn!("{line}");
+    }
+    let mut bridge = Bridge::open(set, parameters, identity, &environment)?;
+    loop {
+        bridge.turn()?;
+    }
+}
+
+struct Bridge {
+    parameters: BridgeParameters,
+    name: String,
+    robot: String,
+    heard: Receiver<Heard>,
+    dropped: Arc<AtomicU64>,
+    node: RunningNode,
+    publishers: BridgePublishers,
+    clock: GraphClock,
+    relay: SensorRelay,
+    correction: MapCorrection,
+    map: Sender<MapOrder>,
+    reports: Sender<Report>,
+    kept: KeptState,
+    bond: Bond,
+    poses: Subscriber<PoseEstimate>,
+    last_pose: Option<Instant>,
+    /// When another node was heard to publish map → odom, on the monotonic clock, nanoseconds.
+    foreign_ns: Option<u64>,
+    latency: LatencyHistogram,
+    heartbeat_due: Instant,
+    report_due: Instant,
+    said_initial_pose: bool,
+    // The ports go before the bus.
+    _bus: Bus,
+}
+
+/// What the thread of diagnostics gets.
+enum Report {
+    Regular(BridgeReport, i64),
+    Jump(Correction, i64),
+}
+
+impl Bridge {
+    fn open(
+        set: &BridgeSet,
+        parameters: BridgeParameters,
+        identity: NodeIdentity,
+        environment: &Environment,
+    ) -> Result<Self, BridgeError> {
+        let name = identity.full_name();
+        let bond_id = identity.name.clone();
+        let mut node = Node::open(identity, environment, parameters.declared(set.cell_size_m))?;
+        let latched = QualityOfService::Latched { depth: 1 };
+        let map_publishers =
+            MapPublishers { map: node.publisher("map", latched)?, metadata: node.publisher("map_metadata", latched)? };
+        let map_place = MapPlace {
+            set_dir: set.runtime.path().to_owned(),
+            capacity: set.capacity,
+            optimises: set.optimises,
+            cell_size_m: set.cell_size_m,
+            map_frame: parameters.map_frame.clone(),
+            interval_s: parameters.live.map_update_interval_s.clone(),
+        };
+        let map = map_thread::start(map_place, map_publishers)?;
+        let publishers = BridgePublishers::open(&mut node, &parameters)?;
+        let diagnostics = node.publisher("/diagnostics", QualityOfService::Reliable { depth: 10 })?;
+        let robot = set.runtime.name().to_owned();
+        let reports = report_by(diagnostics, robot.clone(), set.runtime.control_socket())?;
+        offer(&mut node, SetOrders::new(&set.runtime.control_socket(), map.clone(), &parameters.map_frame))?;
+        let dropped = Arc::new(AtomicU64::new(0));
+        let (sender, heard) = sync_channel(HEARD_MAX);
+        listen(&mut node, &parameters, &Ear { heard: sender, dropped: Arc::clone(&dropped) })?;
+        let bus = Bus::join(&set.runtime, "ros", set.capacity)?;
+        let fresh = match (parameters.use_lifecycle_manager, parameters.autostart) {
+            (false, true) => NodeState::Active,
+            _ => NodeState::Unconfigured,
+        };
+        let kept = KeptState::open(&set.runtime.status(), fresh);
+        let bond = Bond::new(&bond_id, &kept.instance);
+        let has_odometry_topic = !parameters.odom_topic.is_empty();
+        let (map_frame, odom_frame) = (&parameters.map_frame, &parameters.odom_frame);
+        let mut bridge = Self {
+            relay: SensorRelay::new(&set.scan_socket, map_frame, odom_frame, &parameters.base_frame, has_odometry_topic),
+            correction: MapCorrection::new(odom_frame, &parameters.base_frame),
+            clock: GraphClock::new(parameters.use_sim_time),
+            name,
+            robot,
+            heard,
+            dropped,
+            node: node.run()?,
+            publishers,
+            map,
+            reports,
+            bond,
+            poses: bus.subscriber()?,
+            last_pose: None,
+            foreign_ns: None,
+            latency: LatencyHistogram::default(),
+            heartbeat_due: Instant::now(),
+            report_due: Instant::now(),
+            said_initial_pose: false,
+            _bus: bus,
+            parameters,
+            kept,
+        };
+        bridge.enter(bridge.kept.state);
+        tracing::info!(node = bridge.name, domain = environment.domain, "in the graph of ROS");
+        Ok(bridge)
+    }
+
+    /// One turn: hears, reads, says.
+    fn turn(&mut self) -> Result<(), BridgeError> {
+        let watching = self.last_pose.is_some_and(|at| at.elapsed() < WATCHING);
+        let look = if self.relay.awaits_pose() {
+            LOOK_AWAITING
+        } else if watching || self.relay.holds_scans() {
+            LOOK_WATCHING
+        } else {
+            LOOK_IDLE
+        };
+        match self.heard.recv_timeout(look) {
+            Ok(first) => {
+                let more: Vec<_> = self.heard.try_iter().take(BATCH).collect();
+                std::iter::once(first).chain(more).for_each(|heard| self.hear(heard));
+            }
+            Err(std::sync::mpsc::RecvTimeoutError::Timeout) => {}
+            Err(std::sync::mpsc::RecvTimeoutError::Disconnected) => {
+                return Err(std::io::Error::other("nobody hears the graph any more").into());
+            }
+        }
+        self.relay.tick();
+        self.read_poses()?;
+        self.correct();
+        self.beat();
+        self.report();
+        Ok(())
+    }
+
+    fn is_active(&self) -> bool {
+        self.kept.state == NodeState::Active
+    }
+
+    fn hear(&mut self, heard: Heard) {
+        match heard {
+            Heard::Scan(topic, scan, at) => {
+                if self.is_active() {
+                    self.relay.take_scan(&topic, *scan, at, self.clock.now_ns());
+                }
+            }
+            Heard::Transforms(message, is_static) => {
+                if self.relay.take_transforms(message, is_static).is_some() {
+                    self.hear_foreign();
+                }
+            }
+            Heard::Odometry(message) => {
+                if self.is_active() {
+                    self.relay.take_odometry(*message);
+                }
+            }
+            Heard::Imu(message) => {
+                if self.is_active() {
+                    self.relay.take_imu(*message);
+                }
+            }
+            Heard::Clock(now_ns) => {
+                if self.clock.hear(now_ns) {
+                    tracing::warn!("the time of /clock has gone back: transforms and what waits are forgotten");
+                    self.relay.clear();
+                    self.correction.clear();
+                }
+            }
+            Heard::InitialPose => {
+                if !std::mem::replace(&mut self.said_initial_pose, true) {
+                    tracing::warn!("/initialpose has no effect while the map is being made");
+                }
+            }
+            Heard::ChangeState(call) => self.change_state(call),
+            Heard::GetState(call) => {
+                call.answer.send(GetStateResponse { current_state: self.kept.state.message() });
+            }
+            Heard::GetTransitions(call) => {
+                let available_transitions = self.kept.state.available();
+                call.answer.send(GetAvailableTransitionsResponse { available_transitions });
+            }
+        }
+    }
+
+    fn hear_foreign(&mut self) {
+        let (map, odom) = (&self.parameters.map_frame, &self.parameters.odom_frame);
+        if self.foreign_ns.replace(monotonic_ns()).is_none() {
+            tracing::error!("another node publishes {map} → {odom} on /tf: this one does not while it is heard");
+        }
+    }
+
+    fn change_state(&mut self, call: Call<ChangeState>) {
+        let asked: &Transition = &call.request.transition;
+        let Some(made) = self.kept.state.transition(asked) else {
+            tracing::warn!(state = ?self.kept.state, id = asked.id, label = asked.label, "no such transition from here");
+            return call.answer.send(ChangeStateResponse { success: false });
+        };
+        let was_active = self.is_active();
+        self.enter(made.to);
+        if was_active {
+            self.send_heartbeat(false);
+        }
+        let description = made.message();
+        self.publishers.transitions.send(TransitionEvent {
+            timestamp: monotonic_ns(),
+            transition: description.transition,
+            start_state: description.start_state,
+            goal_state: description.goal_state,
+        });
+        tracing::info!(transition = made.transition.1, "the node's state has changed");
+        call.answer.send(ChangeStateResponse { success: true });
+    }
+
+    fn enter(&mut self, state: NodeState) {
+        self.kept.keep(state);
+        if state != NodeState::Active {
+            self.correction.clear();
+        }
+        // The thread ends with this process only.
+        let _ = self.map.send(MapOrder::Active(state == NodeState::Active));
+    }
+
+    fn read_poses(&mut self) -> Result<(), BridgeError> {
+        while let Some(estimate) = self.poses.receive()? {
+            self.last_pose = Some(Instant::now());
+            if self.is_active() && estimate.quality != Quality::Lost as u32 {
+                let estimate = *estimate;
+                self.take_pose(&estimate);
+            }
+        }
+        Ok(())
+    }
+
+    fn take_pose(&mut self, estimate: &PoseEstimate) {
+        self.publishers.send_pose(estimate, &self.parameters.map_frame);
+        let Some(now_ns) = self.clock.now_ns() else { return };
+        let scan_ns = estimate.times.sensor_ns;
+        if self.parameters.publish_odom_transform {
+            let (odom, base) = (&self.parameters.odom_frame, &self.parameters.base_frame);
+            self.publishers.send_transform(scan_ns, odom, base, estimate.odom_from_base);
+            let correction = self.correction.set(scan_ns, estimate.map_from_odom, now_ns, self.ahead_ns());
+            self.send_correction(&correction);
+        } else {
+            self.correction.push(scan_ns, estimate.map_from_base(), now_ns);
+        }
+    }
+
+    fn ahead_ns(&self) -> i64 {
+        (self.parameters.live.transform_timeout_s.get() * 1e9) as i64
+    }
+
+    fn correct(&mut self) {
+        let Some(now_ns) = self.clock.now_ns().filter(|_| self.is_active()) else { return };
+        let ahead_ns = self.ahead_ns();
+        let without = self.correction.without_odometry;
+        while let Some(correction) = self.correction.next(self.relay.transforms(), now_ns, ahead_ns) {
+            self.send_correction(&correction);
+        }
+        if self.correction.without_odometry > without {
+            self.relay.say_without_odometry(now_ns);
+        }
+        let period_ns = (self.parameters.live.transform_publish_period_s.get() * 1e9) as i64;
+        if let Some(correction) = self.correction.repeated(now_ns, ahead_ns, period_ns) {
+            self.send_correction(&correction);
+        }
+    }
+
+    fn send_correction(&mut self, correction: &Correction) {
+        if self.hears_foreign() {
+            return;
+        }
+        if correction.jump.0 > JUMP_M || correction.jump.1 > JUMP_RAD {
+            // It stands before its transform.
+            let _ = self.reports.send(Report::Jump(*correction, correction.stamp_ns));
+        }
+        let (map, odom) = (&self.parameters.map_frame, &self.parameters.odom_frame);
+        self.publishers.send_transform(correction.stamp_ns, map, odom, correction.map_from_odom);
+        if let Some(heard) = correction.scan_ns.and_then(|scan_ns| self.relay.came(scan_ns)) {
+            self.latency.record(heard.elapsed().as_nanos() as u64);
+        }
+    }
+
+    fn hears_foreign(&mut self) -> bool {
+        let is_past = |heard_ns: u64| monotonic_ns().saturating_sub(heard_ns) > FOREIGN_NS;
+        if self.foreign_ns.is_some_and(is_past) {
+            self.foreign_ns = None;
+            tracing::info!("no other node corrects odometry any more: this one does again");
+        }
+        self.foreign_ns.is_some()
+    }
+
+    fn beat(&mut self) {
+        if self.heartbeat_due > Instant::now() {
+            return;
+        }
+        self.heartbeat_due = Instant::now() + HEARTBEAT_PERIOD;
+        if self.is_active() {
+            self.send_heartbeat(true);
+        }
+    }
+
+    fn send_heartbeat(&self, is_active: bool) {
+        if let Some(publisher) = &self.publishers.bond {
+            publisher.send(self.bond.status(self.clock.now_ns().unwrap_or_else(utc_ns), is_active));
+        }
+    }
+
+    fn report(&mut self) {
+        if self.report_due > Instant::now() {
+            return;
+        }
+        self.report_due = Instant::now() + DIAGNOSTICS_PERIOD;
+        self.kept.keep(self.kept.state);
+        let now_ns = self.clock.now_ns();
+        let counts = self.relay.counts;
+        let figures = [
+            ("scans relayed", counts.relayed),
+            ("scans without a place", counts.unplaced),
+            ("scans malformed", counts.malformed),
+            ("scans not taken", counts.untaken),
+            ("scans apart from the clock", counts.apart),
+            ("poses without odometry", self.correction.without_odometry),
+            ("messages dropped", self.dropped.load(Ordering::Relaxed)),
+            ("messages undecodable", self.node.undecodable()),
+            ("scan to transform p99 µs", self.latency.quantile_ns(0.99) / 1000),
+        ];
+        let report = BridgeReport {
+            node: self.name.clone(),
+            state: self.kept.state.message().label,
+            corrects: now_ns.is_some_and(|now_ns| !self.correction.is_silent(now_ns)),
+            foreign: self.foreign_ns.is_some(),
+            figures: figures.into_iter().map(|(name, value)| (name, value.to_string())).collect(),
+        };
+        let _ = self.reports.send(Report::Regular(report, now_ns.unwrap_or_else(utc_ns)));
+    }
+}
+
+/// Hands on what is heard.
+struct Ear {
+    heard: SyncSender<Heard>,
+    dropped: Arc<AtomicU64>,
+}
+
+impl Ear {
+    fn put(&self) -> impl Fn(Heard) + Send + 'static {
+        let (heard, dropped) = (self.heard.clone(), Arc::clone(&self.dropped));
+        move |what| {
+            if heard.try_send(what).is_err() {
+                dropped.fetch_add(1, Ordering::Relaxed);
+            }
+        }
+    }
+}
+
+fn listen(node: &mut Node, parameters: &BridgeParameters, ear: &Ear) -> Result<(), RosError> {
+    let sensor = |depth| QualityOfService::Sensor { depth };
+    for topic in &parameters.scan_topics {
+        let (put, name) = (ear.put(), Arc::<str>::from(topic.as_str()));
+        node.subscribe(topic, sensor(10), move |scan| {
+            put(Heard::Scan(Arc::clone(&name), Box::new(scan), Instant::now()));
+        })?;
+    }
+    let put = ear.put();
+    node.subscribe("/tf", QualityOfService::Reliable { depth: 100 }, move |message| {
+        put(Heard::Transforms(message, false));
+    })?;
+    let put = ear.put();
+    node.subscribe("/tf_static", QualityOfService::Latched { depth: 100 }, move |message| {
+        put(Heard::Transforms(message, true));
+    })?;
+    if !parameters.odom_topic.is_empty() {
+        let put = ear.put();
+        node.subscribe(&parameters.odom_topic, sensor(50), move |message| put(Heard::Odometry(Box::new(message))))?;
+    }
+    if !parameters.imu_topic.is_empty() {
+        let put = ear.put();
+        node.subscribe(&parameters.imu_topic, sensor(50), move |message| put(Heard::Imu(Box::new(message))))?;
+    }
+    if parameters.use_sim_time {
+        let put = ear.put();
+        node.subscribe("/clock", sensor(10), move |message: Clock| put(Heard::Clock(message.clock.ns())))?;
+    }
+    let put = ear.put();
+    node.subscribe("/initialpose", QualityOfService::Reliable { depth: 10 }, move |_: PoseWithCovarianceStamped| {
+        put(Heard::InitialPose);
+    })?;
+    let put = ear.put();
+    node.serve::<ChangeState>("~/change_state", move |call| put(Heard::ChangeState(call)))?;
+    let put = ear.put();
+    node.serve::<GetState>("~/get_state", move |call| put(Heard::GetState(call)))?;
+    let put = ear.put();
+    node.serve::<GetAvailableTransitions>("~/get_available_transitions", move |call| {
+        put(Heard::GetTransitions(call));
+    })?;
+    node.serve::<GetAvailableTransitions>("~/get_transition_graph", |call| {
+        call.answer.send(GetAvailableTransitionsResponse { available_transitions: NodeState::graph() });
+    })?;
+    node.serve::<GetAvailableStates>("~/get_available_states", |call| {
+        call.answer.send(GetAvailableStatesResponse { available_states: NodeState::messages() });
+    })
+}
+
+/// Starts the thread that asks the supervisor how the set is, and publishes it. It ends the process when the set has ended.
+fn report_by(
+    publisher: Publisher<DiagnosticArray>,
+    robot: String,
+    control: PathBuf,
+) -> Result<Sender<Report>, BridgeError> {
+    let (sender, reports) = channel::<Report>();
+    let publish = move || {
+        while let Ok(report) = reports.recv() {
+            let (statuses, stamp_ns) = match report {
+                Report::Jump(Correction { jump: (metres, radians), .. }, stamp_ns) => {
+                    let message = format!("the pose jumps by {metres:.2} m and {:.1}°", radians.to_degrees());
+                    let name = "flockslam: poses".to_owned();
+                    (vec![status(DiagnosticStatus::WARN, name, &message, &robot, &[])], stamp_ns)
+                }
+                Report::Regular(report, stamp_ns) => {
+                    let set = match ask(&control, &Request::Status) {
+                        Ok(Reply::Status(status)) => Some(status),
+                        _ if !RuntimeDir::running().contains(&robot) => std::process::exit(0),
+                        _ => None,
+                    };
+                    (diagnostics(&robot, &report, set.as_deref()), stamp_ns)
+                }
+            };
+            publisher.send(DiagnosticArray { header: Header::new(stamp_ns, ""), status: statuses });
+        }
+    };
+    std::thread::Builder::new().name("diagnostics".to_owned()).spawn(publish)?;
+    Ok(sender)
+}

@@ -1,0 +1,94 @@
+//! What the bridge sends into the graph besides the map: transforms, poses, and who is alive.
+
+use super::BridgeError;
+use super::bridge_parameters::BridgeParameters;
+use flockslam_geometry::{Covariance, Pose};
+use flockslam_messages::PoseEstimate;
+use flockslam_ros::messages::{
+    BondStatus, Header, Pose as RosPose, PoseWithCovariance, PoseWithCovarianceStamped, Quaternion, TFMessage,
+    Transform, TransformStamped, TransitionEvent, Vector3,
+};
+use flockslam_ros::{Node, Publisher, QualityOfService};
+
+/// Publishers of the bridge.
+pub struct BridgePublishers {
+    /// Transforms.
+    pub transforms: Publisher<TFMessage>,
+    /// Poses of scans.
+    pub poses: Publisher<PoseWithCovarianceStamped>,
+    /// Transitions of the node.
+    pub transitions: Publisher<TransitionEvent>,
+    /// Heartbeats; only with a manager.
+    pub bond: Option<Publisher<BondStatus>>,
+}
+
+impl BridgePublishers {
+    /// Opens them.
+    ///
+    /// # Errors
+    /// When DDS refuses.
+    pub fn open(node: &mut Node, parameters: &BridgeParameters) -> Result<Self, BridgeError> {
+        let reliable = |depth| QualityOfService::Reliable { depth };
+        let bond = parameters.use_lifecycle_manager.then(|| node.publisher("bond", reliable(100))).transpose()?;
+        Ok(Self {
+            transforms: node.publisher("/tf", reliable(100))?,
+            poses: node.publisher("pose", reliable(10))?,
+            transitions: node.publisher("~/transition_event", reliable(10))?,
+            bond,
+        })
+    }
+
+    /// Sends the pose of a frame in another.
+    pub fn send_transform(&self, stamp_ns: i64, parent: &str, child: &str, pose: Pose) {
+        let transform = Transform {
+            translation: Vector3 { x: pose.x_m, y: pose.y_m, z: 0.0 },
+            rotation: Quaternion::about_z(pose.heading_rad),
+        };
+        let header = Header::new(stamp_ns, parent);
+        let transform = TransformStamped { header, child_frame_id: child.to_owned(), transform };
+        self.transforms.send(TFMessage { transforms: vec![transform] });
+    }
+
+    /// Sends the pose of a scan in the map.
+    pub fn send_pose(&self, estimate: &PoseEstimate, map_frame: &str) {
+        let pose = estimate.map_from_base();
+        self.poses.send(PoseWithCovarianceStamped {
+            header: Header::new(estimate.times.sensor_ns, map_frame),
+            pose: PoseWithCovariance {
+                pose: RosPose::planar(pose.x_m, pose.y_m, pose.heading_rad),
+                covariance: turned(estimate.covariance, estimate.map_from_odom.heading_rad),
+            },
+        });
+    }
+}
+
+/// A covariance in the plane, turned by an angle, among the six of space: those of z, roll and pitch are zero.
+fn turned(covariance: Covariance, angle_rad: f64) -> [[f64; 6]; 6] {
+    let (sin, cos) = angle_rad.sin_cos();
+    let Covariance { xx, xy, yy, xt, yt, tt } = covariance;
+    let mut found = [[0.0; 6]; 6];
+    found[0][0] = cos * cos * xx - 2.0 * sin * cos * xy + sin * sin * yy;
+    found[1][1] = sin * sin * xx + 2.0 * sin * cos * xy + cos * cos * yy;
+    found[0][1] = sin * cos * (xx - yy) + (cos * cos - sin * sin) * xy;
+    found[0][5] = cos * xt - sin * yt;
+    found[1][5] = sin * xt + cos * yt;
+    found[5][5] = tt;
+    (found[1][0], found[5][0], found[5][1]) = (found[0][1], found[0][5], found[1][5]);
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_covariance_is_turned_with_its_frame() {
+        let along_x = Covariance { xx: 4.0, yy: 1.0, xt: 0.5, tt: 0.1, ..Covariance::default() };
+        let found = turned(along_x, std::f64::consts::FRAC_PI_2);
+        assert!((found[0][0] - 1.0).abs() < 1e-9 && (found[1][1] - 4.0).abs() < 1e-9);
+        assert!(found[0][1].abs() < 1e-9 && (found[1][5] - 0.5).abs() < 1e-9 && found[0][5].abs() < 1e-9);
+        assert_eq!((found[5][5], found[5][1], found[2][2]), (0.1, found[1][5], 0.0));
+        let diagonal = turned(along_x, std::f64::consts::FRAC_PI_4);
+        assert!((diagonal[0][1] - 1.5).abs() < 1e-9 && (diagonal[0][0] - 2.5).abs() < 1e-9);
+    }
+}

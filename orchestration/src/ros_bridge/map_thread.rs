@@ -1,0 +1,220 @@
+//! The thread that keeps the map and publishes it: it may take its time, transforms do not wait for it.
+
+use super::BridgeError;
+use super::bridge_parameters::LiveNumber;
+use super::map_picture::{MapPainter, MapPicture};
+use flockslam_bus::{Bus, Capacity, RuntimeDir, Subscriber};
+use flockslam_geometry::Pose;
+use flockslam_messages::{Commit, Control, ControlKind, PoseEstimate, Stage, TileMessage};
+use flockslam_page::FollowedMap;
+use flockslam_ros::Publisher;
+use flockslam_ros::messages::{MapMetaData, OccupancyGrid};
+use std::path::PathBuf;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::time::{Duration, Instant};
+
+/// The bus is looked at so often.
+const LOOK: Duration = Duration::from_millis(200);
+/// Submaps are brought to their places for no longer than this at a time.
+const STEPS: Duration = Duration::from_millis(50);
+/// Who asks for the map gets it after so long, even when submaps are not at their places yet.
+const SETTLE: Duration = Duration::from_secs(10);
+/// The first map follows what is known at once, within this.
+const FIRST: Duration = Duration::from_millis(500);
+
+/// What the thread is told.
+pub enum MapOrder {
+    /// Publish, or rest.
+    Active(bool),
+    /// Bring the map up to date, publish it if it has changed, and hand it over with its stamp.
+    Show(ShowMap),
+}
+
+/// Takes the map, and its stamp in nanoseconds; `None` while there is none.
+pub type ShowMap = Box<dyn FnOnce(Option<(&MapPicture, i64)>) + Send>;
+
+/// Where and what the map is.
+pub struct MapPlace {
+    /// The set's directory.
+    pub set_dir: PathBuf,
+    /// Sizes of the set.
+    pub capacity: Capacity,
+    /// Its sync-manager says where submaps lie.
+    pub optimises: bool,
+    /// Side of a cell, metres.
+    pub cell_size_m: f64,
+    /// Frame of the map.
+    pub map_frame: String,
+    /// The map is published at most so often, seconds.
+    pub interval_s: LiveNumber,
+}
+
+/// Publishers of the map.
+pub struct MapPublishers {
+    /// The map.
+    pub map: Publisher<OccupancyGrid>,
+    /// Its size and place.
+    pub metadata: Publisher<MapMetaData>,
+}
+
+/// Starts the thread; it ends with the sender of orders.
+///
+/// # Errors
+/// When the system refuses.
+pub fn start(place: MapPlace, publishers: MapPublishers) -> Result<Sender<MapOrder>, BridgeError> {
+    let (sender, orders) = channel();
+    std::thread::Builder::new().name("map".to_owned()).spawn(move || {
+        if let Err(error) = keep(&place, &publishers, &orders) {
+            // Without the bus there is nothing to do for this process; its successor may have it.
+            tracing::error!(%error, "the map cannot be read");
+            std::process::exit(1);
+        }
+    })?;
+    Ok(sender)
+}
+
+struct MapKeeper<'p> {
+    place: &'p MapPlace,
+    publishers: &'p MapPublishers,
+    tiles: Subscriber<TileMessage>,
+    commits: Subscriber<Commit>,
+    poses: Subscriber<PoseEstimate>,
+    runtime: RuntimeDir,
+    followed: FollowedMap,
+    painter: MapPainter,
+    map_from_odom: Pose,
+    stamp_ns: i64,
+    is_active: bool,
+    /// Something has changed since the map was painted.
+    is_stale: bool,
+    painted: Option<MapPicture>,
+    published: Option<MapPicture>,
+    published_at: Option<Instant>,
+    // The ports go before the bus.
+    bus: Bus,
+}
+
+fn keep(place: &MapPlace, publishers: &MapPublishers, orders: &Receiver<MapOrder>) -> Result<(), BridgeError> {
+    let mut keeper = MapKeeper::join(place, publishers)?;
+    loop {
+        match orders.recv_timeout(LOOK) {
+            Ok(MapOrder::Active(is_active)) => keeper.set_active(is_active),
+            Ok(MapOrder::Show(show)) => {
+                keeper.read()?;
+                keeper.bring_up(SETTLE);
+                keeper.paint();
+                keeper.publish();
+                show(keeper.painted.as_ref().map(|map| (map, keeper.stamp_ns)));
+            }
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => return Ok(()),
+        }
+        keeper.read()?;
+        keeper.bring_up(STEPS);
+        if keeper.is_due() {
+            keeper.paint();
+            keeper.publish();
+        }
+    }
+}
+
+impl<'p> MapKeeper<'p> {
+    fn join(place: &'p MapPlace, publishers: &'p MapPublishers) -> Result<Self, BridgeError> {
+        let runtime = RuntimeDir::open(&place.set_dir).map_err(std::io::Error::other)?;
+        let bus = Bus::join(&runtime, "ros-map", place.capacity)?;
+        let keeper = Self {
+            place,
+            publishers,
+            tiles: bus.subscriber()?,
+            commits: bus.subscriber()?,
+            poses: bus.subscriber()?,
+            followed: FollowedMap::new(&runtime, place.optimises),
+            painter: MapPainter::new(place.cell_size_m),
+            map_from_odom: Pose::IDENTITY,
+            stamp_ns: 0,
+            is_active: false,
+            is_stale: false,
+            painted: None,
+            published: None,
+            published_at: None,
+            runtime,
+            bus,
+        };
+        keeper.ask_for_tiles()?;
+        Ok(keeper)
+    }
+
+    /// The mapper sends all its tiles once more; otherwise only those came that change.
+    fn ask_for_tiles(&self) -> Result<(), BridgeError> {
+        let control = self.bus.publisher::<Control>()?;
+        control.send(&Control { kind: ControlKind::TilesWanted as u32, run: 0, value: 0 })?;
+        self.bus.notifier(Stage::Mapper.name())?.ring();
+        Ok(())
+    }
+
+    fn set_active(&mut self, is_active: bool) {
+        self.is_active = is_active;
+        if is_active {
+            // Who comes later than the last map gets the newest.
+            (self.published, self.published_at) = (None, None);
+            self.is_stale = true;
+        }
+    }
+
+    fn read(&mut self) -> Result<(), BridgeError> {
+        while let Some(pose) = self.poses.receive()? {
+            self.map_from_odom = pose.map_from_odom;
+        }
+        while let Some(commit) = self.commits.receive()? {
+            self.stamp_ns = commit.times.sensor_ns;
+        }
+        if self.followed.has_begun_anew() {
+            self.followed = FollowedMap::new(&self.runtime, self.place.optimises);
+            self.painter.clear();
+            (self.painted, self.published) = (None, None);
+            self.ask_for_tiles()?;
+        }
+        while let Some(tile) = self.tiles.receive()? {
+            self.painter.take(&tile);
+            self.is_stale = true;
+        }
+        self.is_stale |= self.followed.look().is_new;
+        Ok(())
+    }
+
+    /// Brings submaps to their places, for a time.
+    fn bring_up(&mut self, limit: Duration) {
+        let began = Instant::now();
+        while began.elapsed() < limit && self.followed.step() {
+            self.is_stale = true;
+        }
+    }
+
+    fn is_due(&self) -> bool {
+        let interval = Duration::from_secs_f64(self.place.interval_s.get());
+        let interval = if self.published.is_some() { interval } else { interval.min(FIRST) };
+        self.is_active && self.is_stale && self.published_at.is_none_or(|at| at.elapsed() >= interval)
+    }
+
+    fn paint(&mut self) {
+        if self.is_stale {
+            self.painted = self.painter.paint(self.followed.map(), self.map_from_odom);
+            self.is_stale = false;
+        }
+    }
+
+    /// Publishes the map when it has changed.
+    fn publish(&mut self) {
+        if !self.is_active {
+            return;
+        }
+        self.published_at = Some(Instant::now());
+        let Some(painted) = self.painted.as_ref().filter(|painted| self.published.as_ref() != Some(*painted)) else {
+            return;
+        };
+        let message = painted.message(self.stamp_ns, &self.place.map_frame);
+        self.publishers.metadata.send(message.info.clone());
+        self.publishers.map.send(message);
+        self.published = Some(painted.clone());
+    }
+}
