@@ -186,8 +186,15 @@ impl Fields<'_> {
         let [length] = self.bytes()?;
         let (name, rest) = self.0.split_at_checked(usize::from(length)).ok_or(FrameProblem::WrongLength)?;
         self.0 = rest;
-        String::from_utf8(name.to_vec()).map_err(|_| FrameProblem::BadName)
+        let name = String::from_utf8(name.to_vec()).map_err(|_| FrameProblem::BadName)?;
+        checked_name(name)
     }
+}
+
+/// A name that fits in a frame and in a line.
+pub(crate) fn checked_name(name: String) -> Result<String, FrameProblem> {
+    let is_sound = name.len() <= usize::from(u8::MAX) && !name.contains(char::is_control);
+    if is_sound { Ok(name) } else { Err(FrameProblem::BadName) }
 }
 
 fn read_scan(fields: &mut Fields<'_>) -> Result<LidarScan, FrameProblem> {

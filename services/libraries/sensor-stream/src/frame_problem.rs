@@ -28,7 +28,7 @@ pub enum FrameProblem {
     #[error("a pose, an angle, a rate or a limit that is not a finite number")]
     NotFinite,
     /// A name that is no text.
-    #[error("a name that is not UTF-8, or is longer than 255 bytes")]
+    #[error("a name that is not UTF-8, has control characters, or is longer than 255 bytes")]
     BadName,
     /// A line that is not such an object.
     #[error("a line of JSON: {0}")]

@@ -1,7 +1,7 @@
 //! Lines of JSON: the same frames for programs that have no bytes at hand. Numbers that JSON does not have are `null`.
 
 use crate::FrameProblem;
-use crate::binary_frame::{in_space, pose_of, sound};
+use crate::binary_frame::{checked_name, in_space, pose_of, sound};
 use crate::readings::{
     BEAMS_MAX, FramedScan, ImuReading, LidarScan, OdometryReading, SensorFrame, TransformsReading,
 };
@@ -219,14 +219,10 @@ pub(crate) fn read_json(line: &[u8]) -> Result<SensorFrame, FrameProblem> {
                 Turn::Vertical(rate) => Vector3::new(0.0, 0.0, rate),
                 Turn::Axes(rates) => Vector3::from(rates),
             };
-            let frame = named(line.frame)?;
+            let frame = checked_name(line.frame)?;
             Ok(SensorFrame::Imu(ImuReading { stamp_ns: line.stamp_ns, frame, turn_rad_s }))
         }
     }
-}
-
-fn named(name: String) -> Result<String, FrameProblem> {
-    if name.len() <= usize::from(u8::MAX) { Ok(name) } else { Err(FrameProblem::BadName) }
 }
 
 fn read_scan(line: ScanLine) -> Result<LidarScan, FrameProblem> {
@@ -263,12 +259,12 @@ fn read_scan(line: ScanLine) -> Result<LidarScan, FrameProblem> {
         base_from_laser: Pose::new(given.x_m, given.y_m, given.heading_rad),
         upside_down: given.upside_down,
     });
-    let scan = FramedScan { frame: named(line.frame)?, scan: sound(scan)?, mounting };
-    Ok(LidarScan { lidar: named(line.lidar)?, scan })
+    let scan = FramedScan { frame: checked_name(line.frame)?, scan: sound(scan)?, mounting };
+    Ok(LidarScan { lidar: checked_name(line.lidar)?, scan })
 }
 
 fn read_odometry(line: OdometryLine) -> Result<OdometryReading, FrameProblem> {
-    let (parent, child) = (named(line.parent)?, named(line.child)?);
+    let (parent, child) = (checked_name(line.parent)?, checked_name(line.child)?);
     let parent_from_child = in_space(Pose::new(line.x_m, line.y_m, line.heading_rad));
     let twist = line.twist.map(|twist| Twist {
         x_m_s: twist.x_m_s,
@@ -282,7 +278,7 @@ fn read_odometry(line: OdometryLine) -> Result<OdometryReading, FrameProblem> {
 fn read_transform(line: TransformLine) -> Result<StampedTransform, FrameProblem> {
     let ([x, y, z], [i, j, k, w]) = (line.translation_m, line.rotation_xyzw);
     let parent_from_child = pose_of([x, y, z, i, j, k, w])?;
-    let (parent, child) = (named(line.parent)?, named(line.child)?);
+    let (parent, child) = (checked_name(line.parent)?, checked_name(line.child)?);
     Ok(StampedTransform { stamp_ns: line.stamp_ns, parent, child, parent_from_child })
 }
 
