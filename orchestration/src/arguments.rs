@@ -41,6 +41,8 @@ pub enum Command {
     Pause(RobotArgs),
     /// Lets a set that rests go on
     Resume(RobotArgs),
+    /// Lets a running set forget its map and begin a new one
+    Reset(RobotArgs),
     /// Changes how many processes a stage of a running set has
     Scale(ScaleArgs),
     /// Shows a running set live in the terminal: stages, latencies, drops, restarts
@@ -49,6 +51,8 @@ pub enum Command {
     Log(LogArgs),
     /// Serves the live page of a running set, for a browser
     Page(PageArgs),
+    /// Makes a running set a node of a ROS 2 graph
+    Ros(RosArgs),
     /// Records what a running set says, for Foxglove and the public MCAP tools
     Record(RecordArgs),
     /// Looks after saved maps
@@ -260,6 +264,9 @@ pub struct UpArgs {
     /// One setting, for example --set mapper.cell_size_m=0.1; may be given many times
     #[arg(long = "set", value_name = "SECTION.KEY=VALUE")]
     pub assignments: Vec<String>,
+    /// Makes the set a node of a ROS 2 graph, with these arguments of a node: -r FROM:=TO, -p NAME:=VALUE, --params-file FILE
+    #[arg(long, value_name = "ARGUMENT", num_args = 0.., allow_hyphen_values = true)]
+    pub ros_args: Vec<String>,
 }
 
 /// `flockslam store`.
@@ -395,6 +402,23 @@ pub struct PageArgs {
     /// Process to die with
     #[arg(long, hide = true)]
     pub parent: Option<u32>,
+}
+
+/// `flockslam ros`.
+#[derive(Clone, Debug, Args)]
+pub struct RosArgs {
+    /// Which set
+    #[command(flatten)]
+    pub robot: RobotArgs,
+    /// Directory of the running set
+    #[arg(long, value_name = "DIR", hide = true)]
+    pub set_dir: Option<PathBuf>,
+    /// Process to die with
+    #[arg(long, hide = true)]
+    pub parent: Option<u32>,
+    /// Arguments of a node: -r FROM:=TO, -p NAME:=VALUE, --params-file FILE
+    #[arg(long, value_name = "ARGUMENT", num_args = 0.., allow_hyphen_values = true)]
+    pub ros_args: Vec<String>,
 }
 
 /// `flockslam record`.

@@ -15,6 +15,7 @@ mod meetings;
 pub mod page_command;
 mod progress_bar;
 pub mod record_command;
+pub mod ros_command;
 mod run;
 pub mod stage;
 pub mod store_command;

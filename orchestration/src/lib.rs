@@ -7,6 +7,7 @@ pub mod configuration;
 pub mod evaluation;
 pub mod outputs;
 pub mod recording;
+pub mod ros_bridge;
 pub mod state_directory;
 pub mod store;
 pub mod supervisor;

@@ -19,5 +19,5 @@ mod sensor_messages;
 mod sensor_relay;
 mod set_diagnostics;
 
-pub use bridge::run_bridge;
+pub use bridge::{BridgeSet, check_arguments, run_bridge};
 pub use bridge_error::BridgeError;

@@ -1,12 +1,12 @@
 //! What runs beside a single run: its live page, and its control socket.
 
 use super::CommandError;
-use crate::supervisor::{ControlSocket, PageProcess, ProcessSet, Reply, Request, known_stage};
+use crate::supervisor::{ControlSocket, ProcessSet, Reply, Request, SideProcess, known_stage};
 
 /// Who looks at a live run from outside: its page, and who asks how it is.
 #[derive(Default)]
 pub struct Attendants {
-    page: Option<PageProcess>,
+    page: Option<SideProcess>,
     control: Option<ControlSocket>,
 }
 
@@ -19,7 +19,7 @@ impl Attendants {
 
     /// Answers, and starts the page again when it has died.
     pub fn look_after(&mut self, set: &mut ProcessSet) {
-        self.page.iter_mut().for_each(PageProcess::look_after);
+        self.page.iter_mut().for_each(SideProcess::look_after);
         while let Some(order) = self.control.as_ref().and_then(ControlSocket::next) {
             let reply = match &order.request {
                 Request::Status => Reply::Status(Box::new(set.status())),
@@ -37,10 +37,10 @@ impl Attendants {
 }
 
 /// Starts the page of a set, when it is to have one.
-pub fn start_page(set: &ProcessSet) -> Result<Option<PageProcess>, CommandError> {
+pub fn start_page(set: &ProcessSet) -> Result<Option<SideProcess>, CommandError> {
     let settings = &set.configuration().page;
     // A mistake is reported now, not by a process in the background.
     settings.guard("").map_err(CommandError::user)?;
-    let start = || PageProcess::start(set.runtime().path()).map_err(CommandError::failed);
+    let start = || SideProcess::start("page", set.runtime().path(), &[]).map_err(CommandError::failed);
     settings.enabled.then(start).transpose()
 }

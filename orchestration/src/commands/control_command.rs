@@ -1,4 +1,4 @@
-//! `flockslam down`, `status`, `restart`, `pause`, `resume` and `scale`: orders to a running set.
+//! `flockslam down`, `status`, `restart`, `pause`, `resume`, `reset` and `scale`: orders to a running set.
 
 use super::{CommandError, say};
 use crate::arguments::{RobotArgs, ScaleArgs, StageOrderArgs, StatusArgs};
@@ -58,6 +58,14 @@ pub fn restart(args: &StageOrderArgs) -> Result<(), CommandError> {
 /// When there is no such set.
 pub fn pause(args: &RobotArgs, rests: bool) -> Result<(), CommandError> {
     order(&choose(args)?, &Request::Pause(rests)).map(drop)
+}
+
+/// Lets a set forget its map.
+///
+/// # Errors
+/// When there is no such set, or it keeps its map on disk.
+pub fn reset(args: &RobotArgs) -> Result<(), CommandError> {
+    order(&choose(args)?, &Request::Reset).map(drop)
 }
 
 /// Changes the number of processes of a stage.

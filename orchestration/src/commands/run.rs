@@ -277,7 +277,7 @@ fn read_map(directory: &Path) -> Result<(OccupancyImage, String), results::Resul
     let mut hasher = MapHasher::new(&shape);
     reader.for_each_row(|row| {
         hasher.push_row(row);
-        image.push_row(row.iter().map(state));
+        image.push_row(row.iter().map(CellState::of));
     })?;
     Ok((image.or_one_cell(), hasher.finish()))
 }
@@ -285,17 +285,8 @@ fn read_map(directory: &Path) -> Result<(OccupancyImage, String), results::Resul
 /// The map as navigation reads it.
 pub(super) fn occupancy(map: &StoredMap) -> OccupancyImage {
     let mut image = OccupancyImage::of_width(map.width, map.cell_size_m, map.origin);
-    map.for_each_row(|row| image.push_row(row.iter().map(state)));
+    map.for_each_row(|row| image.push_row(row.iter().map(CellState::of)));
     image.or_one_cell()
-}
-
-/// Thresholds as in nav2, on p/(p+q).
-fn state(cell: &flockslam_evidence::Cell) -> CellState {
-    match cell.masses().occupancy() {
-        Some(occupancy) if occupancy > 0.65 => CellState::Occupied,
-        Some(occupancy) if occupancy < 0.25 => CellState::Free,
-        _ => CellState::Unknown,
-    }
 }
 
 fn report(

@@ -6,11 +6,12 @@ use super::run::{Finished, count_interrupts, points, prepare_directory, write_ou
 use crate::arguments::UpArgs;
 use crate::configuration::Configuration;
 use crate::outputs::write_trajectory;
+use crate::ros_bridge::check_arguments;
 use crate::state_directory::spill_directory;
 use crate::store::{Findings, MapHead, MapKeeper, Mirror, SavedMap, StoreError};
 use crate::supervisor::{
-    ControlSocket, MetricsService, Order, PageProcess, ProcessSet, Reply, Request, ServiceManager,
-    SetDescription, SetError, SetEvent, SetFile, known_stage,
+    ControlSocket, MetricsService, Order, ProcessSet, Reply, Request, ServiceManager,
+    SetDescription, SetError, SetEvent, SetFile, SideProcess, known_stage,
 };
 use flockslam_bus::RuntimeDir;
 use flockslam_stage::{MemoryUse, Mode};
@@ -58,9 +59,10 @@ pub fn run(args: &UpArgs) -> Result<(), CommandError> {
     }
 }
 
-/// A set, its page, and the keeper of its map.
+/// A set, what runs beside it, and the keeper of its map.
 struct LiveSet {
-    page: Option<PageProcess>,
+    page: Option<SideProcess>,
+    ros: Option<SideProcess>,
     set: ProcessSet,
     keeper: Option<MapKeeper>,
     head: MapHead,
@@ -69,6 +71,7 @@ struct LiveSet {
 impl LiveSet {
     fn start(args: &UpArgs, description: &SetDescription) -> Result<Self, CommandError> {
         let mut configuration = description.configuration(&args.assignments)?;
+        let ros_arguments = ros_arguments(args, description)?;
         let head = MapHead::of_this_build(&description.robot, configuration.mapper.cell_size_m);
         let map = args.map.as_ref().or(description.map.as_ref()).map(|directory| SavedMap::at(directory));
         let beside = map.as_ref().map(SavedMap::directory);
@@ -105,7 +108,9 @@ impl LiveSet {
         set.wipe_at_end(false);
         let keeper = map.map(|map| keep(map, &set, &head, description.save_every_s)).transpose()?;
         let page = start_page(&set)?;
-        Ok(Self { page, set, keeper, head })
+        let ros = ros_arguments.map(|arguments| SideProcess::start("ros", set.runtime().path(), &arguments));
+        let ros = ros.transpose().map_err(CommandError::failed)?;
+        Ok(Self { page, ros, set, keeper, head })
     }
 
     /// Watches over the set until it shall stop; true when its source has ended and its results are stored.
@@ -117,7 +122,7 @@ impl LiveSet {
                 return Ok(true);
             }
             manager.alive();
-            self.page.iter_mut().for_each(PageProcess::look_after);
+            self.page.iter_mut().chain(&mut self.ros).for_each(SideProcess::look_after);
             let unsaved = self.keeper.as_ref().is_some_and(|keeper| keeper.status().problem.is_some());
             self.set.metrics().set_not_durable(unsaved || self.set.not_durable().is_some());
             let mut ends = interrupts.load(Ordering::Relaxed) > 0;
@@ -151,6 +156,7 @@ impl LiveSet {
             Request::Log(stage, filter) => self.set.log(&stage, &filter),
             Request::Save(directory) => return self.save_elsewhere(&directory, order),
             Request::Load(directory) => self.load(&directory),
+            Request::Reset => self.reset(),
         };
         order.answer(outcome.map_or_else(Reply::Refused, |()| Reply::Done));
     }
@@ -164,11 +170,24 @@ impl LiveSet {
         });
     }
 
-    fn load(&mut self, directory: &Path) -> Result<(), String> {
-        if let Some(keeper) = &self.keeper {
+    /// The map of a set that keeps it on disk is not given up for another one.
+    fn refuse_kept(&self) -> Result<(), String> {
+        self.keeper.as_ref().map_or(Ok(()), |keeper| {
             let own = keeper.status().directory;
-            return Err(format!("this set keeps its map in {own}: stop it and start it with another --map"));
-        }
+            Err(format!("this set keeps its map in {own}: stop it and start it with another --map"))
+        })
+    }
+
+    /// Forgets the map and begins a new one.
+    fn reset(&mut self) -> Result<(), String> {
+        self.refuse_kept()?;
+        let reset: Result<(), CommandError> = self.set.begin_anew(|_| Ok(0));
+        self.page.iter_mut().for_each(SideProcess::restart);
+        reset.map_err(|error| error.to_string())
+    }
+
+    fn load(&mut self, directory: &Path) -> Result<(), String> {
+        self.refuse_kept()?;
         let map = SavedMap::at(directory);
         let head = &self.head;
         // What is refused leaves the set as it is.
@@ -178,12 +197,12 @@ impl LiveSet {
             let findings = restore(&map, runtime, head).map_err(CommandError::user)?;
             Ok(findings.next_sequence)
         });
-        self.page.iter_mut().for_each(PageProcess::restart);
+        self.page.iter_mut().for_each(SideProcess::restart);
         loaded.map_err(|error| error.to_string())
     }
 
     fn stop_and_save(&mut self) {
-        self.page = None;
+        (self.page, self.ros) = (None, None);
         // Nothing is accepted any more once the stages have ended, so that what is saved then is everything.
         self.set.stop();
         if let Some(keeper) = &self.keeper
@@ -196,6 +215,17 @@ impl LiveSet {
         }
         self.set.wipe_at_end(true);
     }
+}
+
+/// The arguments of the bridge to a ROS graph, when the set has one. A mistake is reported now, not by a process in the background.
+fn ros_arguments(args: &UpArgs, description: &SetDescription) -> Result<Option<Vec<String>>, CommandError> {
+    let described = description.ros.as_ref().map(|ros| ros.args.clone());
+    let given = [described.clone().unwrap_or_default(), args.ros_args.clone()].concat();
+    if described.is_none() && args.ros_args.is_empty() {
+        return Ok(None);
+    }
+    check_arguments(&given).map_err(CommandError::user)?;
+    Ok(Some([vec!["--ros-args".to_owned()], given].concat()))
 }
 
 /// Puts what is good of a saved map into the directory of a set.

@@ -1,5 +1,6 @@
 //! A map in three states, cell by cell: free, occupied, unknown. Map files and pictures are made of it.
 
+use flockslam_evidence::Cell;
 use flockslam_geometry::Point;
 
 /// What is known of a cell.
@@ -30,6 +31,15 @@ pub struct OccupancyImage {
 }
 
 impl CellState {
+    /// Of a cell with this evidence: thresholds as in nav2, on p/(p+q).
+    pub fn of(cell: &Cell) -> Self {
+        match cell.masses().occupancy() {
+            Some(occupancy) if occupancy > 0.65 => Self::Occupied,
+            Some(occupancy) if occupancy < 0.25 => Self::Free,
+            _ => Self::Unknown,
+        }
+    }
+
     fn of_bits(bits: u8) -> Self {
         match bits {
             1 => Self::Free,

@@ -77,6 +77,20 @@ enum Heard {
     GetTransitions(Call<GetAvailableTransitions>),
 }
 
+/// Whether arguments of the node have a sense.
+///
+/// # Errors
+/// When one has none.
+pub fn check_arguments(arguments: &[String]) -> Result<(), BridgeError> {
+    let arguments = NodeArguments::parse(arguments)?;
+    let identity = NodeIdentity::new(NODE, arguments.remaps.clone())?;
+    Environment::of_this_process()?;
+    let parameters = BridgeParameters::of(&arguments, &identity)?;
+    let topics = parameters.scan_topics.iter().chain([&parameters.odom_topic, &parameters.imu_topic]);
+    topics.filter(|topic| !topic.is_empty()).try_for_each(|topic| identity.resolve(topic).map(drop))?;
+    Ok(())
+}
+
 /// Runs the bridge until the set ends.
 ///
 /// # Errors

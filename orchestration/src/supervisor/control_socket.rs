@@ -37,6 +37,8 @@ pub enum Request {
     Save(PathBuf),
     /// Go on with the map in a directory instead of the present one.
     Load(PathBuf),
+    /// Forget the map and begin a new one.
+    Reset,
 }
 
 /// What a set answers.

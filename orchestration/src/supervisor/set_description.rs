@@ -58,6 +58,16 @@ pub struct SetDescription {
     /// What each stage may use.
     #[serde(default)]
     pub stages: StageLimits,
+    /// The bridge to a ROS 2 graph; none without it.
+    pub ros: Option<RosDescription>,
+}
+
+/// The bridge of a set to a ROS 2 graph.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RosDescription {
+    /// What stands behind `--ros-args` on a node's command line.
+    pub args: Vec<String>,
 }
 
 /// Where the scans of a set come from.

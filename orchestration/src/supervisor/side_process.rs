@@ -1,32 +1,42 @@
-//! The process of the live page, as the supervisor handles it: it is started, started again when it dies, and killed with the set.
+//! A process beside the stages, as the supervisor handles it: it is started, started again when it dies, and killed with the set.
 
 use rustix::process::Signal;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// A page that died is started again after this.
+/// One that died is started again after this.
 const PAUSE: Duration = Duration::from_secs(1);
 
-/// The process that serves the live page of a set. It is no stage: nothing depends on it.
-pub struct PageProcess {
+/// A process that serves a set from the side: its live page, its bridge to a ROS graph. It is no stage: nothing depends on it.
+pub struct SideProcess {
     executable: PathBuf,
+    /// The command of this executable that it runs.
+    command: &'static str,
+    /// What follows on its command line.
+    arguments: Vec<String>,
     set_dir: PathBuf,
     child: Option<Child>,
     /// When it is started, while there is none.
     due: Instant,
 }
 
-impl PageProcess {
-    /// The page of the set in `set_dir`.
+impl SideProcess {
+    /// Runs a command of this executable, with these arguments, for the set in `set_dir`.
     ///
     /// # Errors
     /// When the system does not say what the executable is.
-    pub fn start(set_dir: &Path) -> std::io::Result<Self> {
-        let executable = std::env::current_exe()?;
-        let mut page = Self { executable, set_dir: set_dir.to_owned(), child: None, due: Instant::now() };
-        page.look_after();
-        Ok(page)
+    pub fn start(command: &'static str, set_dir: &Path, arguments: &[String]) -> std::io::Result<Self> {
+        let mut process = Self {
+            executable: std::env::current_exe()?,
+            command,
+            arguments: arguments.to_owned(),
+            set_dir: set_dir.to_owned(),
+            child: None,
+            due: Instant::now(),
+        };
+        process.look_after();
+        Ok(process)
     }
 
     /// Starts it again when it has died.
@@ -34,7 +44,7 @@ impl PageProcess {
         if let Some(child) = &mut self.child {
             match child.try_wait() {
                 Ok(None) => return,
-                ended => tracing::warn!(?ended, "the page has died and is started again"),
+                ended => tracing::warn!(command = self.command, ?ended, "it has died and is started again"),
             }
             (self.child, self.due) = (None, Instant::now() + PAUSE);
         }
@@ -51,13 +61,13 @@ impl PageProcess {
 
     fn spawn(&mut self) {
         let mut command = Command::new(&self.executable);
-        command.arg("page").arg("--set-dir").arg(&self.set_dir);
-        command.arg("--parent").arg(std::process::id().to_string());
+        command.arg(self.command).arg("--set-dir").arg(&self.set_dir);
+        command.arg("--parent").arg(std::process::id().to_string()).args(&self.arguments);
         command.stdin(Stdio::null()).stdout(Stdio::null());
         match command.spawn() {
             Ok(child) => self.child = Some(child),
             Err(error) => {
-                tracing::warn!(%error, "the page cannot be started");
+                tracing::warn!(command = self.command, %error, "it cannot be started");
                 self.due = Instant::now() + PAUSE;
             }
         }
@@ -72,7 +82,7 @@ impl PageProcess {
     }
 }
 
-impl Drop for PageProcess {
+impl Drop for SideProcess {
     fn drop(&mut self) {
         self.end();
     }
