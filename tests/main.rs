@@ -32,6 +32,7 @@ mod recorder;
 mod recordings;
 mod replay;
 mod replicas;
+mod ros2;
 mod saved_maps;
 mod seeing;
 mod shared_memory;

@@ -76,9 +76,14 @@ impl LiveSet {
     }
 
     /// As [`LiveSet::start`], by a command that ends in running the executable with what is added to it.
-    pub fn start_by(mut command: Command, test: &str, directory: &Path, drive: Drive, more: &str) -> Self {
+    pub fn start_by(command: Command, test: &str, directory: &Path, drive: Drive, more: &str) -> Self {
         let robot = robot(test);
         std::fs::write(directory.join("set.toml"), drive.description(&robot, more)).unwrap();
+        Self::start_described(command, robot, directory)
+    }
+
+    /// Starts the set that is described in `directory` by such a command.
+    pub fn start_described(mut command: Command, robot: String, directory: &Path) -> Self {
         command.arg("up").arg(directory.join("set.toml")).arg("--out").arg(directory.join("out"));
         let child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
         Self {

@@ -18,6 +18,7 @@ mod outputs;
 mod pictures;
 mod poses;
 pub mod public_logs;
+pub mod ros_peers;
 pub mod ros_recording;
 mod running;
 pub mod seeded_drives;
@@ -40,7 +41,7 @@ pub use outputs::{Outputs, known_truth_error_m, truth_error_m};
 pub use pictures::keep_picture;
 pub use poses::{PoseWatch, SeenPose};
 pub use running::{RunningSet, send, try_send};
-pub use simulated_log::simulated_log;
+pub use simulated_log::{simulated_drive, simulated_log};
 
 use flockslam_messages::Stage;
 use std::path::{Path, PathBuf};

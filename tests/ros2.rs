@@ -1,0 +1,251 @@
+//! A set as a node of a ROS 2 graph, against nodes of the client library of ROS (Fast DDS) and of Cyclone DDS.
+
+use crate::support::ros_peers::Graph;
+use crate::support::{LiveSet, flockslam, machine_share, processes_of, run_well, send, simulated_drive, wait_for};
+use flockslam::evaluation::evaluate_truth;
+use flockslam::outputs::TrajectoryPoint;
+use flockslam_geometry::Pose;
+use rustix::process::Signal;
+use serde_json::{Value, json};
+
+/// map → odom is stamped so much ahead of its scan.
+const AHEAD_NS: i64 = 200_000_000;
+
+/// Rows of numbers: a stamp and a pose, and whatever follows.
+fn rows(noted: &Value, name: &str) -> Vec<(i64, Pose, i64)> {
+    let row = |row: &Value| {
+        let number = |index: usize| row[index].as_f64().unwrap();
+        (row[0].as_i64().unwrap(), Pose::new(number(1), number(2), number(3)), row[4].as_i64().unwrap())
+    };
+    noted[name].as_array().unwrap().iter().map(row).collect()
+}
+
+fn points(rows: &[(i64, Pose, i64)]) -> Vec<TrajectoryPoint> {
+    rows.iter().map(|(stamp_ns, pose, _)| TrajectoryPoint { stamp_ns: *stamp_ns, map_from_base: *pose }).collect()
+}
+
+fn error_m(points: &[TrajectoryPoint], truth: &[TrajectoryPoint]) -> f64 {
+    evaluate_truth(points, truth).unwrap().absolute.translation_m.unwrap().rmse
+}
+
+/// The processes of a set that are bridges.
+fn bridges(set: &LiveSet) -> Vec<u32> {
+    let is_bridge = |pid: &u32| {
+        let line = std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+        line.split(|byte| *byte == 0).nth(1) == Some(b"ros")
+    };
+    processes_of(&set.runtime_dir().display().to_string()).into_iter().filter(is_bridge).collect()
+}
+
+#[test]
+fn a_log_played_into_the_graph_is_mapped_as_the_file_is() {
+    machine_share::mostly_waits();
+    let Some(graph) = Graph::new() else { return };
+    let directory = tempfile::tempdir().unwrap();
+    let (log, truth) = simulated_drive(directory.path(), 40.0);
+    let set = graph.set("graph", directory.path(), &[]);
+    // Ten scans a second, four times as fast.
+    let noted = graph.play(&log, 4.0, "/");
+    let (sent, poses, corrections) = (rows(&noted, "sent"), rows(&noted, "poses"), rows(&noted, "corrections"));
+    assert_eq!(poses.len(), sent.len(), "no scan is lost at 40 a second");
+    assert!(corrections.is_sorted_by(|a, b| a.0 < b.0), "no stamp comes twice");
+    let mut delays_ms = Vec::new();
+    for ((scan_ns, odom_from_base, sent_at_ns), (pose_ns, pose, _)) in sent.iter().zip(&poses) {
+        assert_eq!(scan_ns, pose_ns);
+        let own = corrections.iter().find(|(stamp_ns, ..)| *stamp_ns >= scan_ns + AHEAD_NS);
+        let (_, map_from_odom, heard_at_ns) = own.unwrap_or_else(|| panic!("no correction for the scan at {scan_ns}"));
+        let composed = *map_from_odom * *odom_from_base;
+        assert!(composed.distance_m(*pose) < 1e-3, "{composed:?} is not {pose:?}");
+        delays_ms.push((heard_at_ns - sent_at_ns) as f64 * 1e-6);
+    }
+    delays_ms.sort_by(f64::total_cmp);
+    let quantile = |share: f64| delays_ms[((delays_ms.len() - 1) as f64 * share) as usize];
+    println!("scan to /tf at the peer: p50 {:.1} ms, p99 {:.1} ms", quantile(0.5), quantile(0.99));
+
+    let mut late = graph.peer("late");
+    let saved = directory.path().join("saved/map");
+    std::fs::create_dir(directory.path().join("saved")).unwrap();
+    // The map that is saved is the one that is published, and both are the newest.
+    let answer = late.call("slam_toolbox/SaveMap", "/slam_toolbox/save_map", json!({ "name": saved }));
+    assert_eq!(answer["result"], 0);
+    let (found, cells) = late.map(directory.path());
+    println!("the map came after {} s", found["seconds"]);
+    let (width, height) = (found["width"].as_u64().unwrap() as usize, found["height"].as_u64().unwrap() as usize);
+    let picture = image::open(saved.with_extension("pgm")).unwrap().into_luma8();
+    assert_eq!((picture.width() as usize, picture.height() as usize), (width, height));
+    for (index, value) in cells.iter().enumerate() {
+        let pixel = picture.get_pixel((index % width) as u32, (height - 1 - index / width) as u32).0[0];
+        let expected = match value {
+            -1 => 205,
+            0 => 254,
+            100 => 0,
+            other => panic!("{other} is no value of a map"),
+        };
+        assert_eq!(pixel, expected, "cell {index}");
+    }
+    assert!(cells.iter().filter(|value| **value == 100).count() > 500, "walls are in the map");
+    let origin = found["origin"][0].as_f64().unwrap();
+    assert!((origin / 6.4 - (origin / 6.4).round()).abs() < 1e-6 && width % 128 == 0, "{found}");
+    set.command_well(&["down"]);
+
+    let out = directory.path().join("file");
+    let arguments = ["map", &log.display().to_string(), "--rate", "4"].map(str::to_owned);
+    let replay = run_well("graph-file", &out, &arguments);
+    let replayed = error_m(&replay.trajectory("trajectory_online.tum"), &truth);
+    let played = error_m(&points(&poses), &truth);
+    println!("error of poses: {played:.4} m through the graph, {replayed:.4} m from the file");
+    // A tenth, and what two live replays of one file differ by.
+    assert!(played < 1.1 * replayed + 0.003, "{played} m through the graph, {replayed} m from the file");
+}
+
+#[test]
+fn a_manager_takes_the_node_up_and_down_and_the_bond_outlives_a_kill() {
+    machine_share::mostly_waits();
+    let Some(graph) = Graph::new() else { return };
+    let directory = tempfile::tempdir().unwrap();
+    let arguments = ["-r", "__node:=slam_toolbox", "-p", "use_lifecycle_manager:=true"];
+    let set = graph.set("managed", directory.path(), &arguments);
+    let mut manager = graph.peer("manager");
+    let state = json!(["call", "lifecycle_msgs/GetState", "/slam_toolbox/get_state", {}]);
+    let label = |answer: &Value| answer["current_state"]["label"].as_str().map(str::to_owned);
+    assert_eq!(manager.wait_for("the node", &state, label), "unconfigured");
+    let change = |manager: &mut crate::support::ros_peers::Peer, id: u8| {
+        let asked = json!({ "transition": { "id": id } });
+        let answer = manager.call("lifecycle_msgs/ChangeState", "/slam_toolbox/change_state", asked);
+        answer["success"].as_bool().unwrap()
+    };
+    assert!(!change(&mut manager, 3), "it is not activated before it is configured");
+    assert!(change(&mut manager, 1) && change(&mut manager, 3));
+    manager.tell(&json!(["bond", "slam_toolbox"]));
+    let formed = |bond: &Value| bond["formed"].as_bool().unwrap().then(|| bond["instance"].clone());
+    let instance = manager.wait_for("the bond", &json!(["bonded"]), formed);
+
+    // Killed, it is back within the patience of the bond, and goes on.
+    let before = wait_for("the bridge", || bridges(&set).first().copied());
+    send(before, Signal::KILL);
+    wait_for("its successor", || bridges(&set).into_iter().find(|pid| *pid != before));
+    let again = manager.wait_for("its answer", &state, label);
+    assert_eq!(again, "active");
+    let bond = manager.tell(&json!(["bonded"]));
+    assert_eq!((&bond["broken"], &bond["instance"]), (&Value::Null, &instance));
+
+    assert!(change(&mut manager, 4));
+    let ended = |bond: &Value| bond["broken"].as_str().map(str::to_owned);
+    assert_eq!(manager.wait_for("the end of the bond", &json!(["bonded"]), ended), "ended");
+    assert!(change(&mut manager, 2));
+    assert_eq!(manager.wait_for("the node", &state, label), "unconfigured");
+    set.command_well(&["down"]);
+}
+
+#[test]
+fn services_and_parameters_do_what_they_say() {
+    machine_share::mostly_waits();
+    let Some(graph) = Graph::new() else { return };
+    let directory = tempfile::tempdir().unwrap();
+    let mut set = graph.set("services", directory.path(), &["-p", "map_update_interval:=1.0"]);
+    let mut peer = graph.peer("user");
+    let is_paused = |set: &LiveSet| set.status().unwrap().paused;
+    set.wait_until("the set", |_| true);
+    for (called, expected) in [(true, true), (false, false)] {
+        let answer = peer.call("std_srvs/SetBool", "/flockslam/pause", json!({ "data": called }));
+        assert_eq!((answer["success"].as_bool(), is_paused(&set)), (Some(true), expected));
+    }
+    // This one toggles, as that of slam_toolbox does.
+    for expected in [true, false] {
+        let answer =
+            peer.call("slam_toolbox/Pause", "/slam_toolbox/pause_new_measurements", json!({ "nothing": 0 }));
+        assert_eq!((answer["status"].as_bool(), is_paused(&set)), (Some(true), expected));
+    }
+
+    let names = ["odom_frame", "resolution", "map_update_interval", "use_sim_time"];
+    let values = peer.tell(&json!(["parameters", "flockslam", names]));
+    assert_eq!(values, json!(["odom", 0.05, 1.0, false]));
+    let set_to = |peer: &mut crate::support::ros_peers::Peer, name: &str, value: Value| {
+        peer.tell(&json!(["set", "flockslam", name, value]))
+    };
+    assert_eq!(set_to(&mut peer, "map_update_interval", json!(2.5))[0], true);
+    assert_eq!(peer.tell(&json!(["parameters", "flockslam", ["map_update_interval"]])), json!([2.5]));
+    let refused = set_to(&mut peer, "map_update_interval", json!(0.0));
+    assert_eq!(refused, json!([false, "0 is not between 0.1 and 3600"]));
+    let refused = set_to(&mut peer, "odom_frame", json!("other"));
+    assert_eq!(refused, json!([false, "odom_frame cannot be changed while the node runs"]));
+
+    let (log, _) = simulated_drive(directory.path(), 8.0);
+    graph.play(&log, 2.0, "/");
+    let walls = |cells: &[i8]| cells.iter().filter(|value| **value == 100).count();
+    let (_, cells) = peer.map(directory.path());
+    assert!(walls(&cells) > 100);
+    let asked = peer.call("nav_msgs/GetMap", "/slam_toolbox/dynamic_map", json!({}));
+    let known = asked["map"]["data"].as_array().unwrap().iter().filter(|value| value.as_i64() == Some(100));
+    assert!(known.count() > 100);
+    let kept = directory.path().join("kept");
+    let filename = json!({ "filename": kept });
+    let answer = peer.call("slam_toolbox/SerializePoseGraph", "/slam_toolbox/serialize_map", filename);
+    assert_eq!(answer["result"], 0);
+    assert!(flockslam().args(["store", "check"]).arg(&kept).output().unwrap().status.success());
+
+    let answer = peer.call("slam_toolbox/Reset", "/slam_toolbox/reset", json!({ "pause_new_measurements": false }));
+    assert_eq!(answer["result"], 0);
+    let asked = peer.call("nav_msgs/GetMap", "/slam_toolbox/dynamic_map", json!({}));
+    assert_eq!(asked["map"]["data"], json!([]), "the map is empty");
+    let load = json!({ "filename": kept, "match_type": 1, "x": 0.0, "y": 0.0, "theta": 0.0 });
+    let answer = peer.call("slam_toolbox/DeserializePoseGraph", "/slam_toolbox/deserialize_map", load);
+    assert_eq!(answer["result"], 0);
+    let get = json!(["call", "nav_msgs/GetMap", "/slam_toolbox/dynamic_map", {}]);
+    let again = peer.wait_for("the loaded map", &get, |asked| {
+        let data = asked["map"]["data"].as_array()?;
+        Some(data.iter().filter(|value| value.as_i64() == Some(100)).count()).filter(|walls| *walls > 0)
+    });
+    assert!(again > 100, "{again}");
+    set.command_well(&["down"]);
+}
+
+#[test]
+fn peers_come_and_go_and_domains_do_not_hear_each_other() {
+    machine_share::mostly_waits();
+    let (Some(graph), Some(other)) = (Graph::new(), Graph::new()) else { return };
+    let directory = tempfile::tempdir().unwrap();
+    let set = graph.set("graphs", directory.path(), &["-r", "__ns:=/r1"]);
+    let node = |answer: &Value| {
+        let nodes = answer["nodes"].as_array()?;
+        nodes.iter().any(|name| name == "/r1/flockslam").then(|| answer.clone())
+    };
+    let mut first = graph.peer("first");
+    let seen = first.wait_for("the node", &json!(["graph"]), |answer| {
+        let answer = node(answer)?;
+        let has = |of: &str, name: &str, kind: &str| answer[of][name] == json!([kind]);
+        let all = has("topics", "/r1/map", "nav_msgs/msg/OccupancyGrid")
+            && has("topics", "/r1/scan", "sensor_msgs/msg/LaserScan")
+            && has("topics", "/tf", "tf2_msgs/msg/TFMessage")
+            && has("services", "/r1/slam_toolbox/save_map", "slam_toolbox/srv/SaveMap")
+            && has("services", "/r1/flockslam/get_state", "lifecycle_msgs/srv/GetState");
+        all.then_some(answer)
+    });
+    assert!(seen["services"].as_object().unwrap().len() > 15);
+    let bridge = bridges(&set)[0];
+    let memory = || {
+        let status = std::fs::read_to_string(format!("/proc/{bridge}/status")).unwrap();
+        let line = status.lines().find(|line| line.starts_with("VmRSS:")).unwrap().to_owned();
+        line.split_whitespace().nth(1).unwrap().parse::<f64>().unwrap() / 1024.0
+    };
+    let descriptors = || std::fs::read_dir(format!("/proc/{bridge}/fd")).unwrap().count();
+    let (before_mib, before) = (memory(), descriptors());
+    for round in 0..20 {
+        let mut peer = graph.peer("passing");
+        let began = std::time::Instant::now();
+        let answer = peer.call("std_srvs/SetBool", "/r1/flockslam/pause", json!({ "data": false }));
+        assert_eq!(answer["success"], true);
+        if round == 0 {
+            println!("called {:.2} s after the peer's start", began.elapsed().as_secs_f64());
+        }
+        peer.kill();
+    }
+    println!("memory {before_mib:.0} MiB, {:.0} MiB after twenty peers", memory());
+    assert!(memory() < before_mib + 10.0, "{before_mib} MiB before, {} MiB after", memory());
+    assert!(descriptors() <= before + 2);
+    let mut stranger = other.peer("stranger");
+    let there = stranger.tell(&json!(["graph"]));
+    assert_eq!(there["nodes"], json!(["/stranger"]), "another domain hears nothing of it");
+    assert!(node(&first.tell(&json!(["graph"]))).is_some());
+    set.command_well(&["down"]);
+}

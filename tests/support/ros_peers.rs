@@ -1,0 +1,156 @@
+//! Nodes of ROS 2 that a set speaks with, by the client library of ROS and by Cyclone DDS, from the public index.
+
+use super::tools::{python_with, tool};
+use super::{LiveSet, flockslam, repository, robot, wait_for};
+use serde_json::{Value, json};
+use std::io::{BufRead, BufReader, Lines, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+/// The packages of the index, by the version that they were tested with.
+const PACKAGES: [&str; 8] = [
+    "ros-jazzy-rclpy==7.1.*",
+    "ros-jazzy-rmw-fastrtps-cpp==8.4.*",
+    "ros-jazzy-nav-msgs",
+    "ros-jazzy-sensor-msgs",
+    "ros-jazzy-std-srvs",
+    "ros-jazzy-diagnostic-msgs",
+    "ros-jazzy-lifecycle-msgs",
+    "cyclonedds==11.*",
+];
+/// Cyclone DDS on the loopback interface, which has no multicast.
+const CYCLONE: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\"/></Interfaces>\
+    <AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>\
+    <MaxAutoParticipantIndex>40</MaxAutoParticipantIndex><Peers><Peer address=\"127.0.0.1\"/></Peers></Discovery></Domain></CycloneDDS>";
+/// Ports of domains beyond lie among those that Linux hands out.
+const DOMAINS: u32 = 100;
+
+/// A domain of ROS that no other test has, and the interpreter that peers run in.
+pub struct Graph {
+    domain: u32,
+    python: PathBuf,
+}
+
+/// The interpreter with the client library of ROS; `None`, said clearly, where it cannot be installed. It is kept in the target folder.
+fn python() -> Option<PathBuf> {
+    static PYTHON: OnceLock<Option<PathBuf>> = OnceLock::new();
+    let make = || {
+        let place = Path::new(env!("CARGO_TARGET_TMPDIR")).join("ros-peers");
+        let (python, complete) = (place.join("venv/bin/python"), place.join("complete"));
+        if std::fs::read_to_string(&complete).is_ok_and(|with| with == PACKAGES.join("\n")) {
+            return Some(python);
+        }
+        std::fs::create_dir_all(&place).unwrap();
+        let python = python_with(&place, &PACKAGES)?;
+        tool(&place, &python, &["-c", "import rclpy, cyclonedds"])?;
+        std::fs::write(complete, PACKAGES.join("\n")).unwrap();
+        Some(python)
+    };
+    PYTHON.get_or_init(make).clone()
+}
+
+impl Graph {
+    /// A graph of its own; `None` where peers cannot be run.
+    pub fn new() -> Option<Self> {
+        static NEXT: AtomicU32 = AtomicU32::new(0);
+        let python = python()?;
+        let next = std::process::id() * 7 + NEXT.fetch_add(1, Ordering::Relaxed);
+        Some(Self { domain: 1 + next % DOMAINS, python })
+    }
+
+    fn into_graph(&self, command: &mut Command) {
+        command.env("ROS_DOMAIN_ID", self.domain.to_string()).env("ROS_LOCALHOST_ONLY", "1");
+        command.env("CYCLONEDDS_URI", CYCLONE).env("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp");
+    }
+
+    /// Starts a set that takes its scans from the graph, as a node with these arguments.
+    pub fn set(&self, test: &str, directory: &Path, arguments: &[&str]) -> LiveSet {
+        let robot = robot(test);
+        let description = format!(
+            "robot = \"{robot}\"\nset = [\"page.enabled=false\"]\n[source]\nkind = \"scans\"\n[ros]\nargs = {}\n",
+            json!(arguments)
+        );
+        std::fs::write(directory.join("set.toml"), description).unwrap();
+        let mut command = flockslam();
+        self.into_graph(&mut command);
+        LiveSet::start_described(command, robot, directory)
+    }
+
+    /// Starts a node that does what it is told.
+    pub fn peer(&self, name: &str) -> Peer {
+        let mut child = self.script("peer.py", &[name]);
+        let orders = child.stdin.take().unwrap();
+        let answers = BufReader::new(child.stdout.take().unwrap()).lines();
+        Peer { child, orders, answers }
+    }
+
+    /// Plays a log into the graph, this many log seconds a second, in a namespace; returns what the robot has noted.
+    pub fn play(&self, log: &Path, rate: f64, namespace: &str) -> Value {
+        let out = log.with_extension("noted.json");
+        let out_text = out.display().to_string();
+        let mut child =
+            self.script("robot.py", &[&log.display().to_string(), &rate.to_string(), namespace, &out_text]);
+        drop(child.stdin.take());
+        let status = wait_for("the end of the drive", || child.try_wait().unwrap());
+        assert!(status.success(), "robot.py: {status}");
+        serde_json::from_slice(&std::fs::read(out).unwrap()).unwrap()
+    }
+
+    fn script(&self, name: &str, arguments: &[&str]) -> Child {
+        let mut command = Command::new(&self.python);
+        command.arg(repository().join("tests/ros_peers").join(name)).args(arguments);
+        self.into_graph(&mut command);
+        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::inherit());
+        command.spawn().unwrap()
+    }
+}
+
+/// A node of the client library of ROS that does what it is told.
+pub struct Peer {
+    child: Child,
+    orders: ChildStdin,
+    answers: Lines<BufReader<ChildStdout>>,
+}
+
+impl Peer {
+    /// Tells it what to do, and waits until it is done. What tests/ros_peers/peer.py says it can.
+    pub fn tell(&mut self, command: &Value) -> Value {
+        writeln!(self.orders, "{command}").unwrap();
+        let answer = self.answers.next().unwrap_or_else(|| panic!("the peer has died at {command}")).unwrap();
+        serde_json::from_str(&answer).unwrap()
+    }
+
+    /// Calls a service; its fields.
+    pub fn call(&mut self, kind: &str, name: &str, fields: Value) -> Value {
+        let answer = self.tell(&json!(["call", kind, name, fields]));
+        assert!(!answer.is_null(), "{name} does not answer");
+        answer
+    }
+
+    /// The map as somebody gets it who comes late: what is said of it, and its cells.
+    pub fn map(&mut self, directory: &Path) -> (Value, Vec<i8>) {
+        let cells = directory.join("cells");
+        let found = self.tell(&json!(["map", cells]));
+        assert!(!found.is_null(), "no map came");
+        (found, std::fs::read(cells).unwrap().into_iter().map(|byte| byte as i8).collect())
+    }
+
+    /// Asks until the answer is as wanted.
+    pub fn wait_for<T>(&mut self, what: &str, command: &Value, mut is: impl FnMut(&Value) -> Option<T>) -> T {
+        wait_for(what, || is(&self.tell(command)))
+    }
+
+    /// Ends it in the middle of what it does.
+    pub fn kill(mut self) {
+        self.child.kill().unwrap();
+    }
+}
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
