@@ -154,7 +154,7 @@ impl Bridge {
     ) -> Result<Self, BridgeError> {
         let name = identity.full_name();
         let bond_id = identity.name.clone();
-        let mut node = Node::open(identity, environment, parameters.declared(set.cell_size_m))?;
+        let mut node = Node::open(identity, environment, parameters.declared())?;
         let latched = QualityOfService::Latched { depth: 1 };
         let map_publishers =
             MapPublishers { map: node.publisher("map", latched)?, metadata: node.publisher("map_metadata", latched)? };
@@ -163,6 +163,7 @@ impl Bridge {
             capacity: set.capacity,
             optimises: set.optimises,
             cell_size_m: set.cell_size_m,
+            resolution_m: parameters.resolution_m,
             map_frame: parameters.map_frame.clone(),
             interval_s: parameters.live.map_update_interval_s.clone(),
         };

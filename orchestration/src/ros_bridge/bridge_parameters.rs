@@ -23,6 +23,8 @@ pub struct BridgeParameters {
     pub odom_topic: String,
     /// Topic of an IMU; empty for none.
     pub imu_topic: String,
+    /// Side of a cell of the map, metres.
+    pub resolution_m: f64,
     /// The bridge publishes odom → robot itself: for robots without odometry.
     pub publish_odom_transform: bool,
     /// The node waits for a manager and keeps a bond with it.
@@ -76,6 +78,7 @@ impl Default for BridgeParameters {
             scan_topics: vec!["scan".to_owned()],
             odom_topic: String::new(),
             imu_topic: String::new(),
+            resolution_m: 0.05,
             publish_odom_transform: false,
             use_lifecycle_manager: false,
             autostart: true,
@@ -112,6 +115,7 @@ impl BridgeParameters {
             "scan_topics" => self.scan_topics = texts(value)?,
             "odom_topic" => self.odom_topic = text(value)?,
             "imu_topic" => self.imu_topic = text(value)?,
+            "resolution" => self.resolution_m = within(&value, [0.01, 1.0])?,
             "publish_odom_transform" => self.publish_odom_transform = truth(value)?,
             "use_lifecycle_manager" => self.use_lifecycle_manager = truth(value)?,
             "autostart" => self.autostart = truth(value)?,
@@ -132,8 +136,8 @@ impl BridgeParameters {
         (!named.is_empty()).then(|| format!("parameters without a meaning here: {named}{rest}"))
     }
 
-    /// The parameters as the node declares them; `resolution_m`: side of the map's cells.
-    pub fn declared(&self, resolution_m: f64) -> Vec<Parameter> {
+    /// The parameters as the node declares them.
+    pub fn declared(&self) -> Vec<Parameter> {
         let fixed = |name: &str, value: ParameterValue| Parameter { name: name.to_owned(), value, change: None };
         let text = |name: &str, value: &str| fixed(name, ParameterValue::Text(value.to_owned()));
         let truth = |name: &str, value: bool| fixed(name, ParameterValue::Boolean(value));
@@ -149,7 +153,7 @@ impl BridgeParameters {
             truth("use_lifecycle_manager", self.use_lifecycle_manager),
             truth("autostart", self.autostart),
             truth("use_sim_time", self.use_sim_time),
-            fixed("resolution", ParameterValue::Double(resolution_m)),
+            fixed("resolution", ParameterValue::Double(self.resolution_m)),
         ];
         for name in LiveParameters::NAMES {
             let (number, range) = self.live.find(name).expect("its names are known");
@@ -239,7 +243,7 @@ mod tests {
     #[test]
     fn only_some_may_change_while_the_node_runs() {
         let parameters = BridgeParameters::default();
-        let declared = parameters.declared(0.05);
+        let declared = parameters.declared();
         let change = |name: &str| declared.iter().find(|known| known.name == name).unwrap().change.as_ref();
         assert!(change("odom_frame").is_none() && change("resolution").is_none());
         let change = change("map_update_interval").unwrap();

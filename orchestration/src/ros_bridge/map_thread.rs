@@ -41,8 +41,10 @@ pub struct MapPlace {
     pub capacity: Capacity,
     /// Its sync-manager says where submaps lie.
     pub optimises: bool,
-    /// Side of a cell, metres.
+    /// Side of a cell of the set's map, metres …
     pub cell_size_m: f64,
+    /// … and of the map that is published.
+    pub resolution_m: f64,
     /// Frame of the map.
     pub map_frame: String,
     /// The map is published at most so often, seconds.
@@ -129,7 +131,7 @@ impl<'p> MapKeeper<'p> {
             commits: bus.subscriber()?,
             poses: bus.subscriber()?,
             followed: FollowedMap::new(&runtime, place.optimises),
-            painter: MapPainter::new(place.cell_size_m),
+            painter: MapPainter::new(place.resolution_m, place.cell_size_m),
             map_from_odom: Pose::IDENTITY,
             stamp_ns: 0,
             is_active: false,
