@@ -9,9 +9,10 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Crates that others may import, lowest layer first; an import goes to a lower layer only.
-const LIBRARIES: [(&str, u32); 26] = [
+const LIBRARIES: [(&str, u32); 27] = [
     ("geometry", 0),
     ("random", 0),
+    ("ros", 0),
     ("odometry-noise", 1),
     ("evidence", 1),
     ("messages", 2),
@@ -103,7 +104,7 @@ fn imports_go_down_only() {
 }
 
 #[test]
-fn one_crate_each_opens_the_two_networks() {
+fn one_crate_each_opens_the_networks() {
     let importers = |library: &str| -> Vec<String> {
         let has = |dependencies: &Vec<String>| dependencies.iter().any(|name| name == library);
         imports()
@@ -114,6 +115,8 @@ fn one_crate_each_opens_the_two_networks() {
     };
     assert_eq!(importers("iceoryx2"), ["flockslam-bus"]);
     assert_eq!(importers("zenoh"), ["flockslam-flock-network"]);
+    assert_eq!(importers("ros2-client"), ["flockslam-ros"]);
+    assert_eq!(importers("rustdds"), [""; 0]);
 }
 
 fn is_shell(file: &Path) -> bool {
@@ -121,7 +124,7 @@ fn is_shell(file: &Path) -> bool {
 }
 
 /// Libraries that have files, clocks and threads: what shells share, and the network.
-const SHARED_SHELL: [&str; 3] = ["libraries/stage", "libraries/flock-network", "libraries/recordings"];
+const SHARED_SHELL: [&str; 4] = ["libraries/stage", "libraries/flock-network", "libraries/recordings", "libraries/ros"];
 
 /// Files of logic: those of the services that are no shells.
 fn logic() -> Vec<PathBuf> {

@@ -25,7 +25,8 @@ pub use stream::log_stream_file;
 
 /// The environment variable that selects what is logged, for example `info` or `warn,flockslam_mapper=debug`.
 const FILTER_VARIABLE: &str = "FLOCKSLAM_LOG";
-const DEFAULT_FILTER: &str = "warn";
+/// What the libraries of the ROS graph warn of is their daily business.
+const DEFAULT_FILTER: &str = "warn,rustdds=error,ros2_client=error";
 /// The environment variable that selects how lines look: `text`, `json` or `journal`.
 const FORMAT_VARIABLE: &str = "FLOCKSLAM_LOG_FORMAT";
 

@@ -115,7 +115,6 @@ pub fn run_bridge(set: &BridgeSet, arguments: &[String]) -> Result<(), BridgeErr
 struct Bridge {
     parameters: BridgeParameters,
     name: String,
-    robot: String,
     heard: Receiver<Heard>,
     dropped: Arc<AtomicU64>,
     node: RunningNode,
@@ -171,7 +170,7 @@ impl Bridge {
         let publishers = BridgePublishers::open(&mut node, &parameters)?;
         let diagnostics = node.publisher("/diagnostics", QualityOfService::Reliable { depth: 10 })?;
         let robot = set.runtime.name().to_owned();
-        let reports = report_by(diagnostics, robot.clone(), set.runtime.control_socket())?;
+        let reports = report_by(diagnostics, robot, set.runtime.control_socket())?;
         offer(&mut node, SetOrders::new(&set.runtime.control_socket(), map.clone(), &parameters.map_frame))?;
         let dropped = Arc::new(AtomicU64::new(0));
         let (sender, heard) = sync_channel(HEARD_MAX);
@@ -190,7 +189,6 @@ impl Bridge {
             correction: MapCorrection::new(odom_frame, &parameters.base_frame),
             clock: GraphClock::new(parameters.use_sim_time),
             name,
-            robot,
             heard,
             dropped,
             node: node.run()?,

@@ -140,11 +140,6 @@ impl MapCorrection {
         self.last.is_none_or(|last| !(0..=COAST_NS).contains(&now_ns.saturating_sub(last.made_ns)))
     }
 
-    /// The last correction, whatever its age.
-    pub fn last(&self) -> Option<Pose> {
-        self.last.map(|last| last.map_from_odom)
-    }
-
     /// Forgets everything: time has gone back, or another map begins.
     pub fn clear(&mut self) {
         self.waiting.clear();
