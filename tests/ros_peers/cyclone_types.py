@@ -153,7 +153,7 @@ def call(participant, kind, name, fields, limit_s):
     requests.write(request(**fields))
     while time.monotonic() < deadline:
         for answer in answers.take(N=1):
-            return vars(answer)
+            return {name: value for name, value in vars(answer).items() if name in response.__dataclass_fields__}
         time.sleep(0.005)
     return None
 
