@@ -7,9 +7,11 @@ use crate::support::{Outputs, RunningSet, machine_share, not_tested, repository,
 use flockslam::evaluation::evaluate_truth;
 use flockslam_geometry::Pose;
 use flockslam_messages::Stage;
+use flockslam_results::LidarStatus;
 use flockslam_sensor_stream::{Producer, SensorFrame};
 use flockslam_simulation::{Settings, WorldName};
 use flockslam_stage::read_reports;
+use flockslam_telemetry::{monotonic_ns, names};
 use rustix::process::Signal;
 use std::io::Write;
 use std::os::unix::net::UnixStream;
@@ -188,6 +190,62 @@ fn producers_that_die_come_back_and_send_garbage_cost_no_more_than_their_frames(
     println!("{} poses of {}, {:.3} m", poses.len(), drive.truth.len(), error.mean);
     assert!(poses.len() + lost as usize + 10 >= drive.truth.len() && error.mean < 0.05);
     assert!(outputs.report.rejected["bad_frame"] >= 1);
+}
+
+/// Frames of one producer: those of one lidar, with all that is no scan where it is the first.
+fn frames_of(
+    drive: &SensorDrive,
+    lidar: &str,
+    with_rest: bool,
+    sends_at_s: impl Fn(f64) -> bool,
+) -> Vec<SensorFrame> {
+    let is_of = |frame: &&SensorFrame| match frame {
+        SensorFrame::Scan(scan) => scan.lidar == lidar && sends_at_s(stamp_ns(frame) as f64 * 1e-9),
+        _ => with_rest,
+    };
+    drive.frames.iter().filter(is_of).cloned().collect()
+}
+
+#[test]
+fn a_lidar_that_dies_is_missed_and_one_that_comes_back_is_used() {
+    machine_share::mostly_waits();
+    let directory = tempfile::tempdir().unwrap();
+    let drive = SensorDrive::new(&settings(20.0, 10.0), &[front(), rear()]);
+    let (mut set, socket) = listening("two", directory.path(), &[]);
+    let front = frames_of(&drive, "front", true, |_| true);
+    let rear = frames_of(&drive, "rear", false, |at_s| !(5.0..15.0).contains(&at_s));
+    let status_dir = set.status_dir();
+    let lidars = || LidarStatus::read(&status_dir);
+    thread::scope(|scope| {
+        let senders = [&front, &rear].map(|frames| scope.spawn(|| send_paced(&socket, frames, 2.0)));
+        let scans_of =
+            |name: &str| lidars().iter().find(|lidar| lidar.lidar == name).map_or(0, |lidar| lidar.scans);
+        wait_for("the silence of one lidar, while the other goes on", || {
+            let rear_is_silent =
+                lidars().iter().any(|lidar| lidar.lidar == "rear" && lidar.is_silent(monotonic_ns()));
+            (rear_is_silent && scans_of("front") > 110).then_some(())
+        });
+        let before = scans_of("rear");
+        wait_for("its return", || (scans_of("rear") > before + 20).then_some(()));
+        for sender in senders {
+            assert_eq!(sender.join().unwrap(), 0);
+        }
+    });
+    let page = wait_for("metrics", || set.metrics(Stage::LidarIngest));
+    for lidar in ["front", "rear"] {
+        let series = format!("{}{{lidar=\"{lidar}\",", names::LIDAR_SCANS.name);
+        assert!(page.lines().any(|line| line.starts_with(&series)), "{series}");
+    }
+    set.wait_until_handled(Stage::SyncManager, 250);
+    let outputs = ended(set);
+    let stamps: Vec<i64> =
+        outputs.trajectory("trajectory_online.tum").iter().map(|point| point.stamp_ns).collect();
+    let reversed = stamps.windows(2).filter(|pair| pair[1] < pair[0]).count();
+    let poses = outputs.trajectory("trajectory.tum");
+    let error = evaluate_truth(&poses, &drive.truth).unwrap().absolute.translation_m.unwrap();
+    println!("{} poses, {reversed} out of order, {:.3} m", poses.len(), error.mean);
+    // What is delayed by more than 50 ms on a busy machine comes out of order.
+    assert!(poses.len() >= 290 && reversed <= 15 && error.mean < 0.05);
 }
 
 /// The driver in JSON of docs/drivers.md.

@@ -4,6 +4,7 @@
 mod cursor;
 mod feed;
 mod lidar_names;
+mod lidar_watch;
 mod pacer;
 mod pipe;
 mod recording_inspection;
@@ -27,6 +28,7 @@ use flockslam_stage::{
 };
 use flockslam_telemetry::{failpoint, utc_ns};
 pub use lidar_names::read_lidar_names;
+use lidar_watch::LidarWatch;
 use pacer::Pacer;
 pub use recording_inspection::{Inspection, LidarSummary, TopicSummary, TransformSummary, inspect};
 pub use recording_reader::RecordingReader;
@@ -124,6 +126,7 @@ struct Ingest {
     pacer: Option<Pacer>,
     cursor: Option<Cursor>,
     scans: ScanPublisher,
+    watch: LidarWatch,
     /// Publishes the number of scans.
     end: LastWord,
     progress: Subscriber<Progress>,
@@ -163,6 +166,7 @@ impl Ingest {
             pacer,
             cursor,
             scans: context.bus.scan_publisher()?,
+            watch: LidarWatch::new(context),
             end: LastWord::open(context, ControlKind::StreamEnd, RUN, notifiers(&CONSUMERS)?)?,
             progress: context.bus.subscriber()?,
             first: notifiers(first_stages(context.mode))?,
@@ -254,6 +258,7 @@ impl Ingest {
             cursor.advance(self.sequence, self.pacer.as_ref().and_then(Pacer::anchor))?;
         }
         tracing::debug!(scan = self.sequence - 1, "sent");
+        self.watch.gave(self.scan.header.id.lidar, now_ns, |number| self.feed.lidar_name(number));
         context.handled(self.sequence - 1, now_ns, now_ns);
         Ok(())
     }
@@ -320,8 +325,9 @@ impl Actor for Ingest {
         Ok(any)
     }
 
-    fn refresh(&mut self, _context: &mut StageContext) -> Result<(), StageError> {
+    fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.scans.refresh();
+        self.watch.look(context, context.now_ns());
         self.end.repeat()
     }
 
