@@ -34,6 +34,7 @@ mod replay;
 mod replicas;
 mod ros2;
 mod saved_maps;
+mod scans_source;
 mod seeing;
 mod shared_memory;
 mod small_memory;

@@ -14,6 +14,8 @@ pub const LABEL_REASON: &str = "reason";
 pub const LABEL_PEER: &str = "peer";
 /// Label: `said` to another robot, or `heard` of it.
 pub const LABEL_DIRECTION: &str = "direction";
+/// Label: one of the robot's lidars, by its name: that of its driver, the topic of a recording, else `0`.
+pub const LABEL_LIDAR: &str = "lidar";
 /// Label: how far a pose can be trusted: `tracking`, `degraded` or `lost`.
 pub const LABEL_QUALITY: &str = "quality";
 
@@ -56,6 +58,7 @@ pub struct Metric {
 
 const STAGE: &[&str] = &[LABEL_STAGE, LABEL_REPLICA];
 const STAGE_REASON: &[&str] = &[LABEL_STAGE, LABEL_REPLICA, LABEL_REASON];
+const STAGE_LIDAR: &[&str] = &[LABEL_STAGE, LABEL_REPLICA, LABEL_LIDAR];
 const EACH_STAGE: &str = "each stage";
 const SUPERVISOR: &str = "supervisor";
 
@@ -154,6 +157,27 @@ pub const PROCESS_ID: Metric = of_stage(
     "flockslam_stage_process_id",
     Kind::Gauge,
     "Process id: another number is another process of the stage",
+);
+
+/// Scans of each lidar.
+pub const LIDAR_SCANS: Metric = with_labels(
+    of_one_stage(
+        "lidar-ingest",
+        "flockslam_lidar_scans_total",
+        Kind::Counter,
+        "Scans of the lidar that were given to the set",
+    ),
+    STAGE_LIDAR,
+);
+/// Seconds since each lidar's last scan.
+pub const LIDAR_AGE: Metric = with_labels(
+    of_one_stage(
+        "lidar-ingest",
+        "flockslam_lidar_last_scan_age_seconds",
+        Kind::Gauge,
+        "Time since the last scan of the lidar",
+    ),
+    STAGE_LIDAR,
 );
 
 /// Scans that the filter let pass, by `reason`.
@@ -419,7 +443,7 @@ pub const NOT_DURABLE: Metric =
     of_supervisor("flockslam_not_durable", Kind::Gauge, &[], "1 when the map cannot be saved to disk");
 
 /// All metrics, by who tells them.
-pub const ALL: [Metric; 47] = [
+pub const ALL: [Metric; 49] = [
     STAGE_LATENCY,
     SCAN_TO_OUTPUT,
     SCANS_HANDLED,
@@ -431,6 +455,8 @@ pub const ALL: [Metric; 47] = [
     CPU,
     PRIVATE_MEMORY,
     PROCESS_ID,
+    LIDAR_SCANS,
+    LIDAR_AGE,
     KEPT,
     POSES,
     MATCH_SCORE,

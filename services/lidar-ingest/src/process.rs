@@ -4,6 +4,7 @@
 mod cursor;
 mod feed;
 mod lidar_names;
+mod lidar_watch;
 mod pacer;
 mod pipe;
 mod recording_inspection;
@@ -27,6 +28,7 @@ use flockslam_stage::{
 };
 use flockslam_telemetry::{failpoint, utc_ns};
 pub use lidar_names::read_lidar_names;
+use lidar_watch::LidarWatch;
 use pacer::Pacer;
 pub use recording_inspection::{Inspection, LidarSummary, TopicSummary, TransformSummary, inspect};
 pub use recording_reader::RecordingReader;
@@ -124,6 +126,7 @@ struct Ingest {
     pacer: Option<Pacer>,
     cursor: Option<Cursor>,
     scans: ScanPublisher,
+    watch: LidarWatch,
     /// Publishes the number of scans.
     end: LastWord,
     progress: Subscriber<Progress>,
@@ -163,6 +166,7 @@ impl Ingest {
             pacer,
             cursor,
             scans: context.bus.scan_publisher()?,
+            watch: LidarWatch::new(context),
             end: LastWord::open(context, ControlKind::StreamEnd, RUN, notifiers(&CONSUMERS)?)?,
             progress: context.bus.subscriber()?,
             first: notifiers(first_stages(context.mode))?,
@@ -254,17 +258,20 @@ impl Ingest {
             cursor.advance(self.sequence, self.pacer.as_ref().and_then(Pacer::anchor))?;
         }
         tracing::debug!(scan = self.sequence - 1, "sent");
+        self.watch.gave(self.scan.header.id.lidar, now_ns, |number| self.feed.lidar_name(number));
         context.handled(self.sequence - 1, now_ns, now_ns);
         Ok(())
     }
 
     fn announce_end(&mut self, context: &mut StageContext) -> Result<(), StageError> {
-        self.report(context);
+        self.count(context);
+        self.name_what_is_missing();
         self.feed.store_truth()?;
         self.end.say(self.sequence)
     }
 
-    fn report(&self, context: &mut StageContext) {
+    /// Stores what was read and left out so far.
+    fn count(&self, context: &mut StageContext) {
         let Some(tally) = self.feed.tally() else { return };
         for (rejection, count) in &tally.rejected {
             context.report.count(&format!("rejected/{}", rejection.name()), *count);
@@ -275,10 +282,18 @@ impl Ingest {
         self.feed.counts().into_iter().for_each(|(name, count)| context.report.count(name, count));
         if tally.missing > 0 {
             context.report.count("missing_scans", tally.missing);
+        }
+        if self.feed.cut_short().is_some() {
+            context.report.count("cut_short", 1);
+        }
+    }
+
+    fn name_what_is_missing(&self) {
+        let tally = self.feed.tally().unwrap_or_default();
+        if tally.missing > 0 {
             tracing::warn!(missing = tally.missing, "the recorder missed scans: this is not an exact replay");
         }
         if let Some(reason) = self.feed.cut_short() {
-            context.report.count("cut_short", 1);
             tracing::warn!(scans = tally.scans, "{reason}: read up to where it ends");
         }
     }
@@ -320,8 +335,10 @@ impl Actor for Ingest {
         Ok(any)
     }
 
-    fn refresh(&mut self, _context: &mut StageContext) -> Result<(), StageError> {
+    fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.scans.refresh();
+        self.watch.look(context, context.now_ns());
+        self.count(context);
         self.end.repeat()
     }
 
