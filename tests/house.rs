@@ -124,7 +124,8 @@ fn is_shell(file: &Path) -> bool {
 }
 
 /// Libraries that have files, clocks and threads: what shells share, and the network.
-const SHARED_SHELL: [&str; 4] = ["libraries/stage", "libraries/flock-network", "libraries/recordings", "libraries/ros"];
+const SHARED_SHELL: [&str; 4] =
+    ["libraries/stage", "libraries/flock-network", "libraries/recordings", "libraries/ros"];
 
 /// Files of logic: those of the services that are no shells.
 fn logic() -> Vec<PathBuf> {

@@ -30,7 +30,9 @@ pub fn run(args: &RosArgs) -> Result<(), CommandError> {
     let set = SetFile::read(&runtime.configuration()).map_err(CommandError::failed)?;
     if set.options.mode == Mode::Exact {
         // Asking for tiles would be a message more than the run has without a bridge.
-        return Err(CommandError::user("an exact replay is no node of a graph: run it with --live or --rate"));
+        return Err(CommandError::user(
+            "an exact replay is no node of a graph: run it with --live or --rate",
+        ));
     }
     let scan_socket = match set.source {
         Source::Scans(Some(path)) => path,

@@ -10,8 +10,8 @@ use crate::ros_bridge::check_arguments;
 use crate::state_directory::spill_directory;
 use crate::store::{Findings, MapHead, MapKeeper, Mirror, SavedMap, StoreError};
 use crate::supervisor::{
-    ControlSocket, MetricsService, Order, ProcessSet, Reply, Request, ServiceManager,
-    SetDescription, SetError, SetEvent, SetFile, SideProcess, known_stage,
+    ControlSocket, MetricsService, Order, ProcessSet, Reply, Request, ServiceManager, SetDescription,
+    SetError, SetEvent, SetFile, SideProcess, known_stage,
 };
 use flockslam_bus::RuntimeDir;
 use flockslam_stage::{MemoryUse, Mode};

@@ -43,7 +43,10 @@ mod tests {
     #[test]
     fn both_sides_know_the_bond_by_the_name_of_the_node() {
         let status = Bond::new("flockslam", "a1").status(1_500_000_000, true);
-        assert_eq!((status.id.as_str(), status.instance_id.as_str(), status.active), ("flockslam", "a1", true));
+        assert_eq!(
+            (status.id.as_str(), status.instance_id.as_str(), status.active),
+            ("flockslam", "a1", true)
+        );
         assert_eq!((status.heartbeat_timeout, status.heartbeat_period), (4.0, 0.1));
         assert_eq!((status.header.stamp.sec, status.header.stamp.nanosec), (1, 500_000_000));
     }

@@ -1,5 +1,6 @@
 //! The bridge at work: one loop that hears the graph, reads the bus, and says what is new.
 
+use super::BridgeError;
 use super::bond::{Bond, HEARTBEAT_PERIOD};
 use super::bridge_parameters::BridgeParameters;
 use super::bridge_publishers::BridgePublishers;
@@ -11,7 +12,6 @@ use super::map_correction::{Correction, JUMP_M, JUMP_RAD, MapCorrection};
 use super::map_thread::{self, MapOrder, MapPlace, MapPublishers};
 use super::sensor_relay::SensorRelay;
 use super::set_diagnostics::{BridgeReport, diagnostics, status};
-use super::BridgeError;
 use crate::supervisor::{Reply, Request, ask};
 use flockslam_bus::{Bus, Capacity, RuntimeDir, Subscriber};
 use flockslam_messages::{PoseEstimate, Quality};
@@ -155,8 +155,10 @@ impl Bridge {
         let bond_id = identity.name.clone();
         let mut node = Node::open(identity, environment, parameters.declared())?;
         let latched = QualityOfService::Latched { depth: 1 };
-        let map_publishers =
-            MapPublishers { map: node.publisher("map", latched)?, metadata: node.publisher("map_metadata", latched)? };
+        let map_publishers = MapPublishers {
+            map: node.publisher("map", latched)?,
+            metadata: node.publisher("map_metadata", latched)?,
+        };
         let map_place = MapPlace {
             set_dir: set.runtime.path().to_owned(),
             capacity: set.capacity,
@@ -171,7 +173,7 @@ impl Bridge {
         let diagnostics = node.publisher("/diagnostics", QualityOfService::Reliable { depth: 10 })?;
         let robot = set.runtime.name().to_owned();
         let reports = report_by(diagnostics, robot, set.runtime.control_socket())?;
-        offer(&mut node, SetOrders::new(&set.runtime.control_socket(), map.clone(), &parameters.map_frame))?;
+        offer(&mut node, SetOrders::new(&set.runtime.control_socket(), map.clone()))?;
         let dropped = Arc::new(AtomicU64::new(0));
         let (sender, heard) = sync_channel(HEARD_MAX);
         listen(&mut node, &parameters, &Ear { heard: sender, dropped: Arc::clone(&dropped) })?;
@@ -185,7 +187,13 @@ impl Bridge {
         let has_odometry_topic = !parameters.odom_topic.is_empty();
         let (map_frame, odom_frame) = (&parameters.map_frame, &parameters.odom_frame);
         let mut bridge = Self {
-            relay: SensorRelay::new(&set.scan_socket, map_frame, odom_frame, &parameters.base_frame, has_odometry_topic),
+            relay: SensorRelay::new(
+                &set.scan_socket,
+                map_frame,
+                odom_frame,
+                &parameters.base_frame,
+                has_odometry_topic,
+            ),
             correction: MapCorrection::new(odom_frame, &parameters.base_frame),
             clock: GraphClock::new(parameters.use_sim_time),
             name,
@@ -268,7 +276,9 @@ impl Bridge {
             }
             Heard::Clock(now_ns) => {
                 if self.clock.hear(now_ns) {
-                    tracing::warn!("the time of /clock has gone back: transforms and what waits are forgotten");
+                    tracing::warn!(
+                        "the time of /clock has gone back: transforms and what waits are forgotten"
+                    );
                     self.relay.clear();
                     self.correction.clear();
                 }
@@ -292,7 +302,9 @@ impl Bridge {
     fn hear_foreign(&mut self) {
         let (map, odom) = (&self.parameters.map_frame, &self.parameters.odom_frame);
         if self.foreign_ns.replace(monotonic_ns()).is_none() {
-            tracing::error!("another node publishes {map} → {odom} on /tf: this one does not while it is heard");
+            tracing::error!(
+                "another node publishes {map} → {odom} on /tf: this one does not while it is heard"
+            );
         }
     }
 
@@ -477,7 +489,9 @@ fn listen(node: &mut Node, parameters: &BridgeParameters, ear: &Ear) -> Result<(
     })?;
     if !parameters.odom_topic.is_empty() {
         let put = ear.put();
-        node.subscribe(&parameters.odom_topic, sensor(50), move |message| put(Heard::Odometry(Box::new(message))))?;
+        node.subscribe(&parameters.odom_topic, sensor(50), move |message| {
+            put(Heard::Odometry(Box::new(message)))
+        })?;
     }
     if !parameters.imu_topic.is_empty() {
         let put = ear.put();
@@ -488,9 +502,13 @@ fn listen(node: &mut Node, parameters: &BridgeParameters, ear: &Ear) -> Result<(
         node.subscribe("/clock", sensor(10), move |message: Clock| put(Heard::Clock(message.clock.ns())))?;
     }
     let put = ear.put();
-    node.subscribe("/initialpose", QualityOfService::Reliable { depth: 10 }, move |_: PoseWithCovarianceStamped| {
-        put(Heard::InitialPose);
-    })?;
+    node.subscribe(
+        "/initialpose",
+        QualityOfService::Reliable { depth: 10 },
+        move |_: PoseWithCovarianceStamped| {
+            put(Heard::InitialPose);
+        },
+    )?;
     let put = ear.put();
     node.serve::<ChangeState>("~/change_state", move |call| put(Heard::ChangeState(call)))?;
     let put = ear.put();

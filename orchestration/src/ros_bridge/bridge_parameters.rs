@@ -138,7 +138,8 @@ impl BridgeParameters {
 
     /// The parameters as the node declares them.
     pub fn declared(&self) -> Vec<Parameter> {
-        let fixed = |name: &str, value: ParameterValue| Parameter { name: name.to_owned(), value, change: None };
+        let fixed =
+            |name: &str, value: ParameterValue| Parameter { name: name.to_owned(), value, change: None };
         let text = |name: &str, value: &str| fixed(name, ParameterValue::Text(value.to_owned()));
         let truth = |name: &str, value: bool| fixed(name, ParameterValue::Boolean(value));
         let mut declared = vec![
@@ -227,15 +228,22 @@ mod tests {
 
     #[test]
     fn parameters_have_the_names_of_slam_toolbox() {
-        let given = of("-p odom_frame:=r1/odom -p scan_topic:=/front -p transform_timeout:=0 -p solver_plugin:=x");
+        let given =
+            of("-p odom_frame:=r1/odom -p scan_topic:=/front -p transform_timeout:=0 -p solver_plugin:=x");
         let given = given.unwrap();
         assert_eq!((given.odom_frame.as_str(), given.scan_topics), ("r1/odom", vec!["/front".to_owned()]));
-        assert_eq!((given.live.transform_timeout_s.get(), given.unknown), (0.0, vec!["solver_plugin".to_owned()]));
+        assert_eq!(
+            (given.live.transform_timeout_s.get(), given.unknown),
+            (0.0, vec!["solver_plugin".to_owned()])
+        );
     }
 
     #[test]
     fn what_has_no_sense_is_refused_with_its_name() {
-        assert_eq!(of("-p base_frame:=3").err().unwrap(), "the parameter base_frame: Integer(3) is not a text");
+        assert_eq!(
+            of("-p base_frame:=3").err().unwrap(),
+            "the parameter base_frame: Integer(3) is not a text"
+        );
         let error = of("-p transform_timeout:=-1.0").err().unwrap();
         assert_eq!(error, "the parameter transform_timeout: -1 is not between 0 and 10");
     }

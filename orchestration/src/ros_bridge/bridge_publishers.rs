@@ -5,8 +5,8 @@ use super::bridge_parameters::BridgeParameters;
 use flockslam_geometry::{Covariance, Pose};
 use flockslam_messages::PoseEstimate;
 use flockslam_ros::messages::{
-    BondStatus, Header, Pose as RosPose, PoseWithCovariance, PoseWithCovarianceStamped, Quaternion, TFMessage,
-    Transform, TransformStamped, TransitionEvent, Vector3,
+    BondStatus, Header, Pose as RosPose, PoseWithCovariance, PoseWithCovarianceStamped, Quaternion,
+    TFMessage, Transform, TransformStamped, TransitionEvent, Vector3,
 };
 use flockslam_ros::{Node, Publisher, QualityOfService};
 
@@ -29,7 +29,8 @@ impl BridgePublishers {
     /// When DDS refuses.
     pub fn open(node: &mut Node, parameters: &BridgeParameters) -> Result<Self, BridgeError> {
         let reliable = |depth| QualityOfService::Reliable { depth };
-        let bond = parameters.use_lifecycle_manager.then(|| node.publisher("bond", reliable(100))).transpose()?;
+        let bond =
+            parameters.use_lifecycle_manager.then(|| node.publisher("bond", reliable(100))).transpose()?;
         Ok(Self {
             transforms: node.publisher("/tf", reliable(100))?,
             poses: node.publisher("pose", reliable(10))?,

@@ -8,11 +8,10 @@ use crate::outputs::{render_pgm, render_yaml};
 use crate::supervisor::{Reply, Request, ask};
 use flockslam_journal::{Durability, replace_file};
 use flockslam_ros::messages::{
-    ClearQueue, ClearQueueResponse, DeserializePoseGraph, DeserializePoseGraphResponse, GetMap, GetMapResponse,
-    NavigationLoadMap, NavigationLoadMapResponse, NavigationSaveMap, NavigationSaveMapResponse,
-    OccupancyGrid, Reset, ResetResponse, RosService, SerializePoseGraph, SerializePoseGraphResponse, SetBool,
-    SetBoolResponse, TogglePause, TogglePauseResponse, ToolboxSaveMap, ToolboxSaveMapResponse, Trigger,
-    TriggerResponse,
+    ClearQueue, ClearQueueResponse, DeserializePoseGraph, DeserializePoseGraphResponse, NavigationSaveMap,
+    NavigationSaveMapResponse, Reset, ResetResponse, RosService, SerializePoseGraph,
+    SerializePoseGraphResponse, SetBool, SetBoolResponse, TogglePause, TogglePauseResponse, ToolboxSaveMap,
+    ToolboxSaveMapResponse, Trigger, TriggerResponse,
 };
 use flockslam_ros::{Call, Node};
 use std::path::{Path, PathBuf};
@@ -30,23 +29,20 @@ const FAILURE: u8 = 255;
 const NO_MAP: u8 = 1;
 /// `slam_toolbox/DeserializePoseGraph`: the file cannot be read.
 const NOT_READ: u8 = 3;
-/// `nav2_msgs/LoadMap`: there is no such map.
-const NO_SUCH_MAP: u8 = 1;
 
 /// How a set is reached.
 #[derive(Clone)]
 pub struct SetOrders {
     socket: PathBuf,
     map: Sender<MapOrder>,
-    map_frame: String,
 }
 
 type Task = Box<dyn FnOnce(&SetOrders) + Send>;
 
 impl SetOrders {
     /// Of the set with this control socket, and the thread that has its map.
-    pub fn new(socket: &Path, map: Sender<MapOrder>, map_frame: &str) -> Self {
-        Self { socket: socket.to_owned(), map, map_frame: map_frame.to_owned() }
+    pub fn new(socket: &Path, map: Sender<MapOrder>) -> Self {
+        Self { socket: socket.to_owned(), map }
     }
 
     fn order(&self, request: &Request) -> Result<Reply, String> {
@@ -83,18 +79,14 @@ impl SetOrders {
         receiver.recv_timeout(MAP_LIMIT).ok()
     }
 
-    fn grid(&self) -> Option<OccupancyGrid> {
-        let frame = self.map_frame.clone();
-        self.map(move |map| map.map(|(map, stamp_ns)| map.message(stamp_ns, &frame))).flatten()
-    }
-
     /// Writes `NAME.pgm` and `NAME.yaml`; false while there is no map.
     fn save_picture(&self, name: &str) -> Result<bool, String> {
         let name = if name.is_empty() { "map" } else { name };
         let Some(Some(image)) = self.map(|map| map.map(|(map, _)| map.image())) else { return Ok(false) };
         let beside = |ending: &str| PathBuf::from(format!("{name}.{ending}"));
         let picture = beside("pgm");
-        let picture_name = picture.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        let picture_name =
+            picture.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         let put = |path: &Path, bytes: &[u8]| {
             replace_file(path, bytes, Durability::Power).map_err(|error| error.to_string())
         };
@@ -176,9 +168,6 @@ impl Services<'_> {
     }
 
     fn offer_maps(&mut self) -> Result<(), BridgeError> {
-        for name in ["slam_toolbox/dynamic_map", "flockslam/map"] {
-            self.offer::<GetMap>(name, |orders, _| GetMapResponse { map: orders.grid().unwrap_or_default() })?;
-        }
         self.offer::<ToolboxSaveMap>("slam_toolbox/save_map", |orders, request| {
             let result = match orders.saved(&request.name) {
                 Ok(true) => 0,
@@ -187,8 +176,8 @@ impl Services<'_> {
             };
             ToolboxSaveMapResponse { result }
         })?;
-        self.offer::<NavigationSaveMap>("flockslam/save_map", |orders, request| {
-            NavigationSaveMapResponse { result: orders.saved(&request.map_url) == Ok(true) }
+        self.offer::<NavigationSaveMap>("flockslam/save_map", |orders, request| NavigationSaveMapResponse {
+            result: orders.saved(&request.map_url) == Ok(true),
         })?;
         self.offer::<SerializePoseGraph>("slam_toolbox/serialize_map", |orders, request| {
             let done = orders.done(&Request::Save(absolute(&request.filename)));
@@ -197,12 +186,6 @@ impl Services<'_> {
         self.offer::<DeserializePoseGraph>("slam_toolbox/deserialize_map", |orders, request| {
             let done = orders.done(&Request::Load(absolute(&request.filename)));
             DeserializePoseGraphResponse { result: if done.is_ok() { 0 } else { NOT_READ } }
-        })?;
-        self.offer::<NavigationLoadMap>("flockslam/load_map", |orders, request| {
-            match orders.done(&Request::Load(absolute(&request.map_url))) {
-                Ok(()) => NavigationLoadMapResponse { map: orders.grid().unwrap_or_default(), result: 0 },
-                Err(_) => NavigationLoadMapResponse { result: NO_SUCH_MAP, ..NavigationLoadMapResponse::default() },
-            }
         })
     }
 }

@@ -209,7 +209,8 @@ mod tests {
         for (scan_ms, now_ms) in [(100, 120), (200, 230), (200, 240), (150, 250), (300, 400)] {
             correction.push(scan_ms * MS, Pose::IDENTITY, now_ms * MS);
             stamps.push(correction.next(&buffer, now_ms * MS, AHEAD).unwrap().stamp_ns);
-            stamps.extend(correction.repeated((now_ms + 60) * MS, AHEAD, 50 * MS).map(|found| found.stamp_ns));
+            stamps
+                .extend(correction.repeated((now_ms + 60) * MS, AHEAD, 50 * MS).map(|found| found.stamp_ns));
         }
         assert_eq!(stamps.len(), 10);
         assert!(stamps.is_sorted_by(|a, b| a < b), "{stamps:?}");

@@ -299,7 +299,8 @@ mod tests {
         let map = painter.paint(None, Pose::IDENTITY).unwrap().message(7_000_000_000, "map");
         assert_eq!((map.info.width, map.info.height, map.header.stamp.sec), (256, 256, 7));
         assert!((map.info.origin.position.x + 6.4).abs() < 1e-9);
-        let at = |map: &OccupancyGrid, x: usize, y: usize| map.data[(y + 128) * map.info.width as usize + x + 128];
+        let at =
+            |map: &OccupancyGrid, x: usize, y: usize| map.data[(y + 128) * map.info.width as usize + x + 128];
         assert_eq!([at(&map, 0, 0), at(&map, 1, 0), at(&map, 2, 0)], [100, 0, -1]);
         // Less than two metres remain to the edge.
         painter.take(&tile(1, 0, &[(30, free())]));
@@ -339,11 +340,12 @@ mod tests {
                 let at = |along_m: f64, across_m: f64| {
                     let (sin, cos) = heading_rad.sin_cos();
                     let place = [cos * along_m - sin * across_m, sin * along_m + cos * across_m];
-                    let [x, y] = [0, 1]
-                        .map(|axis| (place[axis] / resolution_m).floor() as i64 - map.bounds.low[axis]);
+                    let [x, y] =
+                        [0, 1].map(|axis| (place[axis] / resolution_m).floor() as i64 - map.bounds.low[axis]);
                     map.cells[y as usize * map.bounds.width() + x as usize]
                 };
-                let inside = (1..63).flat_map(|x| (1..63).map(move |y| (0.045 * f64::from(x), 0.045 * f64::from(y))));
+                let inside =
+                    (1..63).flat_map(|x| (1..63).map(move |y| (0.045 * f64::from(x), 0.045 * f64::from(y))));
                 assert!(inside.clone().all(|(x_m, y_m)| at(x_m, y_m) != CellState::Unknown));
                 let wall_m = 0.045 * (column as f64 + 0.5);
                 assert!((1..63).all(|row| at(wall_m, 0.045 * f64::from(row)) == CellState::Occupied));
@@ -357,7 +359,10 @@ mod tests {
         painter.take(&tile(0, 0, &[(0, occupied()), (70, free())]));
         let map = painter.paint(None, Pose::IDENTITY).unwrap();
         let (message, image) = (map.message(0, "map"), map.image());
-        assert_eq!((image.width(), image.height()), (message.info.width as usize, message.info.height as usize));
+        assert_eq!(
+            (image.width(), image.height()),
+            (message.info.width as usize, message.info.height as usize)
+        );
         let values = (0..image.height()).flat_map(|y| image.row(y).collect::<Vec<_>>());
         for (value, state) in message.data.iter().zip(values) {
             let expected = match value {

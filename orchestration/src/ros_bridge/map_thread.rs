@@ -96,7 +96,11 @@ struct MapKeeper<'p> {
     bus: Bus,
 }
 
-fn keep(place: &MapPlace, publishers: &MapPublishers, orders: &Receiver<MapOrder>) -> Result<(), BridgeError> {
+fn keep(
+    place: &MapPlace,
+    publishers: &MapPublishers,
+    orders: &Receiver<MapOrder>,
+) -> Result<(), BridgeError> {
     let mut keeper = MapKeeper::join(place, publishers)?;
     loop {
         match orders.recv_timeout(LOOK) {
@@ -211,7 +215,8 @@ impl<'p> MapKeeper<'p> {
             return;
         }
         self.published_at = Some(Instant::now());
-        let Some(painted) = self.painted.as_ref().filter(|painted| self.published.as_ref() != Some(*painted)) else {
+        let Some(painted) = self.painted.as_ref().filter(|painted| self.published.as_ref() != Some(*painted))
+        else {
             return;
         };
         let message = painted.message(self.stamp_ns, &self.place.map_frame);

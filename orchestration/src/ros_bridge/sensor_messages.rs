@@ -119,7 +119,9 @@ mod tests {
                 rotation: Quaternion { x: 0.0, y: 0.0, z: 0.0, w },
             },
         };
-        let message = TFMessage { transforms: vec![transform(1.0, 2.0), transform(0.0, 2.0), transform(1.0, f64::NAN)] };
+        let message = TFMessage {
+            transforms: vec![transform(1.0, 2.0), transform(0.0, 2.0), transform(1.0, f64::NAN)],
+        };
         let found = transforms_of(message);
         assert_eq!((found.len(), found[0].parent_from_child.translation.x), (1, 2.0));
     }
@@ -130,7 +132,10 @@ mod tests {
         message.twist.linear.x = 0.5;
         message.twist.angular.z = 0.1;
         let found = odometry_of(message).unwrap();
-        assert_eq!((found.transform.stamp_ns, found.twist), (3, Some(Twist { x_m_s: 0.5, y_m_s: 0.0, turn_rad_s: 0.1 })));
+        assert_eq!(
+            (found.transform.stamp_ns, found.twist),
+            (3, Some(Twist { x_m_s: 0.5, y_m_s: 0.0, turn_rad_s: 0.1 }))
+        );
         let mut message = Imu::default();
         message.angular_velocity.z = 0.3;
         assert_eq!(imu_of(message.clone()).unwrap().turn_rad_s.z, 0.3);

@@ -69,7 +69,13 @@ pub struct ForeignCorrection;
 
 impl SensorRelay {
     /// A relay to the socket at `path`, for a robot with these frames.
-    pub fn new(path: &Path, map_frame: &str, odom_frame: &str, base_frame: &str, has_odometry_topic: bool) -> Self {
+    pub fn new(
+        path: &Path,
+        map_frame: &str,
+        odom_frame: &str,
+        base_frame: &str,
+        has_odometry_topic: bool,
+    ) -> Self {
         Self {
             producer: Producer::new(path, Some(PATIENCE)),
             map_frame: frame_name(map_frame).to_owned(),
@@ -195,7 +201,10 @@ impl SensorRelay {
             Some(until_ns) => {
                 let gap_s = (stamp_ns.saturating_sub(until_ns)) as f64 * 1e-9;
                 let which = if gap_s > 0.0 { "before" } else { "after" };
-                format!("map → {odom}: at the stamp of a scan '{odom}' → '{base}' is not known; its newest transform is {:.3} s {which} the scan", gap_s.abs())
+                format!(
+                    "map → {odom}: at the stamp of a scan '{odom}' → '{base}' is not known; its newest transform is {:.3} s {which} the scan",
+                    gap_s.abs()
+                )
             }
         };
         self.say(line);
@@ -252,7 +261,9 @@ impl SensorRelay {
                 }
                 Err(error) => {
                     self.counts.untaken += 1;
-                    self.say(format!("{topic}: scans are not taken: {error}; the set needs [source] kind = \"scans\""));
+                    self.say(format!(
+                        "{topic}: scans are not taken: {error}; the set needs [source] kind = \"scans\""
+                    ));
                 }
             }
         }
@@ -310,10 +321,8 @@ mod tests {
     const MS: i64 = 1_000_000;
 
     fn transform(stamp_ms: i64, parent: &str, child: &str, x: f64) -> TFMessage {
-        let transform = Transform {
-            translation: Vector3 { x, y: 0.0, z: 0.0 },
-            rotation: Quaternion::about_z(0.0),
-        };
+        let transform =
+            Transform { translation: Vector3 { x, y: 0.0, z: 0.0 }, rotation: Quaternion::about_z(0.0) };
         let header = Header::new(stamp_ms * MS, parent);
         TFMessage {
             transforms: vec![TransformStamped { header, child_frame_id: child.to_owned(), transform }],

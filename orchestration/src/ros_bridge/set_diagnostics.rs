@@ -66,7 +66,8 @@ fn poses(robot: &str, report: &BridgeReport) -> DiagnosticStatus {
 
 fn whole(robot: &str, set: &SetStatus) -> DiagnosticStatus {
     let name = "flockslam: set".to_owned();
-    let problem = set.not_durable.clone().or_else(|| set.saved.as_ref().and_then(|saved| saved.problem.clone()));
+    let problem =
+        set.not_durable.clone().or_else(|| set.saved.as_ref().and_then(|saved| saved.problem.clone()));
     let figures = [("uptime_s", format!("{:.0}", set.uptime_s)), ("paused", set.paused.to_string())];
     let (level, message) = match (set.state, &problem) {
         (SetState::Degraded, _) => (DiagnosticStatus::ERROR, "a stage does not get up"),

@@ -73,7 +73,8 @@ impl Environment {
         let mut unhonoured = Vec::new();
         let middleware = text("RMW_IMPLEMENTATION");
         if !DDS.contains(&middleware.as_str()) {
-            unhonoured.push(format!("RMW_IMPLEMENTATION={middleware}: nodes of DDS are heard, others are not"));
+            unhonoured
+                .push(format!("RMW_IMPLEMENTATION={middleware}: nodes of DDS are heard, others are not"));
         }
         for name in ["ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS"] {
             let value = text(name);
@@ -90,7 +91,8 @@ mod tests {
     use super::*;
 
     fn read(variables: &[(&str, &str)]) -> Result<Environment, String> {
-        let find = |name: &str| variables.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned());
+        let find =
+            |name: &str| variables.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned());
         Environment::from_variables(find).map_err(|error| error.to_string())
     }
 
@@ -107,7 +109,10 @@ mod tests {
     #[test]
     fn what_has_no_sense_is_refused_and_what_has_no_effect_is_named() {
         for domain in ["x", "-1", "233", "70000"] {
-            assert!(read(&[("ROS_DOMAIN_ID", domain)]).unwrap_err().starts_with("ROS_DOMAIN_ID="), "{domain}");
+            assert!(
+                read(&[("ROS_DOMAIN_ID", domain)]).unwrap_err().starts_with("ROS_DOMAIN_ID="),
+                "{domain}"
+            );
         }
         assert!(read(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")]).unwrap_err().contains("no node is heard"));
         let named = read(&[

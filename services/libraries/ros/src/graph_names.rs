@@ -30,7 +30,8 @@ impl NodeIdentity {
     /// # Errors
     /// When a name is none by the rules of ROS.
     pub fn new(name: &str, remaps: Vec<Remap>) -> Result<Self, RosError> {
-        let last = |from: &str| remaps.iter().rev().find(|remap| remap.from == from).map(|remap| remap.to.clone());
+        let last =
+            |from: &str| remaps.iter().rev().find(|remap| remap.from == from).map(|remap| remap.to.clone());
         let name = last("__node").unwrap_or_else(|| name.to_owned());
         let namespace = match last("__ns") {
             Some(namespace) if namespace.starts_with('/') => namespace,

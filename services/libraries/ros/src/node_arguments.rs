@@ -29,7 +29,8 @@ impl NodeArguments {
         let mut found = Self::default();
         let mut rest = arguments.iter();
         while let Some(argument) = rest.next() {
-            let refused = |reason: &str| RosError::Argument { argument: argument.clone(), reason: reason.to_owned() };
+            let refused =
+                |reason: &str| RosError::Argument { argument: argument.clone(), reason: reason.to_owned() };
             let mut value = || rest.next().ok_or_else(|| refused("its value is missing"));
             match argument.as_str() {
                 "--ros-args" | "--" => {}
@@ -67,8 +68,10 @@ impl NodeArguments {
 }
 
 fn remap(text: &str) -> Result<Remap, RosError> {
-    let refused = || RosError::Argument { argument: format!("-r {text}"), reason: "write it as FROM:=TO".to_owned() };
-    let (from, to) = text.split_once(":=").filter(|(from, to)| !from.is_empty() && !to.is_empty()).ok_or_else(refused)?;
+    let refused =
+        || RosError::Argument { argument: format!("-r {text}"), reason: "write it as FROM:=TO".to_owned() };
+    let (from, to) =
+        text.split_once(":=").filter(|(from, to)| !from.is_empty() && !to.is_empty()).ok_or_else(refused)?;
     let (node, from) = match from.split_once(':') {
         Some((node, from)) => (Some(node.to_owned()), from),
         None => (None, from),
@@ -81,7 +84,8 @@ fn remap(text: &str) -> Result<Remap, RosError> {
 }
 
 fn parameter(text: &str) -> Result<Given, RosError> {
-    let refused = |reason: &str| RosError::Argument { argument: format!("-p {text}"), reason: reason.to_owned() };
+    let refused =
+        |reason: &str| RosError::Argument { argument: format!("-p {text}"), reason: reason.to_owned() };
     let (name, value) = text.split_once(":=").ok_or_else(|| refused("write it as NAME:=VALUE"))?;
     let value = ParameterValue::from_text(value).ok_or_else(|| refused("this is no value of a parameter"))?;
     // `node:name` is for one node; this process has one.
@@ -110,7 +114,10 @@ mod tests {
         );
         let found = parse(&text).unwrap();
         let node = NodeIdentity::new("flockslam", found.remaps.clone()).unwrap();
-        assert_eq!((node.full_name().as_str(), node.resolve("scan").unwrap().as_str()), ("/r1/slam", "/r1/front/scan"));
+        assert_eq!(
+            (node.full_name().as_str(), node.resolve("scan").unwrap().as_str()),
+            ("/r1/slam", "/r1/front/scan")
+        );
         let parameters = found.parameters(&node).unwrap();
         let names: Vec<_> = parameters.iter().map(|(name, _)| name.as_str()).collect();
         assert_eq!(names, ["map_frame", "odom_frame", "use_sim_time"]);

@@ -11,7 +11,10 @@ const PARAMETERS: &str = "ros__parameters";
 ///
 /// # Errors
 /// When the file cannot be read or is not such a file.
-pub fn parameters_of_file(path: &Path, node: &NodeIdentity) -> Result<Vec<(String, ParameterValue)>, RosError> {
+pub fn parameters_of_file(
+    path: &Path,
+    node: &NodeIdentity,
+) -> Result<Vec<(String, ParameterValue)>, RosError> {
     let refused = |reason: String| RosError::ParameterFile { path: path.to_owned(), reason };
     let text = std::fs::read_to_string(path).map_err(|error| refused(error.to_string()))?;
     parameters_of_text(&text, &node.full_name()).map_err(refused)
@@ -64,7 +67,8 @@ fn fits(pattern: &str, node: &str) -> bool {
             _ => false,
         }
     }
-    let parts = |name: &str| name.split('/').filter(|part| !part.is_empty()).map(str::to_owned).collect::<Vec<_>>();
+    let parts =
+        |name: &str| name.split('/').filter(|part| !part.is_empty()).map(str::to_owned).collect::<Vec<_>>();
     let (pattern, node) = (parts(pattern), parts(node));
     let [pattern, node] = [&pattern, &node].map(|parts| parts.iter().map(String::as_str).collect::<Vec<_>>());
     parts_fit(&pattern, &node)
@@ -110,7 +114,9 @@ mod tests {
 
     #[test]
     fn wildcards_fit_parts() {
-        assert!(fits("/**", "/a/b") && fits("/*/b", "/a/b") && fits("/a/**", "/a/b/c") && fits("/**/c", "/a/b/c"));
+        assert!(
+            fits("/**", "/a/b") && fits("/*/b", "/a/b") && fits("/a/**", "/a/b/c") && fits("/**/c", "/a/b/c")
+        );
         assert!(!fits("/*", "/a/b") && !fits("/a", "/a/b") && !fits("/a/b", "/a"));
     }
 

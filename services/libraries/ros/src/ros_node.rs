@@ -3,13 +3,15 @@
 use crate::messages::{RosMessage, RosService};
 use crate::{Environment, NodeIdentity, ParameterValue, QualityOfService, Reach, RosError};
 use ros2_client::dds::rustdds::DomainParticipantBuilder;
-use ros2_client::{Context, Gid, MessageTypeName, Name, NodeName, NodeOptions, ServiceMapping, ServiceTypeName};
+use ros2_client::{
+    Context, Gid, MessageTypeName, Name, NodeName, NodeOptions, ServiceMapping, ServiceTypeName,
+};
 use std::future::Future;
 use std::net::Ipv4Addr;
 use std::pin::Pin;
 use std::rc::Rc;
-use std::sync::{Arc, Mutex};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// After a message that is none the next is waited for so long: who sends nothing else does not get all of a core.
@@ -101,10 +103,8 @@ impl Node {
         let participant = builder.build().map_err(|error| refused(error.to_string()))?;
         let context =
             Context::from_domain_participant(participant).map_err(|error| refused(error.to_string()))?;
-        let name = NodeName::new(&identity.namespace, &identity.name).map_err(|error| RosError::Name {
-            name: identity.full_name(),
-            reason: error.to_string(),
-        })?;
+        let name = NodeName::new(&identity.namespace, &identity.name)
+            .map_err(|error| RosError::Name { name: identity.full_name(), reason: error.to_string() })?;
         let node =
             context.new_node(name, options(parameters)).map_err(|error| refused(format!("{error:?}")))?;
         Ok(Self { identity, node, ears: Vec::new(), undecodable: Arc::default(), own: Arc::default() })

@@ -91,10 +91,7 @@ pub struct Pose {
 impl Pose {
     /// A pose in the plane: metres and radians.
     pub fn planar(x_m: f64, y_m: f64, heading_rad: f64) -> Self {
-        Self {
-            position: Vector3 { x: x_m, y: y_m, z: 0.0 },
-            orientation: Quaternion::about_z(heading_rad),
-        }
+        Self { position: Vector3 { x: x_m, y: y_m, z: 0.0 }, orientation: Quaternion::about_z(heading_rad) }
     }
 }
 

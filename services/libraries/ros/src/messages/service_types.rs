@@ -1,19 +1,6 @@
 //! Services that maps and measurements are handled with: those of slam_toolbox, nav2 and std_srvs.
 
-use super::{OccupancyGrid, service};
-
-service! {
-    /// `std_srvs/Empty`.
-    Empty = "std_srvs" / "Empty",
-    EmptyRequest {
-        /// Of no meaning.
-        structure_needs_at_least_one_member: u8,
-    },
-    EmptyResponse {
-        /// Of no meaning.
-        structure_needs_at_least_one_member: u8,
-    }
-}
+use super::service;
 
 service! {
     /// `std_srvs/Trigger`.
@@ -42,19 +29,6 @@ service! {
         success: bool,
         /// Or why not.
         message: String,
-    }
-}
-
-service! {
-    /// `nav_msgs/GetMap`.
-    GetMap = "nav_msgs" / "GetMap",
-    GetMapRequest {
-        /// Of no meaning.
-        structure_needs_at_least_one_member: u8,
-    },
-    GetMapResponse {
-        /// The map.
-        map: OccupancyGrid,
     }
 }
 
@@ -158,20 +132,5 @@ service! {
     NavigationSaveMapResponse {
         /// Whether it was done.
         result: bool,
-    }
-}
-
-service! {
-    /// `nav2_msgs/LoadMap`.
-    NavigationLoadMap = "nav2_msgs" / "LoadMap",
-    NavigationLoadMapRequest {
-        /// Where from.
-        map_url: String,
-    },
-    NavigationLoadMapResponse {
-        /// The map.
-        map: OccupancyGrid,
-        /// 0 for success, 1 when there is none, 2 and 3 when it is damaged, else 255.
-        result: u8,
     }
 }
