@@ -60,7 +60,7 @@ impl Graph {
         Some(Self { domain: 1 + next % DOMAINS, python })
     }
 
-    fn into_graph(&self, command: &mut Command) {
+    fn put_into_graph(&self, command: &mut Command) {
         command.env("ROS_DOMAIN_ID", self.domain.to_string()).env("ROS_LOCALHOST_ONLY", "1");
         command.env("CYCLONEDDS_URI", CYCLONE).env("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp");
     }
@@ -74,7 +74,7 @@ impl Graph {
         );
         std::fs::write(directory.join("set.toml"), description).unwrap();
         let mut command = flockslam();
-        self.into_graph(&mut command);
+        self.put_into_graph(&mut command);
         LiveSet::start_described(command, robot, directory)
     }
 
@@ -101,7 +101,7 @@ impl Graph {
     fn script(&self, name: &str, arguments: &[&str]) -> Child {
         let mut command = Command::new(&self.python);
         command.arg(repository().join("tests/ros_peers").join(name)).args(arguments);
-        self.into_graph(&mut command);
+        self.put_into_graph(&mut command);
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::inherit());
         command.spawn().unwrap()
     }

@@ -122,6 +122,7 @@ mod tests {
             not_durable: None,
             unattached: None,
             flock: None,
+            lidars: Vec::new(),
             stages: vec![stage],
         }
     }
