@@ -75,7 +75,7 @@ fn a_log_played_into_the_graph_is_mapped_as_the_file_is() {
     let answer = late.call("slam_toolbox/SaveMap", "/slam_toolbox/save_map", json!({ "name": saved }));
     assert_eq!(answer["result"], 0);
     let (found, cells) = late.map(directory.path());
-    println!("the map came after {} s", found["seconds"]);
+    println!("the map came after {} s, {} in all", found["seconds"], found["maps"]);
     let (width, height) =
         (found["width"].as_u64().unwrap() as usize, found["height"].as_u64().unwrap() as usize);
     let picture = image::open(saved.with_extension("pgm")).unwrap().into_luma8();

@@ -1,4 +1,4 @@
-"""A node of the graph that does what it is told: a line of JSON on the standard input is a command, each is answered by one.
+"""A node of the graph that obeys: a line of JSON on the standard input is a command, each is answered by one.
 
 graph                        names of nodes, topics with types, services with types
 map OUT                      a late subscriber of /map: writes the cells to OUT, says size, origin and how long it took
@@ -26,6 +26,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 LIMIT_S = 20
+QUIET_S = 1.0
 HEARTBEAT_S, PATIENCE_S = 0.1, 4.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
 
@@ -64,14 +65,23 @@ def late_map(out):
     subscription = node.create_subscription(OccupancyGrid, "/map", found.append, LATCHED)
     while not found and time.monotonic() < began + LIMIT_S:
         executor.spin_once(timeout_sec=0.1)
+    seconds = time.monotonic() - began
+    # An older map may come before the newest.
+    quiet = time.monotonic() + QUIET_S
+    while found and time.monotonic() < quiet:
+        before = len(found)
+        executor.spin_once(timeout_sec=0.1)
+        if len(found) > before:
+            quiet = time.monotonic() + QUIET_S
     node.destroy_subscription(subscription)
     if not found:
         return None
-    grid = found[0]
+    grid = found[-1]
     open(out, "wb").write(bytes(value & 255 for value in grid.data))
     origin = grid.info.origin.position
     return {
-        "seconds": time.monotonic() - began,
+        "seconds": seconds,
+        "maps": len(found),
         "width": grid.info.width,
         "height": grid.info.height,
         "resolution": grid.info.resolution,

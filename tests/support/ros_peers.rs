@@ -78,7 +78,7 @@ impl Graph {
         LiveSet::start_described(command, robot, directory)
     }
 
-    /// Starts a node that does what it is told.
+    /// Starts a node that obeys.
     pub fn peer(&self, name: &str) -> Peer {
         let mut child = self.script("peer.py", &[name]);
         let orders = child.stdin.take().unwrap();
@@ -107,7 +107,7 @@ impl Graph {
     }
 }
 
-/// A node of the client library of ROS that does what it is told.
+/// A node of the client library of ROS that obeys.
 pub struct Peer {
     child: Child,
     orders: ChildStdin,

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 const REPLACED_AMONG: usize = 12;
 
 /// Tells versions of a file apart that replace one another.
-type Version = (u64, i64, i64);
+pub type Version = (u64, i64, i64);
 
 /// The map of closed submaps of a set, kept up with what is stored.
 pub struct FollowedMap {
@@ -81,11 +81,6 @@ impl FollowedMap {
         stored
     }
 
-    /// Whether submaps are gone that were stored: the set has begun anew.
-    pub fn has_begun_anew(&self) -> bool {
-        self.stored > 0 && !self.store.file(self.stored - 1).exists()
-    }
-
     /// Takes submaps out of the picture whose file was replaced: they come in anew.
     fn forget_replaced(&mut self) {
         for (number, version) in self.versions.clone().iter().rev().take(REPLACED_AMONG) {
@@ -141,7 +136,8 @@ impl FollowedMap {
     }
 }
 
-fn version_of(file: &Path) -> Option<Version> {
+/// The version of a file; `None` while there is none.
+pub fn version_of(file: &Path) -> Option<Version> {
     let metadata = std::fs::metadata(file).ok()?;
     Some((metadata.ino(), metadata.mtime(), metadata.mtime_nsec()))
 }

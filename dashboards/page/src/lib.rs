@@ -26,7 +26,7 @@ mod stage_latency;
 mod tile_code;
 mod view;
 
-pub use followed_map::{FollowedMap, Stored};
+pub use followed_map::{FollowedMap, Stored, Version, version_of};
 pub use guard::Guard;
 pub use health::{Health, StageHealth};
 pub use outbox::Outbox;

@@ -5,30 +5,27 @@ use super::bond::{Bond, HEARTBEAT_PERIOD};
 use super::bridge_parameters::BridgeParameters;
 use super::bridge_publishers::BridgePublishers;
 use super::bridge_services::{SetOrders, offer};
+use super::diagnostics_thread::{Report, report_by};
 use super::graph_clock::GraphClock;
+use super::graph_ear::{Ear, Heard, listen};
 use super::kept_state::KeptState;
 use super::lifecycle::NodeState;
 use super::map_correction::{Correction, JUMP_M, JUMP_RAD, MapCorrection};
 use super::map_thread::{self, MapOrder, MapPlace, MapPublishers};
 use super::sensor_relay::SensorRelay;
-use super::set_diagnostics::{BridgeReport, diagnostics, status};
-use crate::supervisor::{Reply, Request, ask};
+use super::set_diagnostics::BridgeReport;
 use flockslam_bus::{Bus, Capacity, RuntimeDir, Subscriber};
 use flockslam_messages::{PoseEstimate, Quality};
 use flockslam_ros::messages::{
-    ChangeState, ChangeStateResponse, Clock, DiagnosticArray, DiagnosticStatus, GetAvailableStates,
-    GetAvailableStatesResponse, GetAvailableTransitions, GetAvailableTransitionsResponse, GetState,
-    GetStateResponse, Header, Imu, LaserScan, Odometry, PoseWithCovarianceStamped, TFMessage, Transition,
+    ChangeState, ChangeStateResponse, GetAvailableTransitionsResponse, GetStateResponse, Transition,
     TransitionEvent,
 };
-use flockslam_ros::{
-    Call, Environment, Node, NodeArguments, NodeIdentity, Publisher, QualityOfService, RosError, RunningNode,
-};
-use flockslam_telemetry::{LatencyHistogram, monotonic_ns, utc_ns};
+use flockslam_ros::{Call, Environment, Node, NodeArguments, NodeIdentity, QualityOfService, RunningNode};
+use flockslam_telemetry::{LatencyHistogram, monotonic_ns};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
+use std::sync::mpsc::{Receiver, Sender, sync_channel};
 use std::time::{Duration, Instant};
 
 /// Name of the node, unless the command line gives it another.
@@ -62,19 +59,6 @@ pub struct BridgeSet {
     pub cell_size_m: f64,
     /// The socket that lidar-ingest reads.
     pub scan_socket: PathBuf,
-}
-
-/// What the graph says.
-enum Heard {
-    Scan(Arc<str>, Box<LaserScan>, Instant),
-    Transforms(TFMessage, bool),
-    Odometry(Box<Odometry>),
-    Imu(Box<Imu>),
-    Clock(i64),
-    InitialPose,
-    ChangeState(Call<ChangeState>),
-    GetState(Call<GetState>),
-    GetTransitions(Call<GetAvailableTransitions>),
 }
 
 /// Whether arguments of the node have a sense.
@@ -138,12 +122,6 @@ struct Bridge {
     _bus: Bus,
 }
 
-/// What the thread of diagnostics gets.
-enum Report {
-    Regular(BridgeReport, i64),
-    Jump(Correction, i64),
-}
-
 impl Bridge {
     fn open(
         set: &BridgeSet,
@@ -176,7 +154,7 @@ impl Bridge {
         offer(&mut node, SetOrders::new(&set.runtime.control_socket(), map.clone()))?;
         let dropped = Arc::new(AtomicU64::new(0));
         let (sender, heard) = sync_channel(HEARD_MAX);
-        listen(&mut node, &parameters, &Ear { heard: sender, dropped: Arc::clone(&dropped) })?;
+        listen(&mut node, &parameters, &Ear::new(sender, Arc::clone(&dropped)))?;
         let bus = Bus::join(&set.runtime, "ros", set.capacity)?;
         let fresh = match (parameters.use_lifecycle_manager, parameters.autostart) {
             (false, true) => NodeState::Active,
@@ -420,7 +398,7 @@ impl Bridge {
 
     fn send_heartbeat(&self, is_active: bool) {
         if let Some(publisher) = &self.publishers.bond {
-            publisher.send(self.bond.status(self.clock.now_ns().unwrap_or_else(utc_ns), is_active));
+            publisher.send(self.bond.status(self.clock.stamp_ns(), is_active));
         }
     }
 
@@ -450,108 +428,6 @@ impl Bridge {
             foreign: self.foreign_ns.is_some(),
             figures: figures.into_iter().map(|(name, value)| (name, value.to_string())).collect(),
         };
-        let _ = self.reports.send(Report::Regular(report, now_ns.unwrap_or_else(utc_ns)));
+        let _ = self.reports.send(Report::Regular(report, self.clock.stamp_ns()));
     }
-}
-
-/// Hands on what is heard.
-struct Ear {
-    heard: SyncSender<Heard>,
-    dropped: Arc<AtomicU64>,
-}
-
-impl Ear {
-    fn put(&self) -> impl Fn(Heard) + Send + 'static {
-        let (heard, dropped) = (self.heard.clone(), Arc::clone(&self.dropped));
-        move |what| {
-            if heard.try_send(what).is_err() {
-                dropped.fetch_add(1, Ordering::Relaxed);
-            }
-        }
-    }
-}
-
-fn listen(node: &mut Node, parameters: &BridgeParameters, ear: &Ear) -> Result<(), RosError> {
-    let sensor = |depth| QualityOfService::Sensor { depth };
-    for topic in &parameters.scan_topics {
-        let (put, name) = (ear.put(), Arc::<str>::from(topic.as_str()));
-        node.subscribe(topic, sensor(10), move |scan| {
-            put(Heard::Scan(Arc::clone(&name), Box::new(scan), Instant::now()));
-        })?;
-    }
-    let put = ear.put();
-    node.subscribe("/tf", QualityOfService::Reliable { depth: 100 }, move |message| {
-        put(Heard::Transforms(message, false));
-    })?;
-    let put = ear.put();
-    node.subscribe("/tf_static", QualityOfService::Latched { depth: 100 }, move |message| {
-        put(Heard::Transforms(message, true));
-    })?;
-    if !parameters.odom_topic.is_empty() {
-        let put = ear.put();
-        node.subscribe(&parameters.odom_topic, sensor(50), move |message| {
-            put(Heard::Odometry(Box::new(message)))
-        })?;
-    }
-    if !parameters.imu_topic.is_empty() {
-        let put = ear.put();
-        node.subscribe(&parameters.imu_topic, sensor(50), move |message| put(Heard::Imu(Box::new(message))))?;
-    }
-    if parameters.use_sim_time {
-        let put = ear.put();
-        node.subscribe("/clock", sensor(10), move |message: Clock| put(Heard::Clock(message.clock.ns())))?;
-    }
-    let put = ear.put();
-    node.subscribe(
-        "/initialpose",
-        QualityOfService::Reliable { depth: 10 },
-        move |_: PoseWithCovarianceStamped| {
-            put(Heard::InitialPose);
-        },
-    )?;
-    let put = ear.put();
-    node.serve::<ChangeState>("~/change_state", move |call| put(Heard::ChangeState(call)))?;
-    let put = ear.put();
-    node.serve::<GetState>("~/get_state", move |call| put(Heard::GetState(call)))?;
-    let put = ear.put();
-    node.serve::<GetAvailableTransitions>("~/get_available_transitions", move |call| {
-        put(Heard::GetTransitions(call));
-    })?;
-    node.serve::<GetAvailableTransitions>("~/get_transition_graph", |call| {
-        call.answer.send(GetAvailableTransitionsResponse { available_transitions: NodeState::graph() });
-    })?;
-    node.serve::<GetAvailableStates>("~/get_available_states", |call| {
-        call.answer.send(GetAvailableStatesResponse { available_states: NodeState::messages() });
-    })
-}
-
-/// Starts the thread that asks the supervisor how the set is, and publishes it. It ends the process when the set has ended.
-fn report_by(
-    publisher: Publisher<DiagnosticArray>,
-    robot: String,
-    control: PathBuf,
-) -> Result<Sender<Report>, BridgeError> {
-    let (sender, reports) = channel::<Report>();
-    let publish = move || {
-        while let Ok(report) = reports.recv() {
-            let (statuses, stamp_ns) = match report {
-                Report::Jump(Correction { jump: (metres, radians), .. }, stamp_ns) => {
-                    let message = format!("the pose jumps by {metres:.2} m and {:.1}°", radians.to_degrees());
-                    let name = "flockslam: poses".to_owned();
-                    (vec![status(DiagnosticStatus::WARN, name, &message, &robot, &[])], stamp_ns)
-                }
-                Report::Regular(report, stamp_ns) => {
-                    let set = match ask(&control, &Request::Status) {
-                        Ok(Reply::Status(status)) => Some(status),
-                        _ if !RuntimeDir::running().contains(&robot) => std::process::exit(0),
-                        _ => None,
-                    };
-                    (diagnostics(&robot, &report, set.as_deref()), stamp_ns)
-                }
-            };
-            publisher.send(DiagnosticArray { header: Header::new(stamp_ns, ""), status: statuses });
-        }
-    };
-    std::thread::Builder::new().name("diagnostics".to_owned()).spawn(publish)?;
-    Ok(sender)
 }

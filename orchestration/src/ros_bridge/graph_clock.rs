@@ -22,6 +22,11 @@ impl GraphClock {
         self.is_simulated && before_ns.is_some_and(|before_ns| now_ns < before_ns)
     }
 
+    /// The time to stamp what has no other, nanoseconds: that of the machine while a simulation has said none.
+    pub fn stamp_ns(&self) -> i64 {
+        self.now_ns().unwrap_or_else(utc_ns)
+    }
+
     /// The time, nanoseconds; `None` before a simulation has said it.
     pub fn now_ns(&self) -> Option<i64> {
         if self.is_simulated { self.heard_ns } else { Some(utc_ns()) }

@@ -109,7 +109,7 @@ impl MapPainter {
             let Some([left, right, bottom, top]) = known else { continue };
             for (column, row) in [(left, bottom), (right, bottom), (left, top), (right, top)] {
                 let cell = self.cell_at(key, row * TILE_SIDE + column, [0.5, 0.5], pose);
-                extent = Some(widened(extent, cell));
+                extent = Some(extended(extent, cell));
             }
         }
         let bounds = self.grown(extent?);
@@ -240,7 +240,7 @@ impl Bounds {
     }
 }
 
-fn widened(bounds: Option<Bounds>, cell: [i64; 2]) -> Bounds {
+fn extended(bounds: Option<Bounds>, cell: [i64; 2]) -> Bounds {
     let bounds = bounds.unwrap_or(Bounds { low: cell, high: cell.map(|index| index + 1) });
     Bounds {
         low: [0, 1].map(|axis| bounds.low[axis].min(cell[axis])),

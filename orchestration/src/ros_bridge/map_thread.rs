@@ -6,7 +6,7 @@ use super::map_picture::{MapPainter, MapPicture};
 use flockslam_bus::{Bus, Capacity, RuntimeDir, Subscriber};
 use flockslam_geometry::Pose;
 use flockslam_messages::{Commit, Control, ControlKind, PoseEstimate, Stage, TileMessage};
-use flockslam_page::FollowedMap;
+use flockslam_page::{FollowedMap, Version, version_of};
 use flockslam_ros::Publisher;
 use flockslam_ros::messages::{MapMetaData, OccupancyGrid};
 use std::path::PathBuf;
@@ -22,7 +22,7 @@ const SETTLE: Duration = Duration::from_secs(10);
 /// The first map follows what is known at once, within this.
 const FIRST: Duration = Duration::from_millis(500);
 
-/// What the thread is told.
+/// Orders to the thread.
 pub enum MapOrder {
     /// Publish, or rest.
     Active(bool),
@@ -87,6 +87,8 @@ struct MapKeeper<'p> {
     map_from_odom: Pose,
     stamp_ns: i64,
     is_active: bool,
+    /// The set's file: it is written anew when the set begins another map.
+    set_file: Option<Version>,
     /// Something has changed since the map was painted.
     is_stale: bool,
     painted: Option<MapPicture>,
@@ -139,6 +141,7 @@ impl<'p> MapKeeper<'p> {
             map_from_odom: Pose::IDENTITY,
             stamp_ns: 0,
             is_active: false,
+            set_file: version_of(&runtime.configuration()),
             is_stale: false,
             painted: None,
             published: None,
@@ -174,10 +177,13 @@ impl<'p> MapKeeper<'p> {
         while let Some(commit) = self.commits.receive()? {
             self.stamp_ns = commit.times.sensor_ns;
         }
-        if self.followed.has_begun_anew() {
+        let present = version_of(&self.runtime.configuration());
+        if present != self.set_file {
+            self.set_file = present;
             self.followed = FollowedMap::new(&self.runtime, self.place.optimises);
             self.painter.clear();
             (self.painted, self.published) = (None, None);
+            self.is_stale = true;
             self.ask_for_tiles()?;
         }
         while let Some(tile) = self.tiles.receive()? {

@@ -123,7 +123,7 @@ impl SensorRelay {
         self.relay_scans();
     }
 
-    /// Takes transforms. Whoever else corrects odometry is told of, and not believed.
+    /// Takes transforms. Whoever else corrects odometry is named, and not believed.
     pub fn take_transforms(&mut self, message: TFMessage, is_static: bool) -> Option<ForeignCorrection> {
         let mut foreign = None;
         for transform in transforms_of(message) {
@@ -401,10 +401,10 @@ mod tests {
     }
 
     #[test]
-    fn whoever_else_corrects_odometry_is_told_of_and_not_believed() {
+    fn whoever_else_corrects_odometry_is_noticed_and_not_believed() {
         let (mut relay, _ingest, _directory) = relay();
-        let told = relay.take_transforms(transform(10, "/map", "odom", 1.0), false);
-        assert_eq!(told, Some(ForeignCorrection));
+        let noticed = relay.take_transforms(transform(10, "/map", "odom", 1.0), false);
+        assert_eq!(noticed, Some(ForeignCorrection));
         assert!(!relay.transforms().knows("map"));
     }
 
