@@ -167,7 +167,8 @@ fn laser_scan(mut fields: Fields<'_>, kind: ReadingKind) -> Result<FramedScan, M
 /// of them, and the last of a thousand beams is as exact as the first.
 fn exact_rad(rounded_rad: f32) -> f64 {
     let degrees = f64::from(rounded_rad).to_degrees();
-    let candidates = FRACTIONS_OF_DEGREES.iter().map(|parts| ((degrees * parts).round() / parts).to_radians());
+    let candidates =
+        FRACTIONS_OF_DEGREES.iter().map(|parts| ((degrees * parts).round() / parts).to_radians());
     candidates.into_iter().find(|exact| *exact as f32 == rounded_rad).unwrap_or(f64::from(rounded_rad))
 }
 
