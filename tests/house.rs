@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Crates that others may import, lowest layer first; an import goes to a lower layer only.
-const LIBRARIES: [(&str, u32); 25] = [
+const LIBRARIES: [(&str, u32); 26] = [
     ("geometry", 0),
     ("random", 0),
     ("odometry-noise", 1),
@@ -17,6 +17,7 @@ const LIBRARIES: [(&str, u32); 25] = [
     ("messages", 2),
     ("transforms", 2),
     ("recordings", 3),
+    ("calibration", 3),
     ("ray-insertion", 2),
     ("records", 2),
     ("bus", 3),

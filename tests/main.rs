@@ -4,6 +4,7 @@
 
 mod apart;
 mod bad_input;
+mod bad_recordings;
 mod benchmarks;
 mod checkers;
 mod dashboards;
@@ -42,6 +43,7 @@ mod stopped_stage;
 mod support;
 mod torn_logs;
 mod tracking;
+mod turning;
 mod worlds;
 
 #[allow(dead_code, unused_imports, reason = "the test runs a part of the benchmark's sections")]

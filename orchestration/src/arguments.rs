@@ -131,6 +131,9 @@ pub struct InspectArgs {
     /// What would be read of it
     #[command(flatten)]
     pub topics: TopicArgs,
+    /// Finds what the lidars see of the robot itself, and prints the setting that masks it; the robot has to drive
+    #[arg(long)]
+    pub learn_mask: bool,
     /// Prints JSON
     #[arg(long)]
     pub json: bool,

@@ -10,6 +10,7 @@ use flockslam_lidar_ingest::Settings;
 use flockslam_lidar_ingest::carmen::CarmenReader;
 use flockslam_lidar_ingest::process::RecordingReader;
 use flockslam_messages::ScanBuffer;
+use flockslam_recordings::{FramedScan, Reading, ReadingKind, Wire};
 use flockslam_stage::JournalReader;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -18,11 +19,14 @@ use std::path::{Path, PathBuf};
 pub type Entry = (&'static str, fn(&[u8]));
 
 /// All of them.
-pub const ENTRIES: [Entry; 7] = [
+pub const ENTRIES: [Entry; 10] = [
     ("bag", bag),
     ("carmen", carmen),
     ("configuration", configuration),
+    ("db3", db3),
     ("journal", journal),
+    ("mcap", mcap),
+    ("message", message),
     ("submap", submap),
     ("saved_map", saved_map),
     ("trajectory", trajectory),
@@ -40,9 +44,38 @@ pub fn carmen(bytes: &[u8]) {
     }
 }
 
-/// A ROS 1 bag, a rosbag2 file.
+/// A ROS 1 bag.
 pub fn bag(bytes: &[u8]) {
-    let path = scratch("bag").join("fuzz.bag");
+    recording(bytes, "bag");
+}
+
+/// A file of rosbag2's SQLite storage.
+pub fn db3(bytes: &[u8]) {
+    recording(bytes, "db3");
+}
+
+/// An MCAP file.
+pub fn mcap(bytes: &[u8]) {
+    recording(bytes, "mcap");
+}
+
+/// A message of ROS: the first byte says of which kind, the second how it is serialized.
+pub fn message(bytes: &[u8]) {
+    use ReadingKind::{BusScan, Cloud, Imu, MultiEchoScan, Odometry, Scan, Transforms};
+    const KINDS: [ReadingKind; 7] = [Scan, MultiEchoScan, Cloud, Odometry, Imu, Transforms, BusScan];
+    let [kind, wire, message @ ..] = bytes else { return };
+    let kind = KINDS[usize::from(*kind) % KINDS.len()];
+    let wire = [Wire::Cdr, Wire::Ros1, Wire::Bus][usize::from(*wire) % 3];
+    if let Ok(Reading::Scan(FramedScan { scan, .. }) | Reading::BusScan(scan)) =
+        Reading::decode(kind, message, wire)
+    {
+        scan.view().expect("a scan that is given out is whole");
+    }
+}
+
+/// Scans of a recording, whatever kind of file the bytes are.
+fn recording(bytes: &[u8], kind: &str) {
+    let path = scratch(kind).join("recording");
     fs::write(&path, bytes).expect("tmpfs can be written");
     let Ok(mut reader) = RecordingReader::open(&path, &Settings::default()) else { return };
     let mut scan = ScanBuffer::default();
@@ -110,7 +143,7 @@ fn scratch(reader: &str) -> PathBuf {
 
 /// Removes what the entries of this process have left.
 pub fn clean_up() {
-    for reader in ["bag", "journal", "saved-map"] {
+    for reader in ["bag", "db3", "journal", "mcap", "saved-map"] {
         let _ = fs::remove_dir_all(scratch(reader));
     }
 }

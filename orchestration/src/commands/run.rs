@@ -3,12 +3,13 @@
 use super::CommandError;
 use super::accounting::{SharedMemoryPeak, sum_up};
 use super::attendants::Attendants;
+use super::lidar_calibration;
 use super::progress_bar::RunProgress;
 use crate::arguments::RunArgs;
 use crate::configuration::Configuration;
 use crate::outputs::{
-    CellState, LatencyMicroseconds, LoopClosures, MapHasher, OccupancyImage, PictureTracks, Report,
-    StageReport, TrajectoryPoint, write_map, write_picture, write_report, write_trajectory,
+    CalibrationRow, CellState, LatencyMicroseconds, LoopClosures, MapHasher, OccupancyImage, PictureTracks,
+    Report, StageReport, TrajectoryPoint, write_map, write_picture, write_report, write_trajectory,
 };
 use crate::state_directory::spill_directory;
 use crate::store::{MapHead, SavedMap};
@@ -363,6 +364,9 @@ fn report(
         trajectory_length_m: way_m(trajectory),
         ..Report::default()
     };
+    let (journal, first) = (run.set.runtime().journal(), run.set.first_sequence());
+    report.calibration =
+        lidar_calibration::of_journal(&journal, first, &run.configuration).map_err(CommandError::failed)?;
     let all = Stage::ALL.into_iter().flat_map(|stage| read_reports(&status, stage.name()));
     sum_up(&mut report, run.own_memory, all.map(|process| process.file_bytes).max().unwrap_or(0));
     Ok(report)
@@ -427,7 +431,7 @@ pub fn summary(out: &Path, report: &Report) -> String {
     format!(
         "{} scans in {:.1} s ({:.0} scans/s), {share:.0} % dropped by the filter\n\
          {:.0} m driven, {:.0} m² mapped, {} submaps, {closures} loop closures\n\
-         {}{bad}map {}\n\
+         {}{}{bad}map {}\n\
          wrote trajectory.tum, trajectory_online.tum, map.pgm, map.yaml, map.png, report.json to {}\n",
         report.scans,
         report.wall_s,
@@ -436,6 +440,7 @@ pub fn summary(out: &Path, report: &Report) -> String {
         report.map_area_m2,
         report.submaps,
         not_attached(report),
+        report.calibration.iter().map(CalibrationRow::line).collect::<String>(),
         report.map_hash,
         out.display()
     )

@@ -301,6 +301,11 @@ impl ProcessSet {
         self.not_durable.as_deref()
     }
 
+    /// The sequence of the first scan of this session.
+    pub fn first_sequence(&self) -> u64 {
+        self.set.options.first_sequence
+    }
+
     /// The configuration of its stages.
     pub fn configuration(&self) -> &Configuration {
         &self.set.configuration

@@ -268,6 +268,7 @@ impl Ingest {
             context.report.count("missing_scans", tally.missing);
             tracing::warn!(missing = tally.missing, "the recorder missed scans: this is not an exact replay");
         }
+        self.feed.ended_early().iter().for_each(|line| tracing::warn!("{line}"));
         if let Some(reason) = self.feed.cut_short() {
             context.report.count("cut_short", 1);
             tracing::warn!(scans = tally.scans, "{reason}: read up to where it ends");

@@ -167,15 +167,17 @@ impl ScanLocator {
             None => self.frames.insert(self.choose_frames(&frame)).clone(),
         };
         self.integrate_gyro(&frames);
-        let odometry = self.odometry_at(&frames, stamp_ns);
-        let heading_rad = self.heading_at(&frames, stamp_ns);
+        // The clocks of lidar and odometry may differ.
+        let odometry_ns = stamp_ns.saturating_add(self.offset_ns(lidar));
+        let odometry = self.odometry_at(&frames, odometry_ns);
+        let heading_rad = self.heading_at(&frames, odometry_ns);
         let may_come = odometry == Err(LookupError::NotYet) || heading_rad == Err(LookupError::NotYet);
         if (may_come || self.lidars > 1) && waited_ns < WAIT_NS && !at_end {
             return Ok(None);
         }
         let place = self.place(&frames, lidar, &frame, stamp_ns)?;
         self.last_places.insert(lidar, place);
-        let odometry = odometry.ok().or_else(|| self.last_odometry(&frames, stamp_ns));
+        let odometry = odometry.ok().or_else(|| self.last_odometry(&frames, odometry_ns));
         let Some(Waiting { sighting, .. }) = self.waiting.pop_front() else { return Ok(None) };
         let mut scan = match sighting {
             Sighting::Scan(scan) => self
@@ -186,6 +188,11 @@ impl ScanLocator {
         scan.header.id.lidar = lidar;
         self.add_motion(&mut scan, odometry, heading_rad.ok());
         Ok(Some(scan))
+    }
+
+    fn offset_ns(&self, lidar: u32) -> i64 {
+        let calibration = self.settings.calibration.get(lidar as usize);
+        calibration.map_or(0, |calibration| (calibration.offset_s * 1e9).round() as i64)
     }
 
     fn choose_frames(&self, laser: &str) -> Frames {
@@ -312,7 +319,7 @@ impl ScanLocator {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settings::LidarMounting;
+    use crate::settings::{LidarCalibration, LidarMounting};
     use nalgebra::Vector3;
 
     const MS: i64 = 1_000_000;
@@ -372,6 +379,19 @@ mod tests {
         locator.push_sighting(2700 * MS, 0, scan(2700));
         let second = locator.take(false).unwrap().unwrap();
         assert_eq!((stamp_ms(&second), second.header.has_odometry), (2100, 0));
+    }
+
+    #[test]
+    fn odometry_of_a_lidar_whose_clock_is_off_is_that_of_its_time() {
+        let calibration = vec![LidarCalibration { offset_s: 0.04, ..LidarCalibration::default() }];
+        let mut locator = ScanLocator::new(&Settings { calibration, ..Settings::default() }, 1, false);
+        for at_ms in [0, 100, 200] {
+            let transform = transform(at_ms, "odom", "", 0.01 * at_ms as f64);
+            locator.push_odometry(at_ms * MS, &OdometryReading { transform });
+        }
+        locator.push_sighting(100 * MS, 0, scan(100));
+        let found = locator.take(true).unwrap().unwrap();
+        assert!(stamp_ms(&found) == 100 && (found.header.odometry.x_m - 1.4).abs() < 1e-9);
     }
 
     #[test]

@@ -146,7 +146,8 @@ fn laser_scan(mut fields: Fields<'_>, kind: ReadingKind) -> Result<FramedScan, M
     if !has_intensities {
         numbers.truncate(beams);
     }
-    if ![angle_min, increment, range_min, range_max].into_iter().all(f32::is_finite) {
+    // A lidar without a limit of its range says so with an infinity.
+    if ![angle_min, increment, range_min].into_iter().all(f32::is_finite) || range_max.is_nan() {
         return Err(MessageProblem::NotFinite);
     }
     let mut scan = ScanBuffer { numbers, ..ScanBuffer::default() };
@@ -154,7 +155,8 @@ fn laser_scan(mut fields: Fields<'_>, kind: ReadingKind) -> Result<FramedScan, M
     header.times.sensor_ns = stamp_ns;
     (header.angle_min_rad, header.angle_increment_rad) = (exact_rad(angle_min), exact_rad(increment));
     header.range_min_m = range_min.max(RANGE_MIN_M);
-    header.range_max_m = range_max;
+    // Many drivers write the limit itself where nothing has returned.
+    header.range_max_m = range_max.min(f32::MAX).next_down();
     // Written this way round, so that NaN fails.
     let is_plausible = time_increment.abs() * beams as f32 <= SWEEP_MAX_S;
     header.time_increment_s = if is_plausible { time_increment } else { 0.0 };
@@ -288,11 +290,20 @@ mod tests {
         assert_eq!((found.frame.as_str(), view.len()), ("laser", 4));
         assert_eq!(found.scan.header.times.sensor_ns, 12_000_000_500);
         assert_eq!([0, 1, 2, 3].map(|beam| view.valid_range_m(beam)), [Some(1.0), None, None, Some(2.5)]);
-        assert_eq!((view.angle_rad(3), found.scan.header.range_max_m), (0.0, 30.0));
+        assert_eq!(view.angle_rad(3), 0.0);
         assert_eq!(found.scan.header.time_increment_s, 1e-3);
         for cut in 0..message(0.0).len() {
             assert!(scan(&message(0.0)[..cut], ReadingKind::Scan).is_err(), "{cut}");
         }
+    }
+
+    #[test]
+    fn the_limit_itself_is_no_return() {
+        let ranges = array(&[30.0, 29.99]);
+        let bytes = [header("laser"), floats(&SHAPE), ranges, array(&[])].concat();
+        let found = scan(&bytes, ReadingKind::Scan).unwrap().scan;
+        let view = found.view().unwrap();
+        assert!(view.valid_range_m(0).is_none() && view.valid_range_m(1).is_some());
     }
 
     #[test]

@@ -5,10 +5,10 @@ use super::recording_reader::RecordingReader;
 use super::topic_choice::ReadRecordingError;
 use super::truth_file::TruthWriter;
 use super::{Source, Task, first_stages, world_file};
-use crate::Settings;
 use crate::carmen::{CarmenReader, Tally};
 use crate::experiment::Experiment;
 use crate::self_mask::mask;
+use crate::{LidarCalibration, Settings};
 use flockslam_messages::ScanBuffer;
 use flockslam_recordings::is_recording;
 use flockslam_simulation::{Simulation, World};
@@ -20,6 +20,7 @@ use std::path::Path;
 /// Scans one after another, from whatever source, with the experiment's changes applied.
 pub struct Feed {
     kind: Kind,
+    calibration: Vec<LidarCalibration>,
     self_mask: Vec<[f64; 4]>,
     experiment: Experiment,
 }
@@ -74,8 +75,8 @@ impl Feed {
             }
             Source::Nothing => (Kind::Nothing, 0),
         };
-        let self_mask = task.settings.self_mask.clone();
-        Ok(Self { kind, self_mask, experiment: Experiment::new(&task.settings, expected) })
+        let (calibration, self_mask) = (task.settings.calibration.clone(), task.settings.self_mask.clone());
+        Ok(Self { kind, calibration, self_mask, experiment: Experiment::new(&task.settings, expected) })
     }
 
     /// Goes past the scans that a predecessor has sent.
@@ -131,6 +132,10 @@ impl Feed {
             Kind::Nothing => Fed::End,
         };
         if fed == Fed::Scan {
+            let header = &mut scan.header;
+            if let Some(known) = self.calibration.get(header.id.lidar as usize) {
+                header.base_from_laser = known.corrected(header.base_from_laser);
+            }
             mask(scan, &self.self_mask);
             self.experiment.apply(scan);
         }
@@ -152,6 +157,14 @@ impl Feed {
         match &self.kind {
             Kind::Recording(reader) => reader.cut_short(),
             _ => None,
+        }
+    }
+
+    /// What ended before the source did, a line each.
+    pub fn ended_early(&self) -> Vec<String> {
+        match &self.kind {
+            Kind::Recording(reader) => reader.ended_early(),
+            _ => Vec::new(),
         }
     }
 
