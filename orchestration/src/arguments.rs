@@ -83,8 +83,9 @@ pub struct MapArgs {
     /// CARMEN log, ROS 1 bag, rosbag2 folder, .db3 or .mcap file
     #[arg(value_name = "RECORDING", required_unless_present = "source", conflicts_with = "source")]
     pub log: Option<PathBuf>,
-    /// Where scans come from, in place of a log: `-` reads CARMEN lines from the standard input as they arrive
-    #[arg(long, value_name = "-")]
+    /// Where scans come from, in place of a log: `-` reads CARMEN lines or frames from the standard input as they arrive, `scans` frames
+    /// from a local socket in the directory of the set, `scans:PATH` from one at this path
+    #[arg(long, value_name = "-|scans|scans:PATH")]
     pub source: Option<PathBuf>,
     /// What is read of the recording
     #[command(flatten)]

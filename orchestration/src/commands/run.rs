@@ -67,8 +67,8 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
     let given = &args.configuration;
     let configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
     prepare_directory(&args.out)?;
-    // A recorded source has no pace of its own; a pipe has.
-    let paced = args.live && run.source != Source::Pipe;
+    // A recorded source has no pace of its own; sensors have.
+    let paced = args.live && !matches!(run.source, Source::Pipe | Source::Scans(_));
     let rate = args.rate.or_else(|| paced.then_some(1.0));
     let mode = if rate.is_some() || args.live { Mode::Live } else { Mode::Exact };
     let interrupts = count_interrupts()?;
@@ -176,6 +176,8 @@ fn describe(source: &Source) -> String {
     match source {
         Source::Log(path) => path.display().to_string(),
         Source::Pipe => "standard input".to_owned(),
+        Source::Scans(None) => "local socket".to_owned(),
+        Source::Scans(Some(path)) => path.display().to_string(),
         Source::Simulation => "simulated building".to_owned(),
         Source::Nothing => "nothing".to_owned(),
     }

@@ -64,8 +64,13 @@ pub struct SetDescription {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", tag = "kind", deny_unknown_fields)]
 pub enum SourceDescription {
-    /// CARMEN lines on the standard input: a driver's output.
+    /// CARMEN lines or frames on the standard input: a driver's output.
     Stdin {},
+    /// Frames on a local socket.
+    Scans {
+        /// The socket; in the directory of the set when it is not named.
+        path: Option<PathBuf>,
+    },
     /// A CARMEN log.
     Log {
         /// The log.
@@ -146,6 +151,7 @@ impl SetDescription {
         match &mut description.source {
             SourceDescription::Log { path, .. } => beside(path),
             SourceDescription::Simulation { world, .. } => world.iter_mut().for_each(beside),
+            SourceDescription::Scans { path } => path.iter_mut().for_each(beside),
             SourceDescription::Stdin {} => {}
         }
         Ok(description)
@@ -176,7 +182,7 @@ impl SetDescription {
             SourceDescription::Log { rate, .. } | SourceDescription::Simulation { rate, .. } => {
                 positive("source.rate", rate)
             }
-            SourceDescription::Stdin {} => Ok(()),
+            SourceDescription::Stdin {} | SourceDescription::Scans { .. } => Ok(()),
         }
     }
 
@@ -211,6 +217,9 @@ impl SetDescription {
     pub fn source(&self) -> SourceTask {
         match self.source.clone() {
             SourceDescription::Stdin {} => SourceTask { source: Source::Pipe, rate: None, world: None },
+            SourceDescription::Scans { path } => {
+                SourceTask { source: Source::Scans(path), rate: None, world: None }
+            }
             SourceDescription::Log { path, rate } => {
                 SourceTask { source: Source::Log(path), rate: Some(rate), world: None }
             }
@@ -272,6 +281,10 @@ mod tests {
         let task = description.source();
         assert!(matches!(task.source, Source::Log(path) if path == beside("drive.log")));
         assert_eq!(task.rate, Some(2.0));
+        let task = read("robot = \"r1\"\n[source]\nkind = \"scans\"\n").source();
+        assert_eq!((task.source, task.rate), (Source::Scans(None), None));
+        let task = read("robot = \"r1\"\n[source]\nkind = \"scans\"\npath = \"lidars\"\n").source();
+        assert_eq!(task.source, Source::Scans(Some(beside("lidars"))));
         let task =
             read("robot = \"r1\"\n[source]\nkind = \"simulation\"\nworld = \"maps/hall.yaml\"\n").source();
         assert!(matches!(task.source, Source::Simulation));

@@ -3,10 +3,14 @@
 
 mod cursor;
 mod feed;
+mod lidar_names;
 mod pacer;
 mod pipe;
 mod recording_inspection;
 mod recording_reader;
+mod scan_socket;
+mod sensor_feed;
+mod sensor_inlet;
 mod topic_choice;
 mod truth_file;
 mod world_file;
@@ -22,9 +26,11 @@ use flockslam_stage::{
     Actor, LastWord, LeaderLock, Mode, Notifiers, Pause, StageContext, StageError, StreamEnd, run, step_aside,
 };
 use flockslam_telemetry::{failpoint, utc_ns};
+pub use lidar_names::read_lidar_names;
 use pacer::Pacer;
 pub use recording_inspection::{Inspection, LidarSummary, TopicSummary, TransformSummary, inspect};
 pub use recording_reader::RecordingReader;
+pub use scan_socket::SCAN_SOCKET;
 use std::path::PathBuf;
 use std::time::Duration;
 pub use topic_choice::ReadRecordingError;
@@ -36,8 +42,10 @@ pub use world_file::read as read_world;
 pub enum Source {
     /// A CARMEN log, or a recording: a ROS 1 bag, rosbag2 files.
     Log(PathBuf),
-    /// CARMEN lines on the standard input of the process.
+    /// CARMEN lines or frames on the standard input of the process.
     Pipe,
+    /// Frames on a local socket: at this path, or in the directory of the set.
+    Scans(Option<PathBuf>),
     /// The simulated world.
     Simulation,
     /// No source: the stream ends before its first scan. The run only has the map that it continues.
@@ -264,6 +272,7 @@ impl Ingest {
         context.report.count("unknown_lines", tally.unknown);
         context.report.count("invalid_beams", tally.invalid_beams);
         context.report.count("stamps_backward", tally.steps_backward);
+        self.feed.counts().into_iter().for_each(|(name, count)| context.report.count(name, count));
         if tally.missing > 0 {
             context.report.count("missing_scans", tally.missing);
             tracing::warn!(missing = tally.missing, "the recorder missed scans: this is not an exact replay");
@@ -322,6 +331,6 @@ impl Actor for Ingest {
         }
         let until_announcement = if self.announced { Duration::ZERO } else { ANNOUNCED_AHEAD };
         let ahead = self.ahead(now_ns).map(|ahead| ahead.saturating_sub(until_announcement));
-        ahead.unwrap_or(Duration::from_millis(100))
+        ahead.or(self.feed.patience()).unwrap_or(Duration::from_millis(100))
     }
 }
