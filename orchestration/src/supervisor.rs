@@ -3,6 +3,7 @@
 mod child;
 mod control_socket;
 mod hang;
+mod lidar_description;
 mod metrics;
 mod notify;
 mod page_process;
@@ -21,6 +22,7 @@ pub use metrics::{MetricsService, set_metrics_socket};
 pub use notify::ServiceManager;
 pub use page_process::PageProcess;
 pub use set::{EXIT_BAD_SOURCE, ProcessSet, SetEvent, error_file};
+pub use lidar_description::{LidarLine, NamedLidar};
 pub use set_description::{SetDescription, SourceDescription};
 pub use set_error::SetError;
 pub use set_file::SetFile;

@@ -33,5 +33,5 @@ pub use metrics_page::metrics_page;
 pub use prometheus::{Gauge, Histogram, IntCounter as Counter};
 pub use quantile::bucket_quantile;
 pub use scrape::{ScrapeError, scrape};
-pub use stage_metrics::{CountersByLabels, LabelledCounters, StageMetrics};
+pub use stage_metrics::{CountersByLabels, GaugesByLabels, LabelledCounters, StageMetrics};
 pub use supervisor_metrics::{RestartReason, SupervisorMetrics};

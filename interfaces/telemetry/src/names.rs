@@ -17,6 +17,19 @@ pub const LABEL_DIRECTION: &str = "direction";
 /// Label: how far a pose can be trusted: `tracking`, `degraded` or `lost`.
 pub const LABEL_QUALITY: &str = "quality";
 
+/// Label: a lidar of the robot, by its name, or by its family where it has none.
+pub const LABEL_LIDAR: &str = "lidar";
+/// Label: `starting`, `measuring`, `absent`, `gone`, `silent`, `garbled` or `stands`.
+pub const LABEL_STATE: &str = "state";
+/// Label: the model that a lidar says it is.
+pub const LABEL_MODEL: &str = "model";
+/// Label: the firmware that a lidar says it has.
+pub const LABEL_FIRMWARE: &str = "firmware";
+/// Label: the serial number that a lidar says it has.
+pub const LABEL_SERIAL_NUMBER: &str = "serial_number";
+/// Label: how a lidar says it is: `good`, or `warning` or `failed` with its code.
+pub const LABEL_HEALTH: &str = "health";
+
 /// What kind of metric it is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Kind {
@@ -58,6 +71,9 @@ const STAGE: &[&str] = &[LABEL_STAGE, LABEL_REPLICA];
 const STAGE_REASON: &[&str] = &[LABEL_STAGE, LABEL_REPLICA, LABEL_REASON];
 const EACH_STAGE: &str = "each stage";
 const SUPERVISOR: &str = "supervisor";
+/// The stage that tells of lidars on lines of their own; where there are none it tells nothing of its own.
+pub const LIDAR_INGEST: &str = "lidar-ingest";
+const OF_LIDAR: &[&str] = &[LABEL_STAGE, LABEL_REPLICA, LABEL_LIDAR];
 
 /// Upper bounds of the latency buckets, seconds: 10 µs … 1 s in steps of 2 to 2.5.
 pub const LATENCY_BUCKETS_S: [f64; 16] = [
@@ -156,6 +172,60 @@ pub const PROCESS_ID: Metric = of_stage(
     "Process id: another number is another process of the stage",
 );
 
+/// Turns of a lidar on a line of its own.
+pub const LIDAR_TURNS: Metric = with_labels(
+    of_one_stage(LIDAR_INGEST, "flockslam_lidar_turns_total", Kind::Counter, "Turns that a lidar has sent whole"),
+    OF_LIDAR,
+);
+/// What was lost of a lidar's bytes.
+pub const LIDAR_LOST: Metric = with_labels(
+    of_one_stage(
+        LIDAR_INGEST,
+        "flockslam_lidar_lost_total",
+        Kind::Counter,
+        "What was lost on the line to a lidar: packets with a wrong checksum, bytes of no packet, missing packets, partial turns; and changes of its speed",
+    ),
+    &[LABEL_STAGE, LABEL_REPLICA, LABEL_LIDAR, LABEL_REASON],
+);
+/// How often a lidar came back.
+pub const LIDAR_RETURNS: Metric = with_labels(
+    of_one_stage(
+        LIDAR_INGEST,
+        "flockslam_lidar_returns_total",
+        Kind::Counter,
+        "How often a lidar measured again after it had been gone, silent or garbled",
+    ),
+    OF_LIDAR,
+);
+/// How a lidar is.
+pub const LIDAR_STATE: Metric = with_labels(
+    of_one_stage(
+        LIDAR_INGEST,
+        "flockslam_lidar_state",
+        Kind::Gauge,
+        "1 with what is the case with a lidar, and what it says of itself",
+    ),
+    &[
+        LABEL_STAGE,
+        LABEL_REPLICA,
+        LABEL_LIDAR,
+        LABEL_STATE,
+        LABEL_MODEL,
+        LABEL_FIRMWARE,
+        LABEL_SERIAL_NUMBER,
+        LABEL_HEALTH,
+    ],
+);
+/// How fast a lidar turns.
+pub const LIDAR_SPEED: Metric = with_labels(
+    of_one_stage(
+        LIDAR_INGEST,
+        "flockslam_lidar_speed_hertz",
+        Kind::Gauge,
+        "Turns a second of a lidar; 0 while none come",
+    ),
+    OF_LIDAR,
+);
 /// Scans that the filter let pass, by `reason`.
 pub const KEPT: Metric = with_labels(
     of_one_stage(
@@ -419,7 +489,7 @@ pub const NOT_DURABLE: Metric =
     of_supervisor("flockslam_not_durable", Kind::Gauge, &[], "1 when the map cannot be saved to disk");
 
 /// All metrics, by who tells them.
-pub const ALL: [Metric; 47] = [
+pub const ALL: [Metric; 52] = [
     STAGE_LATENCY,
     SCAN_TO_OUTPUT,
     SCANS_HANDLED,
@@ -431,6 +501,11 @@ pub const ALL: [Metric; 47] = [
     CPU,
     PRIVATE_MEMORY,
     PROCESS_ID,
+    LIDAR_TURNS,
+    LIDAR_LOST,
+    LIDAR_RETURNS,
+    LIDAR_STATE,
+    LIDAR_SPEED,
     KEPT,
     POSES,
     MATCH_SCORE,

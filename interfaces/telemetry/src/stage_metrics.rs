@@ -5,7 +5,7 @@ use crate::names::{self, Kind, Metric};
 use crate::process_use::ProcessUse;
 use crate::registered::registered;
 use prometheus::{
-    Gauge, Histogram, HistogramOpts, IntCounter, IntCounterVec, IntGauge, Opts, Registry, TextEncoder,
+    Gauge, GaugeVec, Histogram, HistogramOpts, IntCounter, IntCounterVec, IntGauge, Opts, Registry, TextEncoder,
 };
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -57,6 +57,22 @@ impl CountersByLabels {
     /// Counts so many for these values, in the order of the labels.
     pub fn count_by(&self, values: &[&str], times: u64) {
         self.0.with_label_values(values).inc_by(times);
+    }
+}
+
+/// Gauges of one metric by labels whose values are not known beforehand; they look the labels up under a lock.
+#[derive(Clone)]
+pub struct GaugesByLabels(GaugeVec);
+
+impl GaugesByLabels {
+    /// Sets the gauge with these values, in the order of the labels.
+    pub fn set(&self, values: &[&str], value: f64) {
+        self.0.with_label_values(values).set(value);
+    }
+
+    /// Removes the gauge with these values, where it is.
+    pub fn remove(&self, values: &[&str]) {
+        let _ = self.0.remove_label_values(values);
     }
 }
 
@@ -113,6 +129,11 @@ impl StageMetrics {
     /// Counters of the stage's own by labels whose values come later; to be made once, at start.
     pub fn counters_by(&self, metric: Metric, labels: &[&str]) -> CountersByLabels {
         CountersByLabels(registered(&self.registry, IntCounterVec::new(self.opts(metric), labels)))
+    }
+
+    /// Gauges of the stage's own by labels whose values come later; to be made once, at start.
+    pub fn gauges_by(&self, metric: Metric, labels: &[&str]) -> GaugesByLabels {
+        GaugesByLabels(registered(&self.registry, GaugeVec::new(self.opts(metric), labels)))
     }
 
     fn opts(&self, metric: Metric) -> Opts {

@@ -3,7 +3,12 @@
 
 mod cursor;
 mod feed;
+mod lidar_line;
 mod lidar_names;
+mod lidar_search;
+mod lidar_session;
+mod lidar_status;
+mod live_lidars;
 mod pacer;
 mod pipe;
 mod recording_inspection;
@@ -26,7 +31,12 @@ use flockslam_stage::{
     Actor, LastWord, LeaderLock, Mode, Notifiers, Pause, StageContext, StageError, StreamEnd, run, step_aside,
 };
 use flockslam_telemetry::{failpoint, utc_ns};
+pub use lidar_line::{LidarPlace, LidarSpec};
 pub use lidar_names::read_lidar_names;
+pub use lidar_search::{FoundLidar, FoundPort, identify, serial_ports};
+pub use lidar_session::{LidarEars, LidarSession, LidarState};
+pub use lidar_status::{LidarStatus, read_lidar_status};
+pub use live_lidars::LidarPolling;
 use pacer::Pacer;
 pub use recording_inspection::{Inspection, LidarSummary, TopicSummary, TransformSummary, inspect};
 pub use recording_reader::RecordingReader;
@@ -46,6 +56,8 @@ pub enum Source {
     Pipe,
     /// Frames on a local socket: at this path, or in the directory of the set.
     Scans(Option<PathBuf>),
+    /// Lidars on lines of their own; odometry, rates of turning and scans of others on the local socket of the set.
+    Lidars(Vec<LidarSpec>),
     /// The simulated world.
     Simulation,
     /// No source: the stream ends before its first scan. The run only has the map that it continues.

@@ -7,9 +7,11 @@ use crate::sick_tim::SickTim;
 use crate::urg::Urg;
 use crate::ydlidar::Ydlidar;
 use crate::ydlidar_models;
+use serde::{Deserialize, Serialize};
 
 /// A family of lidars that speak alike.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Family {
     /// LDROBOT LD06, LD19, STL-19P, LDS-02.
     Ld06,

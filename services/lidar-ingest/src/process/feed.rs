@@ -1,5 +1,6 @@
 //! One interface to all sources of scans – log, recording, pipe, socket, simulation – with the experiment's changes applied.
 
+use super::live_lidars::listen_to;
 use super::pipe::read_pipe;
 use super::recording_reader::RecordingReader;
 use super::scan_socket::{SCAN_SOCKET, listen_at};
@@ -72,6 +73,12 @@ impl Feed {
                 let path = path.clone().unwrap_or_else(|| context.set_dir().join(SCAN_SOCKET));
                 let inlet = listen_at(context, &path)?;
                 let feed = SensorFeed::new(context, inlet, path.display().to_string(), &task.settings)?;
+                (Kind::Sensors(Box::new(feed)), 0)
+            }
+            Source::Lidars(lidars) => {
+                let mut feed =
+                    SensorFeed::new(context, listen_to(context, lidars)?, "lidars".to_owned(), &task.settings)?;
+                feed.number(lidars.iter().map(|lidar| lidar.name.clone()))?;
                 (Kind::Sensors(Box::new(feed)), 0)
             }
             Source::Simulation => {
