@@ -18,11 +18,11 @@ mod supervision;
 mod system_limits;
 
 pub use control_socket::{ControlError, ControlSocket, Order, Reply, Request, ask, known_stage};
+pub use lidar_description::{LidarLine, NamedLidar};
 pub use metrics::{MetricsService, set_metrics_socket};
 pub use notify::ServiceManager;
 pub use page_process::PageProcess;
 pub use set::{EXIT_BAD_SOURCE, ProcessSet, SetEvent, error_file};
-pub use lidar_description::{LidarLine, NamedLidar};
 pub use set_description::{SetDescription, SourceDescription};
 pub use set_error::SetError;
 pub use set_file::SetFile;

@@ -174,7 +174,12 @@ pub const PROCESS_ID: Metric = of_stage(
 
 /// Turns of a lidar on a line of its own.
 pub const LIDAR_TURNS: Metric = with_labels(
-    of_one_stage(LIDAR_INGEST, "flockslam_lidar_turns_total", Kind::Counter, "Turns that a lidar has sent whole"),
+    of_one_stage(
+        LIDAR_INGEST,
+        "flockslam_lidar_turns_total",
+        Kind::Counter,
+        "Turns that a lidar has sent whole",
+    ),
     OF_LIDAR,
 );
 /// What was lost of a lidar's bytes.

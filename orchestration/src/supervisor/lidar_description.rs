@@ -65,7 +65,9 @@ impl LidarLine {
         let place = match (&self.port, &self.address) {
             (Some(port), None) => LidarPlace::Port(port.clone()),
             (None, Some(address)) => LidarPlace::Address(address.clone()),
-            (Some(_), Some(_)) => return Err(("address", "a lidar has a port or an address, not both".to_owned())),
+            (Some(_), Some(_)) => {
+                return Err(("address", "a lidar has a port or an address, not both".to_owned()));
+            }
             (None, None) => {
                 let reason = "where is the lidar? For example port = \"/dev/ttyUSB0\"; `flockslam lidar list` finds it";
                 return Err(("port", reason.to_owned()));

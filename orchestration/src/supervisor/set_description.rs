@@ -125,7 +125,9 @@ impl SourceDescription {
             Self::Urg(line) => one(line, Family::Urg),
             Self::SickTim(line) => one(line, Family::SickTim),
             Self::Lidars { lidars } => named(lidars),
-            Self::Stdin {} | Self::Scans { .. } | Self::Log { .. } | Self::Simulation { .. } => Ok(Vec::new()),
+            Self::Stdin {} | Self::Scans { .. } | Self::Log { .. } | Self::Simulation { .. } => {
+                Ok(Vec::new())
+            }
         }
     }
 }
@@ -142,9 +144,8 @@ fn named(lidars: &[NamedLidar]) -> Result<Vec<LidarSpec>, (String, String)> {
             return Err((key(at, "name"), format!("{:?} is not a name of its own", lidar.name)));
         }
     }
-    let spec = |(at, lidar): (usize, &NamedLidar)| {
-        lidar.spec().map_err(|(wrong, reason)| (key(at, wrong), reason))
-    };
+    let spec =
+        |(at, lidar): (usize, &NamedLidar)| lidar.spec().map_err(|(wrong, reason)| (key(at, wrong), reason));
     lidars.iter().enumerate().map(spec).collect()
 }
 
@@ -389,7 +390,10 @@ mod tests {
         assert!(read(stdin).is_err(), "a pipe has no path");
         for (source, key) in [
             ("kind = \"ld06\"", "source.port: where is the lidar?"),
-            ("kind = \"rplidar\"\nport = \"p\"\nmodel = \"B7\"", "source.model: \"B7\" is no model of rplidar"),
+            (
+                "kind = \"rplidar\"\nport = \"p\"\nmodel = \"B7\"",
+                "source.model: \"B7\" is no model of rplidar",
+            ),
             ("kind = \"ld06\"\nport = \"p\"\nbuad = 9600", "unknown field `buad`"),
             ("kind = \"lidars\"\nlidars = []", "source.lidars: 0 lidars"),
             (

@@ -76,8 +76,12 @@ impl Feed {
                 (Kind::Sensors(Box::new(feed)), 0)
             }
             Source::Lidars(lidars) => {
-                let mut feed =
-                    SensorFeed::new(context, listen_to(context, lidars)?, "lidars".to_owned(), &task.settings)?;
+                let mut feed = SensorFeed::new(
+                    context,
+                    listen_to(context, lidars)?,
+                    "lidars".to_owned(),
+                    &task.settings,
+                )?;
                 feed.number(lidars.iter().map(|lidar| lidar.name.clone()))?;
                 (Kind::Sensors(Box::new(feed)), 0)
             }

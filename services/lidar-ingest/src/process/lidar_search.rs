@@ -94,7 +94,9 @@ fn candidates(place: &LidarPlace) -> Vec<(Family, Option<u32>)> {
         LidarPlace::Port(_) => {
             let serial = Family::ALL.into_iter().filter(|family| *family != Family::SickTim);
             let rates = |family: Family| family.rates(None).unwrap_or_default();
-            serial.flat_map(|family| rates(family).into_iter().map(move |rate| (family, Some(rate)))).collect()
+            serial
+                .flat_map(|family| rates(family).into_iter().map(move |rate| (family, Some(rate))))
+                .collect()
         }
     }
 }

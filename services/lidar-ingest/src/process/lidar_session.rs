@@ -75,7 +75,9 @@ impl fmt::Display for LidarState {
                  finds out. Tried again",
                 at(rate)
             ),
-            Self::Stands => write!(f, "sends measurements, but does not turn: is something in its way? Tried again"),
+            Self::Stands => {
+                write!(f, "sends measurements, but does not turn: is something in its way? Tried again")
+            }
         }
     }
 }

@@ -66,8 +66,11 @@ impl LidarPolling {
         let mut waits: Vec<PollFd<'_>> = self.sessions.iter().filter_map(LidarSession::poll_fd).collect();
         let polled = poll(&mut waits, limit.as_ref());
         let mut ready = waits.iter().map(|wait| polled.is_ok() && !wait.revents().is_empty());
-        let ready: Vec<bool> =
-            self.sessions.iter().map(|lidar| lidar.poll_fd().is_some() && ready.next() == Some(true)).collect();
+        let ready: Vec<bool> = self
+            .sessions
+            .iter()
+            .map(|lidar| lidar.poll_fd().is_some() && ready.next() == Some(true))
+            .collect();
         for (lidar, ready) in self.sessions.iter_mut().zip(ready) {
             lidar.go_on(ready, ears);
         }
