@@ -33,6 +33,7 @@ mod recordings;
 mod replay;
 mod replicas;
 mod saved_maps;
+mod scans_source;
 mod seeing;
 mod shared_memory;
 mod small_memory;

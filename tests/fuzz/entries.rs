@@ -10,6 +10,7 @@ use flockslam_lidar_ingest::Settings;
 use flockslam_lidar_ingest::carmen::CarmenReader;
 use flockslam_lidar_ingest::process::RecordingReader;
 use flockslam_messages::ScanBuffer;
+use flockslam_sensor_stream::{FrameReader, SensorFrame};
 use flockslam_stage::JournalReader;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -18,13 +19,14 @@ use std::path::{Path, PathBuf};
 pub type Entry = (&'static str, fn(&[u8]));
 
 /// All of them.
-pub const ENTRIES: [Entry; 7] = [
+pub const ENTRIES: [Entry; 8] = [
     ("bag", bag),
     ("carmen", carmen),
     ("configuration", configuration),
     ("journal", journal),
     ("submap", submap),
     ("saved_map", saved_map),
+    ("sensor_stream", sensor_stream),
     ("trajectory", trajectory),
 ];
 
@@ -93,6 +95,36 @@ pub fn saved_map(bytes: &[u8]) {
     fs::write(directory.join("scans.journal"), bytes).expect("tmpfs can be written");
     let _ = MapHead::read(&directory);
     let _ = SavedMap::at(&directory).check();
+}
+
+/// What comes from a socket of sensors, in two pieces; as it is, and with the checksum of its first frame put right.
+pub fn sensor_stream(bytes: &[u8]) {
+    read_frames(bytes);
+    let mut sealed = bytes.to_vec();
+    if let Some((header, fields)) = sealed.split_at_mut_checked(16) {
+        header[8..12].copy_from_slice(&(fields.len() as u32).to_le_bytes());
+        header[12..].copy_from_slice(&crc32fast::hash(fields).to_le_bytes());
+        read_frames(&sealed);
+    }
+}
+
+fn read_frames(bytes: &[u8]) {
+    let mut reader = FrameReader::default();
+    let (first, second) = bytes.split_at(bytes.len() / 2);
+    for piece in [first, second] {
+        reader.push(piece);
+        while let Some(frame) = reader.next_frame() {
+            let Ok(frame) = frame else { continue };
+            if let SensorFrame::Scan(scan) = &frame {
+                scan.scan.scan.view().expect("a scan that is given out is whole");
+            }
+            let mut again = Vec::new();
+            frame.write_binary(&mut again);
+            let mut reader = FrameReader::default();
+            reader.push(&again);
+            assert!(matches!(reader.next_frame(), Some(Ok(_))), "what was read can be sent on");
+        }
+    }
 }
 
 /// A trajectory that is to be evaluated.

@@ -21,6 +21,7 @@ pub mod public_logs;
 pub mod ros_recording;
 mod running;
 pub mod seeded_drives;
+pub mod sensor_drive;
 mod simulated_log;
 pub mod slow_link;
 pub mod small_mounts;

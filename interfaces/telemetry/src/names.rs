@@ -14,11 +14,11 @@ pub const LABEL_REASON: &str = "reason";
 pub const LABEL_PEER: &str = "peer";
 /// Label: `said` to another robot, or `heard` of it.
 pub const LABEL_DIRECTION: &str = "direction";
+/// Label: one of the robot's lidars, by its name: that of its driver, the topic of a recording, else `0`.
+pub const LABEL_LIDAR: &str = "lidar";
 /// Label: how far a pose can be trusted: `tracking`, `degraded` or `lost`.
 pub const LABEL_QUALITY: &str = "quality";
 
-/// Label: a lidar of the robot, by its name, or by its family where it has none.
-pub const LABEL_LIDAR: &str = "lidar";
 /// Label: `starting`, `measuring`, `absent`, `gone`, `silent`, `garbled` or `stands`.
 pub const LABEL_STATE: &str = "state";
 /// Label: the model that a lidar says it is.
@@ -69,11 +69,10 @@ pub struct Metric {
 
 const STAGE: &[&str] = &[LABEL_STAGE, LABEL_REPLICA];
 const STAGE_REASON: &[&str] = &[LABEL_STAGE, LABEL_REPLICA, LABEL_REASON];
+const STAGE_LIDAR: &[&str] = &[LABEL_STAGE, LABEL_REPLICA, LABEL_LIDAR];
 const EACH_STAGE: &str = "each stage";
 const SUPERVISOR: &str = "supervisor";
-/// The stage that tells of lidars on lines of their own; where there are none it tells nothing of its own.
-pub const LIDAR_INGEST: &str = "lidar-ingest";
-const OF_LIDAR: &[&str] = &[LABEL_STAGE, LABEL_REPLICA, LABEL_LIDAR];
+const LIDAR_INGEST: &str = "lidar-ingest";
 
 /// Upper bounds of the latency buckets, seconds: 10 µs … 1 s in steps of 2 to 2.5.
 pub const LATENCY_BUCKETS_S: [f64; 16] = [
@@ -172,15 +171,25 @@ pub const PROCESS_ID: Metric = of_stage(
     "Process id: another number is another process of the stage",
 );
 
-/// Turns of a lidar on a line of its own.
-pub const LIDAR_TURNS: Metric = with_labels(
+/// Scans of each lidar.
+pub const LIDAR_SCANS: Metric = with_labels(
     of_one_stage(
         LIDAR_INGEST,
-        "flockslam_lidar_turns_total",
+        "flockslam_lidar_scans_total",
         Kind::Counter,
-        "Turns that a lidar has sent whole",
+        "Scans of the lidar that were given to the set",
     ),
-    OF_LIDAR,
+    STAGE_LIDAR,
+);
+/// Seconds since each lidar's last scan.
+pub const LIDAR_AGE: Metric = with_labels(
+    of_one_stage(
+        LIDAR_INGEST,
+        "flockslam_lidar_last_scan_age_seconds",
+        Kind::Gauge,
+        "Time since the last scan of the lidar",
+    ),
+    STAGE_LIDAR,
 );
 /// What was lost of a lidar's bytes.
 pub const LIDAR_LOST: Metric = with_labels(
@@ -200,7 +209,7 @@ pub const LIDAR_RETURNS: Metric = with_labels(
         Kind::Counter,
         "How often a lidar measured again after it had been gone, silent or garbled",
     ),
-    OF_LIDAR,
+    STAGE_LIDAR,
 );
 /// How a lidar is.
 pub const LIDAR_STATE: Metric = with_labels(
@@ -229,7 +238,7 @@ pub const LIDAR_SPEED: Metric = with_labels(
         Kind::Gauge,
         "Turns a second of a lidar; 0 while none come",
     ),
-    OF_LIDAR,
+    STAGE_LIDAR,
 );
 /// Scans that the filter let pass, by `reason`.
 pub const KEPT: Metric = with_labels(
@@ -493,8 +502,11 @@ pub const STAGE_DEGRADED: Metric = of_supervisor(
 pub const NOT_DURABLE: Metric =
     of_supervisor("flockslam_not_durable", Kind::Gauge, &[], "1 when the map cannot be saved to disk");
 
+/// Of lidars on lines of their own; where there are none, nobody tells these.
+pub const OF_LIDAR_LINES: [Metric; 4] = [LIDAR_LOST, LIDAR_RETURNS, LIDAR_STATE, LIDAR_SPEED];
+
 /// All metrics, by who tells them.
-pub const ALL: [Metric; 52] = [
+pub const ALL: [Metric; 53] = [
     STAGE_LATENCY,
     SCAN_TO_OUTPUT,
     SCANS_HANDLED,
@@ -506,7 +518,8 @@ pub const ALL: [Metric; 52] = [
     CPU,
     PRIVATE_MEMORY,
     PROCESS_ID,
-    LIDAR_TURNS,
+    LIDAR_SCANS,
+    LIDAR_AGE,
     LIDAR_LOST,
     LIDAR_RETURNS,
     LIDAR_STATE,

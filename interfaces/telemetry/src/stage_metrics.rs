@@ -59,19 +59,24 @@ impl CountersByLabels {
     pub fn count_by(&self, values: &[&str], times: u64) {
         self.0.with_label_values(values).inc_by(times);
     }
+
+    /// The counter of these values: for what happens often.
+    pub fn one(&self, values: &[&str]) -> IntCounter {
+        self.0.with_label_values(values)
+    }
 }
 
-/// Gauges of one metric by labels whose values are not known beforehand; they look the labels up under a lock.
+/// Gauges of one metric by labels whose values are not known beforehand.
 #[derive(Clone)]
 pub struct GaugesByLabels(GaugeVec);
 
 impl GaugesByLabels {
-    /// Sets the gauge with these values, in the order of the labels.
-    pub fn set(&self, values: &[&str], value: f64) {
-        self.0.with_label_values(values).set(value);
+    /// The gauge of these values, in the order of the labels.
+    pub fn one(&self, values: &[&str]) -> Gauge {
+        self.0.with_label_values(values)
     }
 
-    /// Removes the gauge with these values, where it is.
+    /// Removes the gauge of these values, where there is one.
     pub fn remove(&self, values: &[&str]) {
         let _ = self.0.remove_label_values(values);
     }

@@ -8,7 +8,7 @@ use super::{ProcessLimits, SetFile, Supervision, system_limits};
 use crate::configuration::Configuration;
 use flockslam_bus::{Bus, BusError, Notifier, OrphanedNodes, Publisher, RuntimeDir, Subscriber};
 use flockslam_messages::{Control, ControlKind, Progress, Stage};
-use flockslam_results::{FlockStatus, Unattached};
+use flockslam_results::{FlockStatus, LidarStatus, Unattached};
 use flockslam_stage::{Mode, Pause};
 use flockslam_telemetry::{SupervisorMetrics, monotonic_ns};
 use rustix::event::{PollFd, PollFlags, poll};
@@ -321,6 +321,7 @@ impl ProcessSet {
             not_durable: self.not_durable.clone(),
             unattached: Unattached::read(&status_dir),
             flock: FlockStatus::read(&status_dir),
+            lidars: LidarStatus::read(&status_dir),
             stages,
         }
     }

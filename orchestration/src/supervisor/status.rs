@@ -1,7 +1,7 @@
 //! The state of a set and of its processes: as JSON for programs and as text for people.
 
 use super::child::StageChild;
-use flockslam_results::{FlockStatus, Unattached};
+use flockslam_results::{FlockStatus, LidarStatus, Unattached};
 use flockslam_telemetry::{Beat, monotonic_ns};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -31,6 +31,9 @@ pub struct SetStatus {
     /// What its sync-manager tells of its flock, when it is part of one.
     #[serde(default)]
     pub flock: Option<FlockStatus>,
+    /// Its lidars that have given scans, by number.
+    #[serde(default)]
+    pub lidars: Vec<LidarStatus>,
     /// All processes, in the order of their start.
     pub stages: Vec<StageStatus>,
 }
@@ -147,6 +150,15 @@ impl fmt::Display for SetStatus {
                 stage.restarts,
                 stage.hangs,
                 stage.handled
+            )?;
+        }
+        for status in &self.lidars {
+            let (LidarStatus { lidar, scans, .. }, now_ns) = (status, monotonic_ns());
+            let silent = if status.is_silent(now_ns) { "SILENT, " } else { "" };
+            writeln!(
+                f,
+                "  lidar {lidar:<12} {silent}last scan {:.1} s ago, scans {scans}",
+                status.age_s(now_ns)
             )?;
         }
         if let Some(unattached) = &self.unattached {

@@ -3,12 +3,13 @@
 
 mod cursor;
 mod feed;
+mod lidar_board;
 mod lidar_line;
 mod lidar_names;
 mod lidar_search;
 mod lidar_session;
-mod lidar_status;
 mod live_lidars;
+mod lidar_watch;
 mod pacer;
 mod pipe;
 mod recording_inspection;
@@ -31,12 +32,13 @@ use flockslam_stage::{
     Actor, LastWord, LeaderLock, Mode, Notifiers, Pause, StageContext, StageError, StreamEnd, run, step_aside,
 };
 use flockslam_telemetry::{failpoint, utc_ns};
+pub use lidar_board::{LidarLineStatus, read_lidar_lines};
 pub use lidar_line::{LidarPlace, LidarSpec};
 pub use lidar_names::read_lidar_names;
 pub use lidar_search::{FoundLidar, FoundPort, identify, serial_ports};
 pub use lidar_session::{LidarEars, LidarSession, LidarState};
-pub use lidar_status::{LidarStatus, read_lidar_status};
 pub use live_lidars::LidarPolling;
+use lidar_watch::LidarWatch;
 use pacer::Pacer;
 pub use recording_inspection::{Inspection, LidarSummary, TopicSummary, TransformSummary, inspect};
 pub use recording_reader::RecordingReader;
@@ -136,6 +138,7 @@ struct Ingest {
     pacer: Option<Pacer>,
     cursor: Option<Cursor>,
     scans: ScanPublisher,
+    watch: LidarWatch,
     /// Publishes the number of scans.
     end: LastWord,
     progress: Subscriber<Progress>,
@@ -175,6 +178,7 @@ impl Ingest {
             pacer,
             cursor,
             scans: context.bus.scan_publisher()?,
+            watch: LidarWatch::new(context),
             end: LastWord::open(context, ControlKind::StreamEnd, RUN, notifiers(&CONSUMERS)?)?,
             progress: context.bus.subscriber()?,
             first: notifiers(first_stages(context.mode))?,
@@ -266,6 +270,7 @@ impl Ingest {
             cursor.advance(self.sequence, self.pacer.as_ref().and_then(Pacer::anchor))?;
         }
         tracing::debug!(scan = self.sequence - 1, "sent");
+        self.watch.gave(self.scan.header.id.lidar, now_ns, |number| self.feed.lidar_name(number));
         context.handled(self.sequence - 1, now_ns, now_ns);
         Ok(())
     }
@@ -332,8 +337,9 @@ impl Actor for Ingest {
         Ok(any)
     }
 
-    fn refresh(&mut self, _context: &mut StageContext) -> Result<(), StageError> {
+    fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.scans.refresh();
+        self.watch.look(context, context.now_ns());
         self.end.repeat()
     }
 

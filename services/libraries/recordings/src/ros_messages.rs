@@ -4,8 +4,8 @@ use crate::cloud_message::{FramedCloud, point_cloud};
 use crate::message_fields::{Fields, MessageProblem, Wire};
 use flockslam_messages::{Message, ScanBuffer, ScanHeader, ScanSections};
 use flockslam_sensor_stream::{BEAMS_MAX, FramedScan, ImuReading, OdometryReading, is_plausible_sweep};
-use flockslam_transforms::{Isometry3, StampedTransform};
-use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
+use flockslam_transforms::{Isometry3, StampedTransform, pose_in_space};
+use nalgebra::Vector3;
 
 /// Ranges below are not returns, metres: nothing is nearer to a lidar than its own housing, and sensors write 0 for "no return".
 const RANGE_MIN_M: f32 = 0.05;
@@ -201,13 +201,8 @@ fn pose(fields: &mut Fields<'_>) -> Result<Isometry3<f64>, MessageProblem> {
     for number in &mut numbers {
         *number = fields.f64()?;
     }
-    let [x, y, z, i, j, k, w] = numbers;
-    let quaternion = Quaternion::new(w, i, j, k);
-    let is_sound = numbers.iter().all(|number| number.is_finite()) && quaternion.norm() > 1e-6;
-    if !is_sound {
-        return Err(MessageProblem::NotFinite);
-    }
-    Ok(Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::from_quaternion(quaternion)))
+    let [x, y, z, rotation @ ..] = numbers;
+    pose_in_space([x, y, z], rotation).ok_or(MessageProblem::NotFinite)
 }
 
 #[cfg(test)]

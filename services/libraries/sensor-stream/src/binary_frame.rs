@@ -7,8 +7,8 @@ use crate::readings::{
 use crate::{FrameProblem, frame_reader::FRAME_BYTES_MAX};
 use flockslam_geometry::{Pose, Twist};
 use flockslam_messages::{ScanBuffer, ScanSections};
-use flockslam_transforms::{Isometry3, Mounting, StampedTransform};
-use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
+use flockslam_transforms::{Isometry3, Mounting, StampedTransform, pose_in_space};
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 /// How a frame begins: a byte that no text has, two letters, the version.
 pub(crate) const MAGIC: [u8; 4] = [0xfa, b'S', b'S', 1];
@@ -279,22 +279,12 @@ fn read_transforms(fields: &mut Fields<'_>) -> Result<TransformsReading, FramePr
     let mut transforms = Vec::new();
     for _ in 0..count {
         let stamp_ns = fields.i64()?;
-        let parent_from_child = pose_of(fields.finite()?)?;
+        let (position, rotation) = (fields.finite()?, fields.finite()?);
+        let parent_from_child = pose_in_space(position, rotation).ok_or(FrameProblem::NotFinite)?;
         let (parent, child) = (fields.name()?, fields.name()?);
         transforms.push(StampedTransform { stamp_ns, parent, child, parent_from_child });
     }
     Ok(TransformsReading { is_static: flags & STATIC != 0, transforms })
-}
-
-/// From a position, and the numbers x, y, z, w of a quaternion.
-pub(crate) fn pose_of(numbers: [f64; 7]) -> Result<Isometry3<f64>, FrameProblem> {
-    let [x, y, z, i, j, k, w] = numbers;
-    let quaternion = Quaternion::new(w, i, j, k);
-    let is_sound = numbers.iter().all(|number| number.is_finite()) && quaternion.norm() > 1e-6;
-    if !is_sound {
-        return Err(FrameProblem::NotFinite);
-    }
-    Ok(Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::from_quaternion(quaternion)))
 }
 
 const _: () = assert!(4 * BEAMS_MAX < FRAME_BYTES_MAX);

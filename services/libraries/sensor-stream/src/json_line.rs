@@ -1,13 +1,13 @@
 //! Lines of JSON: the same frames for programs that have no bytes at hand. Numbers that JSON does not have are `null`.
 
 use crate::FrameProblem;
-use crate::binary_frame::{checked_name, in_space, pose_of, sound};
+use crate::binary_frame::{checked_name, in_space, sound};
 use crate::readings::{
     BEAMS_MAX, FramedScan, ImuReading, LidarScan, OdometryReading, SensorFrame, TransformsReading,
 };
 use flockslam_geometry::{Pose, Twist};
 use flockslam_messages::{ScanBuffer, ScanSections};
-use flockslam_transforms::{Mounting, StampedTransform, planar};
+use flockslam_transforms::{Mounting, StampedTransform, planar, pose_in_space};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -276,8 +276,8 @@ fn read_odometry(line: OdometryLine) -> Result<OdometryReading, FrameProblem> {
 }
 
 fn read_transform(line: TransformLine) -> Result<StampedTransform, FrameProblem> {
-    let ([x, y, z], [i, j, k, w]) = (line.translation_m, line.rotation_xyzw);
-    let parent_from_child = pose_of([x, y, z, i, j, k, w])?;
+    let pose = pose_in_space(line.translation_m, line.rotation_xyzw);
+    let parent_from_child = pose.ok_or(FrameProblem::NotFinite)?;
     let (parent, child) = (checked_name(line.parent)?, checked_name(line.child)?);
     Ok(StampedTransform { stamp_ns: line.stamp_ns, parent, child, parent_from_child })
 }

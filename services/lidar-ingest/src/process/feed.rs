@@ -161,6 +161,18 @@ impl Feed {
         }
     }
 
+    /// The name of a lidar; its number where it has none.
+    pub fn lidar_name(&self, number: u32) -> String {
+        let name = match &self.kind {
+            Kind::Sensors(sensors) => sensors.lidar_name(number),
+            Kind::Recording(reader) => {
+                reader.scan_topics().nth(number as usize).unwrap_or_default().to_owned()
+            }
+            _ => String::new(),
+        };
+        if name.is_empty() { number.to_string() } else { name }
+    }
+
     /// Counts of its own, by name.
     pub fn counts(&self) -> Vec<(&'static str, u64)> {
         match &self.kind {

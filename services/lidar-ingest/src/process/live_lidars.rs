@@ -1,8 +1,8 @@
 //! The lidars of a set: one thread waits for the lines of all of them and hands their turns to the stage as frames.
 
+use super::lidar_board::LidarBoard;
 use super::lidar_line::LidarSpec;
 use super::lidar_session::{LidarEars, LidarSession, LidarState};
-use super::lidar_status::LidarBoard;
 use super::scan_socket::{SCAN_SOCKET, listen_beside};
 use super::sensor_inlet::{SensorInlet, SensorOutlet, event_of, inlet, listen_too};
 use flockslam_lidars::Turn;

@@ -110,6 +110,11 @@ impl SensorFeed {
         ]
     }
 
+    /// The name of a lidar; empty where it has none.
+    pub fn lidar_name(&self, number: u32) -> String {
+        self.names.name(number)
+    }
+
     /// How long nothing can be missed; `None`: until something is heard.
     pub fn patience(&self) -> Option<Duration> {
         (self.mode == Mode::Live && self.locator.is_waiting()).then_some(LOOK)

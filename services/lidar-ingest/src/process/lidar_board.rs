@@ -10,11 +10,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The file in the status directory of the set.
-const FILE: &str = "lidars.json";
+const FILE: &str = "lidar-lines.json";
 
 /// How a lidar is.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct LidarStatus {
+pub struct LidarLineStatus {
     /// Its name on the robot.
     pub name: String,
     /// Its family.
@@ -45,7 +45,7 @@ pub struct LidarStatus {
     pub counts: BTreeMap<String, u64>,
 }
 
-impl LidarStatus {
+impl LidarLineStatus {
     /// Of a lidar, as it is now.
     pub fn of(session: &LidarSession) -> Self {
         let (device, (speed_hz, beams)) = (session.device(), session.last_turn());
@@ -73,7 +73,7 @@ impl LidarStatus {
 }
 
 /// How the lidars of a set are; empty where it has none on lines of its own.
-pub fn read_lidar_status(status_dir: &Path) -> Vec<LidarStatus> {
+pub fn read_lidar_lines(status_dir: &Path) -> Vec<LidarLineStatus> {
     let text = fs::read(status_dir.join(FILE)).unwrap_or_default();
     serde_json::from_slice(&text).unwrap_or_default()
 }
@@ -81,7 +81,6 @@ pub fn read_lidar_status(status_dir: &Path) -> Vec<LidarStatus> {
 /// Writes how lidars are, for others.
 pub struct LidarBoard {
     file: PathBuf,
-    turns: CountersByLabels,
     lost: CountersByLabels,
     returns: CountersByLabels,
     state: GaugesByLabels,
@@ -106,7 +105,6 @@ impl LidarBoard {
         let of_lidar = [names::LABEL_LIDAR];
         Self {
             file: status_dir.join(FILE),
-            turns: metrics.counters_by(names::LIDAR_TURNS, &of_lidar),
             lost: metrics.counters_by(names::LIDAR_LOST, &[names::LABEL_LIDAR, names::LABEL_REASON]),
             returns: metrics.counters_by(names::LIDAR_RETURNS, &of_lidar),
             state: metrics.gauges_by(names::LIDAR_STATE, &state_labels),
@@ -118,7 +116,7 @@ impl LidarBoard {
 
     /// Writes how they are.
     pub fn write(&mut self, sessions: &[LidarSession]) {
-        let all: Vec<LidarStatus> = sessions.iter().map(LidarStatus::of).collect();
+        let all: Vec<LidarLineStatus> = sessions.iter().map(LidarLineStatus::of).collect();
         // Nobody reads half a file: it is put in place whole. A failure has no other effect.
         let new = self.file.with_extension("new");
         if let Ok(text) = serde_json::to_vec(&all)
@@ -131,18 +129,17 @@ impl LidarBoard {
         }
     }
 
-    fn count(&mut self, at: usize, session: &LidarSession, status: &LidarStatus) {
+    fn count(&mut self, at: usize, session: &LidarSession, status: &LidarLineStatus) {
         let name = if status.name.is_empty() { &status.kind } else { &status.name };
         let (now, returns) = (session.counts(), session.returns());
         let (before, returned) = std::mem::replace(&mut self.counted[at], (now, returns));
-        self.turns.count_by(&[name], now.turns - before.turns);
         self.returns.count_by(&[name], returns - returned);
         for ((reason, now), (_, before)) in now.named().into_iter().zip(before.named()) {
             if !["bytes", "packets", "turns"].contains(&reason) {
                 self.lost.count_by(&[name, reason], now - before);
             }
         }
-        self.speed.set(&[name], if status.state == "measuring" { status.speed_hz } else { 0.0 });
+        self.speed.one(&[name]).set(if status.state == "measuring" { status.speed_hz } else { 0.0 });
         let said = |said: &Option<String>| said.clone().unwrap_or_default();
         let labels = [
             name.clone(),
@@ -156,7 +153,7 @@ impl LidarBoard {
             if let Some(old) = &self.shown[at] {
                 self.state.remove(&old.each_ref().map(String::as_str));
             }
-            self.state.set(&labels.each_ref().map(String::as_str), 1.0);
+            self.state.one(&labels.each_ref().map(String::as_str)).set(1.0);
             self.shown[at] = Some(labels);
         }
     }
