@@ -9,13 +9,14 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Crates that others may import, lowest layer first; an import goes to a lower layer only.
-const LIBRARIES: [(&str, u32); 27] = [
+const LIBRARIES: [(&str, u32); 28] = [
     ("geometry", 0),
     ("random", 0),
     ("odometry-noise", 1),
     ("evidence", 1),
     ("messages", 2),
     ("transforms", 2),
+    ("calibration", 3),
     ("lidars", 3),
     ("sensor-stream", 3),
     ("recordings", 4),

@@ -6,6 +6,7 @@ use flockslam_lidars::Counts;
 use flockslam_telemetry::{CountersByLabels, GaugesByLabels, StageMetrics, names};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -69,6 +70,29 @@ impl LidarLineStatus {
             returns: session.returns(),
             counts: named.collect(),
         }
+    }
+}
+
+impl fmt::Display for LidarLineStatus {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = if self.name.is_empty() { String::new() } else { format!(" '{}'", self.name) };
+        let state = self.problem.as_ref().map_or_else(|| self.state.clone(), |problem| problem.clone());
+        write!(f, "lidar{name} ({} at {}): {state}", self.kind, self.at)?;
+        if self.state == "measuring" {
+            write!(f, ", {:.1} Hz, {} beams", self.speed_hz, self.beams)?;
+        }
+        let said = [
+            ("", &self.model),
+            ("firmware ", &self.firmware),
+            ("serial number ", &self.serial_number),
+            ("health ", &self.health),
+        ];
+        for (what, said) in said {
+            if let Some(said) = said {
+                write!(f, ", {what}{said}")?;
+            }
+        }
+        if self.returns > 0 { write!(f, ", came back {} times", self.returns) } else { Ok(()) }
     }
 }
 
