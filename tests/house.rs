@@ -40,6 +40,8 @@ const LIBRARIES: [(&str, u32); 28] = [
     // For tests alone.
     ("drives", 11),
 ];
+/// The library of lidars.
+const LIDARS: &str = "services/libraries/lidars";
 const SERVICE_LAYER: u32 = 9;
 const ORCHESTRATION_LAYER: u32 = 10;
 const LINES_MAX: usize = 500;
@@ -104,18 +106,36 @@ fn imports_go_down_only() {
     }
 }
 
+/// The members of the workspace that use a library.
+fn importers(library: &str) -> Vec<String> {
+    let has = |dependencies: &Vec<String>| dependencies.iter().any(|name| name == library);
+    imports().into_iter().filter(|(_, dependencies)| has(dependencies)).map(|(package, _)| package).collect()
+}
+
 #[test]
 fn one_crate_each_opens_the_two_networks() {
-    let importers = |library: &str| -> Vec<String> {
-        let has = |dependencies: &Vec<String>| dependencies.iter().any(|name| name == library);
-        imports()
-            .into_iter()
-            .filter(|(_, dependencies)| has(dependencies))
-            .map(|(package, _)| package)
-            .collect()
-    };
     assert_eq!(importers("iceoryx2"), ["flockslam-bus"]);
     assert_eq!(importers("zenoh"), ["flockslam-flock-network"]);
+}
+
+/// What lidars' bytes begin with, and words that they say.
+const LIDAR_MARKS: [&str; 6] = ["0x54, 0x2c", "0xaa, 0x55", "0xa5, 0x5a", "lmdscandata", "scip2.0", "sopas"];
+
+#[test]
+fn only_lidars_knows_the_bytes_of_a_lidar() {
+    assert_eq!(importers("serialport"), ["flockslam-lidar-ingest"]);
+    assert_eq!(importers("flockslam-lidars"), ["flockslam", "flockslam-lidar-ingest"]);
+    let product = ["interfaces", "services", "orchestration/src", "dashboards/page/src"];
+    let files: Vec<PathBuf> =
+        product.iter().flat_map(|below| rust_files(&repository().join(below))).collect();
+    let knows = |file: &PathBuf| {
+        let text = fs::read_to_string(file).unwrap().to_lowercase();
+        LIDAR_MARKS.iter().any(|mark| text.contains(mark))
+    };
+    let (lidars, others): (Vec<_>, Vec<_>) =
+        files.into_iter().filter(knows).partition(|file| file.starts_with(repository().join(LIDARS)));
+    assert!(lidars.len() >= 5, "the marks are those of its files: {lidars:?}");
+    assert_eq!(others, Vec::<PathBuf>::new());
 }
 
 fn is_shell(file: &Path) -> bool {

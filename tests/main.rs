@@ -15,6 +15,7 @@ mod fuzzing;
 mod house;
 mod idle;
 mod killed_stage;
+mod lidar_lines;
 mod live_set;
 mod log_readers;
 mod logs;

@@ -1,6 +1,7 @@
 //! The arguments of all commands.
 
 use crate::configuration::Profile;
+use crate::lidar_arguments::LidarCommand;
 use crate::supervisor::known_stage;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use flockslam_messages::Stage;
@@ -51,6 +52,9 @@ pub enum Command {
     Page(PageArgs),
     /// Records what a running set says, for Foxglove and the public MCAP tools
     Record(RecordArgs),
+    /// Lidars on lines of their own: which are there, what they see
+    #[command(subcommand)]
+    Lidar(LidarCommand),
     /// Looks after saved maps
     #[command(subcommand)]
     Store(StoreCommand),

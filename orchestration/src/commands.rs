@@ -9,6 +9,7 @@ pub mod demo;
 pub mod evaluate;
 pub mod inspect;
 mod joined_map;
+pub mod lidar_command;
 pub mod log_command;
 pub mod map;
 mod meetings;

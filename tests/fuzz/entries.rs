@@ -9,6 +9,7 @@ use flockslam_evidence::Submap;
 use flockslam_lidar_ingest::Settings;
 use flockslam_lidar_ingest::carmen::CarmenReader;
 use flockslam_lidar_ingest::process::RecordingReader;
+use flockslam_lidars::Family;
 use flockslam_messages::ScanBuffer;
 use flockslam_sensor_stream::{FrameReader, SensorFrame};
 use flockslam_stage::JournalReader;
@@ -19,11 +20,12 @@ use std::path::{Path, PathBuf};
 pub type Entry = (&'static str, fn(&[u8]));
 
 /// All of them.
-pub const ENTRIES: [Entry; 8] = [
+pub const ENTRIES: [Entry; 9] = [
     ("bag", bag),
     ("carmen", carmen),
     ("configuration", configuration),
     ("journal", journal),
+    ("lidars", lidars),
     ("submap", submap),
     ("saved_map", saved_map),
     ("sensor_stream", sensor_stream),
@@ -62,6 +64,27 @@ pub fn configuration(bytes: &[u8]) {
     if let Some(line) = text.lines().next() {
         let _ = Configuration::load(flockslam::configuration::Profile::Default, None, &[line.to_owned()]);
     }
+}
+
+/// What lidars send; the first byte says which family is to read the rest, and in which pieces.
+pub fn lidars(bytes: &[u8]) {
+    let Some((first, bytes)) = bytes.split_first() else { return };
+    let family = Family::ALL[usize::from(*first) % Family::ALL.len()];
+    let mut driver = family.driver(None, Some(115_200));
+    let mut now_ns = 0;
+    for piece in bytes.chunks(1 + usize::from(first >> 3)) {
+        while driver.act(now_ns).is_some() {}
+        driver.take(piece, now_ns, &mut |turn| {
+            let mut scan = ScanBuffer::default();
+            turn.write_scan(&mut scan);
+            let view = scan.view().expect("a turn that is given out is a whole scan");
+            assert!(
+                (0..view.len()).all(|beam| view.angle_rad(beam).is_finite() && view.time_s(beam).is_finite())
+            );
+        });
+        now_ns += 10_000_000;
+    }
+    assert_eq!(driver.counts().bytes, bytes.len() as u64);
 }
 
 /// A journal of scans and poses.
