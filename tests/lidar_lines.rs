@@ -5,10 +5,10 @@ use crate::support::lidar_player::{LidarPlayer, Played, room};
 use crate::support::{LiveSet, PoseWatch, data_dir, machine_share, not_tested, of, robot, stderr, wait_for};
 use flockslam::supervisor::SetStatus;
 use flockslam_geometry::Pose;
-use flockslam_lidars::encoders::rplidar::RplidarEncoder;
-use flockslam_lidars::encoders::sick_tim::SickTimEncoder;
-use flockslam_lidars::encoders::urg::UrgEncoder;
-use flockslam_lidars::encoders::ydlidar::YdlidarEncoder;
+use flockslam_lidars::encoders::rplidar_encoder::RplidarEncoder;
+use flockslam_lidars::encoders::sick_tim_encoder::SickTimEncoder;
+use flockslam_lidars::encoders::urg_encoder::UrgEncoder;
+use flockslam_lidars::encoders::ydlidar_encoder::YdlidarEncoder;
 use flockslam_messages::{Quality, Stage};
 use flockslam_stage::metrics_socket;
 use flockslam_telemetry::{names, scrape};
@@ -16,8 +16,8 @@ use std::path::Path;
 use std::process::Output;
 use std::time::Duration;
 
-/// The robot stands: its poses stay within this, metres and radians.
-const STANDS: (f64, f64) = (0.02, 0.01);
+/// The robot stands: its poses stay within this, metres and radians; without odometry it wanders within a cell or two of the grid.
+const STANDS: (f64, f64) = (0.08, 0.02);
 /// So often a lidar is unplugged.
 const UNPLUGGED: u64 = 20;
 
@@ -203,12 +203,17 @@ fn two_lidars_of_different_families_give_poses_of_every_scan_while_one_comes_and
         wait_for("poses by the other", || (poses.seen().len() > seen + 10).then_some(()));
         player = LidarPlayer::plug(&paths[1], rear());
         set.wait_until("both", |status| status.lidar_lines[1].state == "measuring");
+        let seen = poses.seen().len();
+        wait_for("poses by both", || {
+            let by_rear = poses.seen()[seen..].iter().filter(|seen| seen.pose.id.lidar == 1).count();
+            (by_rear > 4).then_some(())
+        });
     }
     let seen = poses.seen();
     let sequences: Vec<_> = seen.iter().map(|seen| seen.pose.id.sequence).collect();
     assert!(sequences.windows(2).all(|pair| pair[1] == pair[0] + 1), "every scan has a pose: {sequences:?}");
     let of_lidar = |lidar: u32| seen.iter().filter(|seen| seen.pose.id.lidar == lidar).count();
-    assert!(of_lidar(0) > 30 && of_lidar(1) > 5, "{} {}", of_lidar(0), of_lidar(1));
+    assert!(of_lidar(0) > 30 && of_lidar(1) > 12, "{} {}", of_lidar(0), of_lidar(1));
     for seen in &seen {
         let at = seen.pose.odom_from_base;
         assert!(at.distance_m(Pose::IDENTITY) < STANDS.0 && at.heading_rad.abs() < STANDS.1, "{at:?}");
@@ -233,10 +238,11 @@ fn bytes_of_a_real_lidar_give_poses() {
         directory.path(),
         &format!("{}\nmodel = \"T-mini Plus\"", at_port("ydlidar", &path)),
     );
-    let status = set.wait_until_handled(Stage::ScanMatcher, 20);
+    set.wait_until_handled(Stage::ScanMatcher, 20);
+    // Where the recording begins again a turn is not whole.
+    let status = set.wait_until("a whole turn", |status| (580..=680).contains(&status.lidar_lines[0].beams));
     let line = &status.lidar_lines[0];
     assert_eq!((line.state.as_str(), line.model.as_deref()), ("measuring", Some("T-mini Plus")));
-    assert!((500..=700).contains(&line.beams), "{line}");
 }
 
 fn lidar(arguments: &[&str]) -> Output {

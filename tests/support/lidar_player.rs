@@ -1,10 +1,10 @@
 //! Plays a lidar at a pseudo terminal or a TCP port: sends packets at their pace, answers requests, can be unplugged.
 
-use flockslam_lidars::encoders::ld06::Ld06Encoder;
-use flockslam_lidars::encoders::rplidar::RplidarEncoder;
-use flockslam_lidars::encoders::sick_tim::SickTimEncoder;
-use flockslam_lidars::encoders::urg::UrgEncoder;
-use flockslam_lidars::encoders::ydlidar::YdlidarEncoder;
+use flockslam_lidars::encoders::ld06_encoder::Ld06Encoder;
+use flockslam_lidars::encoders::rplidar_encoder::RplidarEncoder;
+use flockslam_lidars::encoders::sick_tim_encoder::SickTimEncoder;
+use flockslam_lidars::encoders::urg_encoder::UrgEncoder;
+use flockslam_lidars::encoders::ydlidar_encoder::YdlidarEncoder;
 use flockslam_telemetry::monotonic_ns;
 use serialport::{SerialPort, TTYPort};
 use std::io::{ErrorKind, Read, Write};

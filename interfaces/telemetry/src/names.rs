@@ -19,16 +19,7 @@ pub const LABEL_LIDAR: &str = "lidar";
 /// Label: how far a pose can be trusted: `tracking`, `degraded` or `lost`.
 pub const LABEL_QUALITY: &str = "quality";
 
-/// Label: `starting`, `measuring`, `absent`, `gone`, `silent`, `garbled` or `stands`.
-pub const LABEL_STATE: &str = "state";
-/// Label: the model that a lidar says it is.
-pub const LABEL_MODEL: &str = "model";
-/// Label: the firmware that a lidar says it has.
-pub const LABEL_FIRMWARE: &str = "firmware";
-/// Label: the serial number that a lidar says it has.
-pub const LABEL_SERIAL_NUMBER: &str = "serial_number";
-/// Label: how a lidar says it is: `good`, or `warning` or `failed` with its code.
-pub const LABEL_HEALTH: &str = "health";
+pub use crate::names_of_lidars::*;
 
 /// What kind of metric it is.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,10 +60,8 @@ pub struct Metric {
 
 const STAGE: &[&str] = &[LABEL_STAGE, LABEL_REPLICA];
 const STAGE_REASON: &[&str] = &[LABEL_STAGE, LABEL_REPLICA, LABEL_REASON];
-const STAGE_LIDAR: &[&str] = &[LABEL_STAGE, LABEL_REPLICA, LABEL_LIDAR];
 const EACH_STAGE: &str = "each stage";
 const SUPERVISOR: &str = "supervisor";
-const LIDAR_INGEST: &str = "lidar-ingest";
 
 /// Upper bounds of the latency buckets, seconds: 10 µs … 1 s in steps of 2 to 2.5.
 pub const LATENCY_BUCKETS_S: [f64; 16] = [
@@ -88,7 +77,12 @@ const fn of_stage(name: &'static str, kind: Kind, help: &'static str) -> Metric 
     Metric { name, kind, labels: STAGE, source: EACH_STAGE, help }
 }
 
-const fn of_one_stage(source: &'static str, name: &'static str, kind: Kind, help: &'static str) -> Metric {
+pub(crate) const fn of_one_stage(
+    source: &'static str,
+    name: &'static str,
+    kind: Kind,
+    help: &'static str,
+) -> Metric {
     Metric { name, kind, labels: STAGE, source, help }
 }
 
@@ -101,7 +95,7 @@ const fn of_supervisor(
     Metric { name, kind, labels, source: SUPERVISOR, help }
 }
 
-const fn with_labels(metric: Metric, labels: &'static [&'static str]) -> Metric {
+pub(crate) const fn with_labels(metric: Metric, labels: &'static [&'static str]) -> Metric {
     Metric { labels, ..metric }
 }
 
@@ -171,75 +165,6 @@ pub const PROCESS_ID: Metric = of_stage(
     "Process id: another number is another process of the stage",
 );
 
-/// Scans of each lidar.
-pub const LIDAR_SCANS: Metric = with_labels(
-    of_one_stage(
-        LIDAR_INGEST,
-        "flockslam_lidar_scans_total",
-        Kind::Counter,
-        "Scans of the lidar that were given to the set",
-    ),
-    STAGE_LIDAR,
-);
-/// Seconds since each lidar's last scan.
-pub const LIDAR_AGE: Metric = with_labels(
-    of_one_stage(
-        LIDAR_INGEST,
-        "flockslam_lidar_last_scan_age_seconds",
-        Kind::Gauge,
-        "Time since the last scan of the lidar",
-    ),
-    STAGE_LIDAR,
-);
-/// What was lost of a lidar's bytes.
-pub const LIDAR_LOST: Metric = with_labels(
-    of_one_stage(
-        LIDAR_INGEST,
-        "flockslam_lidar_lost_total",
-        Kind::Counter,
-        "What was lost on the line to a lidar: packets with a wrong checksum, bytes of no packet, missing packets, partial turns; and changes of its speed",
-    ),
-    &[LABEL_STAGE, LABEL_REPLICA, LABEL_LIDAR, LABEL_REASON],
-);
-/// How often a lidar came back.
-pub const LIDAR_RETURNS: Metric = with_labels(
-    of_one_stage(
-        LIDAR_INGEST,
-        "flockslam_lidar_returns_total",
-        Kind::Counter,
-        "How often a lidar measured again after it had been gone, silent or garbled",
-    ),
-    STAGE_LIDAR,
-);
-/// How a lidar is.
-pub const LIDAR_STATE: Metric = with_labels(
-    of_one_stage(
-        LIDAR_INGEST,
-        "flockslam_lidar_state",
-        Kind::Gauge,
-        "1 with what is the case with a lidar, and what it says of itself",
-    ),
-    &[
-        LABEL_STAGE,
-        LABEL_REPLICA,
-        LABEL_LIDAR,
-        LABEL_STATE,
-        LABEL_MODEL,
-        LABEL_FIRMWARE,
-        LABEL_SERIAL_NUMBER,
-        LABEL_HEALTH,
-    ],
-);
-/// How fast a lidar turns.
-pub const LIDAR_SPEED: Metric = with_labels(
-    of_one_stage(
-        LIDAR_INGEST,
-        "flockslam_lidar_speed_hertz",
-        Kind::Gauge,
-        "Turns a second of a lidar; 0 while none come",
-    ),
-    STAGE_LIDAR,
-);
 /// Scans that the filter let pass, by `reason`.
 pub const KEPT: Metric = with_labels(
     of_one_stage(
@@ -501,9 +426,6 @@ pub const STAGE_DEGRADED: Metric = of_supervisor(
 /// 1 when the map cannot be saved to disk.
 pub const NOT_DURABLE: Metric =
     of_supervisor("flockslam_not_durable", Kind::Gauge, &[], "1 when the map cannot be saved to disk");
-
-/// Of lidars on lines of their own; where there are none, nobody tells these.
-pub const OF_LIDAR_LINES: [Metric; 4] = [LIDAR_LOST, LIDAR_RETURNS, LIDAR_STATE, LIDAR_SPEED];
 
 /// All metrics, by who tells them.
 pub const ALL: [Metric; 53] = [

@@ -139,7 +139,7 @@ impl Driver for Ld06 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::encoders::ld06::{Ld06Encoder, packet};
+    use crate::encoders::ld06_encoder::{Ld06Encoder, packet};
     use proptest::prelude::*;
 
     /// The example packet of the development manual.

@@ -2,8 +2,8 @@
 //! come from the caller, and so do the answers go. One file a family.
 
 mod assembly;
+mod byte_counts;
 mod byte_frames;
-mod counts;
 mod device;
 mod driver;
 pub mod encoders;
@@ -18,7 +18,7 @@ mod urg;
 mod ydlidar;
 mod ydlidar_models;
 
-pub use counts::Counts;
+pub use byte_counts::Counts;
 pub use device::{Device, Health};
 pub use driver::{Act, Driver};
 pub use family::{Family, UnknownModel};

@@ -13,7 +13,7 @@ const RANGE_MIN_M: f32 = 0.05;
 const RANGE_MAX_M: f32 = 12.0;
 /// An answer that has not come after this is not waited for.
 const ANSWER_NS: i64 = 300_000_000;
-/// What a lidar that was measuring still sends after it is told to stop.
+/// What a lidar that was measuring still sends after the request to stop.
 const STOP_NS: i64 = 50_000_000;
 /// A lidar that has not said who it is, is asked again after this.
 const AGAIN_NS: i64 = 1_000_000_000;
@@ -283,7 +283,7 @@ impl Driver for Rplidar {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::encoders::rplidar::RplidarEncoder;
+    use crate::encoders::rplidar_encoder::RplidarEncoder;
     use proptest::prelude::*;
 
     const FORMS: [u8; 6] = [0x81, 0x82, 0x83, 0x84, 0x85, 0x86];

@@ -230,7 +230,7 @@ impl Driver for SickTim {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::encoders::sick_tim::SickTimEncoder;
+    use crate::encoders::sick_tim_encoder::SickTimEncoder;
     use proptest::prelude::*;
 
     /// A telegram of a TiM551, from the test of a public C library; cut to its first beams.

@@ -302,7 +302,7 @@ impl Driver for Urg {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::encoders::urg::{UrgEncoder, characters};
+    use crate::encoders::urg_encoder::{UrgEncoder, characters};
     use proptest::prelude::*;
 
     /// A driver that a sensor has answered until it measures.

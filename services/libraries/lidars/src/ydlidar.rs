@@ -31,7 +31,7 @@ const GAP_STEPS: f64 = 3.0;
 const FULL_PACKET: f64 = 40.0;
 /// An answer that has not come after this is not waited for: models with one wire say nothing.
 const ANSWER_NS: i64 = 300_000_000;
-/// What a lidar that was turning still sends after it is told to stop.
+/// What a lidar that was turning still sends after the request to stop.
 const STOP_NS: i64 = 50_000_000;
 
 /// The check code of a packet of two or three bytes a point, by its definition.
@@ -238,7 +238,7 @@ impl Driver for Ydlidar {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::encoders::ydlidar::{YdlidarEncoder, packet};
+    use crate::encoders::ydlidar_encoder::{YdlidarEncoder, packet};
     use proptest::prelude::*;
     use std::path::Path;
 

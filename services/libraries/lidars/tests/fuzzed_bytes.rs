@@ -1,11 +1,11 @@
 //! Ten million bytes for each family: garbage, damaged packets and good ones in turns. No decoder panics, and each finds every good
 //! packet behind garbage.
 
-use flockslam_lidars::encoders::ld06::Ld06Encoder;
-use flockslam_lidars::encoders::rplidar::RplidarEncoder;
-use flockslam_lidars::encoders::sick_tim::SickTimEncoder;
-use flockslam_lidars::encoders::urg::UrgEncoder;
-use flockslam_lidars::encoders::ydlidar::YdlidarEncoder;
+use flockslam_lidars::encoders::ld06_encoder::Ld06Encoder;
+use flockslam_lidars::encoders::rplidar_encoder::RplidarEncoder;
+use flockslam_lidars::encoders::sick_tim_encoder::SickTimEncoder;
+use flockslam_lidars::encoders::urg_encoder::UrgEncoder;
+use flockslam_lidars::encoders::ydlidar_encoder::YdlidarEncoder;
 use flockslam_lidars::{Act, Driver, Family};
 use flockslam_random::Random;
 

@@ -24,7 +24,7 @@ pub struct LidarSpec {
     pub name: String,
     /// How it speaks.
     pub family: Family,
-    /// Its model, where the family needs or is told it.
+    /// Its model, where it is known.
     pub model: Option<String>,
     /// Where it is.
     pub place: LidarPlace,

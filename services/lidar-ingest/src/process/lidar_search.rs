@@ -2,7 +2,7 @@
 
 use super::lidar_line::{LidarPlace, LidarSpec, Line};
 use flockslam_lidars::{Device, Driver, Family};
-use flockslam_telemetry::{monotonic_ns, utc_ns};
+use flockslam_telemetry::monotonic_ns;
 use rustix::event::{Timespec, poll};
 use serialport::SerialPortType;
 use std::path::{Path, PathBuf};
@@ -115,7 +115,7 @@ fn listens(line: &mut Line, driver: &mut dyn Driver, asks: bool) -> bool {
         let ready = poll(&mut waits, limit.as_ref()).is_ok_and(|ready| ready > 0);
         if ready {
             match line.read(&mut bytes) {
-                Ok(length) => driver.take(&bytes[..length], utc_ns(), &mut |_| ()),
+                Ok(length) => driver.take(&bytes[..length], monotonic_ns() as i64, &mut |_| ()),
                 Err(_) => return false,
             }
         }

@@ -11,6 +11,7 @@ use flockslam_sensor_stream::{FramedScan, LidarScan, SensorFrame};
 use flockslam_stage::{StageContext, StageError};
 use flockslam_telemetry::monotonic_ns;
 use rustix::event::{PollFd, Timespec, poll};
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 /// How things are is written so often, nanoseconds.
@@ -24,7 +25,12 @@ pub fn listen_to(context: &StageContext, lidars: &[LidarSpec]) -> Result<SensorI
     let sessions = lidars.iter().cloned().map(LidarSession::new).collect();
     let started = listen_too(context, "lidars", maker, move |maker, bus| {
         // The bus must outlive its events: it holds the thread's place in the set.
-        let ears = Ears { outlet: maker.outlet(event_of(bus.as_ref())), goes_on: true, changed: true };
+        let ears = Ears {
+            outlet: maker.outlet(event_of(bus.as_ref())),
+            goes_on: true,
+            changed: true,
+            troubled: BTreeSet::new(),
+        };
         serve(LidarPolling::new(sessions), ears, board);
     });
     started.map_err(|error| StageError::Source(format!("lidars: {error}")))?;
@@ -82,6 +88,8 @@ struct Ears {
     /// The stage goes on.
     goes_on: bool,
     changed: bool,
+    /// Lidars of which a problem was said.
+    troubled: BTreeSet<String>,
 }
 
 impl LidarEars for Ears {
@@ -99,8 +107,16 @@ impl LidarEars for Ears {
         if *state == LidarState::Measuring {
             let (speed_hz, beams) = session.last_turn();
             let rate = session.rate().map_or_else(String::new, |rate| format!(" at {rate} baud"));
-            tracing::info!("{lidar} measures{rate}: {beams} beams, {speed_hz:.1} Hz; {}", session.device());
+            let said =
+                format!("{lidar} measures{rate}: {beams} beams, {speed_hz:.1} Hz; {}", session.device());
+            // Who has read of a trouble is to read of its end.
+            if self.troubled.remove(&lidar.name) {
+                tracing::warn!("{said}");
+            } else {
+                tracing::info!("{said}");
+            }
         } else {
+            self.troubled.insert(lidar.name.clone());
             tracing::warn!("{lidar} {state}");
         }
     }

@@ -1,11 +1,11 @@
 //! What lidars send, for tests: the other direction of the decoders. Packets come one by one, in their order, so that a test can
 //! play them at their pace.
 
-pub mod ld06;
-pub mod rplidar;
-pub mod sick_tim;
-pub mod urg;
-pub mod ydlidar;
+pub mod ld06_encoder;
+pub mod rplidar_encoder;
+pub mod sick_tim_encoder;
+pub mod urg_encoder;
+pub mod ydlidar_encoder;
 
 use std::f64::consts::{PI, TAU};
 
