@@ -75,6 +75,17 @@ impl SensorDrive {
         Self { frames, truth }
     }
 
+    /// The same, as if all beams of a scan were taken at once.
+    pub fn with_beams_at_once(&self) -> Self {
+        let mut frames = self.frames.clone();
+        for frame in &mut frames {
+            if let SensorFrame::Scan(scan) = frame {
+                scan.scan.scan.header.time_increment_s = 0.0;
+            }
+        }
+        Self { frames, truth: self.truth.clone() }
+    }
+
     /// As bytes of a stream.
     pub fn bytes(&self, write: impl Fn(&SensorFrame, &mut Vec<u8>)) -> Vec<u8> {
         let mut bytes = Vec::new();

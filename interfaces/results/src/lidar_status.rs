@@ -60,7 +60,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         assert_eq!(LidarStatus::read(directory.path()), []);
         let front = LidarStatus { lidar: "front".to_owned(), scans: 7, last_ns: 5 };
-        LidarStatus::write(&[front.clone()], directory.path()).unwrap();
+        LidarStatus::write(std::slice::from_ref(&front), directory.path()).unwrap();
         assert_eq!(LidarStatus::read(directory.path()), [front]);
     }
 }

@@ -276,12 +276,14 @@ impl Ingest {
     }
 
     fn announce_end(&mut self, context: &mut StageContext) -> Result<(), StageError> {
-        self.report(context);
+        self.count(context);
+        self.name_what_is_missing();
         self.feed.store_truth()?;
         self.end.say(self.sequence)
     }
 
-    fn report(&self, context: &mut StageContext) {
+    /// Stores what was read and left out so far.
+    fn count(&self, context: &mut StageContext) {
         let Some(tally) = self.feed.tally() else { return };
         for (rejection, count) in &tally.rejected {
             context.report.count(&format!("rejected/{}", rejection.name()), *count);
@@ -292,10 +294,18 @@ impl Ingest {
         self.feed.counts().into_iter().for_each(|(name, count)| context.report.count(name, count));
         if tally.missing > 0 {
             context.report.count("missing_scans", tally.missing);
+        }
+        if self.feed.cut_short().is_some() {
+            context.report.count("cut_short", 1);
+        }
+    }
+
+    fn name_what_is_missing(&self) {
+        let tally = self.feed.tally().unwrap_or_default();
+        if tally.missing > 0 {
             tracing::warn!(missing = tally.missing, "the recorder missed scans: this is not an exact replay");
         }
         if let Some(reason) = self.feed.cut_short() {
-            context.report.count("cut_short", 1);
             tracing::warn!(scans = tally.scans, "{reason}: read up to where it ends");
         }
     }
@@ -340,6 +350,7 @@ impl Actor for Ingest {
     fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.scans.refresh();
         self.watch.look(context, context.now_ns());
+        self.count(context);
         self.end.repeat()
     }
 

@@ -241,6 +241,7 @@ impl ScanLocator {
             live.twist = twist.unwrap_or(live.twist);
             if links_anew {
                 self.frames = None;
+                self.last_places.clear();
             }
         }
     }

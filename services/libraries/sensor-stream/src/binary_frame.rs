@@ -214,8 +214,8 @@ fn read_scan(fields: &mut Fields<'_>) -> Result<LidarScan, FrameProblem> {
         return Err(FrameProblem::WrongLength);
     }
     let numbers = std::mem::take(&mut fields.0).as_chunks::<4>().0;
-    let mut scan = ScanBuffer::default();
-    scan.numbers = numbers.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+    let numbers = numbers.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+    let mut scan = ScanBuffer { numbers, ..ScanBuffer::default() };
     let header = &mut scan.header;
     header.times.sensor_ns = stamp_ns;
     (header.beam_count, header.sections) = (beams, sections);

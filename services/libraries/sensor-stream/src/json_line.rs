@@ -234,9 +234,9 @@ fn read_scan(line: ScanLine) -> Result<LidarScan, FrameProblem> {
         let missing = "a scan needs angle_min_rad and angle_increment_rad, or angles_rad";
         return Err(FrameProblem::Json(missing.to_owned()));
     }
-    let mut scan = ScanBuffer::default();
     // A beam that has no number has no return.
-    scan.numbers = line.ranges_m.iter().map(|range| range.unwrap_or(f32::INFINITY)).collect();
+    let numbers = line.ranges_m.iter().map(|range| range.unwrap_or(f32::INFINITY)).collect();
+    let mut scan = ScanBuffer { numbers, ..ScanBuffer::default() };
     for (list, bit) in [
         (line.angles_rad, ScanSections::ANGLES),
         (line.intensities, ScanSections::INTENSITIES),

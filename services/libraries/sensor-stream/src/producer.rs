@@ -134,7 +134,7 @@ impl Producer {
             return Err(SendError::NobodyListens { path: self.path.clone() });
         };
         stream.write_all(&self.bytes).map_err(|error| {
-            // A part of the frame may be on its way: what follows on this connection could not be told from it.
+            // A part of the frame may be on its way: what follows on this connection could be taken for its rest.
             self.stream = None;
             SendError::Broken { path: self.path.clone(), error }
         })
