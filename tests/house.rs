@@ -9,15 +9,17 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Crates that others may import, lowest layer first; an import goes to a lower layer only.
-const LIBRARIES: [(&str, u32); 26] = [
+const LIBRARIES: [(&str, u32); 28] = [
     ("geometry", 0),
     ("random", 0),
     ("odometry-noise", 1),
     ("evidence", 1),
     ("messages", 2),
     ("transforms", 2),
-    ("recordings", 3),
     ("calibration", 3),
+    ("lidars", 3),
+    ("sensor-stream", 3),
+    ("recordings", 4),
     ("ray-insertion", 2),
     ("records", 2),
     ("bus", 3),
@@ -38,6 +40,8 @@ const LIBRARIES: [(&str, u32); 26] = [
     // For tests alone.
     ("drives", 11),
 ];
+/// The library of lidars.
+const LIDARS: &str = "services/libraries/lidars";
 const SERVICE_LAYER: u32 = 9;
 const ORCHESTRATION_LAYER: u32 = 10;
 const LINES_MAX: usize = 500;
@@ -102,21 +106,45 @@ fn imports_go_down_only() {
     }
 }
 
+/// The members of the workspace that use a library.
+fn importers(library: &str) -> Vec<String> {
+    let has = |dependencies: &Vec<String>| dependencies.iter().any(|name| name == library);
+    imports().into_iter().filter(|(_, dependencies)| has(dependencies)).map(|(package, _)| package).collect()
+}
+
 #[test]
 fn one_crate_each_opens_the_two_networks() {
-    let importers = |library: &str| -> Vec<String> {
-        let has = |dependencies: &Vec<String>| dependencies.iter().any(|name| name == library);
-        imports()
-            .into_iter()
-            .filter(|(_, dependencies)| has(dependencies))
-            .map(|(package, _)| package)
-            .collect()
-    };
     assert_eq!(importers("iceoryx2"), ["flockslam-bus"]);
     assert_eq!(importers("zenoh"), ["flockslam-flock-network"]);
 }
 
+/// What lidars' bytes begin with, and words that they say.
+const LIDAR_MARKS: [&str; 6] = ["0x54, 0x2c", "0xaa, 0x55", "0xa5, 0x5a", "lmdscandata", "scip2.0", "sopas"];
+
+#[test]
+fn only_lidars_knows_the_bytes_of_a_lidar() {
+    assert_eq!(importers("serialport"), ["flockslam-lidar-ingest"]);
+    assert_eq!(importers("flockslam-lidars"), ["flockslam", "flockslam-lidar-ingest"]);
+    let product = ["interfaces", "services", "orchestration/src", "dashboards/page/src"];
+    let files: Vec<PathBuf> =
+        product.iter().flat_map(|below| rust_files(&repository().join(below))).collect();
+    let knows = |file: &PathBuf| {
+        let text = fs::read_to_string(file).unwrap().to_lowercase();
+        LIDAR_MARKS.iter().any(|mark| text.contains(mark))
+    };
+    let (lidars, others): (Vec<_>, Vec<_>) =
+        files.into_iter().filter(knows).partition(|file| file.starts_with(repository().join(LIDARS)));
+    assert!(lidars.len() >= 5, "the marks are those of its files: {lidars:?}");
+    assert_eq!(others, Vec::<PathBuf>::new());
+}
+
+/// Files of libraries of logic that reach for the network: what their users send with.
+const SHELL_FILES: [&str; 1] = ["sensor-stream/src/producer.rs"];
+
 fn is_shell(file: &Path) -> bool {
+    if SHELL_FILES.iter().any(|name| file.ends_with(name)) {
+        return true;
+    }
     file.components().any(|part| part.as_os_str() == "process" || part.as_os_str() == "process.rs")
 }
 
@@ -180,8 +208,10 @@ fn a_clock_is_found_in_any_form_of_import() {
     }
 }
 
-/// What reads the wall clock, and the one place that puts it into a message, for exports.
-const WALL_CLOCK: [&str; 2] = ["telemetry/src/clock.rs", "lidar-ingest/src/process.rs"];
+/// What reads the wall clock, the one place that puts it into a message, for exports, and the one that stamps what lidars say: other
+/// programs stamp odometry by it.
+const WALL_CLOCK: [&str; 3] =
+    ["telemetry/src/clock.rs", "lidar-ingest/src/process.rs", "lidar-ingest/src/process/lidar_session.rs"];
 
 #[test]
 fn nothing_but_exports_knows_the_wall_clock() {

@@ -1,6 +1,7 @@
 //! The arguments of all commands.
 
 use crate::configuration::Profile;
+use crate::lidar_arguments::LidarCommand;
 use crate::supervisor::known_stage;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use flockslam_messages::Stage;
@@ -51,6 +52,9 @@ pub enum Command {
     Page(PageArgs),
     /// Records what a running set says, for Foxglove and the public MCAP tools
     Record(RecordArgs),
+    /// Lidars on lines of their own: which are there, what they see
+    #[command(subcommand)]
+    Lidar(LidarCommand),
     /// Looks after saved maps
     #[command(subcommand)]
     Store(StoreCommand),
@@ -83,8 +87,9 @@ pub struct MapArgs {
     /// CARMEN log, ROS 1 bag, rosbag2 folder, .db3 or .mcap file
     #[arg(value_name = "RECORDING", required_unless_present = "source", conflicts_with = "source")]
     pub log: Option<PathBuf>,
-    /// Where scans come from, in place of a log: `-` reads CARMEN lines from the standard input as they arrive
-    #[arg(long, value_name = "-")]
+    /// Where scans come from, in place of a log: `-` reads CARMEN lines or frames from the standard input as they arrive, `scans` frames
+    /// from a local socket in the directory of the set, `scans:PATH` from one at this path
+    #[arg(long, value_name = "-|scans|scans:PATH")]
     pub source: Option<PathBuf>,
     /// What is read of the recording
     #[command(flatten)]

@@ -10,6 +10,7 @@ pub mod evaluate;
 pub mod inspect;
 mod joined_map;
 mod lidar_calibration;
+pub mod lidar_command;
 pub mod log_command;
 pub mod map;
 mod meetings;

@@ -9,8 +9,10 @@ use flockslam_evidence::Submap;
 use flockslam_lidar_ingest::Settings;
 use flockslam_lidar_ingest::carmen::CarmenReader;
 use flockslam_lidar_ingest::process::RecordingReader;
+use flockslam_lidars::Family;
 use flockslam_messages::ScanBuffer;
-use flockslam_recordings::{FramedScan, Reading, ReadingKind, Wire};
+use flockslam_recordings::{Reading, ReadingKind, Wire};
+use flockslam_sensor_stream::{FrameReader, FramedScan, SensorFrame};
 use flockslam_stage::JournalReader;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -19,16 +21,18 @@ use std::path::{Path, PathBuf};
 pub type Entry = (&'static str, fn(&[u8]));
 
 /// All of them.
-pub const ENTRIES: [Entry; 10] = [
+pub const ENTRIES: [Entry; 12] = [
     ("bag", bag),
     ("carmen", carmen),
     ("configuration", configuration),
     ("db3", db3),
     ("journal", journal),
+    ("lidars", lidars),
     ("mcap", mcap),
     ("message", message),
     ("submap", submap),
     ("saved_map", saved_map),
+    ("sensor_stream", sensor_stream),
     ("trajectory", trajectory),
 ];
 
@@ -95,6 +99,27 @@ pub fn configuration(bytes: &[u8]) {
     }
 }
 
+/// What lidars send; the first byte says which family is to read the rest, and in which pieces.
+pub fn lidars(bytes: &[u8]) {
+    let Some((first, bytes)) = bytes.split_first() else { return };
+    let family = Family::ALL[usize::from(*first) % Family::ALL.len()];
+    let mut driver = family.driver(None, Some(115_200));
+    let mut now_ns = 0;
+    for piece in bytes.chunks(1 + usize::from(first >> 3)) {
+        while driver.act(now_ns).is_some() {}
+        driver.take(piece, now_ns, &mut |turn| {
+            let mut scan = ScanBuffer::default();
+            turn.write_scan(&mut scan);
+            let view = scan.view().expect("a turn that is given out is a whole scan");
+            assert!(
+                (0..view.len()).all(|beam| view.angle_rad(beam).is_finite() && view.time_s(beam).is_finite())
+            );
+        });
+        now_ns += 10_000_000;
+    }
+    assert_eq!(driver.counts().bytes, bytes.len() as u64);
+}
+
 /// A journal of scans and poses.
 pub fn journal(bytes: &[u8]) {
     let directory = scratch("journal");
@@ -126,6 +151,36 @@ pub fn saved_map(bytes: &[u8]) {
     fs::write(directory.join("scans.journal"), bytes).expect("tmpfs can be written");
     let _ = MapHead::read(&directory);
     let _ = SavedMap::at(&directory).check();
+}
+
+/// What comes from a socket of sensors, in two pieces; as it is, and with the checksum of its first frame put right.
+pub fn sensor_stream(bytes: &[u8]) {
+    read_frames(bytes);
+    let mut sealed = bytes.to_vec();
+    if let Some((header, fields)) = sealed.split_at_mut_checked(16) {
+        header[8..12].copy_from_slice(&(fields.len() as u32).to_le_bytes());
+        header[12..].copy_from_slice(&crc32fast::hash(fields).to_le_bytes());
+        read_frames(&sealed);
+    }
+}
+
+fn read_frames(bytes: &[u8]) {
+    let mut reader = FrameReader::default();
+    let (first, second) = bytes.split_at(bytes.len() / 2);
+    for piece in [first, second] {
+        reader.push(piece);
+        while let Some(frame) = reader.next_frame() {
+            let Ok(frame) = frame else { continue };
+            if let SensorFrame::Scan(scan) = &frame {
+                scan.scan.scan.view().expect("a scan that is given out is whole");
+            }
+            let mut again = Vec::new();
+            frame.write_binary(&mut again);
+            let mut reader = FrameReader::default();
+            reader.push(&again);
+            assert!(matches!(reader.next_frame(), Some(Ok(_))), "what was read can be sent on");
+        }
+    }
 }
 
 /// A trajectory that is to be evaluated.

@@ -127,6 +127,12 @@ impl RosRecording {
         self.put("/tf_static", "tf2_msgs/msg/TFMessage", 0, message);
     }
 
+    /// A transform that holds at a time.
+    pub fn transform(&mut self, stamp_ns: i64, parent: &str, child: &str, pose: &Isometry3<f64>) {
+        let message = Cdr(vec![0, 1, 0, 0]).u32(1).header(stamp_ns, parent).text(child).pose(pose);
+        self.put("/tf", "tf2_msgs/msg/TFMessage", stamp_ns, message);
+    }
+
     /// Points.
     pub fn cloud(&mut self, frame: &str, stamp_ns: i64, points: &[Point3<f32>]) {
         let message = Cdr::message(stamp_ns, frame).u32(1).u32(points.len() as u32).u32(3);

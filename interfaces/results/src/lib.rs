@@ -2,6 +2,7 @@
 
 pub mod flock_files;
 mod flock_status;
+mod lidar_status;
 mod results_error;
 mod run_results;
 mod stored_map;
@@ -9,6 +10,7 @@ mod submap_store;
 mod unattached;
 
 pub use flock_status::FlockStatus;
+pub use lidar_status::LidarStatus;
 pub use results_error::ResultsError;
 pub use run_results::{
     DetachedRow, FINAL_TRAJECTORY, LivePoses, ONLINE_TRAJECTORY, SUMMARY, StampedPose, SubmapRow, Summary,

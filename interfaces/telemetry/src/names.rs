@@ -1,6 +1,13 @@
 //! Every metric of the system: name, kind, help text, labels, buckets. Names follow the Prometheus conventions (base units,
 //! one prefix); dashboards and rules refer to these names and no others, and `docs/metrics.md` is made from this file.
 
+mod flock_names;
+
+pub use flock_names::{
+    FLOCK_CLOSURES, FLOCK_CONFLICTS, FLOCK_DROPPED, FLOCK_MEMBERS, FLOCK_NEAR, FLOCK_PEER_BYTES, FLOCK_PEERS,
+    FLOCK_RECORD_BYTES, FLOCK_RECORDS, FLOCK_SEARCHES,
+};
+
 /// What all names begin with.
 pub const PREFIX: &str = "flockslam_";
 
@@ -14,8 +21,12 @@ pub const LABEL_REASON: &str = "reason";
 pub const LABEL_PEER: &str = "peer";
 /// Label: `said` to another robot, or `heard` of it.
 pub const LABEL_DIRECTION: &str = "direction";
+/// Label: one of the robot's lidars, by its name: that of its driver, the topic of a recording, else `0`.
+pub const LABEL_LIDAR: &str = "lidar";
 /// Label: how far a pose can be trusted: `tracking`, `degraded` or `lost`.
 pub const LABEL_QUALITY: &str = "quality";
+
+pub use crate::names_of_lidars::*;
 
 /// What kind of metric it is.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -73,7 +84,12 @@ const fn of_stage(name: &'static str, kind: Kind, help: &'static str) -> Metric 
     Metric { name, kind, labels: STAGE, source: EACH_STAGE, help }
 }
 
-const fn of_one_stage(source: &'static str, name: &'static str, kind: Kind, help: &'static str) -> Metric {
+pub(crate) const fn of_one_stage(
+    source: &'static str,
+    name: &'static str,
+    kind: Kind,
+    help: &'static str,
+) -> Metric {
     Metric { name, kind, labels: STAGE, source, help }
 }
 
@@ -86,7 +102,7 @@ const fn of_supervisor(
     Metric { name, kind, labels, source: SUPERVISOR, help }
 }
 
-const fn with_labels(metric: Metric, labels: &'static [&'static str]) -> Metric {
+pub(crate) const fn with_labels(metric: Metric, labels: &'static [&'static str]) -> Metric {
     Metric { labels, ..metric }
 }
 
@@ -295,83 +311,6 @@ pub const UNATTACHED_TRAVEL: Metric = of_one_stage(
     "Way driven in trajectories that nothing connects with the map",
 );
 
-/// Robots that are connected.
-pub const FLOCK_PEERS: Metric = of_one_stage(
-    "sync-manager",
-    "flockslam_flock_peers",
-    Kind::Gauge,
-    "Other robots of the flock that are connected just now",
-);
-/// Robots that are talked to.
-pub const FLOCK_NEAR: Metric = of_one_stage(
-    "sync-manager",
-    "flockslam_flock_near",
-    Kind::Gauge,
-    "Of the robots that are connected, those that are near: only they are talked to",
-);
-/// Robots in the common map.
-pub const FLOCK_MEMBERS: Metric = of_one_stage(
-    "sync-manager",
-    "flockslam_flock_members",
-    Kind::Gauge,
-    "Robots that are part of the common map, this one among them; 0 while it is not",
-);
-/// Size of what is known of the flock.
-pub const FLOCK_RECORD_BYTES: Metric = of_one_stage(
-    "sync-manager",
-    "flockslam_flock_record_bytes",
-    Kind::Gauge,
-    "Bytes of all records that the robot knows, its own among them",
-);
-/// Records that are known.
-pub const FLOCK_RECORDS: Metric = of_one_stage(
-    "sync-manager",
-    "flockslam_flock_records",
-    Kind::Gauge,
-    "Records that the robot knows, its own among them",
-);
-/// What ties robots together.
-pub const FLOCK_CLOSURES: Metric = of_one_stage(
-    "sync-manager",
-    "flockslam_flock_closures",
-    Kind::Gauge,
-    "Closures between robots that act in the common map",
-);
-/// What does not.
-pub const FLOCK_CONFLICTS: Metric = of_one_stage(
-    "sync-manager",
-    "flockslam_flock_conflicts",
-    Kind::Gauge,
-    "Closures between robots that do not act, since they are too few or contradict the others",
-);
-/// Searches between robots.
-pub const FLOCK_SEARCHES: Metric = of_one_stage(
-    "sync-manager",
-    "flockslam_flock_searches_total",
-    Kind::Counter,
-    "Searches for own places in the maps of other robots",
-);
-/// Traffic, by `peer` and `direction`.
-pub const FLOCK_PEER_BYTES: Metric = with_labels(
-    of_one_stage(
-        "sync-manager",
-        "flockslam_flock_peer_bytes_total",
-        Kind::Counter,
-        "Bytes of messages that were `said` to and `heard` of another robot",
-    ),
-    &[LABEL_STAGE, LABEL_REPLICA, LABEL_PEER, LABEL_DIRECTION],
-);
-/// What was not taken from or sent to others, by `reason`.
-pub const FLOCK_DROPPED: Metric = with_labels(
-    of_one_stage(
-        "sync-manager",
-        "flockslam_flock_dropped_total",
-        Kind::Counter,
-        "Messages and records of other robots that were refused, and messages that were not sent",
-    ),
-    STAGE_REASON,
-);
-
 /// Restarts, by `stage` and `reason`.
 pub const STAGE_RESTARTS: Metric = of_supervisor(
     "flockslam_stage_restarts_total",
@@ -419,7 +358,7 @@ pub const NOT_DURABLE: Metric =
     of_supervisor("flockslam_not_durable", Kind::Gauge, &[], "1 when the map cannot be saved to disk");
 
 /// All metrics, by who tells them.
-pub const ALL: [Metric; 47] = [
+pub const ALL: [Metric; 53] = [
     STAGE_LATENCY,
     SCAN_TO_OUTPUT,
     SCANS_HANDLED,
@@ -431,6 +370,12 @@ pub const ALL: [Metric; 47] = [
     CPU,
     PRIVATE_MEMORY,
     PROCESS_ID,
+    LIDAR_SCANS,
+    LIDAR_AGE,
+    LIDAR_LOST,
+    LIDAR_RETURNS,
+    LIDAR_STATE,
+    LIDAR_SPEED,
     KEPT,
     POSES,
     MATCH_SCORE,

@@ -5,7 +5,8 @@ use crate::names::{self, Kind, Metric};
 use crate::process_use::ProcessUse;
 use crate::registered::registered;
 use prometheus::{
-    Gauge, Histogram, HistogramOpts, IntCounter, IntCounterVec, IntGauge, Opts, Registry, TextEncoder,
+    Gauge, GaugeVec, Histogram, HistogramOpts, IntCounter, IntCounterVec, IntGauge, Opts, Registry,
+    TextEncoder,
 };
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -57,6 +58,27 @@ impl CountersByLabels {
     /// Counts so many for these values, in the order of the labels.
     pub fn count_by(&self, values: &[&str], times: u64) {
         self.0.with_label_values(values).inc_by(times);
+    }
+
+    /// The counter of these values: for what happens often.
+    pub fn one(&self, values: &[&str]) -> IntCounter {
+        self.0.with_label_values(values)
+    }
+}
+
+/// Gauges of one metric by labels whose values are not known beforehand.
+#[derive(Clone)]
+pub struct GaugesByLabels(GaugeVec);
+
+impl GaugesByLabels {
+    /// The gauge of these values, in the order of the labels.
+    pub fn one(&self, values: &[&str]) -> Gauge {
+        self.0.with_label_values(values)
+    }
+
+    /// Removes the gauge of these values, where there is one.
+    pub fn remove(&self, values: &[&str]) {
+        let _ = self.0.remove_label_values(values);
     }
 }
 
@@ -113,6 +135,11 @@ impl StageMetrics {
     /// Counters of the stage's own by labels whose values come later; to be made once, at start.
     pub fn counters_by(&self, metric: Metric, labels: &[&str]) -> CountersByLabels {
         CountersByLabels(registered(&self.registry, IntCounterVec::new(self.opts(metric), labels)))
+    }
+
+    /// Gauges of the stage's own by labels whose values come later; to be made once, at start.
+    pub fn gauges_by(&self, metric: Metric, labels: &[&str]) -> GaugesByLabels {
+        GaugesByLabels(registered(&self.registry, GaugeVec::new(self.opts(metric), labels)))
     }
 
     fn opts(&self, metric: Metric) -> Opts {

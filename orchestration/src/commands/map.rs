@@ -32,13 +32,7 @@ pub fn run(args: &MapArgs) -> Result<(), CommandError> {
             let scans = count_scans(log, &configuration.lidar_ingest).map_err(CommandError::user)?;
             (Source::Log(absolute), Some(scans))
         }
-        (None, Some(dash)) if dash.as_os_str() == "-" => (Source::Pipe, None),
-        (None, other) => {
-            let given = other.as_deref().unwrap_or(std::path::Path::new("")).display().to_string();
-            return Err(CommandError::user(format!(
-                "--source {given}: the one source known is '-', the standard input"
-            )));
-        }
+        (None, given) => (scans_source(given.as_deref().unwrap_or(Path::new("")))?, None),
     };
     if let (Source::Log(log), true) = (&source, calibrates) {
         calibrate(&mut run, log, scans)?;
@@ -85,4 +79,23 @@ fn as_setting(lidars: &[LidarCalibration]) -> String {
         format!("{{{}}}", all.join(", "))
     };
     format!("[{}]", lidars.iter().map(table).collect::<Vec<_>>().join(", "))
+}
+
+/// The source of scans that is no recording.
+fn scans_source(given: &Path) -> Result<Source, CommandError> {
+    match given.as_os_str().as_encoded_bytes() {
+        b"-" => Ok(Source::Pipe),
+        b"scans" => Ok(Source::Scans(None)),
+        [b's', b'c', b'a', b'n', b's', b':', ..] => {
+            let path = given.to_string_lossy();
+            let path = Path::new(path.trim_start_matches("scans:"));
+            std::path::absolute(path)
+                .map(|path| Source::Scans(Some(path)))
+                .map_err(|error| CommandError::user(format!("--source {}: {error}", given.display())))
+        }
+        _ => Err(CommandError::user(format!(
+            "--source {}: known are '-', the standard input, and 'scans' or 'scans:PATH', a local socket",
+            given.display()
+        ))),
+    }
 }

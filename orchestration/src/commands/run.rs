@@ -15,7 +15,7 @@ use crate::state_directory::spill_directory;
 use crate::store::{MapHead, SavedMap};
 use crate::supervisor::{MetricsService, ProcessSet, SetEvent, SetFile, Supervision};
 use flockslam_bus::RuntimeDir;
-use flockslam_lidar_ingest::process::Source;
+use flockslam_lidar_ingest::process::{LidarSpec, Source};
 use flockslam_messages::Stage;
 use flockslam_results::flock_files;
 use flockslam_results::{self as results, StampedPose, StoredMap, Summary};
@@ -68,8 +68,8 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
     let given = &args.configuration;
     let configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
     prepare_directory(&args.out)?;
-    // A recorded source has no pace of its own; a pipe has.
-    let paced = args.live && run.source != Source::Pipe;
+    // A recorded source has no pace of its own; sensors have.
+    let paced = args.live && !matches!(run.source, Source::Pipe | Source::Scans(_) | Source::Lidars(_));
     let rate = args.rate.or_else(|| paced.then_some(1.0));
     let mode = if rate.is_some() || args.live { Mode::Live } else { Mode::Exact };
     let interrupts = count_interrupts()?;
@@ -177,6 +177,9 @@ fn describe(source: &Source) -> String {
     match source {
         Source::Log(path) => path.display().to_string(),
         Source::Pipe => "standard input".to_owned(),
+        Source::Scans(None) => "local socket".to_owned(),
+        Source::Scans(Some(path)) => path.display().to_string(),
+        Source::Lidars(lidars) => lidars.iter().map(LidarSpec::to_string).collect::<Vec<_>>().join(", "),
         Source::Simulation => "simulated building".to_owned(),
         Source::Nothing => "nothing".to_owned(),
     }

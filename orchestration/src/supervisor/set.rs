@@ -7,8 +7,9 @@ use super::status::{SetState, SetStatus, StageState, StageStatus};
 use super::{ProcessLimits, SetFile, Supervision, system_limits};
 use crate::configuration::Configuration;
 use flockslam_bus::{Bus, BusError, Notifier, OrphanedNodes, Publisher, RuntimeDir, Subscriber};
+use flockslam_lidar_ingest::process::read_lidar_lines;
 use flockslam_messages::{Control, ControlKind, Progress, Stage};
-use flockslam_results::{FlockStatus, Unattached};
+use flockslam_results::{FlockStatus, LidarStatus, Unattached};
 use flockslam_stage::{Mode, Pause};
 use flockslam_telemetry::{SupervisorMetrics, monotonic_ns};
 use rustix::event::{PollFd, PollFlags, poll};
@@ -326,6 +327,8 @@ impl ProcessSet {
             not_durable: self.not_durable.clone(),
             unattached: Unattached::read(&status_dir),
             flock: FlockStatus::read(&status_dir),
+            lidars: LidarStatus::read(&status_dir),
+            lidar_lines: read_lidar_lines(&status_dir),
             stages,
         }
     }

@@ -1,7 +1,8 @@
 //! The state of a set and of its processes: as JSON for programs and as text for people.
 
 use super::child::StageChild;
-use flockslam_results::{FlockStatus, Unattached};
+use flockslam_lidar_ingest::process::LidarLineStatus;
+use flockslam_results::{FlockStatus, LidarStatus, Unattached};
 use flockslam_telemetry::{Beat, monotonic_ns};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -31,6 +32,12 @@ pub struct SetStatus {
     /// What its sync-manager tells of its flock, when it is part of one.
     #[serde(default)]
     pub flock: Option<FlockStatus>,
+    /// Its lidars that have given scans, by number.
+    #[serde(default)]
+    pub lidars: Vec<LidarStatus>,
+    /// Its lidars on lines of their own.
+    #[serde(default)]
+    pub lidar_lines: Vec<LidarLineStatus>,
     /// All processes, in the order of their start.
     pub stages: Vec<StageStatus>,
 }
@@ -148,6 +155,18 @@ impl fmt::Display for SetStatus {
                 stage.hangs,
                 stage.handled
             )?;
+        }
+        for status in &self.lidars {
+            let (LidarStatus { lidar, scans, .. }, now_ns) = (status, monotonic_ns());
+            let silent = if status.is_silent(now_ns) { "SILENT, " } else { "" };
+            writeln!(
+                f,
+                "  lidar {lidar:<12} {silent}last scan {:.1} s ago, scans {scans}",
+                status.age_s(now_ns)
+            )?;
+        }
+        for line in &self.lidar_lines {
+            writeln!(f, "  {line}")?;
         }
         if let Some(unattached) = &self.unattached {
             writeln!(f, "  {unattached}")?;

@@ -1,6 +1,6 @@
 //! How far a robot has turned, from the rates that an IMU measures.
 
-use flockslam_recordings::ImuReading;
+use flockslam_sensor_stream::ImuReading;
 use flockslam_transforms::{Isometry3, LookupError, StampedTransform, TransformBuffer};
 use nalgebra::{UnitQuaternion, Vector3};
 use std::collections::VecDeque;

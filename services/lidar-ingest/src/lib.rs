@@ -8,6 +8,7 @@ mod cloud_slice;
 mod continuity;
 pub mod experiment;
 mod gyro_heading;
+mod lidar_order;
 pub mod process;
 mod scan_locator;
 mod self_mask;

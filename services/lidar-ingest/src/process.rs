@@ -3,10 +3,20 @@
 
 mod cursor;
 mod feed;
+mod lidar_board;
+mod lidar_line;
+mod lidar_names;
+mod lidar_search;
+mod lidar_session;
+mod lidar_watch;
+mod live_lidars;
 mod pacer;
 mod pipe;
 mod recording_inspection;
 mod recording_reader;
+mod scan_socket;
+mod sensor_feed;
+mod sensor_inlet;
 mod topic_choice;
 mod truth_file;
 mod world_file;
@@ -22,9 +32,17 @@ use flockslam_stage::{
     Actor, LastWord, LeaderLock, Mode, Notifiers, Pause, StageContext, StageError, StreamEnd, run, step_aside,
 };
 use flockslam_telemetry::{failpoint, utc_ns};
+pub use lidar_board::{LidarLineStatus, read_lidar_lines};
+pub use lidar_line::{LidarPlace, LidarSpec};
+pub use lidar_names::read_lidar_names;
+pub use lidar_search::{FoundLidar, FoundPort, identify, serial_ports};
+pub use lidar_session::{LidarEars, LidarSession, LidarState};
+use lidar_watch::LidarWatch;
+pub use live_lidars::LidarPolling;
 use pacer::Pacer;
 pub use recording_inspection::{Inspection, LidarSummary, TopicSummary, TransformSummary, inspect};
 pub use recording_reader::RecordingReader;
+pub use scan_socket::SCAN_SOCKET;
 use std::path::PathBuf;
 use std::time::Duration;
 pub use topic_choice::ReadRecordingError;
@@ -36,8 +54,12 @@ pub use world_file::read as read_world;
 pub enum Source {
     /// A CARMEN log, or a recording: a ROS 1 bag, rosbag2 files.
     Log(PathBuf),
-    /// CARMEN lines on the standard input of the process.
+    /// CARMEN lines or frames on the standard input of the process.
     Pipe,
+    /// Frames on a local socket: at this path, or in the directory of the set.
+    Scans(Option<PathBuf>),
+    /// Lidars on lines of their own; odometry, rates of turning and scans of others on the local socket of the set.
+    Lidars(Vec<LidarSpec>),
     /// The simulated world.
     Simulation,
     /// No source: the stream ends before its first scan. The run only has the map that it continues.
@@ -116,6 +138,7 @@ struct Ingest {
     pacer: Option<Pacer>,
     cursor: Option<Cursor>,
     scans: ScanPublisher,
+    watch: LidarWatch,
     /// Publishes the number of scans.
     end: LastWord,
     progress: Subscriber<Progress>,
@@ -155,6 +178,7 @@ impl Ingest {
             pacer,
             cursor,
             scans: context.bus.scan_publisher()?,
+            watch: LidarWatch::new(context),
             end: LastWord::open(context, ControlKind::StreamEnd, RUN, notifiers(&CONSUMERS)?)?,
             progress: context.bus.subscriber()?,
             first: notifiers(first_stages(context.mode))?,
@@ -246,17 +270,20 @@ impl Ingest {
             cursor.advance(self.sequence, self.pacer.as_ref().and_then(Pacer::anchor))?;
         }
         tracing::debug!(scan = self.sequence - 1, "sent");
+        self.watch.gave(self.scan.header.id.lidar, now_ns, |number| self.feed.lidar_name(number));
         context.handled(self.sequence - 1, now_ns, now_ns);
         Ok(())
     }
 
     fn announce_end(&mut self, context: &mut StageContext) -> Result<(), StageError> {
-        self.report(context);
+        self.count(context);
+        self.name_what_is_missing();
         self.feed.store_truth()?;
         self.end.say(self.sequence)
     }
 
-    fn report(&self, context: &mut StageContext) {
+    /// Stores what was read and left out so far.
+    fn count(&self, context: &mut StageContext) {
         let Some(tally) = self.feed.tally() else { return };
         for (rejection, count) in &tally.rejected {
             context.report.count(&format!("rejected/{}", rejection.name()), *count);
@@ -264,13 +291,22 @@ impl Ingest {
         context.report.count("unknown_lines", tally.unknown);
         context.report.count("invalid_beams", tally.invalid_beams);
         context.report.count("stamps_backward", tally.steps_backward);
+        self.feed.counts().into_iter().for_each(|(name, count)| context.report.count(name, count));
         if tally.missing > 0 {
             context.report.count("missing_scans", tally.missing);
+        }
+        if self.feed.cut_short().is_some() {
+            context.report.count("cut_short", 1);
+        }
+    }
+
+    fn name_what_is_missing(&self) {
+        let tally = self.feed.tally().unwrap_or_default();
+        if tally.missing > 0 {
             tracing::warn!(missing = tally.missing, "the recorder missed scans: this is not an exact replay");
         }
         self.feed.ended_early().iter().for_each(|line| tracing::warn!("{line}"));
         if let Some(reason) = self.feed.cut_short() {
-            context.report.count("cut_short", 1);
             tracing::warn!(scans = tally.scans, "{reason}: read up to where it ends");
         }
     }
@@ -312,8 +348,10 @@ impl Actor for Ingest {
         Ok(any)
     }
 
-    fn refresh(&mut self, _context: &mut StageContext) -> Result<(), StageError> {
+    fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.scans.refresh();
+        self.watch.look(context, context.now_ns());
+        self.count(context);
         self.end.repeat()
     }
 
@@ -323,6 +361,6 @@ impl Actor for Ingest {
         }
         let until_announcement = if self.announced { Duration::ZERO } else { ANNOUNCED_AHEAD };
         let ahead = self.ahead(now_ns).map(|ahead| ahead.saturating_sub(until_announcement));
-        ahead.unwrap_or(Duration::from_millis(100))
+        ahead.or(self.feed.patience()).unwrap_or(Duration::from_millis(100))
     }
 }

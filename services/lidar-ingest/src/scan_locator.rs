@@ -5,10 +5,12 @@
 
 use crate::cloud_slice::slice;
 use crate::gyro_heading::GyroHeading;
+use crate::lidar_order::LidarOrder;
 use crate::settings::Settings;
-use flockslam_geometry::{Pose, wrap_angle};
+use flockslam_geometry::{Pose, Twist, wrap_angle};
 use flockslam_messages::{HEADING_ONLY, ScanBuffer};
-use flockslam_recordings::{FramedCloud, FramedScan, ImuReading, OdometryReading};
+use flockslam_recordings::FramedCloud;
+use flockslam_sensor_stream::{FramedScan, ImuReading, OdometryReading};
 use flockslam_transforms::{
     Isometry3, LookupError, Mounting, MountingError, StampedTransform, TransformBuffer, frame_name, planar,
 };
@@ -18,6 +20,12 @@ use std::collections::{BTreeMap, VecDeque};
 const FIRST_WAIT_NS: i64 = 2_000_000_000;
 /// So long each scan waits for odometry behind it, and for scans of other lidars before it, nanoseconds.
 const WAIT_NS: i64 = 500_000_000;
+/// Live, the first scan waits so long for transforms, nanoseconds …
+const LIVE_FIRST_WAIT_NS: i64 = 1_000_000_000;
+/// … and each for what belongs to it: later than this a pose is worth less than the time that it takes.
+const LIVE_WAIT_NS: i64 = 50_000_000;
+/// Live, motion that was not heard of for so long is not waited for, nanoseconds.
+const SILENCE_NS: i64 = 500_000_000;
 /// Odometry that is that old is taken where none behind the scan comes, nanoseconds.
 const ODOMETRY_AGE_NS: i64 = 100_000_000;
 /// Names of the frame of the robot, by REP-105 and by use.
@@ -62,6 +70,14 @@ impl Sighting {
         })
     }
 
+    /// What its driver says of where it sits.
+    fn mounting(&self) -> Option<Mounting> {
+        match self {
+            Self::Scan(scan) => scan.mounting,
+            Self::Cloud(_) => None,
+        }
+    }
+
     fn stamp_ns(&self) -> i64 {
         match self {
             Self::Scan(scan) => scan.scan.header.times.sensor_ns,
@@ -92,6 +108,28 @@ pub struct ScanLocator {
     frames: Option<Frames>,
     /// Where each lidar sat at its scan before, by its number.
     last_places: BTreeMap<u32, Isometry3<f64>>,
+    /// Of sensors that speak now: times are those of the clock at which they were heard.
+    live: Option<Live>,
+}
+
+/// What is known of sensors that speak now.
+#[derive(Debug, Default)]
+struct Live {
+    order: LidarOrder,
+    /// When odometry, transforms or turns were last heard of, nanoseconds.
+    motion_ns: i64,
+    /// How fast the robot moved at the last odometry, where that was said.
+    twist: Option<Twist>,
+    guesses: MotionGuesses,
+}
+
+/// How often scans of live sensors did not get the pose by odometry at their time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MotionGuesses {
+    /// Odometry came too late: the pose was carried on by its speed.
+    pub carried_on: u64,
+    /// Nothing near was known: the scan has no odometry.
+    pub without: u64,
 }
 
 #[derive(Debug)]
@@ -115,6 +153,37 @@ impl ScanLocator {
         Self { settings: settings.clone(), lidars, gyro_leads, newest_ns: i64::MIN, ..Self::default() }
     }
 
+    /// As [`ScanLocator::new`], of sensors that speak now: what is recorded at a time is heard at it, by the clock, and nothing is
+    /// waited for any longer than a moment.
+    pub fn live(settings: &Settings, gyro_leads: bool) -> Self {
+        Self { live: Some(Live::default()), ..Self::new(settings, 0, gyro_leads) }
+    }
+
+    /// From now on there are so many lidars.
+    pub fn set_lidars(&mut self, lidars: usize) {
+        self.lidars = lidars;
+    }
+
+    /// It is that late, by the time at which things are recorded or heard.
+    pub fn note_time(&mut self, now_ns: i64) {
+        self.newest_ns = self.newest_ns.max(now_ns);
+    }
+
+    /// Whether a scan waits for more.
+    pub fn is_waiting(&self) -> bool {
+        !self.waiting.is_empty()
+    }
+
+    /// Gives up the scan that could not be placed; the lidar that took it.
+    pub fn give_up(&mut self) -> Option<u32> {
+        self.waiting.pop_front().map(|waiting| waiting.lidar)
+    }
+
+    /// How often motion was guessed, live.
+    pub fn guesses(&self) -> MotionGuesses {
+        self.live.as_ref().map(|live| live.guesses).unwrap_or_default()
+    }
+
     /// Takes what a lidar has seen and that was recorded at this time. Scans of one lidar keep their order, those of several are
     /// brought into the order of time.
     pub fn push_sighting(&mut self, recorded_ns: i64, lidar: u32, sighting: Sighting) {
@@ -123,6 +192,9 @@ impl ScanLocator {
             |other: &Waiting| other.lidar != lidar && other.sighting.stamp_ns() > sighting.stamp_ns();
         let later = self.waiting.iter().rev().take_while(|other| is_later(other)).count();
         let at = self.waiting.len() - later;
+        if let Some(live) = &mut self.live {
+            live.order.note(lidar, sighting.stamp_ns(), recorded_ns);
+        }
         self.waiting.insert(at, Waiting { recorded_ns, lidar, sighting });
     }
 
@@ -136,20 +208,42 @@ impl ScanLocator {
             name => name.to_owned(),
         };
         let (parent, child) = (name(&transform.parent, "odom"), name(&transform.child, "base_link"));
-        self.odometry_frames = Some((parent.clone(), child.clone()));
+        let frames = Some((parent.clone(), child.clone()));
+        let is_new = frames != self.odometry_frames;
+        self.odometry_frames = frames;
+        self.heard_of_motion(is_new, Some(reading.twist));
         self.odometry.insert(&StampedTransform { parent, child, ..transform.clone() }, false);
     }
 
     /// Takes rates of turning.
     pub fn push_imu(&mut self, recorded_ns: i64, reading: ImuReading) {
         self.newest_ns = self.newest_ns.max(recorded_ns);
+        self.heard_of_motion(false, None);
         self.gyro.push(reading);
     }
 
     /// Takes transforms.
     pub fn push_transforms(&mut self, recorded_ns: i64, transforms: &[StampedTransform], is_static: bool) {
         self.newest_ns = self.newest_ns.max(recorded_ns);
-        transforms.iter().for_each(|transform| self.transforms.insert(transform, is_static));
+        let mut is_new = false;
+        for transform in transforms {
+            is_new |= !self.transforms.links(&transform.parent, &transform.child);
+            self.transforms.insert(transform, is_static);
+        }
+        self.heard_of_motion(is_new, None);
+    }
+
+    /// Live, a new link between frames may be the one that was missing: they are chosen anew.
+    fn heard_of_motion(&mut self, links_anew: bool, twist: Option<Option<Twist>>) {
+        let newest_ns = self.newest_ns;
+        if let Some(live) = &mut self.live {
+            live.motion_ns = newest_ns;
+            live.twist = twist.unwrap_or(live.twist);
+            if links_anew {
+                self.frames = None;
+                self.last_places.clear();
+            }
+        }
     }
 
     /// The next scan, placed; `None` while it waits for more. At the end nothing waits.
@@ -161,9 +255,15 @@ impl ScanLocator {
         let waited_ns = self.newest_ns.saturating_sub(front.recorded_ns);
         let (lidar, stamp_ns) = (front.lidar, front.sighting.stamp_ns());
         let frame = front.sighting.frame().to_owned();
+        let given = front.sighting.mounting();
+        let first_wait_ns = match &self.live {
+            None => FIRST_WAIT_NS,
+            Some(_) if given.is_some() || frame.is_empty() || self.is_placed(lidar, &frame) => 0,
+            Some(_) => LIVE_FIRST_WAIT_NS,
+        };
         let frames = match &self.frames {
             Some(frames) => frames.clone(),
-            None if waited_ns < FIRST_WAIT_NS && !at_end => return Ok(None),
+            None if waited_ns < first_wait_ns && !at_end => return Ok(None),
             None => self.frames.insert(self.choose_frames(&frame)).clone(),
         };
         self.integrate_gyro(&frames);
@@ -172,12 +272,30 @@ impl ScanLocator {
         let odometry = self.odometry_at(&frames, odometry_ns);
         let heading_rad = self.heading_at(&frames, odometry_ns);
         let may_come = odometry == Err(LookupError::NotYet) || heading_rad == Err(LookupError::NotYet);
-        if (may_come || self.lidars > 1) && waited_ns < WAIT_NS && !at_end {
+        let (waits, wait_ns) = match &self.live {
+            None => (may_come || self.lidars > 1, WAIT_NS),
+            Some(live) => {
+                let is_silent = self.newest_ns.saturating_sub(live.motion_ns) > SILENCE_NS;
+                let later = live.order.may_come_before(lidar, stamp_ns, self.newest_ns);
+                ((may_come && !is_silent) || later, LIVE_WAIT_NS)
+            }
+        };
+        if waits && waited_ns < wait_ns && !at_end {
             return Ok(None);
         }
-        let place = self.place(&frames, lidar, &frame, stamp_ns)?;
+        let place = match given {
+            Some(mounting) if self.settings.lidars.get(lidar as usize).is_none() => mounting.in_space(),
+            _ => self.place(&frames, lidar, &frame, stamp_ns)?,
+        };
+        if let Some(Waiting { sighting: Sighting::Scan(_), .. }) = self.waiting.front() {
+            // Before it leaves the queue, from which it is given up.
+            Mounting::from_transform(&place)
+                .map_err(|problem| LocateError::Tilted { frame: frame.clone(), problem })?;
+        }
         self.last_places.insert(lidar, place);
-        let odometry = odometry.ok().or_else(|| self.last_odometry(&frames, odometry_ns));
+        let known = odometry.ok();
+        let odometry = known.or_else(|| self.last_odometry(&frames, odometry_ns));
+        self.count_guess(known.is_some(), odometry.is_some());
         let Some(Waiting { sighting, .. }) = self.waiting.pop_front() else { return Ok(None) };
         let mut scan = match sighting {
             Sighting::Scan(scan) => self
@@ -193,6 +311,22 @@ impl ScanLocator {
     fn offset_ns(&self, lidar: u32) -> i64 {
         let calibration = self.settings.calibration.get(lidar as usize);
         calibration.map_or(0, |calibration| (calibration.offset_s * 1e9).round() as i64)
+    }
+
+    /// Whether it is known where a lidar sits.
+    fn is_placed(&self, lidar: u32, frame: &str) -> bool {
+        let child = self.odometry_frames.as_ref().map(|(_, child)| child.as_str());
+        let mut bases = BASE_FRAMES.into_iter().chain(child);
+        self.settings.lidars.get(lidar as usize).is_some()
+            || bases.any(|base| self.transforms.links(base, frame))
+    }
+
+    fn count_guess(&mut self, is_known: bool, is_near: bool) {
+        let hears_of_motion =
+            self.odometry_frames.is_some() || self.frames.as_ref().is_some_and(|f| f.odom.is_some());
+        let Some(live) = self.live.as_mut().filter(|_| hears_of_motion && !is_known) else { return };
+        let guesses = &mut live.guesses;
+        *(if is_near { &mut guesses.carried_on } else { &mut guesses.without }) += 1;
     }
 
     fn choose_frames(&self, laser: &str) -> Frames {
@@ -288,8 +422,24 @@ impl ScanLocator {
             (None, Some(odom)) => self.transforms.known_until_ns(odom, &frames.base),
             (None, None) => None,
         }?;
-        let is_near = (0..=ODOMETRY_AGE_NS).contains(&stamp_ns.saturating_sub(known_until_ns));
-        is_near.then(|| self.odometry_at(frames, known_until_ns).ok()).flatten()
+        let age_ns = stamp_ns.saturating_sub(known_until_ns);
+        let is_near = (0..=ODOMETRY_AGE_NS).contains(&age_ns);
+        let last = is_near.then(|| self.odometry_at(frames, known_until_ns).ok()).flatten()?;
+        Some(match &self.live {
+            None => last,
+            Some(live) => {
+                last * self.twist(live, frames, known_until_ns, last).motion_after(age_ns as f64 * 1e-9)
+            }
+        })
+    }
+
+    /// How fast the robot moved last: as odometry says, else by its last poses.
+    fn twist(&self, live: &Live, frames: &Frames, until_ns: i64, last: Pose) -> Twist {
+        let by_poses = || {
+            let before = self.odometry_at(frames, until_ns - ODOMETRY_AGE_NS).ok()?;
+            Some(Twist::from_motion(before.to(last), ODOMETRY_AGE_NS as f64 * 1e-9))
+        };
+        live.twist.or_else(by_poses).unwrap_or_default()
     }
 
     /// Gives a scan the pose by odometry, with the gyro's turns where these lead; the gyro's heading alone where there is no odometry.
@@ -317,152 +467,4 @@ impl ScanLocator {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::settings::{LidarCalibration, LidarMounting};
-    use nalgebra::Vector3;
-
-    const MS: i64 = 1_000_000;
-
-    fn locator_of(lidars: &[LidarMounting]) -> ScanLocator {
-        let settings = Settings { lidars: lidars.to_vec(), ..Settings::default() };
-        ScanLocator::new(&settings, 1, false)
-    }
-
-    fn scan_in(frame: &str, stamp_ms: i64) -> Sighting {
-        let mut scan = ScanBuffer::from_ranges(&[1.0, 2.0], -0.5, 1.0);
-        scan.header.times.sensor_ns = stamp_ms * MS;
-        Sighting::Scan(FramedScan { frame: frame.to_owned(), scan })
-    }
-
-    fn scan(stamp_ms: i64) -> Sighting {
-        scan_in("/laser", stamp_ms)
-    }
-
-    fn transform(stamp_ms: i64, parent: &str, child: &str, x_m: f64) -> StampedTransform {
-        StampedTransform {
-            stamp_ns: stamp_ms * MS,
-            parent: parent.to_owned(),
-            child: child.to_owned(),
-            parent_from_child: Isometry3::translation(x_m, 0.0, 0.0),
-        }
-    }
-
-    fn stamp_ms(scan: &ScanBuffer) -> i64 {
-        scan.header.times.sensor_ns / MS
-    }
-
-    #[test]
-    fn odometry_is_interpolated_at_the_time_of_the_scan_whatever_comes_first() {
-        let mut locator = locator_of(&[]);
-        locator.push_transforms(0, &[transform(0, "base_link", "laser", 0.3)], true);
-        locator.push_sighting(100 * MS, 0, scan(100));
-        locator.push_transforms(160 * MS, &[transform(150, "odom", "base_link", 1.5)], false);
-        locator.push_transforms(170 * MS, &[transform(50, "odom", "base_link", 0.5)], false);
-        assert_eq!(locator.take(false), Ok(None), "more may come");
-        let found = locator.take(true).unwrap().unwrap();
-        assert_eq!((found.header.base_from_laser.x_m, found.header.has_odometry), (0.3, 1));
-        assert!((found.header.odometry.x_m - 1.0).abs() < 1e-12);
-        assert_eq!(locator.take(true), Ok(None));
-    }
-
-    #[test]
-    fn scans_wait_for_odometry_and_not_for_ever() {
-        let mut locator = locator_of(&[]);
-        let odometry = |at_ms: i64| OdometryReading { transform: transform(at_ms, "odom", "", 1.0) };
-        locator.push_odometry(0, &odometry(0));
-        locator.push_sighting(10 * MS, 0, scan(10));
-        locator.push_sighting(2100 * MS, 0, scan(2100));
-        let first = locator.take(false).unwrap().unwrap();
-        assert_eq!((stamp_ms(&first), first.header.has_odometry), (10, 1), "the pose before is not too old");
-        assert_eq!(locator.take(false), Ok(None));
-        locator.push_sighting(2700 * MS, 0, scan(2700));
-        let second = locator.take(false).unwrap().unwrap();
-        assert_eq!((stamp_ms(&second), second.header.has_odometry), (2100, 0));
-    }
-
-    #[test]
-    fn odometry_of_a_lidar_whose_clock_is_off_is_that_of_its_time() {
-        let calibration = vec![LidarCalibration { offset_s: 0.04, ..LidarCalibration::default() }];
-        let mut locator = ScanLocator::new(&Settings { calibration, ..Settings::default() }, 1, false);
-        for at_ms in [0, 100, 200] {
-            let transform = transform(at_ms, "odom", "", 0.01 * at_ms as f64);
-            locator.push_odometry(at_ms * MS, &OdometryReading { transform });
-        }
-        locator.push_sighting(100 * MS, 0, scan(100));
-        let found = locator.take(true).unwrap().unwrap();
-        assert!(stamp_ms(&found) == 100 && (found.header.odometry.x_m - 1.4).abs() < 1e-9);
-    }
-
-    #[test]
-    fn without_any_transform_the_lidar_is_the_robot_and_with_others_it_is_refused() {
-        let mut locator = locator_of(&[]);
-        locator.push_sighting(0, 0, scan(0));
-        let alone = locator.take(true).unwrap().unwrap();
-        assert_eq!((alone.header.base_from_laser, alone.header.has_odometry), (Pose::IDENTITY, 0));
-        let mut locator = locator_of(&[]);
-        locator.push_transforms(0, &[transform(0, "odom", "base_link", 0.0)], false);
-        locator.push_sighting(0, 0, scan(0));
-        let error = locator.take(true).unwrap_err().to_string();
-        assert!(error.contains("'laser'") && error.contains("lidar_ingest.lidars"), "{error}");
-        let given = LidarMounting { x_m: 0.2, upside_down: true, ..LidarMounting::default() };
-        let mut locator = locator_of(&[given]);
-        locator.push_transforms(0, &[transform(0, "odom", "base_link", 0.0)], false);
-        locator.push_sighting(0, 0, scan(0));
-        let found = locator.take(true).unwrap().unwrap();
-        assert_eq!(found.header.base_from_laser.x_m, 0.2);
-        assert_eq!((found.header.angle_min_rad, found.header.angle_increment_rad), (0.5, -1.0));
-    }
-
-    #[test]
-    fn scans_of_several_lidars_come_in_the_order_of_time_each_from_its_place() {
-        let mut locator = ScanLocator::new(&Settings::default(), 2, false);
-        let places = [transform(0, "base_link", "front", 0.3), transform(0, "base_link", "rear", -0.3)];
-        locator.push_transforms(0, &places, true);
-        for (recorded_ms, lidar, frame, stamp_ms) in [
-            (10, 0, "front", 5),
-            (20, 0, "front", 15),
-            (30, 1, "rear", 2),
-            (40, 1, "rear", 12),
-            (50, 0, "front", 25),
-        ] {
-            locator.push_sighting(recorded_ms * MS, lidar, scan_in(frame, stamp_ms));
-        }
-        assert_eq!(locator.take(false), Ok(None), "one of the other may still come");
-        let found: Vec<_> = std::iter::from_fn(|| locator.take(true).unwrap())
-            .map(|scan| (stamp_ms(&scan), scan.header.id.lidar, scan.header.base_from_laser.x_m))
-            .collect();
-        assert_eq!(found, [(2, 1, -0.3), (5, 0, 0.3), (12, 1, -0.3), (15, 0, 0.3), (25, 0, 0.3)]);
-    }
-
-    #[test]
-    fn without_odometry_the_gyro_gives_the_heading_and_where_it_leads_all_turns() {
-        for gyro_leads in [false, true] {
-            for has_odometry in [false, true] {
-                let mut locator = ScanLocator::new(&Settings::default(), 1, gyro_leads);
-                for stamp_ms in [0, 100, 200] {
-                    let turn_rad_s = Vector3::new(0.0, 0.0, 1.0);
-                    let reading = ImuReading { stamp_ns: stamp_ms * MS, frame: "imu".to_owned(), turn_rad_s };
-                    locator.push_imu(stamp_ms * MS, reading);
-                    if has_odometry {
-                        let transform = transform(stamp_ms, "odom", "", 0.01 * stamp_ms as f64);
-                        locator.push_odometry(stamp_ms * MS, &OdometryReading { transform });
-                    }
-                }
-                locator.push_sighting(100 * MS, 0, scan(100));
-                locator.push_sighting(200 * MS, 0, scan(200));
-                let found = [(); 2].map(|()| locator.take(true).unwrap().unwrap().header);
-                let motion = found[0].odometry.to(found[1].odometry);
-                let expected = match (has_odometry, gyro_leads) {
-                    (false, _) => (HEADING_ONLY, 0.0, 0.1),
-                    (true, false) => (1, 1.0, 0.0),
-                    (true, true) => (1, 1.0, 0.1),
-                };
-                assert_eq!(found[1].has_odometry, expected.0);
-                assert!((motion.heading_rad - expected.2).abs() < 1e-9, "{has_odometry} {gyro_leads}");
-                let travel_m = if has_odometry { motion.x_m } else { 0.0 };
-                assert!((travel_m - expected.1).abs() < 1e-9, "{has_odometry} {gyro_leads}");
-            }
-        }
-    }
-}
+mod tests;

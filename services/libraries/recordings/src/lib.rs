@@ -18,7 +18,7 @@ pub use cloud_message::FramedCloud;
 pub use mcap_messages::bus_encoding;
 pub use message_fields::{MessageProblem, Wire};
 pub use recording_error::RecordingError;
-pub use ros_messages::{FramedScan, ImuReading, OdometryReading, Reading, ReadingKind};
+pub use ros_messages::{Reading, ReadingKind};
 
 /// A message as it was recorded.
 #[derive(Clone, Debug, PartialEq, Eq)]

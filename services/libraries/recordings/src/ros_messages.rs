@@ -3,15 +3,12 @@
 use crate::cloud_message::{FramedCloud, point_cloud};
 use crate::message_fields::{Fields, MessageProblem, Wire};
 use flockslam_messages::{Message, ScanBuffer, ScanHeader, ScanSections};
-use flockslam_transforms::{Isometry3, StampedTransform};
-use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
+use flockslam_sensor_stream::{BEAMS_MAX, FramedScan, ImuReading, OdometryReading, is_plausible_sweep};
+use flockslam_transforms::{Isometry3, StampedTransform, pose_in_space};
+use nalgebra::Vector3;
 
 /// Ranges below are not returns, metres: nothing is nearer to a lidar than its own housing, and sensors write 0 for "no return".
 const RANGE_MIN_M: f32 = 0.05;
-/// More beams than this are refused: ten times as many as any known lidar has.
-const BEAMS_MAX: usize = 10_000_000;
-/// No lidar takes longer for a turn, seconds; a driver that says so fills the field with something else.
-const SWEEP_MAX_S: f32 = 1.2;
 
 /// Into so many parts a degree is divided by the steps of lidars: 1°, 0.5°, ⅓°, 0.25° …; the last has the fractions of a turn by 1024.
 const FRACTIONS_OF_DEGREES: [f64; 8] = [1.0, 2.0, 3.0, 4.0, 10.0, 16.0, 100.0, 128.0];
@@ -50,33 +47,6 @@ pub enum Reading {
     Transforms(Vec<StampedTransform>),
     /// A scan as it was on the bus of a set, with everything that belongs to it.
     BusScan(ScanBuffer),
-}
-
-/// A scan, and the frame that it was taken in.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct FramedScan {
-    /// The lidar's frame.
-    pub frame: String,
-    /// The scan: stamp, angles, times of beams, limits, ranges and intensities. The rest of its header is as new.
-    pub scan: ScanBuffer,
-}
-
-/// A pose by odometry.
-#[derive(Clone, Debug, PartialEq)]
-pub struct OdometryReading {
-    /// From the frame of odometry to that of the robot.
-    pub transform: StampedTransform,
-}
-
-/// How fast a frame turns, by its gyroscopes.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ImuReading {
-    /// When it was measured, nanoseconds.
-    pub stamp_ns: i64,
-    /// The frame of the IMU.
-    pub frame: String,
-    /// About its three axes, radians a second.
-    pub turn_rad_s: Vector3<f64>,
 }
 
 impl ReadingKind {
@@ -157,12 +127,10 @@ fn laser_scan(mut fields: Fields<'_>, kind: ReadingKind) -> Result<FramedScan, M
     header.range_min_m = range_min.max(RANGE_MIN_M);
     // Many drivers write the limit itself where nothing has returned.
     header.range_max_m = range_max.min(f32::MAX).next_down();
-    // Written this way round, so that NaN fails.
-    let is_plausible = time_increment.abs() * beams as f32 <= SWEEP_MAX_S;
-    header.time_increment_s = if is_plausible { time_increment } else { 0.0 };
+    header.time_increment_s = if is_plausible_sweep(time_increment, beams) { time_increment } else { 0.0 };
     header.beam_count = beams as u32;
     header.sections = if has_intensities { ScanSections::INTENSITIES } else { 0 };
-    Ok(FramedScan { frame, scan })
+    Ok(FramedScan { frame, scan, mounting: None })
 }
 
 /// An angle of which a message has the nearest number of 32 bits: lidars have steps and limits of whole degrees, or of simple fractions
@@ -198,7 +166,10 @@ fn odometry(mut fields: Fields<'_>) -> Result<OdometryReading, MessageProblem> {
     let (stamp_ns, parent) = fields.header()?;
     let child = fields.text()?;
     let parent_from_child = pose(&mut fields)?;
-    Ok(OdometryReading { transform: StampedTransform { stamp_ns, parent, child, parent_from_child } })
+    Ok(OdometryReading {
+        transform: StampedTransform { stamp_ns, parent, child, parent_from_child },
+        twist: None,
+    })
 }
 
 fn imu(mut fields: Fields<'_>) -> Result<ImuReading, MessageProblem> {
@@ -232,13 +203,8 @@ fn pose(fields: &mut Fields<'_>) -> Result<Isometry3<f64>, MessageProblem> {
     for number in &mut numbers {
         *number = fields.f64()?;
     }
-    let [x, y, z, i, j, k, w] = numbers;
-    let quaternion = Quaternion::new(w, i, j, k);
-    let is_sound = numbers.iter().all(|number| number.is_finite()) && quaternion.norm() > 1e-6;
-    if !is_sound {
-        return Err(MessageProblem::NotFinite);
-    }
-    Ok(Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::from_quaternion(quaternion)))
+    let [x, y, z, rotation @ ..] = numbers;
+    pose_in_space([x, y, z], rotation).ok_or(MessageProblem::NotFinite)
 }
 
 #[cfg(test)]

@@ -178,6 +178,11 @@ impl StageContext {
         move || Bus::join(&RuntimeDir::open(&runtime).ok()?, &name, capacity).ok()
     }
 
+    /// The directory of the set.
+    pub fn set_dir(&self) -> &Path {
+        &self.runtime
+    }
+
     /// The clock of latency and deadlines, nanoseconds; comparable between the processes of a set.
     pub fn now_ns(&self) -> u64 {
         self.clock.now_ns()

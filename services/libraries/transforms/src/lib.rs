@@ -5,4 +5,4 @@ mod transform_buffer;
 
 pub use mounting::{Mounting, MountingError, planar};
 pub use nalgebra::Isometry3;
-pub use transform_buffer::{LookupError, StampedTransform, TransformBuffer, frame_name};
+pub use transform_buffer::{LookupError, StampedTransform, TransformBuffer, frame_name, pose_in_space};

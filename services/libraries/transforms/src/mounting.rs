@@ -1,7 +1,8 @@
 //! Where a lidar sits on a robot: its pose in space, reduced to the plane that scans are matched in.
 
 use flockslam_geometry::Pose;
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use std::f64::consts::PI;
 
 /// A lidar whose plane is tilted by more than this sees floor and ceiling: cosine of 30°.
 const TILT_COS_MIN: f64 = 0.866;
@@ -35,6 +36,14 @@ impl Mounting {
         }
         Ok(Self { base_from_laser: planar(base_from_laser), upside_down: up < 0.0 })
     }
+
+    /// The pose of the lidar in the frame of the robot, in space.
+    pub fn in_space(&self) -> Isometry3<f64> {
+        let Pose { x_m, y_m, heading_rad } = self.base_from_laser;
+        let roll_rad = if self.upside_down { PI } else { 0.0 };
+        let rotation = UnitQuaternion::from_euler_angles(roll_rad, 0.0, heading_rad);
+        Isometry3::from_parts(Translation3::new(x_m, y_m, 0.0), rotation)
+    }
 }
 
 /// A pose in space seen from above: its position, and the direction of its x axis.
@@ -46,8 +55,7 @@ pub fn planar(pose: &Isometry3<f64>) -> Pose {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{Translation3, UnitQuaternion};
-    use std::f64::consts::{FRAC_PI_2, PI};
+    use std::f64::consts::FRAC_PI_2;
 
     fn pose(roll: f64, pitch: f64, yaw: f64) -> Isometry3<f64> {
         Isometry3::from_parts(
@@ -69,6 +77,9 @@ mod tests {
                 assert!(Pose::new(0.0, 0.0, found).turn_rad(Pose::new(0.0, 0.0, expected)) < 1e-9);
             }
             assert!(mounting.base_from_laser.distance_m(Pose::new(0.3, -0.1, 0.0)) < 1e-12);
+            let again = Mounting::from_transform(&mounting.in_space()).unwrap();
+            assert_eq!(again.upside_down, mounting.upside_down);
+            assert!(again.base_from_laser.turn_rad(mounting.base_from_laser) < 1e-9);
         }
     }
 

@@ -7,6 +7,8 @@ use std::collections::{BTreeMap, VecDeque};
 const KEPT_NS: i64 = 30_000_000_000;
 /// Between transforms that are further apart nothing is interpolated, nanoseconds.
 const GAP_MAX_NS: i64 = 1_000_000_000;
+/// Quaternions of other lengths are no rotations.
+const LENGTHS: std::ops::Range<f64> = 1e-6..1e6;
 /// A chain of frames is not longer: one that is goes round in a circle.
 const CHAIN_MAX: usize = 64;
 
@@ -51,6 +53,16 @@ struct Link {
     is_static: bool,
     /// In order of time; one where it is static.
     poses: VecDeque<(i64, Isometry3<f64>)>,
+}
+
+/// A pose in space from a position and the numbers x, y, z, w of a quaternion, which need not be of length 1; `None` when they are none.
+pub fn pose_in_space(position: [f64; 3], quaternion: [f64; 4]) -> Option<Isometry3<f64>> {
+    let [i, j, k, w] = quaternion;
+    let rotation = Quaternion::new(w, i, j, k);
+    let is_sound = position.iter().all(|number| number.is_finite()) && LENGTHS.contains(&rotation.norm());
+    is_sound.then(|| {
+        Isometry3::from_parts(Translation3::from(position), UnitQuaternion::from_quaternion(rotation))
+    })
 }
 
 /// A frame's name without the slash that tf put in front of it.

@@ -36,7 +36,7 @@ impl Tally {
         self.rejected.iter().filter(|(reason, _)| of_line(reason)).map(|(_, count)| count).sum()
     }
 
-    pub(super) fn reject(&mut self, rejection: Rejection) {
+    pub(crate) fn reject(&mut self, rejection: Rejection) {
         *self.rejected.entry(rejection).or_default() += 1;
         self.first_rejected.get_or_insert((self.lines, rejection));
     }

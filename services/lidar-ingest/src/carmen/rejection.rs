@@ -36,6 +36,15 @@ pub enum Rejection {
     /// A message of a recording does not match its type.
     #[error("a message does not match its type")]
     BadMessage,
+    /// Bytes of a stream are no frame.
+    #[error("bytes that are no frame")]
+    BadFrame,
+    /// It is not known where the lidar sits.
+    #[error("it is not known where the lidar sits")]
+    Unplaced,
+    /// A lidar that is not read.
+    #[error("the lidar is not one of those that are read")]
+    UnknownLidar,
 }
 
 impl Rejection {
@@ -53,6 +62,9 @@ impl Rejection {
             Self::TimeReversed => "time_reversed",
             Self::Frozen => "frozen",
             Self::BadMessage => "bad_message",
+            Self::BadFrame => "bad_frame",
+            Self::Unplaced => "unplaced",
+            Self::UnknownLidar => "unknown_lidar",
         }
     }
 }

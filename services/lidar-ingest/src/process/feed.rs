@@ -1,7 +1,10 @@
-//! One interface to all sources of scans – log, recording, pipe, simulation – with the experiment's changes applied.
+//! One interface to all sources of scans – log, recording, pipe, socket, simulation – with the experiment's changes applied.
 
-use super::pipe::{Pipe, Piped};
+use super::live_lidars::listen_to;
+use super::pipe::read_pipe;
 use super::recording_reader::RecordingReader;
+use super::scan_socket::{SCAN_SOCKET, listen_at};
+use super::sensor_feed::SensorFeed;
 use super::topic_choice::ReadRecordingError;
 use super::truth_file::TruthWriter;
 use super::{Source, Task, first_stages, world_file};
@@ -16,6 +19,7 @@ use flockslam_stage::{StageContext, StageError};
 use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
+use std::time::Duration;
 
 /// Scans one after another, from whatever source, with the experiment's changes applied.
 pub struct Feed {
@@ -28,7 +32,7 @@ pub struct Feed {
 enum Kind {
     Log(Box<CarmenReader<BufReader<File>>>),
     Recording(Box<RecordingReader>),
-    Pipe(Pipe),
+    Sensors(Box<SensorFeed>),
     Simulation { simulation: Box<Simulation>, truth: TruthWriter },
     Nothing,
 }
@@ -62,8 +66,25 @@ impl Feed {
                 (Kind::Log(Box::new(CarmenReader::new(reader, name, task.settings.clone()))), expected)
             }
             Source::Pipe => {
-                let first = first_stages(context.mode);
-                (Kind::Pipe(Pipe::start(context, task.settings.clone(), first)?), 0)
+                let inlet = read_pipe(context, task.settings.clone(), first_stages(context.mode))?;
+                let feed = SensorFeed::new(context, inlet, "standard input".to_owned(), &task.settings)?;
+                (Kind::Sensors(Box::new(feed)), 0)
+            }
+            Source::Scans(path) => {
+                let path = path.clone().unwrap_or_else(|| context.set_dir().join(SCAN_SOCKET));
+                let inlet = listen_at(context, &path)?;
+                let feed = SensorFeed::new(context, inlet, path.display().to_string(), &task.settings)?;
+                (Kind::Sensors(Box::new(feed)), 0)
+            }
+            Source::Lidars(lidars) => {
+                let mut feed = SensorFeed::new(
+                    context,
+                    listen_to(context, lidars)?,
+                    "lidars".to_owned(),
+                    &task.settings,
+                )?;
+                feed.number(lidars.iter().map(|lidar| lidar.name.clone()))?;
+                (Kind::Sensors(Box::new(feed)), 0)
             }
             Source::Simulation => {
                 let built_in = || Ok(World::built_in(&task.simulation));
@@ -81,8 +102,8 @@ impl Feed {
 
     /// Goes past the scans that a predecessor has sent.
     pub fn skip(&mut self, scans: u64) -> Result<(), StageError> {
-        // What went through a pipe is gone with the process that read it.
-        if matches!(self.kind, Kind::Pipe(_)) {
+        // What sensors have said is gone with the process that heard it.
+        if self.is_sensor() {
             return Ok(());
         }
         let mut scan = ScanBuffer::default();
@@ -96,7 +117,7 @@ impl Feed {
 
     /// Whether it goes on by itself, whoever listens.
     pub fn is_sensor(&self) -> bool {
-        matches!(self.kind, Kind::Pipe(_))
+        matches!(self.kind, Kind::Sensors(_))
     }
 
     /// The next scan.
@@ -114,14 +135,7 @@ impl Feed {
                 true => Fed::Scan,
                 false => Fed::End,
             },
-            Kind::Pipe(pipe) => match pipe.take()? {
-                Piped::Scan(piped) => {
-                    *scan = piped;
-                    Fed::Scan
-                }
-                Piped::NotYet => Fed::NotYet,
-                Piped::End => Fed::End,
-            },
+            Kind::Sensors(sensors) => sensors.next(scan)?,
             Kind::Simulation { simulation, truth } => match simulation.next_scan(scan) {
                 Some(pose) => {
                     truth.push(scan.header.times.sensor_ns, pose);
@@ -147,8 +161,36 @@ impl Feed {
         match &self.kind {
             Kind::Log(reader) => Some(reader.tally().clone()),
             Kind::Recording(reader) => Some(reader.tally().clone()),
-            Kind::Pipe(pipe) => Some(pipe.tally()),
+            Kind::Sensors(sensors) => Some(sensors.tally()),
             Kind::Simulation { .. } | Kind::Nothing => None,
+        }
+    }
+
+    /// The name of a lidar; its number where it has none.
+    pub fn lidar_name(&self, number: u32) -> String {
+        let name = match &self.kind {
+            Kind::Sensors(sensors) => sensors.lidar_name(number),
+            Kind::Recording(reader) => {
+                reader.scan_topics().nth(number as usize).unwrap_or_default().to_owned()
+            }
+            _ => String::new(),
+        };
+        if name.is_empty() { number.to_string() } else { name }
+    }
+
+    /// Counts of its own, by name.
+    pub fn counts(&self) -> Vec<(&'static str, u64)> {
+        match &self.kind {
+            Kind::Sensors(sensors) => sensors.counts().to_vec(),
+            _ => Vec::new(),
+        }
+    }
+
+    /// How long nothing can be missed; `None`: until the stage is woken.
+    pub fn patience(&self) -> Option<Duration> {
+        match &self.kind {
+            Kind::Sensors(sensors) => sensors.patience(),
+            _ => None,
         }
     }
 

@@ -1,122 +1,106 @@
-//! Reads CARMEN lines from the standard input in a thread of its own.
+//! Reads the standard input in a thread of its own: lines of CARMEN, or frames, whichever it begins with.
 
+use super::sensor_inlet::{Heard, SensorInlet, SensorOutlet, event_of, listen};
 use crate::Settings;
-use crate::carmen::{CarmenReader, Tally};
-use crossbeam::channel::{Receiver, Sender, TryRecvError, bounded};
+use crate::carmen::CarmenReader;
 use flockslam_bus::Notifier;
 use flockslam_messages::{ScanBuffer, Stage};
+use flockslam_sensor_stream::FrameReader;
 use flockslam_stage::{StageContext, StageError};
-use std::io::{self, BufReader, Read, stdin};
-use std::sync::{Arc, Mutex};
-use std::thread;
+use std::io::{self, BufRead, BufReader, Read, stdin};
 
-/// Scans from the standard input. A thread of its own waits for the lines, since that wait cannot be cut short.
-pub struct Pipe {
-    scans: Receiver<Result<ScanBuffer, String>>,
-    tally: Arc<Mutex<Tally>>,
-}
+/// Room for several scans: a smaller one would be announced several times.
+const BUFFER_BYTES: usize = 1 << 16;
 
-/// The result of a pipe.
-pub enum Piped {
-    /// The next scan.
-    Scan(ScanBuffer),
-    /// Nothing for now.
-    NotYet,
-    /// Nothing any more.
-    End,
-}
-
-/// Scans read ahead: a full channel makes the writer of the pipe wait.
-const AHEAD: usize = 16;
-
-impl Pipe {
-    /// Starts reading. The stage's event rings with every scan, and the first bytes of a line announce one to the stage
-    /// itself and to `first`.
-    pub fn start(
-        context: &StageContext,
-        settings: Settings,
-        first: &'static [Stage],
-    ) -> Result<Self, StageError> {
-        let (sender, scans) = bounded(AHEAD);
-        let tally = Arc::new(Mutex::new(Tally::default()));
-        let shared = Arc::clone(&tally);
-        let join = context.joiner();
-        let reader = thread::Builder::new().name("pipe".to_owned()).spawn(move || {
-            // The bus must outlive the event: it holds the thread's place in the set.
-            let bus = join();
-            let notifier = |stage: &Stage| bus.as_ref().and_then(|bus| bus.notifier(stage.name()).ok());
-            let event = notifier(&Stage::LidarIngest);
-            let announced = [Stage::LidarIngest].iter().chain(first).filter_map(notifier).collect();
-            let input = Announced { input: stdin().lock(), notifiers: announced };
-            read(input, settings, &sender, &shared, event.as_ref());
-            drop(sender);
-            if let Some(event) = event {
-                event.ring();
-            }
-        });
-        reader.map_err(|e| StageError::Source(format!("standard input: {e}")))?;
-        Ok(Self { scans, tally })
-    }
-
-    /// The next scan, if one has arrived.
-    pub fn take(&self) -> Result<Piped, StageError> {
-        match self.scans.try_recv() {
-            Ok(Ok(scan)) => Ok(Piped::Scan(scan)),
-            Ok(Err(reason)) => Err(StageError::Source(reason)),
-            Err(TryRecvError::Empty) => Ok(Piped::NotYet),
-            Err(TryRecvError::Disconnected) => Ok(Piped::End),
-        }
-    }
-
-    /// Counts so far.
-    pub fn tally(&self) -> Tally {
-        self.tally.lock().expect("the reading thread does not panic").clone()
-    }
+/// Starts reading. The first bytes of a line of CARMEN announce its scan to the stage and to `first`. A thread of its own waits for the
+/// bytes, since that wait cannot be cut short.
+pub fn read_pipe(
+    context: &StageContext,
+    settings: Settings,
+    first: &'static [Stage],
+) -> Result<SensorInlet, StageError> {
+    let inlet = listen(context, "pipe", move |maker, bus| {
+        // The bus must outlive its events: it holds the thread's place in the set.
+        let notifier = |stage: &Stage| bus.as_ref().and_then(|bus| bus.notifier(stage.name()).ok());
+        let announced = [Stage::LidarIngest].iter().chain(first).filter_map(notifier).collect();
+        let input = Announced { input: stdin().lock(), notifiers: announced, is_announced: true };
+        let outlet = maker.outlet(event_of(bus.as_ref()));
+        read(BufReader::with_capacity(BUFFER_BYTES, input), settings, &outlet);
+        drop(outlet);
+    });
+    inlet.map_err(|e| StageError::Source(format!("standard input: {e}")))
 }
 
 /// An input of which arriving bytes are announced: a scan will soon be read from them.
 struct Announced<R> {
     input: R,
     notifiers: Vec<Notifier>,
+    is_announced: bool,
 }
 
 impl<R: Read> Read for Announced<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let count = self.input.read(buffer)?;
-        self.notifiers.iter().for_each(Notifier::announce);
+        if self.is_announced {
+            self.notifiers.iter().for_each(Notifier::announce);
+        }
         Ok(count)
     }
 }
 
-/// Room for several scans: a smaller one would be announced several times.
-const BUFFER_BYTES: usize = 1 << 16;
+fn read<R: Read>(mut input: BufReader<Announced<R>>, settings: Settings, outlet: &SensorOutlet) {
+    match input.fill_buf() {
+        // Of frames most are no scans: those are not announced.
+        Ok([0xfa | b'{', ..]) => {
+            input.get_mut().is_announced = false;
+            read_frames(input, outlet);
+        }
+        _ => read_carmen(input, settings, outlet),
+    }
+}
 
-fn read(
-    input: impl Read,
-    settings: Settings,
-    scans: &Sender<Result<ScanBuffer, String>>,
-    tally: &Mutex<Tally>,
-    event: Option<&Notifier>,
-) {
-    let mut reader =
-        CarmenReader::new(BufReader::with_capacity(BUFFER_BYTES, input), "standard input", settings);
+fn read_frames(mut input: impl BufRead, outlet: &SensorOutlet) {
+    let mut reader = FrameReader::default();
+    outlet.say(Heard::Came);
     loop {
-        let mut scan = ScanBuffer::default();
-        let read = reader.next_scan(&mut scan);
-        *tally.lock().expect("the stage does not panic") = reader.tally().clone();
-        let sent = match read {
-            Ok(true) => scans.send(Ok(scan)),
-            Ok(false) => return,
+        let length = match input.fill_buf() {
+            Ok([]) => break,
+            Ok(bytes) => {
+                reader.push(bytes);
+                bytes.len()
+            }
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
             Err(error) => {
-                let _ = scans.send(Err(error.to_string()));
+                outlet.say(Heard::Failed(format!("standard input: {error}")));
                 return;
             }
         };
-        if sent.is_err() {
-            return;
+        input.consume(length);
+        while let Some(frame) = reader.next_frame() {
+            if !outlet.say_frame(frame) {
+                return;
+            }
         }
-        if let Some(event) = event {
-            event.ring();
+    }
+    outlet.say(Heard::Went { within_frame: reader.ends_within() });
+}
+
+fn read_carmen(input: impl BufRead, settings: Settings, outlet: &SensorOutlet) {
+    let mut reader = CarmenReader::new(input, "standard input", settings);
+    loop {
+        let mut scan = ScanBuffer::default();
+        let read = reader.next_scan(&mut scan);
+        outlet.store_tally(reader.tally());
+        let goes_on = match read {
+            Ok(true) => outlet.say(Heard::Scan(scan)),
+            Ok(false) => false,
+            Err(error) => {
+                outlet.say(Heard::Failed(error.to_string()));
+                false
+            }
+        };
+        if !goes_on {
+            return;
         }
     }
 }

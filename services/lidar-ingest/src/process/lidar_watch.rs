@@ -1,0 +1,80 @@
+//! Which lidar gave how many scans, and when its last: for status and metrics.
+
+use flockslam_results::LidarStatus;
+use flockslam_stage::StageContext;
+use flockslam_telemetry::{Counter, CountersByLabels, Gauge, GaugesByLabels, names};
+
+/// How lidars are is left for who asks so often, nanoseconds.
+const PERIOD_NS: u64 = 500_000_000;
+
+/// What is known of each lidar, by number.
+pub struct LidarWatch {
+    counters: CountersByLabels,
+    ages: GaugesByLabels,
+    lidars: Vec<Watched>,
+    written_ns: u64,
+    /// Scans of all of them when it was written.
+    written_scans: u64,
+}
+
+struct Watched {
+    status: LidarStatus,
+    scans: Counter,
+    age: Gauge,
+    /// It was said that it is silent.
+    said_silent: bool,
+}
+
+impl LidarWatch {
+    /// Of a stage's process.
+    pub fn new(context: &StageContext) -> Self {
+        let labels = [names::LABEL_LIDAR];
+        Self {
+            counters: context.metrics.counters_by(names::LIDAR_SCANS, &labels),
+            ages: context.metrics.gauges_by(names::LIDAR_AGE, &labels),
+            lidars: Vec::new(),
+            written_ns: 0,
+            written_scans: 0,
+        }
+    }
+
+    /// A scan of a lidar was given to the set; `name` gives the names of lidars by number.
+    pub fn gave(&mut self, lidar: u32, now_ns: u64, name: impl Fn(u32) -> String) {
+        while self.lidars.len() <= lidar as usize {
+            let name = name(self.lidars.len() as u32);
+            let (scans, age) = (self.counters.one(&[&name]), self.ages.one(&[&name]));
+            let status = LidarStatus { lidar: name, ..LidarStatus::default() };
+            self.lidars.push(Watched { status, scans, age, said_silent: false });
+        }
+        let watched = &mut self.lidars[lidar as usize];
+        watched.scans.inc();
+        (watched.status.scans, watched.status.last_ns) = (watched.status.scans + 1, now_ns);
+    }
+
+    /// Leaves it for who asks, when that was not done for a while. A lidar that has fallen silent while another goes on is named.
+    pub fn look(&mut self, context: &StageContext, now_ns: u64) {
+        let speaking = self.lidars.iter().any(|lidar| !lidar.status.is_silent(now_ns));
+        for Watched { status, age, said_silent, .. } in &mut self.lidars {
+            if status.scans == 0 {
+                continue;
+            }
+            age.set(status.age_s(now_ns));
+            let is_silent = status.is_silent(now_ns);
+            if is_silent && speaking && !std::mem::replace(said_silent, true) {
+                tracing::warn!("lidar '{}' has fallen silent: the set goes on without it", status.lidar);
+            } else if !is_silent && std::mem::take(said_silent) {
+                tracing::warn!("lidar '{}' is back", status.lidar);
+            }
+        }
+        let scans = self.lidars.iter().map(|lidar| lidar.status.scans).sum();
+        if scans == self.written_scans || now_ns.saturating_sub(self.written_ns) < PERIOD_NS {
+            return;
+        }
+        (self.written_ns, self.written_scans) = (now_ns, scans);
+        let said = self.lidars.iter().map(|watched| watched.status.clone());
+        let said: Vec<LidarStatus> = said.filter(|status| status.scans > 0).collect();
+        if let Err(error) = LidarStatus::write(&said, &context.status_dir) {
+            tracing::warn!(%error, "it is not left how lidars are");
+        }
+    }
+}

@@ -1,0 +1,280 @@
+//! Scans of sensors that speak by themselves – on the socket, through a pipe – with what else they say brought to them, in order of time.
+
+use super::feed::Fed;
+use super::lidar_names::LidarNames;
+use super::sensor_inlet::{Heard, SensorInlet};
+use crate::carmen::{Rejection, Tally};
+use crate::continuity::Continuity;
+use crate::scan_locator::{ScanLocator, Sighting};
+use crate::settings::Settings;
+use flockslam_geometry::Pose;
+use flockslam_messages::ScanBuffer;
+use flockslam_sensor_stream::{LidarScan, SensorFrame, TransformsReading};
+use flockslam_stage::{Mode, StageContext, StageError};
+use flockslam_telemetry::monotonic_ns;
+use flockslam_transforms::Mounting;
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// While a scan waits for what belongs to it, this is looked at so often.
+const LOOK: Duration = Duration::from_millis(5);
+
+/// Scans of sensors, placed on the robot.
+pub struct SensorFeed {
+    inlet: SensorInlet,
+    locator: ScanLocator,
+    names: LidarNames,
+    mode: Mode,
+    /// Names the source in errors.
+    name: String,
+    /// Nobody listens any more.
+    at_end: bool,
+    /// The newest stamp so far: the time of a stream that is replayed.
+    newest_stamp_ns: i64,
+    by_lidar: BTreeMap<u32, LidarState>,
+    tally: Tally,
+    producers: Producers,
+    /// The last scans could not be placed, which was said.
+    said_unplaced: bool,
+}
+
+/// What is known of one lidar.
+#[derive(Default)]
+struct LidarState {
+    continuity: Continuity,
+    last_stamp_ns: Option<i64>,
+}
+
+/// Counts of those who send.
+#[derive(Clone, Copy, Debug, Default)]
+struct Producers {
+    came: u64,
+    went: u64,
+    broken_off: u64,
+    /// Of the present producers one has sent what is no frame, which was said.
+    said_problem: bool,
+}
+
+impl SensorFeed {
+    /// Reads what comes through `inlet`; `name` stands for the source in errors.
+    pub fn new(
+        context: &StageContext,
+        inlet: SensorInlet,
+        name: String,
+        settings: &Settings,
+    ) -> Result<Self, StageError> {
+        let gyro_leads = settings.imu_topic.is_some();
+        let locator = match context.mode {
+            Mode::Live => ScanLocator::live(settings, gyro_leads),
+            Mode::Exact => ScanLocator::new(settings, settings.scan_topics.len(), gyro_leads),
+        };
+        Ok(Self {
+            inlet,
+            locator,
+            names: LidarNames::open(&context.status_dir, &settings.scan_topics)?,
+            mode: context.mode,
+            name,
+            at_end: false,
+            newest_stamp_ns: i64::MIN,
+            by_lidar: BTreeMap::new(),
+            tally: Tally::default(),
+            producers: Producers::default(),
+            said_unplaced: false,
+        })
+    }
+
+    /// Gives lidars their numbers before their scans come: in this order.
+    pub fn number(&mut self, lidars: impl IntoIterator<Item = String>) -> Result<(), StageError> {
+        for lidar in lidars {
+            self.names.number(&lidar).map_err(|error| StageError::Source(error.to_string()))?;
+        }
+        self.locator.set_lidars(self.names.count());
+        Ok(())
+    }
+
+    /// Counts so far; a frame is a line.
+    pub fn tally(&self) -> Tally {
+        let of_lines = self.inlet.tally();
+        if of_lines.lines > 0 { of_lines } else { self.tally.clone() }
+    }
+
+    /// Counts of its own, for the report.
+    pub fn counts(&self) -> [(&'static str, u64); 5] {
+        let (producers, guesses) = (&self.producers, self.locator.guesses());
+        [
+            ("producers_came", producers.came),
+            ("producers_went", producers.went),
+            ("frames_broken_off", producers.broken_off),
+            ("odometry_carried_on", guesses.carried_on),
+            ("odometry_missing", guesses.without),
+        ]
+    }
+
+    /// The name of a lidar; empty where it has none.
+    pub fn lidar_name(&self, number: u32) -> String {
+        self.names.name(number)
+    }
+
+    /// How long nothing can be missed; `None`: until something is heard.
+    pub fn patience(&self) -> Option<Duration> {
+        (self.mode == Mode::Live && self.locator.is_waiting()).then_some(LOOK)
+    }
+
+    /// The next scan.
+    pub fn next(&mut self, scan: &mut ScanBuffer) -> Result<Fed, StageError> {
+        loop {
+            if let Some(located) = self.locate()? {
+                *scan = located;
+                if self.is_sound(scan) {
+                    return Ok(Fed::Scan);
+                }
+                continue;
+            }
+            if self.at_end {
+                return self.end();
+            }
+            match self.inlet.take() {
+                Ok(Some(Heard::Scan(heard))) => {
+                    *scan = heard;
+                    return Ok(Fed::Scan);
+                }
+                Ok(Some(heard)) => self.hear(heard)?,
+                Ok(None) => {
+                    self.inlet.await_anything(self.locator.is_waiting());
+                    return Ok(Fed::NotYet);
+                }
+                Err(()) => self.at_end = true,
+            }
+        }
+    }
+
+    fn end(&self) -> Result<Fed, StageError> {
+        let is_empty = self.tally.scans == 0 && self.tally.lines + self.tally.rejected_lines() > 0;
+        if is_empty && self.mode == Mode::Exact {
+            let reason = format!("{}: no scan in {} frames", self.name, self.tally.lines);
+            return Err(StageError::Source(reason));
+        }
+        Ok(Fed::End)
+    }
+
+    fn hear(&mut self, heard: Heard) -> Result<(), StageError> {
+        match heard {
+            Heard::Frame(frame, heard_ns) => self.take_frame(frame, heard_ns),
+            Heard::Scan(_) => {}
+            Heard::Came => self.producers.came += 1,
+            Heard::Went { within_frame } => {
+                self.producers.went += 1;
+                self.producers.broken_off += u64::from(within_frame);
+                self.producers.said_problem = false;
+                tracing::info!(source = self.name, within_frame, "a producer has gone");
+            }
+            Heard::Problem(problem) => {
+                self.tally.lines += 1;
+                self.tally.reject(Rejection::BadFrame);
+                if !std::mem::replace(&mut self.producers.said_problem, true) {
+                    tracing::warn!("{}: {problem}: passed over, counted", self.name);
+                }
+            }
+            Heard::Failed(reason) => return Err(StageError::Source(reason)),
+        }
+        Ok(())
+    }
+
+    /// The time at which something is taken as recorded: live that of the clock, else by the stamps.
+    fn time_ns(&mut self, stamp_ns: i64, heard_ns: u64) -> i64 {
+        self.newest_stamp_ns = self.newest_stamp_ns.max(stamp_ns);
+        match self.mode {
+            Mode::Live => heard_ns as i64,
+            Mode::Exact => self.newest_stamp_ns,
+        }
+    }
+
+    fn take_frame(&mut self, frame: SensorFrame, heard_ns: u64) {
+        self.tally.lines += 1;
+        match frame {
+            SensorFrame::Scan(scan) => {
+                let at_ns = self.time_ns(scan.scan.scan.header.times.sensor_ns, heard_ns);
+                self.take_scan(scan, at_ns);
+            }
+            SensorFrame::Odometry(reading) => {
+                let at_ns = self.time_ns(reading.transform.stamp_ns, heard_ns);
+                self.locator.push_odometry(at_ns, &reading);
+            }
+            SensorFrame::Transforms(TransformsReading { is_static, transforms }) => {
+                let stamps = transforms.iter().map(|transform| transform.stamp_ns);
+                // What always holds says nothing of the time.
+                let newest_ns = stamps.max().filter(|_| !is_static).unwrap_or(i64::MIN);
+                let at_ns = self.time_ns(newest_ns, heard_ns);
+                self.locator.push_transforms(at_ns, &transforms, is_static);
+            }
+            SensorFrame::Imu(reading) => {
+                let at_ns = self.time_ns(reading.stamp_ns, heard_ns);
+                self.locator.push_imu(at_ns, reading);
+            }
+        }
+    }
+
+    fn take_scan(&mut self, LidarScan { lidar, mut scan }: LidarScan, at_ns: i64) {
+        let number = match self.names.number(&lidar) {
+            Ok(number) => number,
+            Err(problem) => {
+                if !self.tally.rejected.contains_key(&Rejection::UnknownLidar) {
+                    tracing::warn!("{}: {problem}", self.name);
+                }
+                self.tally.reject(Rejection::UnknownLidar);
+                return;
+            }
+        };
+        if scan.frame.is_empty() {
+            // Nothing is said: the lidar is the robot.
+            let middle = Mounting { base_from_laser: Pose::IDENTITY, upside_down: false };
+            scan.mounting.get_or_insert(middle);
+        }
+        self.locator.set_lidars(self.names.count());
+        self.locator.push_sighting(at_ns, number, Sighting::Scan(scan));
+    }
+
+    /// The next scan that has all that belongs to it. Live, one that cannot be placed is left out.
+    fn locate(&mut self) -> Result<Option<ScanBuffer>, StageError> {
+        if self.mode == Mode::Live {
+            self.locator.note_time(monotonic_ns() as i64);
+        }
+        loop {
+            match self.locator.take(self.at_end) {
+                Ok(located) => {
+                    self.said_unplaced &= located.is_none();
+                    return Ok(located);
+                }
+                Err(problem) if self.mode == Mode::Exact => {
+                    return Err(StageError::Source(format!("{}: {problem}", self.name)));
+                }
+                Err(problem) => {
+                    let lidar = self.locator.give_up();
+                    self.tally.reject(Rejection::Unplaced);
+                    if !std::mem::replace(&mut self.said_unplaced, true) {
+                        let lidar = lidar.map(|number| self.names.name(number)).unwrap_or_default();
+                        tracing::warn!("{}: scans of lidar '{lidar}' are left out: {problem}", self.name);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Counts a scan; whether it follows the one before it.
+    fn is_sound(&mut self, scan: &mut ScanBuffer) -> bool {
+        let state = self.by_lidar.entry(scan.header.id.lidar).or_default();
+        if let Some(rejection) = state.continuity.refuses(scan) {
+            self.tally.reject(rejection);
+            return false;
+        }
+        let stamp_ns = scan.header.times.sensor_ns;
+        let before_ns = state.last_stamp_ns.replace(stamp_ns);
+        self.tally.steps_backward += u64::from(before_ns.is_some_and(|before_ns| stamp_ns <= before_ns));
+        scan.header.id.sequence = self.tally.scans;
+        self.tally.scans += 1;
+        let limits = scan.header.range_min_m..=scan.header.range_max_m;
+        let ranges = &scan.numbers[..scan.header.beam_count as usize];
+        self.tally.invalid_beams += ranges.iter().filter(|range| !limits.contains(*range)).count() as u64;
+        true
+    }
+}
