@@ -2,7 +2,7 @@
 
 use crate::support;
 use crate::support::ros_recording::{RosRecording, in_space};
-use crate::support::{Outputs, flockslam, stderr, stdout};
+use crate::support::{Outputs, data_dir, flockslam, stderr, stdout};
 use flockslam_geometry::Pose;
 use flockslam_messages::ScanBuffer;
 use std::fs;
@@ -72,7 +72,7 @@ fn a_recording_without_scans_names_its_topics() {
 }
 
 #[test]
-fn two_topics_of_scans_are_to_be_told_apart() {
+fn of_two_topics_of_scans_one_is_to_be_chosen() {
     let directory = tempfile::tempdir().unwrap();
     let file = recorded(directory.path(), &["/front", "/rear"], 0..5, |_| {});
     refused(directory.path(), &file, &["/front (5)", "/rear (5)", "--scan TOPIC"]);
@@ -115,9 +115,9 @@ fn a_packing_that_is_not_known_is_named() {
     };
     fs::write(&file, replaced(fs::read(&file).unwrap(), b"zstd", b"zzzz")).unwrap();
     refused(place, &file, &["packed with \"zzzz\"", "none, lz4 and zstd are known", "mcap compress"]);
-    let corpus = support::repository().join("tests/fuzz/corpus/bag/four_scans.bag");
+    let Some(data) = data_dir() else { return };
     let bag = place.join("drive.bag");
-    fs::write(&bag, replaced(fs::read(corpus).unwrap(), b"=bz2", b"=zip")).unwrap();
+    fs::write(&bag, replaced(fs::read(data.join("bags/aces.bag")).unwrap(), b"=bz2", b"=zip")).unwrap();
     refused(place, &bag, &["packed with \"zip\"", "none, bz2 and lz4 are known", "rosbag decompress"]);
 }
 
@@ -171,6 +171,7 @@ fn any_number_of_beams_is_taken() {
             let mut scan = ScanBuffer::from_ranges(&ranges, 0.0, step_rad);
             scan.header.range_max_m = 20.0;
             scan.header.times.sensor_ns = number * 100_000_000;
+            recording.odometry(number * 100_000_000, Pose::IDENTITY);
             recording.scan("/scan", "laser", &scan);
         }
         recording.finish();

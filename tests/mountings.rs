@@ -20,7 +20,7 @@ const RATE_HZ: f64 = 20.0;
 struct Mounted {
     place: Pose,
     /// Where the transforms say that it is.
-    told: Pose,
+    stated: Pose,
     upside_down: bool,
     /// It gives every so many turns a scan.
     every: usize,
@@ -38,14 +38,14 @@ enum Motion {
 /// A lidar at ten turns a second, so far ahead of the middle of the robot, and looking there.
 fn at(x_m: f64, heading_deg: f64) -> Mounted {
     let place = Pose::new(x_m, 0.0, heading_deg.to_radians());
-    Mounted { place, told: place, upside_down: false, every: 2 }
+    Mounted { place, stated: place, upside_down: false, every: 2 }
 }
 
 /// Writes a drive with these lidars on the robot; the exact poses at the times of its scans.
 fn record(path: &Path, settings: &Settings, lidars: &[Mounted], motion: Motion) -> Vec<TrajectoryPoint> {
     let mut recording = RosRecording::create(path);
     for (number, lidar) in lidars.iter().enumerate() {
-        let mut place = in_space(lidar.told);
+        let mut place = in_space(lidar.stated);
         place.translation.z = 0.3;
         if lidar.upside_down {
             place.rotation *= UnitQuaternion::from_euler_angles(PI, 0.0, 0.0);
@@ -171,12 +171,12 @@ fn a_wrong_mounting_and_an_offset_in_time_are_estimated_and_used_when_asked() {
     for seed in SEEDS {
         let settings = Settings { seed, ..settings(WorldName::Office, 90.0) };
         let (exact, sign) = (Pose::new(0.2, 0.05, 0.3), if seed % 2 == 0 { -1.0 } else { 1.0 });
-        let right = Mounted { place: exact, told: exact, ..at(0.0, 0.0) };
+        let right = Mounted { place: exact, stated: exact, ..at(0.0, 0.0) };
         let truth = record(&file, &settings, &[right], Motion::Wheels);
         right_m += error_m(place, &file, &[], &truth);
         // 5 cm and 3° are wrong, and 40 ms.
-        let told = Pose::new(0.2 - 0.04 * sign, 0.05 - 0.03 * sign, 0.3 + sign * 3f64.to_radians());
-        let wrong = Mounted { told, ..right };
+        let stated = Pose::new(0.2 - 0.04 * sign, 0.05 - 0.03 * sign, 0.3 + sign * 3f64.to_radians());
+        let wrong = Mounted { stated, ..right };
         let truth = record(&file, &settings, &[wrong], Motion::WheelsAhead(sign as i64 * 40_000_000));
         let report = mapped(place, &file, &[]).report;
         let [row] = report.calibration.as_slice() else { panic!("{:?}", report.calibration) };

@@ -18,7 +18,7 @@ struct Driven {
     assumed: Option<Pose>,
 }
 
-/// Of each lidar with odometry, what the journal in a directory tells of it from a sequence on. A lidar of which nothing can be told has no
+/// Of each lidar with odometry, what the journal in a directory tells of it from a sequence on. A lidar of which it says nothing has no
 /// row.
 ///
 /// # Errors

@@ -4,7 +4,7 @@ use flockslam_geometry::Pose;
 use flockslam_messages::ScanView;
 use std::f64::consts::{PI, TAU};
 
-/// Directions that are told apart, half a degree each.
+/// Directions that are distinguished, half a degree each.
 const DIRECTIONS: usize = 720;
 /// A robot does not reach farther than this from its lidar, metres.
 const REACH_M: f64 = 2.0;

@@ -148,8 +148,8 @@ impl BagFile {
             match self.next() {
                 Ok(Some(message)) => self.topics[message.topic].messages += 1,
                 Ok(None) => break,
-                // What a killed recorder was about to write, behind what it has written.
-                Err(RecordingError::Damaged { .. }) if self.topics.iter().any(|topic| topic.messages > 0) => {
+                // What a killed recorder was about to write.
+                Err(RecordingError::Damaged { .. }) => {
                     self.end = self.at;
                     break;
                 }
