@@ -55,9 +55,14 @@ with Writer(bag) as writer:
         ]
     }
 
+    written_ns = 0
+
     def put(topic, logged_ns, message):
+        global written_ns
+        # A recorder's clock does not run backwards, as stamps in logs do: the order of the lines is kept.
+        written_ns = max(logged_ns, written_ns + 1)
         connection = topics[topic]
-        writer.write(connection, logged_ns, store.serialize_ros1(message, connection.msgtype))
+        writer.write(connection, written_ns, store.serialize_ros1(message, connection.msgtype))
 
     for number, (stamp_ns, logged_ns, ranges, laser, robot) in enumerate(scans(log)):
         if number == 0:

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Crates that others may import, lowest layer first; an import goes to a lower layer only.
-const LIBRARIES: [(&str, u32); 27] = [
+const LIBRARIES: [(&str, u32); 29] = [
     ("geometry", 0),
     ("random", 0),
     ("ros", 0),
@@ -17,6 +17,8 @@ const LIBRARIES: [(&str, u32); 27] = [
     ("evidence", 1),
     ("messages", 2),
     ("transforms", 2),
+    ("calibration", 3),
+    ("lidars", 3),
     ("sensor-stream", 3),
     ("recordings", 4),
     ("ray-insertion", 2),
@@ -39,6 +41,8 @@ const LIBRARIES: [(&str, u32); 27] = [
     // For tests alone.
     ("drives", 11),
 ];
+/// The library of lidars.
+const LIDARS: &str = "services/libraries/lidars";
 const SERVICE_LAYER: u32 = 9;
 const ORCHESTRATION_LAYER: u32 = 10;
 const LINES_MAX: usize = 500;
@@ -103,20 +107,38 @@ fn imports_go_down_only() {
     }
 }
 
+/// The members of the workspace that use a library.
+fn importers(library: &str) -> Vec<String> {
+    let has = |dependencies: &Vec<String>| dependencies.iter().any(|name| name == library);
+    imports().into_iter().filter(|(_, dependencies)| has(dependencies)).map(|(package, _)| package).collect()
+}
+
 #[test]
 fn one_crate_each_opens_the_networks() {
-    let importers = |library: &str| -> Vec<String> {
-        let has = |dependencies: &Vec<String>| dependencies.iter().any(|name| name == library);
-        imports()
-            .into_iter()
-            .filter(|(_, dependencies)| has(dependencies))
-            .map(|(package, _)| package)
-            .collect()
-    };
     assert_eq!(importers("iceoryx2"), ["flockslam-bus"]);
     assert_eq!(importers("zenoh"), ["flockslam-flock-network"]);
     assert_eq!(importers("ros2-client"), ["flockslam-ros"]);
     assert_eq!(importers("rustdds"), [""; 0]);
+}
+
+/// What lidars' bytes begin with, and words that they say.
+const LIDAR_MARKS: [&str; 6] = ["0x54, 0x2c", "0xaa, 0x55", "0xa5, 0x5a", "lmdscandata", "scip2.0", "sopas"];
+
+#[test]
+fn only_lidars_knows_the_bytes_of_a_lidar() {
+    assert_eq!(importers("serialport"), ["flockslam-lidar-ingest"]);
+    assert_eq!(importers("flockslam-lidars"), ["flockslam", "flockslam-lidar-ingest"]);
+    let product = ["interfaces", "services", "orchestration/src", "dashboards/page/src"];
+    let files: Vec<PathBuf> =
+        product.iter().flat_map(|below| rust_files(&repository().join(below))).collect();
+    let knows = |file: &PathBuf| {
+        let text = fs::read_to_string(file).unwrap().to_lowercase();
+        LIDAR_MARKS.iter().any(|mark| text.contains(mark))
+    };
+    let (lidars, others): (Vec<_>, Vec<_>) =
+        files.into_iter().filter(knows).partition(|file| file.starts_with(repository().join(LIDARS)));
+    assert!(lidars.len() >= 5, "the marks are those of its files: {lidars:?}");
+    assert_eq!(others, Vec::<PathBuf>::new());
 }
 
 /// Files of libraries of logic that reach for the network: what their users send with.
@@ -190,9 +212,14 @@ fn a_clock_is_found_in_any_form_of_import() {
     }
 }
 
-/// What reads the wall clock, the one place that puts it into a message, for exports, and the time of a ROS graph.
-const WALL_CLOCK: [&str; 3] =
-    ["telemetry/src/clock.rs", "lidar-ingest/src/process.rs", "ros_bridge/graph_clock.rs"];
+/// What reads the wall clock, the one place that puts it into a message, for exports, the time of a ROS graph, and what stamps scans of
+/// lidars on lines: other programs stamp odometry by it.
+const WALL_CLOCK: [&str; 4] = [
+    "telemetry/src/clock.rs",
+    "lidar-ingest/src/process.rs",
+    "lidar-ingest/src/process/lidar_session.rs",
+    "ros_bridge/graph_clock.rs",
+];
 
 #[test]
 fn nothing_but_exports_knows_the_wall_clock() {

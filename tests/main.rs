@@ -4,6 +4,7 @@
 
 mod apart;
 mod bad_input;
+mod bad_recordings;
 mod benchmarks;
 mod checkers;
 mod dashboards;
@@ -15,6 +16,7 @@ mod fuzzing;
 mod house;
 mod idle;
 mod killed_stage;
+mod lidar_lines;
 mod live_set;
 mod log_readers;
 mod logs;
@@ -44,6 +46,7 @@ mod stopped_stage;
 mod support;
 mod torn_logs;
 mod tracking;
+mod turning;
 mod worlds;
 
 #[allow(dead_code, unused_imports, reason = "the test runs a part of the benchmark's sections")]

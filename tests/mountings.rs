@@ -1,7 +1,7 @@
 //! Wherever lidars sit on a robot, however many they are and whatever tells how it turns: recordings with transforms give the same poses.
 
 use crate::support::ros_recording::{RosRecording, in_space};
-use crate::support::run_well;
+use crate::support::{Outputs, run_well};
 use flockslam::evaluation::evaluate_truth;
 use flockslam::outputs::TrajectoryPoint;
 use flockslam_geometry::Pose;
@@ -19,6 +19,8 @@ const RATE_HZ: f64 = 20.0;
 #[derive(Clone, Copy)]
 struct Mounted {
     place: Pose,
+    /// Where the transforms say that it is.
+    stated: Pose,
     upside_down: bool,
     /// It gives every so many turns a scan.
     every: usize,
@@ -28,19 +30,22 @@ struct Mounted {
 #[derive(Clone, Copy, PartialEq)]
 enum Motion {
     Wheels,
+    /// Their clock is ahead of that of the lidar by so much, nanoseconds.
+    WheelsAhead(i64),
     Gyroscope,
 }
 
 /// A lidar at ten turns a second, so far ahead of the middle of the robot, and looking there.
 fn at(x_m: f64, heading_deg: f64) -> Mounted {
-    Mounted { place: Pose::new(x_m, 0.0, heading_deg.to_radians()), upside_down: false, every: 2 }
+    let place = Pose::new(x_m, 0.0, heading_deg.to_radians());
+    Mounted { place, stated: place, upside_down: false, every: 2 }
 }
 
 /// Writes a drive with these lidars on the robot; the exact poses at the times of its scans.
 fn record(path: &Path, settings: &Settings, lidars: &[Mounted], motion: Motion) -> Vec<TrajectoryPoint> {
     let mut recording = RosRecording::create(path);
     for (number, lidar) in lidars.iter().enumerate() {
-        let mut place = in_space(lidar.place);
+        let mut place = in_space(lidar.stated);
         place.translation.z = 0.3;
         if lidar.upside_down {
             place.rotation *= UnitQuaternion::from_euler_angles(PI, 0.0, 0.0);
@@ -65,8 +70,10 @@ fn record(path: &Path, settings: &Settings, lidars: &[Mounted], motion: Motion) 
             if number == 0 {
                 let rate_rad_s = drive.twist().turn_rad_s + GYRO_BIAS_RAD_S;
                 recording.imu(stamp_ns, "imu", [0.0, rate_rad_s, 0.0]);
-                if motion == Motion::Wheels {
-                    recording.odometry(stamp_ns, scan.header.odometry);
+                match motion {
+                    Motion::Wheels => recording.odometry(stamp_ns, scan.header.odometry),
+                    Motion::WheelsAhead(by_ns) => recording.odometry(stamp_ns + by_ns, scan.header.odometry),
+                    Motion::Gyroscope => {}
                 }
                 truth.push(TrajectoryPoint { stamp_ns, map_from_base });
             }
@@ -88,13 +95,21 @@ const SEEDS: std::ops::Range<u64> = 1..4;
 /// What gyroscopes of small robots are off by.
 const GYRO_BIAS_RAD_S: f64 = 0.01;
 
-/// Mean error of the poses of a recording, metres.
-fn error_m(place: &Path, recording: &Path, more: &[String], truth: &[TrajectoryPoint]) -> f64 {
+fn mapped(place: &Path, recording: &Path, more: &[String]) -> Outputs {
     let args = [&["map".to_owned(), recording.display().to_string()], more].concat();
-    let outputs = run_well("mounted", &place.join("out"), &args);
+    run_well("mounted", &place.join("out"), &args)
+}
+
+/// Mean error of the poses of a run, metres.
+fn mean_error_m(outputs: &Outputs, truth: &[TrajectoryPoint]) -> f64 {
     let report = evaluate_truth(&outputs.trajectory("trajectory.tum"), truth).unwrap();
     assert_eq!(report.without_truth, 0);
     report.absolute.translation_m.unwrap().mean
+}
+
+/// Mean error of the poses of a recording, metres.
+fn error_m(place: &Path, recording: &Path, more: &[String], truth: &[TrajectoryPoint]) -> f64 {
+    mean_error_m(&mapped(place, recording, more), truth)
 }
 
 fn settings(world: WorldName, duration_s: f64) -> Settings {
@@ -146,4 +161,34 @@ fn a_gyroscope_stands_in_for_wheels() {
     let (wheels_m, gyroscope_m) = (error_of(Motion::Wheels), error_of(Motion::Gyroscope));
     println!("wheels {wheels_m:.4} m, gyroscope {gyroscope_m:.4} m");
     assert!(gyroscope_m < 1.5 * wheels_m);
+}
+
+#[test]
+fn a_wrong_mounting_and_an_offset_in_time_are_estimated_and_used_when_asked() {
+    let directory = tempfile::tempdir().unwrap();
+    let (place, file) = (directory.path(), directory.path().join("drive.mcap"));
+    let (mut right_m, mut calibrated_m) = (0.0, 0.0);
+    for seed in SEEDS {
+        let settings = Settings { seed, ..settings(WorldName::Office, 90.0) };
+        let (exact, sign) = (Pose::new(0.2, 0.05, 0.3), if seed % 2 == 0 { -1.0 } else { 1.0 });
+        let right = Mounted { place: exact, stated: exact, ..at(0.0, 0.0) };
+        let truth = record(&file, &settings, &[right], Motion::Wheels);
+        right_m += error_m(place, &file, &[], &truth);
+        // 5 cm and 3° are wrong, and 40 ms.
+        let stated = Pose::new(0.2 - 0.04 * sign, 0.05 - 0.03 * sign, 0.3 + sign * 3f64.to_radians());
+        let wrong = Mounted { stated, ..right };
+        let truth = record(&file, &settings, &[wrong], Motion::WheelsAhead(sign as i64 * 40_000_000));
+        let report = mapped(place, &file, &[]).report;
+        let [row] = report.calibration.as_slice() else { panic!("{:?}", report.calibration) };
+        let exact = [exact.x_m, exact.y_m, exact.heading_rad.to_degrees(), 0.04 * sign];
+        println!("{:.4?} ± {:.4?}", row.estimate, row.deviation);
+        assert_eq!(row.known, [true; 4]);
+        for ((found, exact), limit) in row.estimate.iter().zip(exact).zip([0.01, 0.01, 0.5, 0.005]) {
+            assert!((found - exact).abs() < limit, "seed {seed}: {:?} ± {:?}", row.estimate, row.deviation);
+        }
+        let calibrate = ["--set", "lidar_ingest.calibrate=true"].map(str::to_owned);
+        calibrated_m += error_m(place, &file, &calibrate, &truth);
+    }
+    println!("{right_m:.4} m, {calibrated_m:.4} m");
+    assert!(calibrated_m < 1.1 * right_m, "{calibrated_m} m, {right_m} m");
 }

@@ -1,15 +1,18 @@
 //! Recordings as people have them go in as they are, whatever wrote and packed them; one that was cut off goes in as far as it goes.
 
 use crate::support;
-use crate::support::public_logs::Log;
+use crate::support::public_logs::{LOGS, Log};
 use crate::support::tools::{python_with, tool};
-use crate::support::{Outputs, data_dir, stderr};
+use crate::support::{Outputs, data_dir, repository, stderr};
 use flockslam::evaluation::{evaluate_truth, parse_tum};
 use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Mean error of the drive under motion capture, metres: a tenth more than 0.0121 m.
 const CAPTURED_ERROR_M: f64 = 0.0133;
+
+/// Lines of a public log that are enough to close loops in one of them.
+const LINES_OF_LOGS: usize = 6000;
 
 fn recording(name: &str) -> Option<PathBuf> {
     Some(data_dir()?.join("robot").join(name))
@@ -53,6 +56,7 @@ fn real_recordings_of_all_kinds_give_one_map_each() {
     for (name, scans) in [
         ("carried/before.bag", 857),
         ("carried/after.bag", 730),
+        ("carried/within-1.bag", 962),
         ("carried/within-2.bag", 920),
         ("transforms/odometry-in-tf.bag", 819),
         ("transforms/tf-out-of-order.bag", 136),
@@ -98,6 +102,44 @@ fn one_drive_in_eight_formats_gives_one_map() {
     fs::write(place.join("cut.mcap"), &bytes[..bytes.len() / 2]).unwrap();
     let scans = mapped(place, &place.join("cut.mcap")).report.scans;
     assert!((300..500).contains(&scans), "{scans} of 730");
+}
+
+/// The beginning of each public log, written as a bag by the public package, and that converted: one map, to the bit.
+#[test]
+fn logs_written_as_bags_and_these_converted_give_the_maps_of_the_logs() {
+    let directory = tempfile::tempdir().unwrap();
+    let place = directory.path();
+    let Some(logs) = LOGS.map(|log| log.file("clf")).into_iter().collect::<Option<Vec<_>>>() else { return };
+    let Some(python) = python_with(place, &["rosbags"]) else { return };
+    let script = repository().join("tests/carmen_to_bag.py").display().to_string();
+    for log in logs {
+        let name = log.file_stem().unwrap().to_str().unwrap();
+        let (begin, bag) = (format!("{name}.clf"), format!("{name}.bag"));
+        let text = fs::read_to_string(&log).unwrap();
+        let lines: Vec<&str> = text.split_inclusive('\n').take(LINES_OF_LOGS).collect();
+        fs::write(place.join(&begin), lines.concat()).unwrap();
+        let of_log = mapped(place, &place.join(&begin));
+        tool(place, &python, &[&script, &begin, &bag]).expect("it was installed");
+        let of_bag = mapped(place, &place.join(&bag));
+        let (expected, found) = (of_log.trajectory("trajectory.tum"), of_bag.trajectory("trajectory.tum"));
+        assert_eq!(expected.len(), found.len(), "{name}");
+        let apart = expected.iter().zip(&found).map(|(a, b)| a.map_from_base.distance_m(b.map_from_base));
+        let apart_m = apart.fold(0.0, f64::max);
+        println!("{name}: {} scans, {apart_m:.6} m", expected.len());
+        assert!(apart_m <= 0.0002, "{name}: {apart_m} m");
+        for (to, options) in [
+            ("sqlite", "--dst-storage sqlite3"),
+            ("mcap", "--dst-storage mcap"),
+            ("packed", "--dst-storage mcap --compress zstd --compress-mode storage"),
+        ] {
+            let to = format!("{name}-{to}");
+            let args: Vec<&str> =
+                ["--src", &bag, "--dst", &to].into_iter().chain(options.split(' ')).collect();
+            tool(place, &place.join("venv/bin/rosbags-convert"), &args).expect("it was installed");
+            let report = mapped(place, &place.join(&to)).report;
+            assert_eq!(report.map_hash, of_bag.report.map_hash, "{to}");
+        }
+    }
 }
 
 #[test]

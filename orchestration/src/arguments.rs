@@ -1,6 +1,7 @@
 //! The arguments of all commands.
 
 use crate::configuration::Profile;
+use crate::lidar_arguments::LidarCommand;
 use crate::supervisor::known_stage;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use flockslam_messages::Stage;
@@ -55,6 +56,9 @@ pub enum Command {
     Ros(RosArgs),
     /// Records what a running set says, for Foxglove and the public MCAP tools
     Record(RecordArgs),
+    /// Lidars on lines of their own: which are there, what they see
+    #[command(subcommand)]
+    Lidar(LidarCommand),
     /// Looks after saved maps
     #[command(subcommand)]
     Store(StoreCommand),
@@ -136,6 +140,9 @@ pub struct InspectArgs {
     /// What would be read of it
     #[command(flatten)]
     pub topics: TopicArgs,
+    /// Finds what the lidars see of the robot itself, and prints the setting that masks it; the robot has to drive
+    #[arg(long)]
+    pub learn_mask: bool,
     /// Prints JSON
     #[arg(long)]
     pub json: bool,

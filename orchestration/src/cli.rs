@@ -41,6 +41,7 @@ pub fn main() -> ExitCode {
         Command::Page(args) => commands::page_command::run(&args),
         Command::Ros(args) => commands::ros_command::run(&args),
         Command::Record(args) => commands::record_command::run(&args),
+        Command::Lidar(command) => commands::lidar_command::run(&command),
         Command::Store(command) => commands::store_command::run(&command),
         Command::Evaluate(args) => commands::evaluate::run(&args),
         Command::Config(args) => commands::config::run(&args),

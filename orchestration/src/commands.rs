@@ -9,6 +9,8 @@ pub mod demo;
 pub mod evaluate;
 pub mod inspect;
 mod joined_map;
+mod lidar_calibration;
+pub mod lidar_command;
 pub mod log_command;
 pub mod map;
 mod meetings;

@@ -5,6 +5,8 @@ pub mod cli;
 pub mod commands;
 pub mod configuration;
 pub mod evaluation;
+pub mod lidar_arguments;
+pub mod lidar_view;
 pub mod outputs;
 pub mod recording;
 pub mod ros_bridge;

@@ -3,6 +3,7 @@
 mod child;
 mod control_socket;
 mod hang;
+mod lidar_description;
 mod metrics;
 mod notify;
 mod restarts;
@@ -17,6 +18,7 @@ mod supervision;
 mod system_limits;
 
 pub use control_socket::{ControlError, ControlSocket, Order, Reply, Request, ask, known_stage};
+pub use lidar_description::{LidarLine, NamedLidar};
 pub use metrics::{MetricsService, set_metrics_socket};
 pub use notify::ServiceManager;
 pub use set::{EXIT_BAD_SOURCE, ProcessSet, SetEvent, error_file};

@@ -9,8 +9,10 @@ use flockslam_evidence::Submap;
 use flockslam_lidar_ingest::Settings;
 use flockslam_lidar_ingest::carmen::CarmenReader;
 use flockslam_lidar_ingest::process::RecordingReader;
+use flockslam_lidars::Family;
 use flockslam_messages::ScanBuffer;
-use flockslam_sensor_stream::{FrameReader, SensorFrame};
+use flockslam_recordings::{Reading, ReadingKind, Wire};
+use flockslam_sensor_stream::{FrameReader, FramedScan, SensorFrame};
 use flockslam_stage::JournalReader;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -19,11 +21,15 @@ use std::path::{Path, PathBuf};
 pub type Entry = (&'static str, fn(&[u8]));
 
 /// All of them.
-pub const ENTRIES: [Entry; 8] = [
+pub const ENTRIES: [Entry; 12] = [
     ("bag", bag),
     ("carmen", carmen),
     ("configuration", configuration),
+    ("db3", db3),
     ("journal", journal),
+    ("lidars", lidars),
+    ("mcap", mcap),
+    ("message", message),
     ("submap", submap),
     ("saved_map", saved_map),
     ("sensor_stream", sensor_stream),
@@ -42,9 +48,38 @@ pub fn carmen(bytes: &[u8]) {
     }
 }
 
-/// A ROS 1 bag, a rosbag2 file.
+/// A ROS 1 bag.
 pub fn bag(bytes: &[u8]) {
-    let path = scratch("bag").join("fuzz.bag");
+    recording(bytes, "bag");
+}
+
+/// A file of rosbag2's SQLite storage.
+pub fn db3(bytes: &[u8]) {
+    recording(bytes, "db3");
+}
+
+/// An MCAP file.
+pub fn mcap(bytes: &[u8]) {
+    recording(bytes, "mcap");
+}
+
+/// A message of ROS: the first byte says of which kind, the second how it is serialized.
+pub fn message(bytes: &[u8]) {
+    use ReadingKind::{BusScan, Cloud, Imu, MultiEchoScan, Odometry, Scan, Transforms};
+    const KINDS: [ReadingKind; 7] = [Scan, MultiEchoScan, Cloud, Odometry, Imu, Transforms, BusScan];
+    let [kind, wire, message @ ..] = bytes else { return };
+    let kind = KINDS[usize::from(*kind) % KINDS.len()];
+    let wire = [Wire::Cdr, Wire::Ros1, Wire::Bus][usize::from(*wire) % 3];
+    if let Ok(Reading::Scan(FramedScan { scan, .. }) | Reading::BusScan(scan)) =
+        Reading::decode(kind, message, wire)
+    {
+        scan.view().expect("a scan that is given out is whole");
+    }
+}
+
+/// Scans of a recording, whatever kind of file the bytes are.
+fn recording(bytes: &[u8], kind: &str) {
+    let path = scratch(kind).join("recording");
     fs::write(&path, bytes).expect("tmpfs can be written");
     let Ok(mut reader) = RecordingReader::open(&path, &Settings::default()) else { return };
     let mut scan = ScanBuffer::default();
@@ -62,6 +97,27 @@ pub fn configuration(bytes: &[u8]) {
     if let Some(line) = text.lines().next() {
         let _ = Configuration::load(flockslam::configuration::Profile::Default, None, &[line.to_owned()]);
     }
+}
+
+/// What lidars send; the first byte says which family is to read the rest, and in which pieces.
+pub fn lidars(bytes: &[u8]) {
+    let Some((first, bytes)) = bytes.split_first() else { return };
+    let family = Family::ALL[usize::from(*first) % Family::ALL.len()];
+    let mut driver = family.driver(None, Some(115_200));
+    let mut now_ns = 0;
+    for piece in bytes.chunks(1 + usize::from(first >> 3)) {
+        while driver.act(now_ns).is_some() {}
+        driver.take(piece, now_ns, &mut |turn| {
+            let mut scan = ScanBuffer::default();
+            turn.write_scan(&mut scan);
+            let view = scan.view().expect("a turn that is given out is a whole scan");
+            assert!(
+                (0..view.len()).all(|beam| view.angle_rad(beam).is_finite() && view.time_s(beam).is_finite())
+            );
+        });
+        now_ns += 10_000_000;
+    }
+    assert_eq!(driver.counts().bytes, bytes.len() as u64);
 }
 
 /// A journal of scans and poses.
@@ -142,7 +198,7 @@ fn scratch(reader: &str) -> PathBuf {
 
 /// Removes what the entries of this process have left.
 pub fn clean_up() {
-    for reader in ["bag", "journal", "saved-map"] {
+    for reader in ["bag", "db3", "journal", "mcap", "saved-map"] {
         let _ = fs::remove_dir_all(scratch(reader));
     }
 }

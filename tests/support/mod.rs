@@ -7,6 +7,7 @@ pub mod faults;
 pub mod flocks;
 mod http_get;
 mod later_free;
+pub mod lidar_player;
 mod live;
 pub mod machine_share;
 mod montage;

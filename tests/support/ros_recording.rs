@@ -146,6 +146,11 @@ impl RosRecording {
         self.put("/points", "sensor_msgs/msg/PointCloud2", stamp_ns, message.bytes([1]));
     }
 
+    /// Any bytes as a message.
+    pub fn raw(&mut self, topic: &str, type_name: &str, stamp_ns: i64, bytes: &[u8]) {
+        self.put(topic, type_name, stamp_ns, Cdr(bytes.to_vec()));
+    }
+
     /// Writes the end.
     pub fn finish(mut self) {
         self.writer.finish().unwrap();

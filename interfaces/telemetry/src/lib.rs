@@ -13,6 +13,7 @@ mod latency;
 mod logging;
 mod metrics_page;
 pub mod names;
+mod names_of_lidars;
 mod process_use;
 mod quantile;
 mod registered;

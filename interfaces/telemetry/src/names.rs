@@ -26,6 +26,8 @@ pub const LABEL_LIDAR: &str = "lidar";
 /// Label: how far a pose can be trusted: `tracking`, `degraded` or `lost`.
 pub const LABEL_QUALITY: &str = "quality";
 
+pub use crate::names_of_lidars::*;
+
 /// What kind of metric it is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Kind {
@@ -65,7 +67,6 @@ pub struct Metric {
 
 const STAGE: &[&str] = &[LABEL_STAGE, LABEL_REPLICA];
 const STAGE_REASON: &[&str] = &[LABEL_STAGE, LABEL_REPLICA, LABEL_REASON];
-const STAGE_LIDAR: &[&str] = &[LABEL_STAGE, LABEL_REPLICA, LABEL_LIDAR];
 const EACH_STAGE: &str = "each stage";
 const SUPERVISOR: &str = "supervisor";
 
@@ -83,7 +84,12 @@ const fn of_stage(name: &'static str, kind: Kind, help: &'static str) -> Metric 
     Metric { name, kind, labels: STAGE, source: EACH_STAGE, help }
 }
 
-const fn of_one_stage(source: &'static str, name: &'static str, kind: Kind, help: &'static str) -> Metric {
+pub(crate) const fn of_one_stage(
+    source: &'static str,
+    name: &'static str,
+    kind: Kind,
+    help: &'static str,
+) -> Metric {
     Metric { name, kind, labels: STAGE, source, help }
 }
 
@@ -96,7 +102,7 @@ const fn of_supervisor(
     Metric { name, kind, labels, source: SUPERVISOR, help }
 }
 
-const fn with_labels(metric: Metric, labels: &'static [&'static str]) -> Metric {
+pub(crate) const fn with_labels(metric: Metric, labels: &'static [&'static str]) -> Metric {
     Metric { labels, ..metric }
 }
 
@@ -164,27 +170,6 @@ pub const PROCESS_ID: Metric = of_stage(
     "flockslam_stage_process_id",
     Kind::Gauge,
     "Process id: another number is another process of the stage",
-);
-
-/// Scans of each lidar.
-pub const LIDAR_SCANS: Metric = with_labels(
-    of_one_stage(
-        "lidar-ingest",
-        "flockslam_lidar_scans_total",
-        Kind::Counter,
-        "Scans of the lidar that were given to the set",
-    ),
-    STAGE_LIDAR,
-);
-/// Seconds since each lidar's last scan.
-pub const LIDAR_AGE: Metric = with_labels(
-    of_one_stage(
-        "lidar-ingest",
-        "flockslam_lidar_last_scan_age_seconds",
-        Kind::Gauge,
-        "Time since the last scan of the lidar",
-    ),
-    STAGE_LIDAR,
 );
 
 /// Scans that the filter let pass, by `reason`.
@@ -373,7 +358,7 @@ pub const NOT_DURABLE: Metric =
     of_supervisor("flockslam_not_durable", Kind::Gauge, &[], "1 when the map cannot be saved to disk");
 
 /// All metrics, by who tells them.
-pub const ALL: [Metric; 49] = [
+pub const ALL: [Metric; 53] = [
     STAGE_LATENCY,
     SCAN_TO_OUTPUT,
     SCANS_HANDLED,
@@ -387,6 +372,10 @@ pub const ALL: [Metric; 49] = [
     PROCESS_ID,
     LIDAR_SCANS,
     LIDAR_AGE,
+    LIDAR_LOST,
+    LIDAR_RETURNS,
+    LIDAR_STATE,
+    LIDAR_SPEED,
     KEPT,
     POSES,
     MATCH_SCORE,

@@ -75,6 +75,11 @@ impl GaugesByLabels {
     pub fn one(&self, values: &[&str]) -> Gauge {
         self.0.with_label_values(values)
     }
+
+    /// Removes the gauge of these values, where there is one.
+    pub fn remove(&self, values: &[&str]) {
+        let _ = self.0.remove_label_values(values);
+    }
 }
 
 impl StageMetrics {

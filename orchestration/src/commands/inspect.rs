@@ -18,7 +18,8 @@ pub fn run(args: &InspectArgs) -> Result<(), CommandError> {
     let assignments: Vec<String> =
         given.assignments.iter().cloned().chain(args.topics.assignments()).collect();
     let configuration = Configuration::load(given.profile, given.config.as_deref(), &assignments)?;
-    let found = inspect(&args.recording, &configuration.lidar_ingest).map_err(CommandError::user)?;
+    let found =
+        inspect(&args.recording, &configuration.lidar_ingest, args.learn_mask).map_err(CommandError::user)?;
     if args.json {
         let json = serde_json::to_string_pretty(&found).map_err(CommandError::failed)?;
         say(&format!("{json}\n"));
@@ -63,6 +64,14 @@ fn screen(found: &Inspection) -> String {
     }
     for (reason, count) in &found.rejected {
         let _ = writeln!(text, "left out: {count} ({reason})");
+    }
+    if let Some(boxes) = &found.self_mask {
+        let one = |[x, to_x, y, to_y]: &[f64; 4]| format!("[{x:.2}, {to_x:.2}, {y:.2}, {to_y:.2}]");
+        let boxes: Vec<String> = boxes.iter().map(one).collect();
+        let _ = match boxes.as_slice() {
+            [] => writeln!(text, "self_mask: nothing of the robot is seen"),
+            boxes => writeln!(text, "self_mask: --set 'lidar_ingest.self_mask=[{}]'", boxes.join(", ")),
+        };
     }
     for lack in &found.lacks {
         let _ = writeln!(text, "lacks: {lack}");

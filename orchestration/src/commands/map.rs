@@ -1,11 +1,16 @@
 //! `flockslam map`: a lidar log becomes a map.
 
+use super::lidar_calibration::configured;
 use super::run::{Run, run as run_set, summary};
 use super::{CommandError, say};
-use crate::arguments::MapArgs;
+use crate::arguments::{MapArgs, RunArgs};
 use crate::configuration::Configuration;
+use flockslam_lidar_ingest::LidarCalibration;
 use flockslam_lidar_ingest::process::{Source, count_scans};
 use std::path::Path;
+
+/// Where the first of two readings writes, below the outputs.
+const FIRST_PASS: &str = "first-pass";
 
 /// Runs the command.
 ///
@@ -15,6 +20,7 @@ pub fn run(args: &MapArgs) -> Result<(), CommandError> {
     // What was named for itself comes after the settings, and counts.
     let mut run = args.run.clone();
     run.configuration.assignments.extend(args.topics.assignments());
+    let mut calibrates = false;
     let (source, scans) = match (&args.log, &args.source) {
         (Some(log), _) => {
             let absolute = std::path::absolute(log)
@@ -22,14 +28,57 @@ pub fn run(args: &MapArgs) -> Result<(), CommandError> {
             let given = &run.configuration;
             let configuration =
                 Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
+            calibrates = configuration.lidar_ingest.calibrate;
             let scans = count_scans(log, &configuration.lidar_ingest).map_err(CommandError::user)?;
             (Source::Log(absolute), Some(scans))
         }
         (None, given) => (scans_source(given.as_deref().unwrap_or(Path::new("")))?, None),
     };
+    if let (Source::Log(log), true) = (&source, calibrates) {
+        calibrate(&mut run, log, scans)?;
+    }
     let outcome = run_set(&run, Run { source, world: None, scans, continues: None })?;
     say(&summary(&run.out, &outcome.report));
     Ok(())
+}
+
+/// Reads the recording once to estimate where its lidars sit, and adds what it has found to the settings.
+fn calibrate(run: &mut RunArgs, log: &Path, scans: Option<u64>) -> Result<(), CommandError> {
+    let out = run.out.join(FIRST_PASS);
+    let first = RunArgs { out: out.clone(), metrics_port: None, rate: None, live: false, ..run.clone() };
+    let source = Source::Log(log.to_owned());
+    let outcome = run_set(&first, Run { source, world: None, scans, continues: None });
+    // What it has written is of no use.
+    let removed = std::fs::remove_dir_all(&out).map_err(CommandError::failed);
+    let rows = outcome?.report.calibration;
+    removed?;
+    let given = &run.configuration;
+    let configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
+    rows.iter().for_each(|row| say(&row.line()));
+    let mut lidars = configuration.lidar_ingest.calibration.clone();
+    for row in &rows {
+        let at = row.lidar as usize;
+        lidars.resize(lidars.len().max(at + 1), LidarCalibration::default());
+        lidars[at] = row.setting(&configured(&configuration, row.lidar));
+    }
+    if rows.is_empty() {
+        say("no lidar could be calibrated: that takes odometry and some turns\n");
+    }
+    let assignment = format!("lidar_ingest.calibration={}", as_setting(&lidars));
+    say(&format!("--set '{assignment}'\n\n"));
+    run.configuration.assignments.push(assignment);
+    Ok(())
+}
+
+/// As it is written in a configuration.
+fn as_setting(lidars: &[LidarCalibration]) -> String {
+    let table = |lidar: &LidarCalibration| {
+        let places = [("x_m", lidar.x_m), ("y_m", lidar.y_m), ("heading_deg", lidar.heading_deg)];
+        let places = places.into_iter().filter_map(|(key, value)| Some(format!("{key}={:?}", value?)));
+        let all: Vec<String> = places.chain([format!("offset_s={:?}", lidar.offset_s)]).collect();
+        format!("{{{}}}", all.join(", "))
+    };
+    format!("[{}]", lidars.iter().map(table).collect::<Vec<_>>().join(", "))
 }
 
 /// The source of scans that is no recording.

@@ -3,18 +3,19 @@
 use super::CommandError;
 use super::accounting::{SharedMemoryPeak, sum_up};
 use super::attendants::Attendants;
+use super::lidar_calibration;
 use super::progress_bar::RunProgress;
 use crate::arguments::RunArgs;
 use crate::configuration::Configuration;
 use crate::outputs::{
-    CellState, LatencyMicroseconds, LoopClosures, MapHasher, OccupancyImage, PictureTracks, Report,
-    StageReport, TrajectoryPoint, write_map, write_picture, write_report, write_trajectory,
+    CalibrationRow, CellState, LatencyMicroseconds, LoopClosures, MapHasher, OccupancyImage, PictureTracks,
+    Report, StageReport, TrajectoryPoint, write_map, write_picture, write_report, write_trajectory,
 };
 use crate::state_directory::spill_directory;
 use crate::store::{MapHead, SavedMap};
 use crate::supervisor::{MetricsService, ProcessSet, SetEvent, SetFile, Supervision};
 use flockslam_bus::RuntimeDir;
-use flockslam_lidar_ingest::process::Source;
+use flockslam_lidar_ingest::process::{LidarSpec, Source};
 use flockslam_messages::Stage;
 use flockslam_results::flock_files;
 use flockslam_results::{self as results, StampedPose, StoredMap, Summary};
@@ -68,7 +69,7 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
     let configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
     prepare_directory(&args.out)?;
     // A recorded source has no pace of its own; sensors have.
-    let paced = args.live && !matches!(run.source, Source::Pipe | Source::Scans(_));
+    let paced = args.live && !matches!(run.source, Source::Pipe | Source::Scans(_) | Source::Lidars(_));
     let rate = args.rate.or_else(|| paced.then_some(1.0));
     let mode = if rate.is_some() || args.live { Mode::Live } else { Mode::Exact };
     let interrupts = count_interrupts()?;
@@ -178,6 +179,7 @@ fn describe(source: &Source) -> String {
         Source::Pipe => "standard input".to_owned(),
         Source::Scans(None) => "local socket".to_owned(),
         Source::Scans(Some(path)) => path.display().to_string(),
+        Source::Lidars(lidars) => lidars.iter().map(LidarSpec::to_string).collect::<Vec<_>>().join(", "),
         Source::Simulation => "simulated building".to_owned(),
         Source::Nothing => "nothing".to_owned(),
     }
@@ -356,6 +358,9 @@ fn report(
         trajectory_length_m: way_m(trajectory),
         ..Report::default()
     };
+    let (journal, first) = (run.set.runtime().journal(), run.set.first_sequence());
+    report.calibration =
+        lidar_calibration::of_journal(&journal, first, &run.configuration).map_err(CommandError::failed)?;
     let all = Stage::ALL.into_iter().flat_map(|stage| read_reports(&status, stage.name()));
     sum_up(&mut report, run.own_memory, all.map(|process| process.file_bytes).max().unwrap_or(0));
     Ok(report)
@@ -420,7 +425,7 @@ pub fn summary(out: &Path, report: &Report) -> String {
     format!(
         "{} scans in {:.1} s ({:.0} scans/s), {share:.0} % dropped by the filter\n\
          {:.0} m driven, {:.0} m² mapped, {} submaps, {closures} loop closures\n\
-         {}{bad}map {}\n\
+         {}{}{bad}map {}\n\
          wrote trajectory.tum, trajectory_online.tum, map.pgm, map.yaml, map.png, report.json to {}\n",
         report.scans,
         report.wall_s,
@@ -429,6 +434,7 @@ pub fn summary(out: &Path, report: &Report) -> String {
         report.map_area_m2,
         report.submaps,
         not_attached(report),
+        report.calibration.iter().map(CalibrationRow::line).collect::<String>(),
         report.map_hash,
         out.display()
     )

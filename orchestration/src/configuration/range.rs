@@ -8,6 +8,10 @@ const SIGNED: &[&str] = &[
     "lidar_ingest.lidars.x_m",
     "lidar_ingest.lidars.y_m",
     "lidar_ingest.lidars.heading_deg",
+    "lidar_ingest.calibration.x_m",
+    "lidar_ingest.calibration.y_m",
+    "lidar_ingest.calibration.heading_deg",
+    "lidar_ingest.calibration.offset_s",
     "lidar_ingest.cloud_heights_m",
     "lidar_ingest.self_mask",
 ];

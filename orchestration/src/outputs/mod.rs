@@ -1,6 +1,7 @@
 //! What a run leaves in its directory: trajectories, map, picture, report. Each is rendered to bytes by a pure
 //! function and put in place atomically, so nothing half-written ever looks whole.
 
+mod calibration_row;
 mod canvas;
 mod glyphs;
 mod map_files;
@@ -10,6 +11,7 @@ mod picture;
 mod run_report;
 mod tum_text;
 
+pub use calibration_row::CalibrationRow;
 pub use map_files::{render_pgm, render_yaml, write_map};
 pub use map_hash::{MapHasher, map_hash};
 pub use occupancy::{CellState, OccupancyImage};

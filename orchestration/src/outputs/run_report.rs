@@ -1,6 +1,6 @@
 //! `report.json`: the figures of one run, as plain data.
 
-use super::{OutputError, put};
+use super::{CalibrationRow, OutputError, put};
 use flockslam_results::DetachedRow;
 use flockslam_telemetry::LatencyQuantiles;
 use serde::{Deserialize, Serialize};
@@ -65,6 +65,8 @@ pub struct Report {
     pub detached_scans: u64,
     /// These trajectories, the longest first, with the subdirectory of their own map.
     pub detached: Vec<DetachedRow>,
+    /// Where lidars sit and how far their clocks are off, by the motions of scans and odometry; no row where the drive tells nothing of it.
+    pub calibration: Vec<CalibrationRow>,
     /// Loop closures.
     pub loop_closures: LoopClosures,
     /// Area that is known to be free or occupied, m².

@@ -123,6 +123,7 @@ mod tests {
             unattached: None,
             flock: None,
             lidars: Vec::new(),
+            lidar_lines: Vec::new(),
             stages: vec![stage],
         }
     }

@@ -7,6 +7,7 @@ use super::status::{SetState, SetStatus, StageState, StageStatus};
 use super::{ProcessLimits, SetFile, Supervision, system_limits};
 use crate::configuration::Configuration;
 use flockslam_bus::{Bus, BusError, Notifier, OrphanedNodes, Publisher, RuntimeDir, Subscriber};
+use flockslam_lidar_ingest::process::read_lidar_lines;
 use flockslam_messages::{Control, ControlKind, Progress, Stage};
 use flockslam_results::{FlockStatus, LidarStatus, Unattached};
 use flockslam_stage::{Mode, Pause};
@@ -301,6 +302,11 @@ impl ProcessSet {
         self.not_durable.as_deref()
     }
 
+    /// The sequence of the first scan of this session.
+    pub fn first_sequence(&self) -> u64 {
+        self.set.options.first_sequence
+    }
+
     /// The configuration of its stages.
     pub fn configuration(&self) -> &Configuration {
         &self.set.configuration
@@ -322,6 +328,7 @@ impl ProcessSet {
             unattached: Unattached::read(&status_dir),
             flock: FlockStatus::read(&status_dir),
             lidars: LidarStatus::read(&status_dir),
+            lidar_lines: read_lidar_lines(&status_dir),
             stages,
         }
     }

@@ -1,8 +1,10 @@
 //! The file that `flockslam up` is given. Takes TOML; gives the configuration of the stages, their limits, and the source.
 
+use super::lidar_description::{LidarLine, NamedLidar};
 use super::{ProcessLimits, Supervision};
 use crate::configuration::{Configuration, ConfigurationError, Profile, parse_file};
-use flockslam_lidar_ingest::process::Source;
+use flockslam_lidar_ingest::process::{LidarSpec, Source};
+use flockslam_lidars::Family;
 use flockslam_messages::Stage;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -11,6 +13,8 @@ use std::time::Duration;
 
 /// Most processes of one stage.
 const REPLICAS_MAX: usize = 8;
+/// Lidars of one robot.
+const LIDARS_MAX: usize = 16;
 /// No period is longer than a year, seconds.
 const PERIOD_MAX_S: f64 = 366.0 * 86_400.0;
 
@@ -81,6 +85,21 @@ pub enum SourceDescription {
         /// The socket; in the directory of the set when it is not named.
         path: Option<PathBuf>,
     },
+    /// An LDROBOT LD06, LD19, STL-19P or LDS-02.
+    Ld06(LidarLine),
+    /// A Slamtec RPLIDAR.
+    Rplidar(LidarLine),
+    /// A YDLIDAR.
+    Ydlidar(LidarLine),
+    /// A Hokuyo URG or UST.
+    Urg(LidarLine),
+    /// A SICK TiM or LMS1xx.
+    SickTim(LidarLine),
+    /// Several lidars.
+    Lidars {
+        /// Each with a name of its own.
+        lidars: Vec<NamedLidar>,
+    },
     /// A CARMEN log.
     Log {
         /// The log.
@@ -97,6 +116,47 @@ pub enum SourceDescription {
         #[serde(default = "rate")]
         rate: f64,
     },
+}
+
+impl SourceDescription {
+    /// Lidars on lines of their own; none of another source.
+    ///
+    /// # Errors
+    /// The key that is wrong, and why.
+    fn lidars(&self) -> Result<Vec<LidarSpec>, (String, String)> {
+        let one = |line: &LidarLine, family| {
+            let spec = line.spec("", family).map_err(|(key, reason)| (format!("source.{key}"), reason))?;
+            Ok(vec![spec])
+        };
+        match self {
+            Self::Ld06(line) => one(line, Family::Ld06),
+            Self::Rplidar(line) => one(line, Family::Rplidar),
+            Self::Ydlidar(line) => one(line, Family::Ydlidar),
+            Self::Urg(line) => one(line, Family::Urg),
+            Self::SickTim(line) => one(line, Family::SickTim),
+            Self::Lidars { lidars } => named(lidars),
+            Self::Stdin {} | Self::Scans { .. } | Self::Log { .. } | Self::Simulation { .. } => {
+                Ok(Vec::new())
+            }
+        }
+    }
+}
+
+/// Several lidars; each must have a name of its own.
+fn named(lidars: &[NamedLidar]) -> Result<Vec<LidarSpec>, (String, String)> {
+    let key = |at: usize, key: &str| format!("source.lidars[{at}].{key}");
+    if lidars.is_empty() || lidars.len() > LIDARS_MAX {
+        let reason = format!("{} lidars: between 1 and {LIDARS_MAX} are possible", lidars.len());
+        return Err(("source.lidars".to_owned(), reason));
+    }
+    for (at, lidar) in lidars.iter().enumerate() {
+        if lidar.name.is_empty() || lidars[..at].iter().any(|other| other.name == lidar.name) {
+            return Err((key(at, "name"), format!("{:?} is not a name of its own", lidar.name)));
+        }
+    }
+    let spec =
+        |(at, lidar): (usize, &NamedLidar)| lidar.spec().map_err(|(wrong, reason)| (key(at, wrong), reason));
+    lidars.iter().enumerate().map(spec).collect()
 }
 
 impl Default for SourceDescription {
@@ -162,7 +222,7 @@ impl SetDescription {
             SourceDescription::Log { path, .. } => beside(path),
             SourceDescription::Simulation { world, .. } => world.iter_mut().for_each(beside),
             SourceDescription::Scans { path } => path.iter_mut().for_each(beside),
-            SourceDescription::Stdin {} => {}
+            _ => {}
         }
         Ok(description)
     }
@@ -192,7 +252,10 @@ impl SetDescription {
             SourceDescription::Log { rate, .. } | SourceDescription::Simulation { rate, .. } => {
                 positive("source.rate", rate)
             }
-            SourceDescription::Stdin {} | SourceDescription::Scans { .. } => Ok(()),
+            _ => match self.source.lidars() {
+                Ok(_) => Ok(()),
+                Err((key, reason)) => refused(&key, reason),
+            },
         }
     }
 
@@ -235,6 +298,11 @@ impl SetDescription {
             }
             SourceDescription::Simulation { world, rate } => {
                 SourceTask { source: Source::Simulation, rate: Some(rate), world }
+            }
+            // What cannot be meant was refused when the description was read.
+            lidars => {
+                let lidars = lidars.lidars().unwrap_or_default();
+                SourceTask { source: Source::Lidars(lidars), rate: None, world: None }
             }
         }
     }
@@ -295,6 +363,16 @@ mod tests {
         assert_eq!((task.source, task.rate), (Source::Scans(None), None));
         let task = read("robot = \"r1\"\n[source]\nkind = \"scans\"\npath = \"lidars\"\n").source();
         assert_eq!(task.source, Source::Scans(Some(beside("lidars"))));
+        let lidar = "robot = \"r1\"\n[source]\nkind = \"ydlidar\"\nport = \"/dev/ttyUSB0\"\nbaud = 230400\n\
+            model = \"T-mini Plus\"\n";
+        let Source::Lidars(lidars) = read(lidar).source().source else { panic!("{lidar}") };
+        let said = (lidars[0].to_string(), lidars[0].rate);
+        assert_eq!(said, ("lidar (ydlidar at /dev/ttyUSB0)".to_owned(), Some(230_400)));
+        let two = "robot = \"r1\"\n[source]\nkind = \"lidars\"\n\
+            lidars = [{ name = \"front\", kind = \"ld06\", port = \"/dev/ttyUSB0\" },\n\
+            { name = \"rear\", kind = \"sick-tim\", address = \"192.168.0.1\" }]\n";
+        let Source::Lidars(lidars) = read(two).source().source else { panic!("{two}") };
+        assert_eq!(lidars[1].to_string(), "lidar 'rear' (sick-tim at 192.168.0.1)");
         let task =
             read("robot = \"r1\"\n[source]\nkind = \"simulation\"\nworld = \"maps/hall.yaml\"\n").source();
         assert!(matches!(task.source, Source::Simulation));
@@ -320,6 +398,23 @@ mod tests {
         assert!(read("save_every_s = 1.0").unwrap_err().contains("robot"));
         let stdin = "robot = \"r1\"\n[source]\nkind = \"stdin\"\npath = \"x\"\n";
         assert!(read(stdin).is_err(), "a pipe has no path");
+        for (source, key) in [
+            ("kind = \"ld06\"", "source.port: where is the lidar?"),
+            (
+                "kind = \"rplidar\"\nport = \"p\"\nmodel = \"B7\"",
+                "source.model: \"B7\" is no model of rplidar",
+            ),
+            ("kind = \"ld06\"\nport = \"p\"\nbuad = 9600", "unknown field `buad`"),
+            ("kind = \"lidars\"\nlidars = []", "source.lidars: 0 lidars"),
+            (
+                "kind = \"lidars\"\nlidars = [{ name = \"a\", kind = \"ld06\", port = \"p\" }, \
+                 { name = \"a\", kind = \"urg\", port = \"q\" }]",
+                "source.lidars[1].name: \"a\" is not a name of its own",
+            ),
+        ] {
+            let wrong = read(&format!("robot = \"r1\"\n[source]\n{source}\n")).unwrap_err();
+            assert!(wrong.contains(key), "{wrong}");
+        }
         let none = "robot = \"r1\"\n[stages.mapper]\nreplicas = 0\n";
         assert!(read(none).unwrap_err().contains("stages.mapper.replicas: 0 is not between 1 and 8"));
     }

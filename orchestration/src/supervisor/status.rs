@@ -1,6 +1,7 @@
 //! The state of a set and of its processes: as JSON for programs and as text for people.
 
 use super::child::StageChild;
+use flockslam_lidar_ingest::process::LidarLineStatus;
 use flockslam_results::{FlockStatus, LidarStatus, Unattached};
 use flockslam_telemetry::{Beat, monotonic_ns};
 use serde::{Deserialize, Serialize};
@@ -34,6 +35,9 @@ pub struct SetStatus {
     /// Its lidars that have given scans, by number.
     #[serde(default)]
     pub lidars: Vec<LidarStatus>,
+    /// Its lidars on lines of their own.
+    #[serde(default)]
+    pub lidar_lines: Vec<LidarLineStatus>,
     /// All processes, in the order of their start.
     pub stages: Vec<StageStatus>,
 }
@@ -160,6 +164,9 @@ impl fmt::Display for SetStatus {
                 "  lidar {lidar:<12} {silent}last scan {:.1} s ago, scans {scans}",
                 status.age_s(now_ns)
             )?;
+        }
+        for line in &self.lidar_lines {
+            writeln!(f, "  {line}")?;
         }
         if let Some(unattached) = &self.unattached {
             writeln!(f, "  {unattached}")?;

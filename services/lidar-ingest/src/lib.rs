@@ -16,4 +16,4 @@ mod settings;
 pub mod stamp;
 
 pub use scan_locator::LocateError;
-pub use settings::{LidarMounting, Settings};
+pub use settings::{LidarCalibration, LidarMounting, Settings};

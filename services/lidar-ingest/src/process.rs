@@ -3,8 +3,13 @@
 
 mod cursor;
 mod feed;
+mod lidar_board;
+mod lidar_line;
 mod lidar_names;
+mod lidar_search;
+mod lidar_session;
 mod lidar_watch;
+mod live_lidars;
 mod pacer;
 mod pipe;
 mod recording_inspection;
@@ -27,8 +32,13 @@ use flockslam_stage::{
     Actor, LastWord, LeaderLock, Mode, Notifiers, Pause, StageContext, StageError, StreamEnd, run, step_aside,
 };
 use flockslam_telemetry::{failpoint, utc_ns};
+pub use lidar_board::{LidarLineStatus, read_lidar_lines};
+pub use lidar_line::{LidarPlace, LidarSpec};
 pub use lidar_names::read_lidar_names;
+pub use lidar_search::{FoundLidar, FoundPort, identify, serial_ports};
+pub use lidar_session::{LidarEars, LidarSession, LidarState};
 use lidar_watch::LidarWatch;
+pub use live_lidars::LidarPolling;
 use pacer::Pacer;
 pub use recording_inspection::{Inspection, LidarSummary, TopicSummary, TransformSummary, inspect};
 pub use recording_reader::RecordingReader;
@@ -48,6 +58,8 @@ pub enum Source {
     Pipe,
     /// Frames on a local socket: at this path, or in the directory of the set.
     Scans(Option<PathBuf>),
+    /// Lidars on lines of their own; odometry, rates of turning and scans of others on the local socket of the set.
+    Lidars(Vec<LidarSpec>),
     /// The simulated world.
     Simulation,
     /// No source: the stream ends before its first scan. The run only has the map that it continues.
@@ -293,6 +305,7 @@ impl Ingest {
         if tally.missing > 0 {
             tracing::warn!(missing = tally.missing, "the recorder missed scans: this is not an exact replay");
         }
+        self.feed.ended_early().iter().for_each(|line| tracing::warn!("{line}"));
         if let Some(reason) = self.feed.cut_short() {
             tracing::warn!(scans = tally.scans, "{reason}: read up to where it ends");
         }

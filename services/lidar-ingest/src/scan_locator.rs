@@ -267,8 +267,10 @@ impl ScanLocator {
             None => self.frames.insert(self.choose_frames(&frame)).clone(),
         };
         self.integrate_gyro(&frames);
-        let odometry = self.odometry_at(&frames, stamp_ns);
-        let heading_rad = self.heading_at(&frames, stamp_ns);
+        // The clocks of lidar and odometry may differ.
+        let odometry_ns = stamp_ns.saturating_add(self.offset_ns(lidar));
+        let odometry = self.odometry_at(&frames, odometry_ns);
+        let heading_rad = self.heading_at(&frames, odometry_ns);
         let may_come = odometry == Err(LookupError::NotYet) || heading_rad == Err(LookupError::NotYet);
         let (waits, wait_ns) = match &self.live {
             None => (may_come || self.lidars > 1, WAIT_NS),
@@ -292,7 +294,7 @@ impl ScanLocator {
         }
         self.last_places.insert(lidar, place);
         let known = odometry.ok();
-        let odometry = known.or_else(|| self.last_odometry(&frames, stamp_ns));
+        let odometry = known.or_else(|| self.last_odometry(&frames, odometry_ns));
         self.count_guess(known.is_some(), odometry.is_some());
         let Some(Waiting { sighting, .. }) = self.waiting.pop_front() else { return Ok(None) };
         let mut scan = match sighting {
@@ -304,6 +306,11 @@ impl ScanLocator {
         scan.header.id.lidar = lidar;
         self.add_motion(&mut scan, odometry, heading_rad.ok());
         Ok(Some(scan))
+    }
+
+    fn offset_ns(&self, lidar: u32) -> i64 {
+        let calibration = self.settings.calibration.get(lidar as usize);
+        calibration.map_or(0, |calibration| (calibration.offset_s * 1e9).round() as i64)
     }
 
     /// Whether it is known where a lidar sits.

@@ -1,5 +1,6 @@
 //! Settings of the stage, section `[lidar_ingest]` of the configuration.
 
+use flockslam_geometry::Pose;
 use flockslam_transforms::Isometry3;
 use nalgebra::{Translation3, UnitQuaternion};
 use serde::{Deserialize, Serialize};
@@ -41,6 +42,12 @@ pub struct Settings {
     /// The robot's own body, which its lidars see: returns within these boxes count as none. Each is the least and the greatest x, the
     /// least and the greatest y in the frame of the robot, metres.
     pub self_mask: Vec<[f64; 4]>,
+    /// `flockslam map` reads the recording twice: first to estimate where its lidars sit and how far their stamps are off, then with what the
+    /// drive has shown of it. Without it the estimate is reported only.
+    pub calibrate: bool,
+    /// What an estimate has said, for each lidar a table, over what transforms, logs and `lidars` say: `x_m`, `y_m`, `heading_deg`
+    /// (each may be left out), and `offset_s`, which is added to the stamp of a scan of a recording to have its time by the clock of odometry.
+    pub calibration: Vec<LidarCalibration>,
     /// Processes of this stage: one reads the source, the others are on standby to go on in its place.
     pub replicas: usize,
 
@@ -78,6 +85,34 @@ pub struct LidarMounting {
     pub mirrored: bool,
 }
 
+/// What an estimate has said of a lidar.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LidarCalibration {
+    /// Ahead of the middle of the robot, metres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub x_m: Option<f64>,
+    /// To the left of it, metres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub y_m: Option<f64>,
+    /// Where the lidar looks, degrees counter-clockwise from straight ahead. Its beams keep their order.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub heading_deg: Option<f64>,
+    /// Added to the stamp of a scan to have its time by the clock of odometry, seconds.
+    pub offset_s: f64,
+}
+
+impl LidarCalibration {
+    /// The place of a lidar with what the estimate says of it.
+    pub(crate) fn corrected(&self, base_from_laser: Pose) -> Pose {
+        Pose::new(
+            self.x_m.unwrap_or(base_from_laser.x_m),
+            self.y_m.unwrap_or(base_from_laser.y_m),
+            self.heading_deg.map_or(base_from_laser.heading_rad, f64::to_radians),
+        )
+    }
+}
+
 impl LidarMounting {
     /// `base_from_laser`, in space.
     pub(crate) fn base_from_laser(&self) -> Isometry3<f64> {
@@ -99,6 +134,8 @@ impl Default for Settings {
             lidars: Vec::new(),
             cloud_heights_m: [-0.3, 0.3],
             self_mask: Vec::new(),
+            calibrate: false,
+            calibration: Vec::new(),
             replicas: 1,
             seed: 1,
             start_pose: None,
@@ -144,6 +181,14 @@ impl Settings {
                 }),
                 "lidars must sit within 100 m, with a heading of at most 360°",
             ),
+            (
+                self.calibration.iter().all(|lidar| {
+                    [lidar.x_m, lidar.y_m].iter().flatten().all(|v| v.abs() < 100.0)
+                        && lidar.heading_deg.is_none_or(|v| v.abs() <= 360.0)
+                        && lidar.offset_s.abs() <= 0.5
+                }),
+                "calibration must be within 100 m, 360° and 0.5 s",
+            ),
             (self.odometry_jumps <= 100_000, "odometry_jumps must be at most 100000"),
             (
                 self.odometry_noise.iter().all(|v| (0.0..=180.0).contains(v)),
@@ -183,6 +228,13 @@ mod tests {
             (
                 Settings { self_mask: vec![[0.3, -0.3, -0.2, 0.2]], ..good() },
                 "self_mask must be boxes: the least and the greatest x, the least and the greatest y",
+            ),
+            (
+                Settings {
+                    calibration: vec![LidarCalibration { offset_s: 0.6, ..LidarCalibration::default() }],
+                    ..good()
+                },
+                "calibration must be within 100 m, 360° and 0.5 s",
             ),
             (Settings { keep_every: 0, ..good() }, "keep_every must be at least 1"),
         ];

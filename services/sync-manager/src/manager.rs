@@ -197,10 +197,9 @@ impl SyncManager {
             // Its first scan may not have arrived.
             let is_first = self.odometry.nodes().last().is_some_and(|last| last.trajectory != trajectory);
             let continues = is_first && of_trajectory.into_iter().any(|r| r.continues);
-            self.odometry.extend(
-                NewNode { sequence, scan, odom, trajectory, odometry, continues, is_open },
-                &self.scans,
-            );
+            let sigmas = (pose.covariance.position_std_m(), pose.covariance.tt.max(0.0).sqrt());
+            let new = NewNode { sequence, scan, odom, trajectory, odometry, continues, is_open, sigmas };
+            self.odometry.extend(new, &self.scans);
         }
         if let Some(node) = self.odometry.nodes().len().checked_sub(1) {
             self.kept.push(Kept { record, scan, node, is_node });
@@ -365,13 +364,16 @@ impl SyncManager {
         due
     }
 
-    fn search(&mut self, query: usize, known: usize) {
+    /// What connects nodes beside driving, with the uncertainty between them as a length of path, metres.
+    fn connections(&self, known: usize) -> Vec<(usize, usize, f64)> {
         let inliers = self.closures.iter().zip(&self.is_inlier).filter(|(_, is_inlier)| **is_inlier);
         let closures = inliers.map(|(c, _)| (c.edge.from, c.edge.to, CLOSURE_M));
-        let joints = self.joints(known).map(|joint| (joint.from, joint.to, JOINT_M));
-        let loops: Vec<_> = closures.chain(joints).collect();
+        closures.chain(self.joints(known).map(|joint| (joint.from, joint.to, JOINT_M))).collect()
+    }
+
+    fn search(&mut self, query: usize, known: usize) {
         let nodes = &self.odometry.nodes()[..known];
-        let distances_m = graph_distances(nodes, &loops, query);
+        let distances_m = graph_distances(nodes, &self.connections(known), query);
         let world = World { nodes, scans: &self.scans, segments: &self.segments, poses: &self.poses };
         let found = if nodes[query].is_open {
             self.open_finder.find(&world, query, &distances_m)
@@ -421,6 +423,7 @@ impl SyncManager {
         self.close_loops(known, usize::MAX);
         if self.settings.close_loops {
             self.attach();
+            self.close_again_in_the_open();
         }
         self.collect_findings(known);
         self.refine();

@@ -26,8 +26,9 @@ const CYCLE: (f64, f64, f64) = (0.2, 0.02, 0.05);
 /// windows that at least two others confirm, that fewer than half as many contradict, and that hold over the longer a stretch
 /// the farther they would move the robot.
 ///
-/// In the open, hedges and rows of trees hold a scan little along them, and those found near are no exception: more others must
-/// confirm than contradict them.
+/// In the open, hedges and rows of trees hold a scan little along them, and those found near are no exception. Wrong ones lie anywhere
+/// along a hedge: they contradict all others and each other. So only those count against one that agree among themselves, and more must
+/// confirm it than these are.
 ///
 /// In a long corridor with a door every few metres a single match is wrong easily, and what the odometry knows
 /// after a hundred metres cannot contradict it.
@@ -37,22 +38,25 @@ pub fn eligible(closures: &[Closure], nodes: &[Node]) -> Vec<bool> {
     let is_wide = |closure: &Closure| closure.reach_m > WIDE_M;
     let is_open = |closure: &Closure| nodes[closure.edge.to].is_open;
     let mut eligible: Vec<bool> = closures.iter().map(|closure| !is_wide(closure)).collect();
+    let mut contradicting = Vec::new();
     for (i, a) in closures.iter().enumerate().filter(|(_, a)| is_wide(a) || is_open(a)) {
-        let (mut agreeing, mut disagreeing) = (0, 0);
+        let mut agreeing = 0;
+        contradicting.clear();
         for k in neighbours.of(a).filter(|k| closures[*k].edge != a.edge) {
             match agree(a, &closures[k], nodes) {
                 Some(true) => {
                     agreeing += 1;
                     groups.join(i, k);
                 }
-                Some(false) => disagreeing += 1,
+                Some(false) => contradicting.push(k),
                 None => {}
             }
         }
-        eligible[i] = if is_wide(a) {
-            agreeing >= PARTNERS_MIN && 2 * disagreeing <= agreeing + 1
+        eligible[i] = if is_open(a) {
+            let partners_min = if is_wide(a) { PARTNERS_MIN } else { 1 };
+            agreeing >= partners_min && agreeing >= united(&contradicting, closures, nodes)
         } else {
-            agreeing > disagreeing
+            agreeing >= PARTNERS_MIN && 2 * contradicting.len() <= agreeing + 1
         };
     }
     for (i, closure) in closures.iter().enumerate().filter(|(_, closure)| is_wide(closure)) {
@@ -129,6 +133,14 @@ impl Groups {
         let (low, high) = self.extent[first];
         high - low
     }
+}
+
+/// Size of the greatest group among these closures of one and all that agree with it.
+fn united(group: &[usize], closures: &[Closure], nodes: &[Node]) -> usize {
+    let partners = |i: &usize| {
+        group.iter().filter(|k| *k == i || agree(&closures[*i], &closures[**k], nodes) == Some(true)).count()
+    };
+    group.iter().map(partners).max().unwrap_or(0)
 }
 
 /// Whether the cycle over two closures and the odometry between their ends closes; `None` when they lie too far

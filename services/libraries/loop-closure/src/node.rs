@@ -49,6 +49,8 @@ pub struct NewNode {
     pub continues: bool,
     /// Whether its pose follows from surfaces far apart.
     pub is_open: bool,
+    /// Standard deviations of its pose as the front end publishes them: metres and radians.
+    pub sigmas: (f64, f64),
 }
 
 impl NewNode {

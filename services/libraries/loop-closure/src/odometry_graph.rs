@@ -38,9 +38,13 @@ const UNMATCHED_DRIFT_M: f64 = 8.0;
 const FOLLOWED: (f64, f64) = (0.1, 0.1);
 /// Where it is, without a match, the drift bound grows so many times faster than the travel.
 const FOLLOWED_DRIFT: f64 = 2.0;
-/// Standard deviations of the front end's motion in the open, over a metre of travel: metres and radians, as
-/// on simulated campuses. A turn counts as so much travel, metres per radian.
-const OPEN_SIGMA: (f64, f64) = (0.03, 0.0012);
+/// In the open the front end's motion errs over a metre of travel as much as its pose is uncertain there: how firmly surfaces hold
+/// single scans decides how a drive bends. Bounds of the standard deviations, metres and radians; a share of that of the position. On
+/// simulated campuses the error over √m grows from the lower bounds to the upper ones with the published standard deviation.
+const OPEN_SIGMA_MIN: (f64, f64) = (0.02, 0.0009);
+const OPEN_SIGMA_MAX: (f64, f64) = (0.05, 0.006);
+const OPEN_POSITION_SHARE: f64 = 0.8;
+/// A turn counts as so much travel, metres per radian.
 const OPEN_TURN_M: f64 = 1.0;
 /// Matches that scatter so many times more than they claim, in variance, are compared with odometry …
 const SCATTERING: f64 = 2.0;
@@ -76,8 +80,8 @@ enum Link {
     Rescued(Alignment),
     /// Not matched: the front end's motion, with which odometry agrees.
     Followed,
-    /// In the open: the front end's motion, which surfaces far apart have given.
-    Open,
+    /// In the open: the front end's motion, which surfaces far apart have given, and its standard deviations over a metre.
+    Open(f64, f64),
     Predicted,
     Broken,
 }
@@ -192,7 +196,7 @@ impl OdometryGraph {
         };
         let (local_pose, drift_bound_m) = match link {
             Link::Matched(found) | Link::Rescued(found) => (found.placement, 0.0),
-            Link::Open => (guess, 0.0),
+            Link::Open(..) => (guess, 0.0),
             Link::Followed => (guess, (FOLLOWED_DRIFT - 1.0) * motion.distance_m(&Placement::IDENTITY)),
             Link::Predicted => (guess, UNMATCHED_DRIFT_M),
             Link::Broken => (guess, BROKEN_M),
@@ -270,7 +274,10 @@ impl OdometryGraph {
     fn link(&mut self, guess: &Placement, new: &NewNode, follows: bool, scans: &ScanStore) -> Link {
         let scan = new.scan;
         if new.is_open {
-            return Link::Open;
+            return Link::Open(
+                (OPEN_POSITION_SHARE * new.sigmas.0).clamp(OPEN_SIGMA_MIN.0, OPEN_SIGMA_MAX.0),
+                new.sigmas.1.clamp(OPEN_SIGMA_MIN.1, OPEN_SIGMA_MAX.1),
+            );
         }
         let unmatched = if follows { Link::Followed } else { Link::Predicted };
         if scans.points(scan).len() < POINTS_MIN {
@@ -353,9 +360,9 @@ impl OdometryGraph {
                     FOLLOWED_SIGMA.1 + heading.sqrt() + off_rad,
                 )
             }
-            Link::Open => {
+            Link::Open(sigma_m, sigma_rad) => {
                 let root = (way + OPEN_TURN_M * turn).sqrt();
-                diagonal(OPEN_SIGMA.0 * root + 1e-3, OPEN_SIGMA.1 * root + 1e-4)
+                diagonal(sigma_m * root + 1e-3, sigma_rad * root + 1e-4)
             }
             Link::Predicted => diagonal(0.3 + 0.5 * way, 0.2 + 0.5 * turn),
             // Just enough information to keep the graph connected.

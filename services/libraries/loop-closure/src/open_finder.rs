@@ -78,17 +78,34 @@ impl OpenFinder {
         if travel_m < self.next_m {
             return Vec::new();
         }
-        let stretches = stretches(world, query, distances_m);
-        if stretches.is_empty() {
-            return Vec::new();
-        }
-        let mut found = Vec::new();
-        for (nearest, window) in stretches {
-            found.extend(self.search(world, query, nearest, window));
-        }
+        let Some(found) = self.look(world, query, distances_m) else { return Vec::new() };
         // What was not found is hardly found a step farther.
         self.failures = if found.is_empty() { (self.failures + 1).min(PATIENCE) } else { 0 };
         self.next_m = travel_m + EVERY_M * f64::from(self.failures.max(1));
+        found
+    }
+
+    /// Looks for the surroundings of node `query` wherever older nodes are near; `None` where there are none.
+    fn look(&mut self, world: &World<'_>, query: usize, distances_m: &[f64]) -> Option<Vec<Closure>> {
+        let stretches = stretches(world, query, distances_m);
+        if stretches.is_empty() {
+            return None;
+        }
+        let searched =
+            stretches.into_iter().filter_map(|(nearest, window)| self.search(world, query, nearest, window));
+        Some(searched.collect())
+    }
+
+    /// Looks again for the surroundings of open nodes, one every few metres, among those before them, in the windows that a solution
+    /// leaves: `distances_m` gives distances along its graph from a node.
+    pub fn find_again(&mut self, world: &World<'_>, distances_m: impl Fn(usize) -> Vec<f64>) -> Vec<Closure> {
+        let (mut found, mut next_m) = (Vec::new(), 0.0);
+        for (query, node) in world.nodes.iter().enumerate() {
+            if node.is_open && node.travel_m >= next_m {
+                found.extend(self.look(world, query, &distances_m(query)).unwrap_or_default());
+                next_m = node.travel_m + EVERY_M;
+            }
+        }
         found
     }
 

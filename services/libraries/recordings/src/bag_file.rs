@@ -95,7 +95,7 @@ impl BagFile {
         let mut at = self.at;
         while at < self.end {
             let Some(record) = self.record(at, self.end)? else {
-                return Err(self.damaged(at, "the bag breaks off in a record, or is damaged"));
+                return Err(self.damaged(at, "the bag breaks off in a record, or is damaged: fetch it again, or mend it with `rosbag reindex`"));
             };
             if record.fields().kind().is_none() {
                 return Err(self.damaged(at, "the record is damaged"));
@@ -214,7 +214,9 @@ impl BagFile {
             "lz4" => lz4::Decoder::new(&packed[..])
                 .and_then(|decoder| decoder.take(limit).read_to_end(&mut self.chunk)),
             other => {
-                let problem = format!("the chunk is packed with {other:?}: none, bz2 and lz4 are known");
+                let problem = format!(
+                    "the chunk is packed with {other:?}: none, bz2 and lz4 are known; `rosbag decompress` unpacks it"
+                );
                 return Err(self.damaged(at, problem));
             }
         };
@@ -265,7 +267,7 @@ impl MessageSource for BagFile {
             }
             let at = self.at;
             let Some(record) = self.record(at, self.end)? else {
-                return Err(self.damaged(at, "the bag breaks off in a record, or is damaged"));
+                return Err(self.damaged(at, "the bag breaks off in a record, or is damaged: fetch it again, or mend it with `rosbag reindex`"));
             };
             match record.fields().kind() {
                 Some(RecordKind::Chunk) => self.unpack(&record, at)?,

@@ -154,8 +154,16 @@ impl McapFile {
         None
     }
 
-    fn damaged(&self, error: impl ToString) -> RecordingError {
-        RecordingError::damaged(&self.name, "the MCAP file", error)
+    fn damaged(&self, error: McapError) -> RecordingError {
+        let problem = match error {
+            McapError::UnsupportedCompression(packing) => {
+                format!(
+                    "it is packed with {packing:?}: none, lz4 and zstd are known; `mcap compress` packs it anew"
+                )
+            }
+            other => format!("{other}; `mcap recover` saves what is left"),
+        };
+        RecordingError::damaged(&self.name, "the MCAP file", problem)
     }
 }
 

@@ -15,7 +15,9 @@ pub enum RecordingError {
         error: io::Error,
     },
     /// It is none of the kinds that are known.
-    #[error("{name}: not a recording that can be read: ROS 1 bags, rosbag2 folders, .db3 and .mcap can be")]
+    #[error(
+        "{name}: not a recording that can be read: ROS 1 bags, rosbag2 folders, .db3 and .mcap can be, packed with zstd or not"
+    )]
     Unknown {
         /// The file or folder.
         name: String,
@@ -31,7 +33,10 @@ pub enum RecordingError {
         problem: String,
     },
     /// Messages do not match their types, more than are tolerated.
-    #[error("{name}: message {number} on {topic}: {problem}; with this {bad} of {number} are bad")]
+    #[error(
+        "{name}: message {number} on {topic}: {problem}; with this {bad} of {number} are bad; record it again, or \
+             raise lidar_ingest.max_bad_line_share"
+    )]
     Message {
         /// The file.
         name: String,

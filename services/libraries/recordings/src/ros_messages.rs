@@ -163,8 +163,9 @@ impl LaserScanMessage {
         if !has_intensities {
             numbers.truncate(beams);
         }
-        let limits = [self.angle_min_rad, self.angle_increment_rad, self.range_min_m, self.range_max_m];
-        if !limits.into_iter().all(f32::is_finite) {
+        // A lidar without a limit of its range says so with an infinity.
+        let limits = [self.angle_min_rad, self.angle_increment_rad, self.range_min_m];
+        if !limits.into_iter().all(f32::is_finite) || self.range_max_m.is_nan() {
             return Err(MessageProblem::NotFinite);
         }
         let mut scan = ScanBuffer { numbers, ..ScanBuffer::default() };
@@ -173,7 +174,8 @@ impl LaserScanMessage {
         header.angle_min_rad = exact_rad(self.angle_min_rad);
         header.angle_increment_rad = exact_rad(self.angle_increment_rad);
         header.range_min_m = self.range_min_m.max(RANGE_MIN_M);
-        header.range_max_m = self.range_max_m;
+        // Many drivers write the limit itself where nothing has returned.
+        header.range_max_m = self.range_max_m.min(f32::MAX).next_down();
         let is_plausible = is_plausible_sweep(self.time_increment_s, beams);
         header.time_increment_s = if is_plausible { self.time_increment_s } else { 0.0 };
         header.beam_count = beams as u32;
@@ -305,11 +307,20 @@ mod tests {
         assert_eq!((found.frame.as_str(), view.len()), ("laser", 4));
         assert_eq!(found.scan.header.times.sensor_ns, 12_000_000_500);
         assert_eq!([0, 1, 2, 3].map(|beam| view.valid_range_m(beam)), [Some(1.0), None, None, Some(2.5)]);
-        assert_eq!((view.angle_rad(3), found.scan.header.range_max_m), (0.0, 30.0));
+        assert_eq!(view.angle_rad(3), 0.0);
         assert_eq!(found.scan.header.time_increment_s, 1e-3);
         for cut in 0..message(0.0).len() {
             assert!(scan(&message(0.0)[..cut], ReadingKind::Scan).is_err(), "{cut}");
         }
+    }
+
+    #[test]
+    fn the_limit_itself_is_no_return() {
+        let ranges = array(&[30.0, 29.99]);
+        let bytes = [header("laser"), floats(&SHAPE), ranges, array(&[])].concat();
+        let found = scan(&bytes, ReadingKind::Scan).unwrap().scan;
+        let view = found.view().unwrap();
+        assert!(view.valid_range_m(0).is_none() && view.valid_range_m(1).is_some());
     }
 
     #[test]

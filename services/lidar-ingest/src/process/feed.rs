@@ -1,5 +1,6 @@
 //! One interface to all sources of scans – log, recording, pipe, socket, simulation – with the experiment's changes applied.
 
+use super::live_lidars::listen_to;
 use super::pipe::read_pipe;
 use super::recording_reader::RecordingReader;
 use super::scan_socket::{SCAN_SOCKET, listen_at};
@@ -7,10 +8,10 @@ use super::sensor_feed::SensorFeed;
 use super::topic_choice::ReadRecordingError;
 use super::truth_file::TruthWriter;
 use super::{Source, Task, first_stages, world_file};
-use crate::Settings;
 use crate::carmen::{CarmenReader, Tally};
 use crate::experiment::Experiment;
 use crate::self_mask::mask;
+use crate::{LidarCalibration, Settings};
 use flockslam_messages::ScanBuffer;
 use flockslam_recordings::is_recording;
 use flockslam_simulation::{Simulation, World};
@@ -23,6 +24,7 @@ use std::time::Duration;
 /// Scans one after another, from whatever source, with the experiment's changes applied.
 pub struct Feed {
     kind: Kind,
+    calibration: Vec<LidarCalibration>,
     self_mask: Vec<[f64; 4]>,
     experiment: Experiment,
 }
@@ -74,6 +76,16 @@ impl Feed {
                 let feed = SensorFeed::new(context, inlet, path.display().to_string(), &task.settings)?;
                 (Kind::Sensors(Box::new(feed)), 0)
             }
+            Source::Lidars(lidars) => {
+                let mut feed = SensorFeed::new(
+                    context,
+                    listen_to(context, lidars)?,
+                    "lidars".to_owned(),
+                    &task.settings,
+                )?;
+                feed.number(lidars.iter().map(|lidar| lidar.name.clone()))?;
+                (Kind::Sensors(Box::new(feed)), 0)
+            }
             Source::Simulation => {
                 let built_in = || Ok(World::built_in(&task.simulation));
                 let world = task.world.as_deref().map_or_else(built_in, world_file::read)?;
@@ -84,8 +96,8 @@ impl Feed {
             }
             Source::Nothing => (Kind::Nothing, 0),
         };
-        let self_mask = task.settings.self_mask.clone();
-        Ok(Self { kind, self_mask, experiment: Experiment::new(&task.settings, expected) })
+        let (calibration, self_mask) = (task.settings.calibration.clone(), task.settings.self_mask.clone());
+        Ok(Self { kind, calibration, self_mask, experiment: Experiment::new(&task.settings, expected) })
     }
 
     /// Goes past the scans that a predecessor has sent.
@@ -134,6 +146,10 @@ impl Feed {
             Kind::Nothing => Fed::End,
         };
         if fed == Fed::Scan {
+            let header = &mut scan.header;
+            if let Some(known) = self.calibration.get(header.id.lidar as usize) {
+                header.base_from_laser = known.corrected(header.base_from_laser);
+            }
             mask(scan, &self.self_mask);
             self.experiment.apply(scan);
         }
@@ -183,6 +199,14 @@ impl Feed {
         match &self.kind {
             Kind::Recording(reader) => reader.cut_short(),
             _ => None,
+        }
+    }
+
+    /// What ended before the source did, a line each.
+    pub fn ended_early(&self) -> Vec<String> {
+        match &self.kind {
+            Kind::Recording(reader) => reader.ended_early(),
+            _ => Vec::new(),
         }
     }
 

@@ -4,6 +4,7 @@ use super::recording_reader::RecordingReader;
 use super::topic_choice::TopicChoice;
 use crate::carmen::CarmenReader;
 use crate::settings::Settings;
+use flockslam_calibration::BodyMask;
 use flockslam_messages::ScanBuffer;
 use flockslam_recordings::{Reading, Recording, is_recording};
 use serde::Serialize;
@@ -43,6 +44,9 @@ pub struct Inspection {
     pub cut_short: Option<String>,
     /// What is missing, and what to do about it.
     pub lacks: Vec<String>,
+    /// Boxes around what the lidars see of the robot itself, for `lidar_ingest.self_mask`, where they were to be learned.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub self_mask: Option<Vec<[f64; 4]>>,
 }
 
 /// A topic.
@@ -97,16 +101,16 @@ pub struct TransformSummary {
     pub is_static: bool,
 }
 
-/// Reads a recording or a log to its end.
+/// Reads a recording or a log to its end. `learns_mask`: it also finds what the lidars see of the robot itself.
 ///
 /// # Errors
 /// One line, when it cannot be opened.
-pub fn inspect(path: &Path, settings: &Settings) -> Result<Inspection, String> {
+pub fn inspect(path: &Path, settings: &Settings, learns_mask: bool) -> Result<Inspection, String> {
     let mut found = Inspection { name: path.display().to_string(), ..Inspection::default() };
     if is_recording(path) {
-        inspect_recording(&mut found, path, settings)?;
+        inspect_recording(&mut found, path, settings, learns_mask)?;
     } else {
-        inspect_log(&mut found, path, settings)?;
+        inspect_log(&mut found, path, settings, learns_mask)?;
     }
     if found.lacks.is_empty() && found.odometry_share == 0.0 {
         let instead = if found.gyro_share > 0.0 { "scans and a gyroscope" } else { "scans" };
@@ -115,13 +119,18 @@ pub fn inspect(path: &Path, settings: &Settings) -> Result<Inspection, String> {
     Ok(found)
 }
 
-fn inspect_recording(found: &mut Inspection, path: &Path, settings: &Settings) -> Result<(), String> {
+fn inspect_recording(
+    found: &mut Inspection,
+    path: &Path,
+    settings: &Settings,
+    learns_mask: bool,
+) -> Result<(), String> {
     let mut recording = Recording::open(path).map_err(|error| error.to_string())?;
     found.files = recording.files().len();
     found.bytes = size(recording.files());
     let choice = TopicChoice::of(&recording, settings);
     let problem = messages(found, &mut recording, choice.as_ref().ok());
-    let placed = choice.and_then(|_| placed_scans(found, path, settings));
+    let placed = choice.and_then(|_| placed_scans(found, path, settings, learns_mask));
     found.lacks.extend(placed.err().map(|error| error.to_string()).or(problem));
     Ok(())
 }
@@ -181,11 +190,12 @@ fn placed_scans(
     found: &mut Inspection,
     path: &Path,
     settings: &Settings,
+    learns_mask: bool,
 ) -> Result<(), super::topic_choice::ReadRecordingError> {
     let mut reader = RecordingReader::open(path, settings)?;
     found.lidars = reader.scan_topics().map(LidarSummary::of_topic).collect();
     let mut scan = ScanBuffer::default();
-    let mut tally = ScanTally::default();
+    let mut tally = ScanTally { learns_mask, ..ScanTally::default() };
     let outcome = loop {
         match reader.next_scan(&mut scan) {
             Ok(true) => tally.add(found, &scan),
@@ -195,6 +205,7 @@ fn placed_scans(
     };
     tally.finish(found);
     found.rejected = reader.tally().rejected.iter().map(|(reason, count)| (reason.name(), *count)).collect();
+    found.lacks.extend(reader.ended_early());
     let missing = reader.tally().missing;
     found.lacks.extend((missing > 0).then(|| format!("{missing} scans that the recorder missed")));
     if found.odometry.is_none() && found.odometry_share > 0.0 {
@@ -203,12 +214,18 @@ fn placed_scans(
     outcome
 }
 
-fn inspect_log(found: &mut Inspection, path: &Path, settings: &Settings) -> Result<(), String> {
+fn inspect_log(
+    found: &mut Inspection,
+    path: &Path,
+    settings: &Settings,
+    learns_mask: bool,
+) -> Result<(), String> {
     let file = File::open(path).map_err(|error| format!("{}: {error}", path.display()))?;
     (found.files, found.bytes) = (1, size(&[path.to_owned()]));
     let mut reader = CarmenReader::new(BufReader::new(file), path.display().to_string(), settings.clone());
     found.lidars = vec![LidarSummary::of_topic("CARMEN lines")];
-    let (mut scan, mut tally, mut times) = (ScanBuffer::default(), ScanTally::default(), Times::default());
+    let (mut scan, mut times) = (ScanBuffer::default(), Times::default());
+    let mut tally = ScanTally { learns_mask, ..ScanTally::default() };
     loop {
         match reader.next_scan(&mut scan) {
             Ok(true) => {
@@ -290,6 +307,8 @@ struct ScanTally {
     with_gyro: u64,
     /// Beams and returns of each lidar.
     beams: BTreeMap<usize, (u64, u64)>,
+    learns_mask: bool,
+    masks: BTreeMap<usize, BodyMask>,
 }
 
 impl ScanTally {
@@ -306,6 +325,9 @@ impl ScanTally {
         let (beams, returned) = self.beams.entry(at).or_default();
         *beams += view.len() as u64;
         *returned += returns as u64;
+        if self.learns_mask {
+            self.masks.entry(at).or_default().push(view);
+        }
         self.scans += 1;
         self.with_odometry += u64::from(view.odometry().is_some());
         self.with_gyro += u64::from(view.gyro_heading_rad().is_some());
@@ -317,6 +339,13 @@ impl ScanTally {
         }
         found.odometry_share = share(self.with_odometry, self.scans);
         found.gyro_share = share(self.with_gyro, self.scans);
+        if self.learns_mask {
+            let learned: Result<Vec<_>, _> = self.masks.values().map(BodyMask::boxes).collect();
+            match learned {
+                Ok(boxes) => found.self_mask = Some(boxes.concat()),
+                Err(error) => found.lacks.push(format!("no mask: {error}")),
+            }
+        }
         if self.scans > 0 && self.beams.values().all(|(_, returned)| *returned == 0) {
             found.lacks.push("no beam of any scan returns: are the limits of the ranges right?".to_owned());
         }

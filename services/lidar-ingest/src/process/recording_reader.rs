@@ -12,6 +12,9 @@ use std::path::Path;
 /// So many messages that do not match their types are tolerated in any recording.
 const BAD_MESSAGES_TOLERATED: f64 = 10.0;
 
+/// A topic that ends this long before the recording has ended early, nanoseconds.
+const EARLY_NS: i64 = 5_000_000_000;
+
 /// Scans of a recording in its order, those of the chosen topics.
 pub struct RecordingReader {
     recording: Recording,
@@ -20,6 +23,8 @@ pub struct RecordingReader {
     at_end: bool,
     /// By the number of the lidar.
     last_stamps_ns: BTreeMap<u32, i64>,
+    /// When the last message of each topic was recorded, by its number.
+    last_recorded_ns: BTreeMap<usize, i64>,
     max_bad_share: f64,
     /// Of a recording of a set: the number of the next scan, when none is missing.
     next_recorded: Option<u64>,
@@ -42,6 +47,7 @@ impl RecordingReader {
             choice,
             at_end: false,
             last_stamps_ns: BTreeMap::new(),
+            last_recorded_ns: BTreeMap::new(),
             max_bad_share: settings.max_bad_line_share,
             next_recorded: None,
             tally: Tally::default(),
@@ -68,6 +74,25 @@ impl RecordingReader {
         self.recording.cut_short()
     }
 
+    /// Of topics that ended long before the recording, once that was read: which, and what it means. A line for each.
+    pub fn ended_early(&self) -> Vec<String> {
+        let Some(end_ns) = self.last_recorded_ns.values().max() else { return Vec::new() };
+        let early = |topic: usize, meaning: &str| {
+            let missing_ns = end_ns - self.last_recorded_ns.get(&topic)?;
+            let name = &self.recording.topics()[topic].name;
+            let missing_s = missing_ns as f64 * 1e-9;
+            (missing_ns > EARLY_NS)
+                .then(|| format!("{name} ends {missing_s:.1} s before the recording: {meaning}"))
+        };
+        let of_scans = match self.choice.scans.len() {
+            1 => "the map ends there; --scan chooses another lidar",
+            _ => "from there on the other lidars alone map",
+        };
+        let of_odometry = "from there on scans alone tell how the robot moves; --odom chooses other odometry";
+        let scans = self.choice.scans.iter().map(|topic| early(*topic, of_scans));
+        scans.chain(self.choice.odometry.map(|topic| early(topic, of_odometry))).flatten().collect()
+    }
+
     /// Reads the next scan into `scan`; `false` at the end.
     ///
     /// # Errors
@@ -91,6 +116,7 @@ impl RecordingReader {
             };
             self.tally.lines += 1;
             let TopicReading { topic, recorded_ns, .. } = next;
+            self.last_recorded_ns.insert(topic, recorded_ns);
             let reading = match next.reading {
                 Ok(reading) => reading,
                 Err(problem) => {

@@ -1,6 +1,6 @@
 //! The local socket that producers of frames connect to: one thread waits for all of them.
 
-use super::sensor_inlet::{Heard, SensorInlet, SensorOutlet, event_of, listen};
+use super::sensor_inlet::{Heard, OutletMaker, SensorInlet, SensorOutlet, event_of, inlet, listen_too};
 use flockslam_sensor_stream::FrameReader;
 use flockslam_stage::{Mode, StageContext, StageError};
 use rustix::event::{PollFd, PollFlags, poll};
@@ -20,17 +20,24 @@ const BUFFER_BYTES: usize = 1 << 16;
 /// Listens at `path`, in place of a predecessor that has died. Live, it goes on for ever; else the stream ends when the last producer has
 /// gone.
 pub fn listen_at(context: &StageContext, path: &Path) -> Result<SensorInlet, StageError> {
+    let (maker, inlet) = inlet();
+    listen_beside(context, path, maker)?;
+    Ok(inlet)
+}
+
+/// As [`listen_at`], beside other threads that listen.
+pub fn listen_beside(context: &StageContext, path: &Path, maker: OutletMaker) -> Result<(), StageError> {
     let wrong = |reason: String| StageError::Source(format!("{}: {reason}", path.display()));
     make_room(path).map_err(wrong)?;
     let listener = UnixListener::bind(path).map_err(|e| wrong(e.to_string()))?;
     listener.set_nonblocking(true).map_err(|e| wrong(e.to_string()))?;
     let ends = context.mode == Mode::Exact;
     let socket = ScanSocket { listener, path: path.to_owned(), producers: Vec::new(), ends };
-    let inlet = listen(context, "scans", move |maker, bus| {
+    let started = listen_too(context, "scans", maker, move |maker, bus| {
         // The bus must outlive its events: it holds the thread's place in the set.
         socket.serve(&maker.outlet(event_of(bus.as_ref())));
     });
-    inlet.map_err(|e| wrong(e.to_string()))
+    started.map_err(|e| wrong(e.to_string()))
 }
 
 /// Removes what a predecessor left; nothing else.

@@ -83,6 +83,15 @@ impl SensorFeed {
         })
     }
 
+    /// Gives lidars their numbers before their scans come: in this order.
+    pub fn number(&mut self, lidars: impl IntoIterator<Item = String>) -> Result<(), StageError> {
+        for lidar in lidars {
+            self.names.number(&lidar).map_err(|error| StageError::Source(error.to_string()))?;
+        }
+        self.locator.set_lidars(self.names.count());
+        Ok(())
+    }
+
     /// Counts so far; a frame is a line.
     pub fn tally(&self) -> Tally {
         let of_lines = self.inlet.tally();

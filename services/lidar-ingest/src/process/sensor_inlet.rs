@@ -47,7 +47,8 @@ pub struct SensorOutlet {
     event: Option<Notifier>,
 }
 
-/// What becomes an outlet in the thread that it is for: ports of the bus stay within their thread.
+/// What becomes an outlet in the thread that it is for: ports of the bus stay within their thread. Several threads may have one each.
+#[derive(Clone)]
 pub struct OutletMaker {
     heard: Sender<Heard>,
     awaits: Arc<AtomicBool>,
@@ -147,8 +148,19 @@ pub fn listen(
     work: impl FnOnce(OutletMaker, Option<flockslam_bus::Bus>) + Send + 'static,
 ) -> std::io::Result<SensorInlet> {
     let (maker, inlet) = inlet();
+    listen_too(context, name, maker, work)?;
+    Ok(inlet)
+}
+
+/// As [`listen`], for one more thread with the same inlet.
+pub fn listen_too(
+    context: &StageContext,
+    name: &str,
+    maker: OutletMaker,
+    work: impl FnOnce(OutletMaker, Option<flockslam_bus::Bus>) + Send + 'static,
+) -> std::io::Result<()> {
     let join = context.joiner();
     let thread = std::thread::Builder::new().name(name.to_owned());
     thread.spawn(move || work(maker, join()))?;
-    Ok(inlet)
+    Ok(())
 }

@@ -11,7 +11,9 @@ pub enum ReadRecordingError {
     #[error(transparent)]
     Recording(#[from] RecordingError),
     /// No scan in it.
-    #[error("{name}: no sensor_msgs/LaserScan or PointCloud2 among its topics: {topics}")]
+    #[error(
+        "{name}: no sensor_msgs/LaserScan or PointCloud2 among its topics: {topics}; record the topic of the lidar too"
+    )]
     NoScan {
         /// The recording.
         name: String,

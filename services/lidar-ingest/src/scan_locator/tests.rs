@@ -1,7 +1,7 @@
 //! What scans get from transforms, odometry and turns, recorded and live.
 
 use super::*;
-use crate::settings::LidarMounting;
+use crate::settings::{LidarCalibration, LidarMounting};
 use nalgebra::Vector3;
 
 const MS: i64 = 1_000_000;
@@ -242,4 +242,17 @@ fn live_several_lidars_are_brought_into_order_and_none_that_died_is_waited_for()
     let waits = found.iter().filter(|(_, lidar, _)| *lidar == 0).map(|(at_ms, _, stamp_ms)| at_ms - stamp_ms);
     assert!(waits.clone().all(|wait_ms| wait_ms <= 69), "{found:?}");
     assert!(waits.skip(9).all(|wait_ms| wait_ms == 10), "a lidar that died is not waited for: {found:?}");
+}
+
+#[test]
+fn odometry_of_a_lidar_whose_clock_is_off_is_that_of_its_time() {
+    let calibration = vec![LidarCalibration { offset_s: 0.04, ..LidarCalibration::default() }];
+    let mut locator = ScanLocator::new(&Settings { calibration, ..Settings::default() }, 1, false);
+    for at_ms in [0, 100, 200] {
+        let transform = transform(at_ms, "odom", "", 0.01 * at_ms as f64);
+        locator.push_odometry(at_ms * MS, &OdometryReading { transform, twist: None });
+    }
+    locator.push_sighting(100 * MS, 0, scan(100));
+    let found = locator.take(true).unwrap().unwrap();
+    assert!(stamp_ms(&found) == 100 && (found.header.odometry.x_m - 1.4).abs() < 1e-9);
 }

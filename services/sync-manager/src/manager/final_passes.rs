@@ -3,13 +3,16 @@
 use super::SyncManager;
 use flockslam_loop_closure::attachment::AttachmentFinder;
 use flockslam_loop_closure::dense::DensePass;
-use flockslam_loop_closure::finder::World;
+use flockslam_loop_closure::finder::{World, graph_distances};
 use flockslam_loop_closure::node::Node;
 use flockslam_loop_closure::refine::Refinement;
 use flockslam_loop_closure::segment::Segment;
 use flockslam_pose_graph::Edge;
 use std::collections::BTreeSet;
 use std::ops::Range;
+
+/// Rounds of searches in the open at the end.
+const OPEN_ROUNDS: usize = 2;
 
 impl SyncManager {
     /// Looks for the trajectories that no closure has attached, the longest first, as wholes.
@@ -28,6 +31,26 @@ impl SyncManager {
                 self.is_inlier.push(true);
                 self.solve(known);
             }
+        }
+    }
+
+    /// Looks for loops in the open once more. While driving, windows were as wide as the drift, and what was found first bent the map:
+    /// in the windows that the solution leaves fewer places can be mistaken for each other.
+    pub(super) fn close_again_in_the_open(&mut self) {
+        let known = self.odometry.nodes().len();
+        for _ in 0..OPEN_ROUNDS {
+            let nodes = self.odometry.nodes();
+            let loops = self.connections(known);
+            let world = World { nodes, scans: &self.scans, segments: &self.segments, poses: &self.poses };
+            let found = self.open_finder.find_again(&world, |query| graph_distances(nodes, &loops, query));
+            if found.is_empty() {
+                return;
+            }
+            let again: BTreeSet<usize> = found.iter().map(|closure| closure.edge.to).collect();
+            self.closures
+                .retain(|closure| !nodes[closure.edge.to].is_open || !again.contains(&closure.edge.to));
+            self.closures.extend(found);
+            self.solve(known);
         }
     }
 

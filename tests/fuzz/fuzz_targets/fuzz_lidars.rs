@@ -1,0 +1,9 @@
+//! Fuzz target: the decoders of lidars.
+
+#![no_main]
+
+#[path = "../entries.rs"]
+#[allow(dead_code)]
+mod entries;
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| entries::lidars(bytes));
