@@ -6,6 +6,8 @@ use rusqlite::{Connection, ErrorCode, OpenFlags, params};
 use std::collections::{BTreeMap, VecDeque};
 use std::io::Read;
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// What every SQLite file begins with.
 pub const MAGIC: &[u8] = b"SQLite format 3\0";
@@ -13,12 +15,21 @@ pub const MAGIC: &[u8] = b"SQLite format 3\0";
 pub const ZSTD_MAGIC: &[u8] = &[0x28, 0xb5, 0x2f, 0xfd];
 /// A message is not larger, unpacked, bytes.
 const MESSAGE_BYTES_MAX: u64 = 256 << 20;
+/// Tables of a damaged file may lead in circles: a query is given up after so many steps of SQLite's machine, and so many more for each
+/// byte of the file, which holds at most a row in a few bytes.
+const STEPS_MAX: u64 = 10_000_000;
+const STEPS_PER_BYTE: u64 = 8;
+/// Steps that are counted at once.
+const STEPS: u16 = 1000;
+const DAMAGED: &str = "the SQLite file is cut off or damaged";
 /// Messages that are fetched at once.
 const FETCHED: usize = 32;
 
 /// A file of messages in order of the time at which they were recorded.
 pub struct Db3File {
     database: Connection,
+    /// Steps of the present query.
+    steps: Arc<AtomicU64>,
     name: String,
     topics: Vec<Topic>,
     /// By their number in the database.
@@ -40,18 +51,16 @@ impl Db3File {
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let name = path.display().to_string();
         let damaged = |error: rusqlite::Error| {
-            let problem = match error.sqlite_error_code() {
-                Some(ErrorCode::DatabaseCorrupt) => {
-                    "it is cut off or damaged; `sqlite3 FILE .recover | sqlite3 MENDED` saves what is left"
-                        .to_owned()
-                }
-                _ => error.to_string(),
-            };
+            let cure =
+                "it is cut off or damaged; `sqlite3 FILE .recover | sqlite3 MENDED` saves what is left";
+            let problem = if is_damage(&error) { cure.to_owned() } else { error.to_string() };
             RecordingError::damaged(&name, "the SQLite file", problem)
         };
-        let database = connect(path).map_err(damaged)?;
+        let steps = Arc::new(AtomicU64::new(0));
+        let database = connect(path, &steps).map_err(damaged)?;
         let mut found = Self {
             database,
+            steps,
             name: name.clone(),
             topics: Vec::new(),
             numbers: BTreeMap::new(),
@@ -76,6 +85,7 @@ impl Db3File {
             self.numbers.insert(row.get(0)?, self.topics.len());
             self.topics.push(topic);
         }
+        self.steps.store(0, Ordering::Relaxed);
         let counts = "SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id";
         // A file that was cut off may not be counted to its end.
         let Ok(mut counts) = self.database.prepare(counts) else { return Ok(()) };
@@ -89,6 +99,7 @@ impl Db3File {
     }
 
     fn fetch(&mut self) -> rusqlite::Result<()> {
+        self.steps.store(0, Ordering::Relaxed);
         // With the first time left out every message comes after.
         let (time, number) = self.last.unwrap_or((i64::MIN, i64::MIN));
         let query = format!(
@@ -101,6 +112,11 @@ impl Db3File {
         let mut rows = messages.query(params![time, number])?;
         while let Some(row) = rows.next()? {
             let (number, topic, recorded_ns): (i64, i64, i64) = (row.get(0)?, row.get(1)?, row.get(2)?);
+            // An index that does not belong to its table would give the same messages again and again.
+            if self.last.is_some_and(|last| last >= (recorded_ns, number)) {
+                self.cut_short = Some(DAMAGED.to_owned());
+                break;
+            }
             self.last = Some((recorded_ns, number));
             if let Some(topic) = self.numbers.get(&topic) {
                 let bytes = row.get_ref(3)?.as_blob().map(<[u8]>::to_vec).unwrap_or_default();
@@ -111,8 +127,9 @@ impl Db3File {
     }
 }
 
-/// A connection that changes nothing beside the file: where nothing waits in a write-ahead log, not even a lock.
-fn connect(path: &Path) -> rusqlite::Result<Connection> {
+/// A connection that changes nothing beside the file: where nothing waits in a write-ahead log, not even a lock. `steps` counts those of
+/// the present query.
+fn connect(path: &Path, steps: &Arc<AtomicU64>) -> rusqlite::Result<Connection> {
     let mut log = path.as_os_str().to_owned();
     log.push("-wal");
     let waits = std::fs::metadata(&log).is_ok_and(|log| log.len() > 0);
@@ -123,9 +140,13 @@ fn connect(path: &Path) -> rusqlite::Result<Connection> {
             _ => name.push_str(&format!("%{byte:02X}")),
         }
     }
+    let steps_max = STEPS_MAX + STEPS_PER_BYTE * std::fs::metadata(path).map_or(0, |file| file.len());
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI;
     let open = |name: &str| {
         let database = Connection::open_with_flags(name, flags)?;
+        let counted = steps.clone();
+        let passes = move || counted.fetch_add(u64::from(STEPS), Ordering::Relaxed) > steps_max;
+        database.progress_handler(STEPS.into(), Some(passes));
         // What is no database is found out by the first query.
         database.query_row("SELECT COUNT(*) FROM sqlite_master", [], |row| row.get::<_, i64>(0))?;
         Ok(database)
@@ -149,8 +170,8 @@ impl MessageSource for Db3File {
         if self.fetched.is_empty() && self.cut_short.is_none() {
             match self.fetch() {
                 Ok(()) => {}
-                Err(error) if error.sqlite_error_code() == Some(ErrorCode::DatabaseCorrupt) => {
-                    self.cut_short = Some("the SQLite file is cut off or damaged".to_owned());
+                Err(error) if is_damage(&error) => {
+                    self.cut_short = Some(DAMAGED.to_owned());
                 }
                 Err(error) => return Err(RecordingError::damaged(&self.name, "the SQLite file", error)),
             }
@@ -166,6 +187,10 @@ impl MessageSource for Db3File {
     fn cut_short(&self) -> Option<&str> {
         self.cut_short.as_deref()
     }
+}
+
+fn is_damage(error: &rusqlite::Error) -> bool {
+    matches!(error.sqlite_error_code(), Some(ErrorCode::DatabaseCorrupt | ErrorCode::OperationInterrupted))
 }
 
 fn unpacked(bytes: &[u8]) -> std::io::Result<Vec<u8>> {
