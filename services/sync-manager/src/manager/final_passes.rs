@@ -11,9 +11,6 @@ use flockslam_pose_graph::Edge;
 use std::collections::BTreeSet;
 use std::ops::Range;
 
-/// Rounds of searches in the open at the end.
-const OPEN_ROUNDS: usize = 2;
-
 impl SyncManager {
     /// Looks for the trajectories that no closure has attached, the longest first, as wholes.
     pub(super) fn attach(&mut self) {
@@ -38,20 +35,19 @@ impl SyncManager {
     /// in the windows that the solution leaves fewer places can be mistaken for each other.
     pub(super) fn close_again_in_the_open(&mut self) {
         let known = self.odometry.nodes().len();
-        for _ in 0..OPEN_ROUNDS {
-            let nodes = self.odometry.nodes();
-            let loops = self.connections(known);
-            let world = World { nodes, scans: &self.scans, segments: &self.segments, poses: &self.poses };
-            let found = self.open_finder.find_again(&world, |query| graph_distances(nodes, &loops, query));
-            if found.is_empty() {
-                return;
-            }
-            let again: BTreeSet<usize> = found.iter().map(|closure| closure.edge.to).collect();
-            self.closures
-                .retain(|closure| !nodes[closure.edge.to].is_open || !again.contains(&closure.edge.to));
-            self.closures.extend(found);
-            self.solve(known);
+        let (nodes, connections) = (self.odometry.nodes(), self.connections(known));
+        let world = World { nodes, scans: &self.scans, segments: &self.segments, poses: &self.poses };
+        let found = self.open_finder.find_again(&world, |query| graph_distances(nodes, &connections, query));
+        if found.is_empty() {
+            return;
         }
+        let again: BTreeSet<usize> = found.iter().map(|closure| closure.edge.to).collect();
+        self.closures.retain(|closure| {
+            let query = closure.edge.to;
+            !nodes[query].is_open || !again.contains(&query)
+        });
+        self.closures.extend(found);
+        self.solve(known);
     }
 
     /// The nodes of the largest trajectory that does not belong to the map, except those tried.
