@@ -17,6 +17,7 @@ mod house;
 mod idle;
 mod killed_stage;
 mod lidar_lines;
+mod live_calibration;
 mod live_set;
 mod log_readers;
 mod logs;

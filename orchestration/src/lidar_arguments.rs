@@ -15,6 +15,8 @@ pub enum LidarCommand {
     Watch(LidarWatchArgs),
     /// Learns where lidars see their own robot, while it drives or turns, and prints the setting that hides it
     LearnMask(LearnMaskArgs),
+    /// Says where the lidars of a running set sit, and how far their stamps are off, by the drive so far
+    Calibrate(RobotArgs),
 }
 
 /// `flockslam lidar list`.

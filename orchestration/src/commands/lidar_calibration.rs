@@ -52,6 +52,23 @@ pub fn configured(configuration: &Configuration, lidar: u32) -> LidarCalibration
     configuration.lidar_ingest.calibration.get(lidar as usize).cloned().unwrap_or_default()
 }
 
+/// The value of `lidar_ingest.calibration` that uses what these rows know, over what is configured.
+pub fn setting(rows: &[CalibrationRow], configuration: &Configuration) -> String {
+    let mut lidars = configuration.lidar_ingest.calibration.clone();
+    for row in rows {
+        let at = row.lidar as usize;
+        lidars.resize(lidars.len().max(at + 1), LidarCalibration::default());
+        lidars[at] = row.setting(&configured(configuration, row.lidar));
+    }
+    let table = |lidar: &LidarCalibration| {
+        let places = [("x_m", lidar.x_m), ("y_m", lidar.y_m), ("heading_deg", lidar.heading_deg)];
+        let places = places.into_iter().filter_map(|(key, value)| Some(format!("{key}={:?}", value?)));
+        let all: Vec<String> = places.chain([format!("offset_s={:?}", lidar.offset_s)]).collect();
+        format!("{{{}}}", all.join(", "))
+    };
+    format!("[{}]", lidars.iter().map(table).collect::<Vec<_>>().join(", "))
+}
+
 fn sample(pose: &PoseEstimate) -> DriveSample {
     // Where odometry helped out, the pose says nothing beside it.
     let is_fit = pose.has(PoseFlags::MATCHED)

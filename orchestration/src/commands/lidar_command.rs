@@ -1,10 +1,13 @@
-//! `flockslam lidar`: which lidars are there, what they see, and where they see their own robot.
+//! `flockslam lidar`: which lidars are there, what they see, where they see their own robot, and where they sit.
 
 use super::control_command::choose;
+use super::lidar_calibration::{of_journal, setting};
 use super::run::count_interrupts;
 use super::{CommandError, say};
+use crate::arguments::RobotArgs;
 use crate::lidar_arguments::{LearnMaskArgs, LidarAtArgs, LidarCommand, LidarListArgs, LidarWatchArgs};
 use crate::lidar_view::{LidarPicture, draw};
+use crate::supervisor::SetFile;
 use flockslam_bus::{Bus, Capacity, RuntimeDir, ScanSubscriber};
 use flockslam_calibration::BodyMask;
 use flockslam_lidar_ingest::process::{
@@ -32,6 +35,7 @@ pub fn run(command: &LidarCommand) -> Result<(), CommandError> {
         LidarCommand::List(args) => list(args),
         LidarCommand::Watch(args) => watch(args),
         LidarCommand::LearnMask(args) => learn_mask(args),
+        LidarCommand::Calibrate(robot) => calibrate(robot),
     }
 }
 
@@ -274,5 +278,21 @@ fn learn_mask(args: &LearnMaskArgs) -> Result<(), CommandError> {
         "[lidar_ingest]\nself_mask = [{}]\n",
         boxes.iter().map(text).collect::<Vec<_>>().join(", ")
     ));
+    Ok(())
+}
+
+/// What the journal of a running set tells of its lidars.
+fn calibrate(robot: &RobotArgs) -> Result<(), CommandError> {
+    let robot = choose(robot)?;
+    let runtime = RuntimeDir::open(&RuntimeDir::path_of(&robot)).map_err(CommandError::user)?;
+    let set = SetFile::read(&runtime.configuration()).map_err(CommandError::user)?;
+    let rows = of_journal(&runtime.journal(), 0, &set.configuration).map_err(CommandError::failed)?;
+    if rows.is_empty() {
+        return Err(CommandError::user(format!(
+            "the drive of {robot} so far shows of no lidar where it sits: that takes odometry and some turns"
+        )));
+    }
+    rows.iter().for_each(|row| say(&row.line()));
+    say(&format!("[lidar_ingest]\ncalibration = {}\n", setting(&rows, &set.configuration)));
     Ok(())
 }

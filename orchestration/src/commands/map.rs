@@ -1,11 +1,10 @@
 //! `flockslam map`: a lidar log becomes a map.
 
-use super::lidar_calibration::configured;
+use super::lidar_calibration::setting;
 use super::run::{Run, run as run_set, summary};
 use super::{CommandError, say};
 use crate::arguments::{MapArgs, RunArgs};
 use crate::configuration::Configuration;
-use flockslam_lidar_ingest::LidarCalibration;
 use flockslam_lidar_ingest::process::{Source, count_scans};
 use std::path::Path;
 
@@ -55,30 +54,13 @@ fn calibrate(run: &mut RunArgs, log: &Path, scans: Option<u64>) -> Result<(), Co
     let given = &run.configuration;
     let configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
     rows.iter().for_each(|row| say(&row.line()));
-    let mut lidars = configuration.lidar_ingest.calibration.clone();
-    for row in &rows {
-        let at = row.lidar as usize;
-        lidars.resize(lidars.len().max(at + 1), LidarCalibration::default());
-        lidars[at] = row.setting(&configured(&configuration, row.lidar));
-    }
     if rows.is_empty() {
         say("no lidar could be calibrated: that takes odometry and some turns\n");
     }
-    let assignment = format!("lidar_ingest.calibration={}", as_setting(&lidars));
+    let assignment = format!("lidar_ingest.calibration={}", setting(&rows, &configuration));
     say(&format!("--set '{assignment}'\n\n"));
     run.configuration.assignments.push(assignment);
     Ok(())
-}
-
-/// As it is written in a configuration.
-fn as_setting(lidars: &[LidarCalibration]) -> String {
-    let table = |lidar: &LidarCalibration| {
-        let places = [("x_m", lidar.x_m), ("y_m", lidar.y_m), ("heading_deg", lidar.heading_deg)];
-        let places = places.into_iter().filter_map(|(key, value)| Some(format!("{key}={:?}", value?)));
-        let all: Vec<String> = places.chain([format!("offset_s={:?}", lidar.offset_s)]).collect();
-        format!("{{{}}}", all.join(", "))
-    };
-    format!("[{}]", lidars.iter().map(table).collect::<Vec<_>>().join(", "))
 }
 
 /// The source of scans that is no recording.
