@@ -1,12 +1,12 @@
-//! How outcomes that depend on a seed are spread: `cargo bench -p flockslam --bench seeds -- [yard|people|flat] [SEEDS]`, twenty seeds of
-//! each by default. Tests judge a few of these drives; their limits come from here.
+//! How outcomes that depend on a seed are spread: `cargo bench -p flockslam --bench seeds -- [yard|campus|people|flat] [SEEDS]`, twenty seeds
+//! of each by default. Tests judge a few of these drives; their limits come from here.
 
 #[allow(dead_code, unused_imports, reason = "a benchmark needs a part of what tests share")]
 #[path = "../support/mod.rs"]
 mod support;
 
 use flockslam_drives::experiments::BEARING_SIGMA_RAD;
-use support::seeded_drives::{YardDrive, alone_and_among_twenty_m, flat_worst};
+use support::seeded_drives::{YardDrive, alone_and_among_twenty_m, campus_drive, flat_worst};
 
 fn main() {
     // Cargo adds an option of its own.
@@ -35,6 +35,11 @@ fn main() {
             drives.iter().map(|d| 1e3 * d.false_claims as f64 / d.claims as f64),
         );
         spread("yard: ATE, m", drives.iter().map(|drive| drive.ate_m));
+    }
+    if wants("campus") {
+        let drives: Vec<_> = (1..=seeds).map(campus_drive).collect();
+        spread("campus: ATE, m", drives.iter().map(|(ate_m, _)| *ate_m));
+        spread("campus: scans that are not in the map", drives.iter().map(|(_, detached)| *detached as f64));
     }
     if wants("people") {
         for building in [None, Some("stata_basement")] {

@@ -66,6 +66,26 @@ impl YardDrive {
     }
 }
 
+/// One and a half kilometres over a campus, a scan of 180 beams a second: error of the final trajectory, root mean square, metres, and scans
+/// that are not in the map.
+pub fn campus_drive(seed: u64) -> (f64, u64) {
+    let directory = tempfile::tempdir().unwrap();
+    let mut args = building(5600);
+    let keys = [
+        "world=campus",
+        "wheel_slips=0",
+        "scan_rate_hz=1",
+        "beams=180",
+        "field_of_view_deg=180",
+        "range_max_m=80",
+    ];
+    let seeds = [format!("seed={seed}"), format!("world_seed={seed}")];
+    let keys = keys.into_iter().map(str::to_owned).chain(seeds);
+    args.extend(keys.flat_map(|key| ["--set".to_owned(), format!("simulation.{key}")]));
+    let outputs = super::run_well("campus", directory.path(), &args);
+    (absolute_error_m(&outputs, "trajectory.tum").rmse, outputs.report.detached_scans)
+}
+
 /// Error of a trajectory against the truth.
 pub fn absolute_error_m(outputs: &Outputs, name: &str) -> Spread {
     let report = evaluate_truth(&outputs.trajectory(name), &outputs.trajectory("truth.tum")).unwrap();
