@@ -1,5 +1,5 @@
-//! `cargo bench -p flockslam --bench lidar_latency`: a lidar at a pseudo terminal, 10 turns a second with 450 and 500 beams. From the last
-//! byte of a turn to its pose, and the processor time of lidar-ingest. `-- two` plays two lidars of different families for 10 minutes, of
+//! `cargo bench -p flockslam --bench lidar_latency`: each family of lidars at a pseudo terminal or a TCP port. From the byte with which a
+//! turn is whole to its pose, and the processor time of lidar-ingest. `-- two` plays two lidars of different families for 10 minutes, of
 //! which one is unplugged and back every 30 s.
 
 #[allow(dead_code, unused_imports, reason = "a benchmark needs a part of what tests share")]
@@ -8,6 +8,8 @@ mod support;
 
 use flockslam_bus::{Bus, Capacity, RuntimeDir};
 use flockslam_lidars::encoders::rplidar_encoder::RplidarEncoder;
+use flockslam_lidars::encoders::sick_tim_encoder::SickTimEncoder;
+use flockslam_lidars::encoders::urg_encoder::UrgEncoder;
 use flockslam_lidars::encoders::ydlidar_encoder::YdlidarEncoder;
 use flockslam_messages::{PoseEstimate, Stage};
 use flockslam_telemetry::monotonic_ns;
@@ -52,11 +54,30 @@ fn poses(set: &LiveSet, during: Duration) -> Vec<(PoseEstimate, u64)> {
     seen
 }
 
-fn latency(name: &str, kind: &str, lidar: Played) {
+/// A family: its name in descriptions, the lidar that is played, and whether it is on the network.
+fn lidar(kind: &str) -> (Played, bool) {
+    match kind {
+        "ld06" => (Played::ld06(), false),
+        "rplidar" => (Played::Rplidar(RplidarEncoder::new(0x85, 10.0)), false),
+        "ydlidar" => (Played::Ydlidar(YdlidarEncoder::new("T-mini Plus", 3, 8.0)), false),
+        "urg" => (Played::Urg(UrgEncoder::new()), true),
+        _ => (Played::SickTim(SickTimEncoder::new()), true),
+    }
+}
+
+fn latency(kind: &str) {
     let directory = tempfile::tempdir().expect("a directory");
-    let path = directory.path().join("lidar");
-    let player = LidarPlayer::plug(&path, lidar);
-    let mut set = set_of("line", directory.path(), &format!("kind = \"{kind}\"\nport = {path:?}"));
+    let (player, place) = match lidar(kind) {
+        (lidar, true) => {
+            let (player, address) = LidarPlayer::listen(lidar);
+            (player, format!("address = {address:?}"))
+        }
+        (lidar, false) => {
+            let path = directory.path().join("lidar");
+            (LidarPlayer::plug(&path, lidar), format!("port = {path:?}"))
+        }
+    };
+    let mut set = set_of("line", directory.path(), &format!("kind = \"{kind}\"\n{place}"));
     set.wait_until_handled(Stage::ScanMatcher, 50);
     let pid = set.pid(Stage::LidarIngest);
     let (before, since) = (cpu_ticks(pid), Instant::now());
@@ -72,9 +93,10 @@ fn latency(name: &str, kind: &str, lidar: Played) {
         .collect();
     latencies_ms.sort_by(f64::total_cmp);
     let quantile = |share: f64| latencies_ms[((latencies_ms.len() - 1) as f64 * share) as usize];
-    let beams = set.status().map_or(0, |status| status.lidar_lines[0].beams);
+    let (beams, speed_hz) =
+        set.status().map_or((0, 0.0), |status| (status.lidar_lines[0].beams, status.lidar_lines[0].speed_hz));
     println!(
-        "{name}, {beams} beams: {} poses, from the last byte p50 {:.2} ms, p99 {:.2} ms, greatest {:.2} ms; lidar-ingest {cpu_ms_per_s:.1} ms of CPU a second",
+        "{kind}, {beams} beams, {speed_hz:.1} Hz: {} poses, p50 {:.2} ms, p99 {:.2} ms, greatest {:.2} ms; lidar-ingest {cpu_ms_per_s:.1} ms of CPU a second",
         latencies_ms.len(),
         quantile(0.5),
         quantile(0.99),
@@ -123,9 +145,18 @@ fn two_lidars() {
 }
 
 fn main() {
-    if std::env::args().any(|argument| argument == "two") {
+    let asked = |name: &str| std::env::args().any(|argument| argument == name);
+    if asked("two") {
         return two_lidars();
     }
-    latency("LD06", "ld06", Played::ld06());
-    latency("YDLIDAR T-mini Plus", "ydlidar", Played::Ydlidar(YdlidarEncoder::new("T-mini Plus", 3, 8.0)));
+    let kinds = ["ld06", "rplidar", "ydlidar", "urg", "sick-tim"];
+    if let Some(kind) = kinds.into_iter().find(|kind| asked(kind)) {
+        return latency(kind);
+    }
+    // A process is a member of one set in its life.
+    let program = std::env::current_exe().expect("this program has a path");
+    for kind in kinds {
+        let measured = std::process::Command::new(&program).arg(kind).status();
+        assert!(measured.is_ok_and(|status| status.success()), "{kind}");
+    }
 }

@@ -5,6 +5,7 @@ use flockslam_lidars::encoders::rplidar_encoder::RplidarEncoder;
 use flockslam_lidars::encoders::sick_tim_encoder::SickTimEncoder;
 use flockslam_lidars::encoders::urg_encoder::UrgEncoder;
 use flockslam_lidars::encoders::ydlidar_encoder::YdlidarEncoder;
+use flockslam_lidars::{Driver, Family};
 use flockslam_telemetry::monotonic_ns;
 use serialport::{SerialPort, TTYPort};
 use std::io::{ErrorKind, Read, Write};
@@ -69,6 +70,17 @@ impl Played {
                 (encoder.answer(request), request.starts_with(b"\x02sEN LMDscandata 1").then_some(true))
             }
             _ => (Vec::new(), None),
+        }
+    }
+
+    fn family(&self) -> Option<Family> {
+        match self {
+            Self::Ld06(_) => Some(Family::Ld06),
+            Self::Rplidar(_) => Some(Family::Rplidar),
+            Self::Ydlidar(_) => Some(Family::Ydlidar),
+            Self::Urg(_) => Some(Family::Urg),
+            Self::SickTim(_) => Some(Family::SickTim),
+            Self::Bytes(..) | Self::Garbage | Self::Nothing => None,
         }
     }
 
@@ -178,41 +190,50 @@ impl LidarPlayer {
         let thread = spawn(move || {
             let mut measures = lidar.speaks_by_itself();
             let (mut bytes, mut heard) = ([0; 256], Vec::new());
+            let mut decoder = lidar.family().map(|family| family.driver(None, None));
             let mut due = Instant::now();
             while !stopped.load(Ordering::Relaxed) {
-                let mut listen = |end: &mut End, lidar: &Played, measures: &mut bool| {
-                    let length = end.hear(&mut bytes);
-                    heard.extend_from_slice(&bytes[..length]);
-                    while let Some(request) = first_request(&mut heard) {
-                        let (answer, changes) = lidar.hear(&request);
-                        end.send(&answer);
-                        *measures = changes.unwrap_or(*measures);
-                    }
-                };
-                listen(&mut end, &lidar, &mut measures);
+                let mut listen =
+                    |end: &mut End, lidar: &Played, measures: &mut bool, decoder: &mut Decoder| {
+                        let length = end.hear(&mut bytes);
+                        heard.extend_from_slice(&bytes[..length]);
+                        while let Some(request) = first_request(&mut heard) {
+                            let (answer, changes) = lidar.hear(&request);
+                            end.send(&answer);
+                            decoder.iter_mut().for_each(|decoder| _ = gives_turn(&mut **decoder, &answer));
+                            *measures = changes.unwrap_or(*measures);
+                        }
+                    };
+                listen(&mut end, &lidar, &mut measures, &mut decoder);
                 if !measures {
                     sleep(Duration::from_millis(2));
                     due = Instant::now();
                     continue;
                 }
                 let (packets, took) = lidar.turn();
-                let pause = took / packets.len().max(1) as u32;
+                let bytes_of_turn = packets.iter().map(Vec::len).sum::<usize>().max(1) as f64;
                 for packet in packets {
-                    due += pause;
+                    // A packet is sent when its last beam is measured.
+                    due += took.mul_f64(packet.len() as f64 / bytes_of_turn);
                     sleep(due.saturating_duration_since(Instant::now()));
                     end.send(&packet);
-                    listen(&mut end, &lidar, &mut measures);
+                    let sent_ns = monotonic_ns();
+                    if let Some(decoder) = &mut decoder
+                        && gives_turn(&mut **decoder, &packet)
+                    {
+                        turned.lock().unwrap().push(sent_ns);
+                    }
+                    listen(&mut end, &lidar, &mut measures, &mut decoder);
                     if stopped.load(Ordering::Relaxed) || !measures {
                         break;
                     }
                 }
-                turned.lock().unwrap().push(monotonic_ns());
             }
         });
         Self { stop, turns_ns, thread: Some(thread), place }
     }
 
-    /// When each turn was sent whole, on the monotonic clock, nanoseconds.
+    /// When the packet had been sent with which each turn was whole, on the monotonic clock, nanoseconds.
     pub fn turns_ns(&self) -> Vec<u64> {
         self.turns_ns.lock().unwrap().clone()
     }
@@ -226,6 +247,19 @@ impl Drop for LidarPlayer {
         }
         let _ = std::fs::remove_file(&self.place);
     }
+}
+
+/// Hears what the lidar sends, to know when a turn is whole.
+type Decoder = Option<Box<dyn Driver>>;
+
+/// Whether a turn is whole with these bytes.
+fn gives_turn(decoder: &mut dyn Driver, bytes: &[u8]) -> bool {
+    let now_ns = monotonic_ns() as i64;
+    // Its requests are those of the set, and have been sent.
+    while decoder.act(now_ns).is_some() {}
+    let mut any = false;
+    decoder.take(bytes, now_ns, &mut |_| any = true);
+    any
 }
 
 /// Cuts the first whole request off; requests of a lidar come one after the other.

@@ -87,9 +87,10 @@ impl Assembly {
         }
     }
 
-    /// Whether a beam with the head here belongs to the next turn: zero has been passed.
+    /// Whether a beam with the head here belongs to the next turn: zero has been passed. A turn that was cut ahead of zero may have
+    /// its first beam just before it.
     pub fn is_around(&self, head_deg: f64) -> bool {
-        self.head_deg.is_some_and(|last| last - head_deg > 180.0)
+        self.turn.len() > 1 && self.head_deg.is_some_and(|last| last - head_deg > 180.0)
     }
 
     /// Whether the head has gone clearly further than around: the mark of a new turn was lost.

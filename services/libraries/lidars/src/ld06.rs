@@ -106,12 +106,15 @@ impl Driver for Ld06 {
             if step_deg > 0.0 && gap_deg > GAP_STEPS * step_deg {
                 counts.missing_packets += ((gap_deg / step_deg / POINTS as f64).round() as u64).max(1);
             }
+            let mut cut = |assembly: &mut Assembly, speeds_deg_s: &mut (f64, u32)| {
+                let (sum, number) = std::mem::take(speeds_deg_s);
+                let speed_hz = (number > 0).then(|| sum / f64::from(number) / 360.0);
+                assembly.cut(speed_hz, counts, give);
+            };
             for point in 0..POINTS {
                 let head_deg = (start_deg + point as f64 * step_deg) % 360.0;
                 if assembly.is_around(head_deg) {
-                    let (sum, number) = std::mem::take(speeds_deg_s);
-                    let speed_hz = (number > 0).then(|| sum / f64::from(number) / 360.0);
-                    assembly.cut(speed_hz, counts, give);
+                    cut(assembly, speeds_deg_s);
                 }
                 let at = POINTS_AT + point * POINT_LENGTH;
                 assembly.push(Beam {
@@ -124,6 +127,11 @@ impl Driver for Ld06 {
             speeds_deg_s.0 += f64::from(u16_at(packet, 2));
             speeds_deg_s.1 += 1;
             assembly.end_packet(arrival_ns - self.packet_ns);
+            // The next packet would come only after twelve more measurements.
+            let next_deg = start_deg + POINTS as f64 * step_deg;
+            if next_deg >= 360.0 && next_deg - step_deg < 360.0 {
+                cut(assembly, speeds_deg_s);
+            }
         }
     }
 
@@ -190,6 +198,20 @@ mod tests {
     }
 
     #[test]
+    fn a_turn_is_given_with_the_packet_of_its_last_beam() {
+        let mut encoder = Ld06Encoder::new(10.0);
+        let mut driver = Ld06::new(None, 0);
+        for turn in 1..=4 {
+            let mut whole = 0;
+            // Every other turn ends where a packet ends.
+            for packet in encoder.turn(&|_| 3.0) {
+                driver.take(&packet, 0, &mut |turn| whole += usize::from((449..=451).contains(&turn.len())));
+            }
+            assert_eq!((whole, driver.counts().turns), (1, turn));
+        }
+    }
+
+    #[test]
     fn lost_packets_and_a_changed_speed_are_counted() {
         let mut encoder = Ld06Encoder::new(10.0);
         let mut packets: Vec<_> = (0..3).flat_map(|_| encoder.turn(&|_| 3.0)).collect();
@@ -198,7 +220,7 @@ mod tests {
         packets.drain(50..53);
         packets[10][20] ^= 1;
         let (turns, counts) = decode(&packets.concat());
-        assert_eq!((turns.len(), counts.missing_packets, counts.bad_checksums), (5, 4, 1));
+        assert_eq!((turns.len(), counts.missing_packets, counts.bad_checksums), (6, 4, 1));
         assert_eq!(counts.speed_changes, 1);
         assert!((turns[4].speed_hz - 7.0).abs() < 0.1);
     }
