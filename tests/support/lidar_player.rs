@@ -216,8 +216,8 @@ impl LidarPlayer {
                     // A packet is sent when its last beam is measured.
                     due += took.mul_f64(packet.len() as f64 / bytes_of_turn);
                     sleep(due.saturating_duration_since(Instant::now()));
-                    end.send(&packet);
                     let sent_ns = monotonic_ns();
+                    end.send(&packet);
                     if let Some(decoder) = &mut decoder
                         && gives_turn(&mut **decoder, &packet)
                     {
@@ -233,7 +233,7 @@ impl LidarPlayer {
         Self { stop, turns_ns, thread: Some(thread), place }
     }
 
-    /// When the packet had been sent with which each turn was whole, on the monotonic clock, nanoseconds.
+    /// When the packet was sent with which each turn was whole, on the monotonic clock, nanoseconds.
     pub fn turns_ns(&self) -> Vec<u64> {
         self.turns_ns.lock().unwrap().clone()
     }

@@ -1,14 +1,16 @@
 //! The lidars of a set: one thread waits for the lines of all of them and hands their turns to the stage as frames.
 
+use super::first_stages;
 use super::lidar_board::LidarBoard;
 use super::lidar_line::LidarSpec;
 use super::lidar_session::{LidarEars, LidarSession, LidarState};
 use super::scan_socket::{SCAN_SOCKET, listen_beside};
 use super::sensor_inlet::{SensorInlet, SensorOutlet, event_of, inlet, listen_too};
+use flockslam_bus::Notifier;
 use flockslam_lidars::Turn;
-use flockslam_messages::ScanBuffer;
+use flockslam_messages::{ScanBuffer, Stage};
 use flockslam_sensor_stream::{FramedScan, LidarScan, SensorFrame};
-use flockslam_stage::{StageContext, StageError};
+use flockslam_stage::{Mode, StageContext, StageError};
 use flockslam_telemetry::monotonic_ns;
 use rustix::event::{PollFd, Timespec, poll};
 use std::collections::BTreeSet;
@@ -25,7 +27,9 @@ pub fn listen_to(context: &StageContext, lidars: &[LidarSpec]) -> Result<SensorI
     let sessions = lidars.iter().cloned().map(LidarSession::new).collect();
     let started = listen_too(context, "lidars", maker, move |maker, bus| {
         // The bus must outlive its events: it holds the thread's place in the set.
+        let notifier = |stage: &Stage| bus.as_ref()?.notifier(stage.name()).ok();
         let ears = Ears {
+            first: first_stages(Mode::Live).iter().filter_map(notifier).collect(),
             outlet: maker.outlet(event_of(bus.as_ref())),
             goes_on: true,
             changed: true,
@@ -84,6 +88,8 @@ impl LidarPolling {
 }
 
 struct Ears {
+    /// The stages that read a scan first.
+    first: Vec<Notifier>,
     outlet: SensorOutlet,
     /// The stage goes on.
     goes_on: bool,
@@ -94,6 +100,8 @@ struct Ears {
 
 impl LidarEars for Ears {
     fn turn(&mut self, spec: &LidarSpec, turn: &Turn) {
+        // They wake up while this process brings the turn to the bus.
+        self.first.iter().for_each(Notifier::announce);
         let mut scan = ScanBuffer::default();
         turn.write_scan(&mut scan);
         let scan = FramedScan { frame: String::new(), scan, mounting: None };
