@@ -11,7 +11,7 @@ use crate::{
 };
 use flockslam_messages::{
     Commit, Control, Correction, FlockFrame, FlockRobots, Layout, MarksHeader, MovingBeamsHeader,
-    PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally, SectorHeader, Stage, SubmapClosed,
+    PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally, SectorHeader, Stage, StageInputs, SubmapClosed,
     TileMessage, TracksHeader, Verdict,
 };
 
@@ -135,12 +135,13 @@ impl Bus {
 }
 
 /// All topics of a set.
-pub(crate) fn topics(capacity: &Capacity) -> [TopicSpec; 18] {
+pub(crate) fn topics(capacity: &Capacity) -> [TopicSpec; 19] {
     [
         plain::<Verdict>(capacity),
         plain::<ScanTally>(capacity),
         plain::<PoseEstimate>(capacity),
         plain::<Commit>(capacity),
+        plain::<StageInputs>(capacity),
         plain::<PartInserted>(capacity),
         plain::<SubmapClosed>(capacity),
         plain::<Correction>(capacity),

@@ -126,6 +126,7 @@ impl MapperProcess {
     /// Rebuilds the map of the predecessor: closed submaps from the store, the active one from the journal.
     fn recover(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         let count = self.unsaved.store().count();
+        self.output.resumed_submaps = count;
         let mut inserted = 0;
         for number in 0..count {
             let submap = self.unsaved.store().load(number)?;
@@ -180,6 +181,8 @@ impl MapperProcess {
             generation: insertion.generation,
             tiles: insertion.changed.len() as u32,
             active_submap: insertion.active_submap,
+            cleared: cleared.len() as u32,
+            ..Commit::default()
         };
         let (closed, tiles) = (insertion.closed, insertion.changed.len());
         self.output.unsent.extend_from_slice(insertion.changed);
@@ -274,6 +277,8 @@ impl MapperProcess {
             generation: self.logic.generation(),
             tiles: self.logic.live_tiles().count() as u32,
             active_submap: self.logic.active_submap(),
+            all_tiles: 1,
+            ..Commit::default()
         };
         self.output.commit(&commit)?;
         context.bus.notifier(Stage::DynamicCleaner.name())?.ring();
