@@ -95,6 +95,14 @@ pub struct MapArgs {
     /// from a local socket in the directory of the set, `scans:PATH` from one at this path
     #[arg(long, value_name = "-|scans|scans:PATH")]
     pub source: Option<PathBuf>,
+    /// Of a recording by `flockslam record`: computes the poses that were published live, with what each stage had in hand then, and
+    /// compares them
+    #[arg(
+        long,
+        requires = "log",
+        conflicts_with_all = ["source", "scan", "odom", "imu", "rate", "live", "robot", "metrics_port", "config", "assignments", "profile"]
+    )]
+    pub as_it_was: bool,
     /// What is read of the recording
     #[command(flatten)]
     pub topics: TopicArgs,

@@ -1,6 +1,7 @@
 //! Process sets: the command line, the supervisor, outputs, and evaluation against ground truth.
 
 pub mod arguments;
+pub mod as_it_was;
 pub mod cli;
 pub mod commands;
 pub mod configuration;

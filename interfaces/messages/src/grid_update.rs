@@ -25,7 +25,7 @@ message! {
 
 message! {
     /// Names a commit for good: generations come again after a restart of the mapper.
-    #[derive(Eq)]
+    #[derive(Eq, Hash)]
     pub struct CommitName = "flockslam/commit-name/v1" {
         /// The process of the mapper: CLOCK_MONOTONIC when it began, nanoseconds. 0 names no commit.
         pub mapper: u64,

@@ -13,7 +13,7 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::os::unix::fs::MetadataExt;
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// The grid is sent at most this often …
 const GRID_PERIOD: Duration = Duration::from_secs(1);
@@ -86,6 +86,11 @@ impl SetReader {
         &mut self,
         put: &mut impl FnMut(Recorded) -> Result<(), E>,
     ) -> Result<(), E> {
+        // What a pose was made of was sent before it, and is read after it.
+        let mut poses = Vec::new();
+        while let Some(estimate) = self.poses.receive()? {
+            poses.push(*estimate);
+        }
         while let Some(sample) = self.scans.receive()? {
             self.note(0, sample.header().id.sequence);
             self.base_from_laser = sample.header().base_from_laser;
@@ -95,11 +100,11 @@ impl SetReader {
                 put(bus_scan(view))?;
             }
         }
-        while let Some(estimate) = self.poses.receive()? {
+        for estimate in poses {
             self.note(1, estimate.id.sequence);
             let frames = transforms(&estimate, self.base_from_laser);
             frames.into_iter().chain(pose(&estimate)).try_for_each(&mut *put)?;
-            put(set_record(estimate.times.utc_ns, &SetRecord::Pose(*estimate)))?;
+            put(set_record(estimate.times.utc_ns, &SetRecord::Pose(estimate)))?;
         }
         while let Some(sample) = self.tracks.receive()? {
             put(tracks(&sample.header().times, sample.elements()))?;
@@ -115,7 +120,8 @@ impl SetReader {
         put: &mut impl FnMut(Recorded) -> Result<(), E>,
     ) -> Result<(), E> {
         if let Some(set) = self.set.take() {
-            put(set_record(0, &SetRecord::Set(set)))?;
+            let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+            put(set_record(since_1970.as_nanos() as i64, &SetRecord::Set(set)))?;
         }
         while let Some(verdict) = self.verdicts.receive()? {
             put(set_record(verdict.times.utc_ns, &SetRecord::Verdict(*verdict)))?;
