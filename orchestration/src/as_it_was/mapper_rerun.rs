@@ -5,6 +5,7 @@ use flockslam_evidence::{Submap, TileKey};
 use flockslam_mapper::{Mapper, Settings};
 use flockslam_messages::{ClearedCell, Commit, PoseEstimate, ScanView};
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 /// Mappers, one process after the other, and the closed submaps that they store.
@@ -15,13 +16,15 @@ pub struct MapperRerun {
     process: u64,
     /// Number of its last commit.
     number: u64,
+    /// Accepted scans with a sequence below this are in the map.
+    applied: u64,
     store: BTreeMap<u32, Submap>,
 }
 
 impl MapperRerun {
     /// Before the first process.
     pub fn new(settings: Settings) -> Self {
-        Self { logic: Mapper::new(settings.clone()), settings, process: 0, number: 0, store: BTreeMap::new() }
+        Self { logic: Mapper::new(settings.clone()), settings, process: 0, number: 0, applied: 0, store: BTreeMap::new() }
     }
 
     /// Whether a commit is of another process than the last one.
@@ -45,11 +48,18 @@ impl MapperRerun {
         // What was closed but not stored when the process was killed was lost with it.
         self.store.retain(|number, _| *number < submaps);
         self.logic = Mapper::new(self.settings.clone());
+        self.applied = 0;
         let mut inserted = 0;
         for submap in self.store.values() {
             inserted += u64::from(submap.insertions);
+            self.applied = submap.last + 1;
             self.logic.resume(submap.clone(), inserted);
         }
+    }
+
+    /// The scans that a new process, whose first commit this is, has inserted before: accepted ones from the first to the second.
+    pub fn recovered_scans(&self, commit: &Commit) -> Option<RangeInclusive<u64>> {
+        (commit.all_tiles == 1 && commit.name.number == 1).then_some(self.applied..=commit.id.sequence)
     }
 
     /// Inserts a scan; gives what changed, with the commit as it is now computed.
@@ -60,6 +70,7 @@ impl MapperRerun {
         pose: &PoseEstimate,
         cleared: &[ClearedCell],
     ) -> (Commit, TileChanges) {
+        self.applied = pose.id.sequence + 1;
         let insertion = self.logic.insert(scan, pose, cleared);
         let made = Commit {
             generation: insertion.generation,

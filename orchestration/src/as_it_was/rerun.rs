@@ -7,9 +7,10 @@ use super::grid_copy::CommitChanges;
 use super::mapper_rerun::MapperRerun;
 use super::matcher_rerun::MatcherRerun;
 use flockslam_messages::{
-    ClearedCell, Commit, DropReason, KeepReason, PoseEstimate, ScanView, Stage, StageInputs, StageStart,
+    ClearedCell, Commit, DropReason, KeepReason, PoseEstimate, PoseFlags, ScanView, Stage, StageInputs, StageStart,
 };
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::RangeInclusive;
 
 /// Runs a recording again; gives the poses, and how they compare with those that were published.
 pub fn run_as_it_was(recorded: &BlackBox) -> (Vec<PoseEstimate>, Comparison) {
@@ -164,6 +165,9 @@ impl<'a> Rerun<'a> {
             self.comparison.lacks(Gap::Commits { scan: sequence, missing });
         }
         self.comparison.restarts += u64::from(is_new && place > 0);
+        if let Some(scans) = self.mapper.recovered_scans(commit) {
+            self.recover(commit, scans);
+        }
         let (made, changes) = match (self.scan(sequence), self.pose_at(sequence).copied()) {
             _ if commit.all_tiles == 1 => self.mapper.publish_again(commit),
             (Some(scan), Some(pose)) => {
@@ -177,6 +181,19 @@ impl<'a> Rerun<'a> {
         };
         self.commits.push(made);
         self.changes.push(changes);
+    }
+
+    /// A new process of the mapper inserts again what its predecessor had inserted since its last stored submap, without marks.
+    fn recover(&mut self, commit: &Commit, scans: RangeInclusive<u64>) {
+        for sequence in scans {
+            let Some(pose) = self.pose_at(sequence).filter(|pose| pose.has(PoseFlags::INSERT)).copied() else {
+                continue;
+            };
+            match self.scan(sequence) {
+                Some(scan) => drop(self.mapper.insert(commit, scan, &pose, &[])),
+                None => self.comparison.lacks(Gap::Scan { scan: sequence }),
+            }
+        }
     }
 
     /// The cells that were cleared before a scan was inserted; none where the marks came too late.
