@@ -6,6 +6,7 @@ mod apart;
 mod bad_input;
 mod bad_recordings;
 mod benchmarks;
+mod black_box;
 mod checkers;
 mod dashboards;
 mod deployment;

@@ -21,14 +21,15 @@ use std::time::Duration;
 const DRIVE: Drive = Drive { scan_rate_hz: 10.0, duration_s: 2000.0, rate: 5.0 };
 
 /// A recorder at work; killed when it is forgotten.
-struct Recorder(Child);
+pub struct Recorder(pub Child);
 
 impl Recorder {
     fn start(set: &LiveSet, args: &[&str]) -> Self {
         Self::of_robot(set.robot(), args)
     }
 
-    fn of_robot(robot: &str, args: &[&str]) -> Self {
+    /// Records a set under its name.
+    pub fn of_robot(robot: &str, args: &[&str]) -> Self {
         let mut command = flockslam();
         command.arg("record").args(args).args(["--robot", robot]);
         Self(command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().unwrap())

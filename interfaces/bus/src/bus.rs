@@ -11,8 +11,8 @@ use crate::{
 };
 use flockslam_messages::{
     Commit, Control, Correction, FlockFrame, FlockRobots, Layout, MarksHeader, MovingBeamsHeader,
-    PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally, SectorHeader, Stage, StageInputs, SubmapClosed,
-    TileMessage, TracksHeader, Verdict,
+    PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally, SectorHeader, Stage, StageInputs,
+    SubmapClosed, TileMessage, TracksHeader, Verdict,
 };
 
 /// A process' (or thread's) way to all topics and events of its set.

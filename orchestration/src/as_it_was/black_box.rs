@@ -4,7 +4,9 @@ use crate::supervisor::SetFile;
 use flockslam_messages::{
     ClearedCell, Commit, CommitName, PoseEstimate, ScanBuffer, Stage, StageInputs, StageStart,
 };
-use flockslam_recordings::{Reading, ReadingKind, Recording, RecordingError, SET_RECORD_TYPE, SetRecord};
+use flockslam_recordings::{
+    Reading, ReadingKind, Recording, RecordingError, SET_RECORD_TYPE, SetRecord, is_recording,
+};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
@@ -15,10 +17,14 @@ pub enum BlackBoxError {
     #[error(transparent)]
     Recording(#[from] RecordingError),
     /// It is none of a set.
-    #[error("{0}: --as-it-was runs recordings by `flockslam record` again; `flockslam map` without it maps any")]
+    #[error(
+        "{0}: --as-it-was runs recordings by `flockslam record` again; `flockslam map` without it maps any"
+    )]
     NotOfASet(String),
     /// Another build has recorded it.
-    #[error("{0}: recorded by another build of flockslam, whose stages cannot be run again here; map it without --as-it-was")]
+    #[error(
+        "{0}: recorded by another build of flockslam, whose stages cannot be run again here; map it without --as-it-was"
+    )]
     AnotherBuild(String),
     /// The configuration of the set is not in it, or not understood.
     #[error("{name}: the configuration of the set: {problem}")]
@@ -60,6 +66,9 @@ impl BlackBox {
     /// # Errors
     /// When it is none of a set by this build, or cannot be read.
     pub fn read(path: &Path) -> Result<Self, BlackBoxError> {
+        if path.is_file() && !is_recording(path) {
+            return Err(BlackBoxError::NotOfASet(path.display().to_string()));
+        }
         let mut recording = Recording::open(path)?;
         let name = recording.name().to_owned();
         let of_kind = |kind| {

@@ -75,7 +75,9 @@ impl fmt::Display for Gap {
             Self::Inputs { stage, scan, missing } => {
                 write!(f, "what {stage} used for {missing} scans before scan {scan} is missing")
             }
-            Self::Commits { scan, missing } => write!(f, "{missing} commits before that of scan {scan} are missing"),
+            Self::Commits { scan, missing } => {
+                write!(f, "{missing} commits before that of scan {scan} are missing")
+            }
             Self::Marks { scan } => write!(f, "the cleared cells of scan {scan} are missing"),
             Self::NoInputs { scan } => write!(
                 f,

@@ -24,7 +24,14 @@ pub struct MapperRerun {
 impl MapperRerun {
     /// Before the first process.
     pub fn new(settings: Settings) -> Self {
-        Self { logic: Mapper::new(settings.clone()), settings, process: 0, number: 0, applied: 0, store: BTreeMap::new() }
+        Self {
+            logic: Mapper::new(settings.clone()),
+            settings,
+            process: 0,
+            number: 0,
+            applied: 0,
+            store: BTreeMap::new(),
+        }
     }
 
     /// Whether a commit is of another process than the last one.

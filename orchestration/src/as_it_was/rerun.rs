@@ -7,7 +7,8 @@ use super::grid_copy::CommitChanges;
 use super::mapper_rerun::MapperRerun;
 use super::matcher_rerun::MatcherRerun;
 use flockslam_messages::{
-    ClearedCell, Commit, DropReason, KeepReason, PoseEstimate, PoseFlags, ScanView, Stage, StageInputs, StageStart,
+    ClearedCell, Commit, DropReason, KeepReason, PoseEstimate, PoseFlags, ScanView, Stage, StageInputs,
+    StageStart,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
@@ -74,7 +75,8 @@ impl<'a> Rerun<'a> {
         let is_known = self.follow_matcher(inputs);
         self.advance_matcher(inputs);
         self.comparison.late_verdicts += u64::from(inputs.reason == KeepReason::Late as u32);
-        self.comparison.overload += u64::from(inputs.keep == 0 && inputs.reason == DropReason::Overload as u32);
+        self.comparison.overload +=
+            u64::from(inputs.keep == 0 && inputs.reason == DropReason::Overload as u32);
         if inputs.companions > 0 && !self.has_companions {
             self.has_companions = true;
             self.comparison.lacks(Gap::Companions { scan: sequence });
@@ -186,7 +188,8 @@ impl<'a> Rerun<'a> {
     /// A new process of the mapper inserts again what its predecessor had inserted since its last stored submap, without marks.
     fn recover(&mut self, commit: &Commit, scans: RangeInclusive<u64>) {
         for sequence in scans {
-            let Some(pose) = self.pose_at(sequence).filter(|pose| pose.has(PoseFlags::INSERT)).copied() else {
+            let Some(pose) = self.pose_at(sequence).filter(|pose| pose.has(PoseFlags::INSERT)).copied()
+            else {
                 continue;
             };
             match self.scan(sequence) {

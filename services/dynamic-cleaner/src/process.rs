@@ -9,7 +9,9 @@ use flockslam_bus::{Notifier, ScanSample, SlicePublisher, SliceSample, SliceSubs
 use flockslam_messages::{
     DropReason, MarksHeader, PoseEstimate, PoseFlags, ScanView, SectorHeader, Stage, TracksHeader,
 };
-use flockslam_stage::{Actor, GridReader, InputLog, Join, Mode, Shares, StageContext, StageError, Waited, run};
+use flockslam_stage::{
+    Actor, GridReader, InputLog, Join, Mode, Shares, StageContext, StageError, Waited, run,
+};
 use flockslam_telemetry::{Counter, names};
 use sectors::Helper;
 

@@ -7,7 +7,8 @@ use crate::{ScanMatcher, Settings};
 use corrections::Corrections;
 use flockslam_bus::{Publisher, ScanSample, SlicePublisher, Subscriber};
 use flockslam_messages::{
-    DropReason, FlockRobots, KeepReason, MovingBeamsHeader, PoseEstimate, PoseFlags, Stage, StageStart, Verdict,
+    DropReason, FlockRobots, KeepReason, MovingBeamsHeader, PoseEstimate, PoseFlags, Stage, StageStart,
+    Verdict,
 };
 use flockslam_stage::{
     Actor, Deadline, GridReader, InputLog, Join, JournalReader, JournalWriter, LeaderLock, Mode, Notifiers,

@@ -1,8 +1,8 @@
 //! What messages of ROS say: a scan, odometry, transforms, rates of turning. Clouds of points have a file of their own.
 
 use crate::cloud_message::{FramedCloud, point_cloud};
-use crate::set_record::{SET_RECORD_TYPE, SetRecord};
 use crate::message_fields::{Fields, MessageProblem, Wire};
+use crate::set_record::{SET_RECORD_TYPE, SetRecord};
 use flockslam_messages::{Message, ScanBuffer, ScanHeader, ScanSections};
 use flockslam_sensor_stream::{BEAMS_MAX, FramedScan, ImuReading, OdometryReading, is_plausible_sweep};
 use flockslam_transforms::{Isometry3, StampedTransform, pose_in_space};
