@@ -57,6 +57,9 @@ impl GridReader {
         // Tiles are sent before their commit, so all tiles of a commit that is seen here have arrived below.
         while let Some(commit) = self.commits.receive()? {
             newest = Some(*commit);
+            if self.first == CommitName::default() {
+                self.first = commit.name;
+            }
         }
         while let Some(tile) = self.tiles.receive()? {
             self.waiting.push(tile);
@@ -80,13 +83,10 @@ impl GridReader {
         }
         std::mem::swap(&mut self.waiting, &mut self.later);
         self.committed = Some(*commit);
-        if self.first == CommitName::default() {
-            self.first = commit.name;
-        }
         Ok(())
     }
 
-    /// The first commit that was taken in.
+    /// The first commit that has arrived.
     pub fn first_committed(&self) -> CommitName {
         self.first
     }
