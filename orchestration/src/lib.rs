@@ -15,6 +15,7 @@ pub mod state_directory;
 pub mod store;
 pub mod supervisor;
 pub mod top;
+pub mod topic_arguments;
 
 /// Version of this build.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");

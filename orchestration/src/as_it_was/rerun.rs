@@ -223,7 +223,8 @@ impl<'a> Rerun<'a> {
             let to = self.recorded.place_of(inputs.grid);
             let Some(pose) = self.poses.get(&inputs.id.sequence).copied() else {
                 if self.poses.last_key_value().is_some_and(|(last, _)| *last > inputs.id.sequence) {
-                    // Its pose is not in the recording.
+                    // Its pose is not in the recording, which is named where it lacks.
+                    self.cleaner.follow(inputs);
                     self.next_cleaned += 1;
                     continue;
                 }

@@ -13,7 +13,7 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::os::unix::fs::MetadataExt;
 use std::path::PathBuf;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 /// The grid is sent at most this often …
 const GRID_PERIOD: Duration = Duration::from_secs(1);
@@ -30,7 +30,7 @@ pub struct SetReader {
     verdicts: Subscriber<Verdict>,
     inputs: Subscriber<StageInputs>,
     marks: SliceSubscriber<MarksHeader>,
-    /// `set.json`, until it is recorded.
+    /// `set.json`, until the first scan.
     set: Option<Vec<u8>>,
     /// Wall clock of the last scan, nanoseconds.
     utc_ns: i64,
@@ -119,9 +119,8 @@ impl SetReader {
         &mut self,
         put: &mut impl FnMut(Recorded) -> Result<(), E>,
     ) -> Result<(), E> {
-        if let Some(set) = self.set.take() {
-            let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-            put(set_record(since_1970.as_nanos() as i64, &SetRecord::Set(set)))?;
+        if let Some(set) = self.set.take_if(|_| self.utc_ns > 0) {
+            put(set_record(self.utc_ns, &SetRecord::Set(set)))?;
         }
         while let Some(verdict) = self.verdicts.receive()? {
             put(set_record(verdict.times.utc_ns, &SetRecord::Verdict(*verdict)))?;

@@ -141,14 +141,15 @@ fn the_poses_of_a_recorded_drive_with_killed_stages_are_computed_again_to_the_bi
         "{report}"
     );
 
-    // A scan, a commit, and the inputs of a scan are missing.
+    // A scan, a commit, and the inputs of a scan are missing, all before the first kill.
+    let lost = first_accepted_after(&file, 80);
     let (lacking, mut commits, mut inputs) = (place.join("lacking.mcap"), 0, 0);
     rewritten(&file, &lacking, |message| {
         let record = record_of(&message);
         match record {
             Some(SetRecord::Commit(_)) => commits += 1,
             Some(SetRecord::Inputs(record)) if record.stage == Stage::ScanMatcher as u32 => inputs += 1,
-            _ if scan_of(&message) == Some(100) => return None,
+            _ if scan_of(&message) == Some(lost) => return None,
             _ => return Some(message),
         }
         let is_missing = (commits == 12 && matches!(record, Some(SetRecord::Commit(_))))
@@ -158,7 +159,7 @@ fn the_poses_of_a_recorded_drive_with_killed_stages_are_computed_again_to_the_bi
     let (code, said, _, report) = as_it_was(&lacking, &place.join("lacking"));
     assert_eq!(code, Some(1), "{said}");
     for gap in [
-        "gap: scan 100 is missing",
+        &format!("gap: scan {lost} is missing"),
         "gap: 1 commits before",
         "gap: what scan-matcher used for 1 scans before",
     ] {
