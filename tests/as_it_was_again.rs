@@ -2,7 +2,7 @@
 //! byte is seen, and what a recording lacks is named.
 
 use crate::recorder::Recorder;
-use crate::support::{RunningSet, flockslam, run_well, simulated_log, stderr, stdout, wait_for};
+use crate::support::{RunningSet, flockslam, run_well, send, simulated_log, stderr, stdout, wait_for};
 use flockslam_messages::{PoseFlags, ScanBuffer, ScanHeader, Stage};
 use flockslam_recordings::SetRecord;
 use mcap::read::MessageStream;
@@ -42,7 +42,9 @@ fn recorded_drive(place: &Path) -> (PathBuf, PathBuf, Vec<u8>) {
         writeln!(stdin, "{line}").unwrap();
         scans += u64::from(line.starts_with("ROBOTLASER"));
         for (_, stage) in KILLS.iter().filter(|(after, _)| *after == scans) {
-            set.signal(*stage, Signal::KILL);
+            let killed = set.pid(*stage);
+            send(killed, Signal::KILL);
+            wait_for("a successor", || Some(set.pid(*stage)).filter(|pid| *pid != killed));
         }
         // Ten times as fast as its sensor, and slow enough for a stage to be started again.
         std::thread::sleep(Duration::from_millis(10));
@@ -53,7 +55,7 @@ fn recorded_drive(place: &Path) -> (PathBuf, PathBuf, Vec<u8>) {
     assert!(said.contains("recorded"), "{said}");
     let seen = set.finish();
     let restarts: u64 = seen.report.stages.values().map(|stage| stage.restarts).sum();
-    assert_eq!(restarts, KILLS.len() as u64);
+    assert_eq!(restarts, KILLS.len() as u64, "{:?}", seen.report.stages);
     fs::write(place.join("drive.log"), log).unwrap();
     (place.join("drive.log"), file, seen.bytes("trajectory_online.tum"))
 }
