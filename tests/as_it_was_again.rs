@@ -189,7 +189,7 @@ fn the_poses_of_a_recorded_drive_with_killed_stages_are_computed_again_to_the_bi
 
     // A log is none of a set, and settings are those of the drive.
     let (code, said, ..) = as_it_was(&log, &place.join("none"));
-    assert!(code == Some(2) && said.contains("runs recordings by `flockslam record` again"), "{said}");
+    assert!(code == Some(2) && said.contains("runs recordings by flockslam record again"), "{said}");
     let settings = ["map", file.to_str().unwrap(), "--as-it-was", "--set", "mapper.cell_size_m=0.1"];
     assert_eq!(flockslam().args(settings).output().unwrap().status.code(), Some(2));
 }

@@ -18,7 +18,7 @@ pub enum BlackBoxError {
     Recording(#[from] RecordingError),
     /// It is none of a set.
     #[error(
-        "{0}: --as-it-was runs recordings by `flockslam record` again; `flockslam map` without it maps any"
+        "{0}: --as-it-was runs recordings by flockslam record again; without it any recording is mapped"
     )]
     NotOfASet(String),
     /// Another build has recorded it.
