@@ -17,9 +17,7 @@ pub enum BlackBoxError {
     #[error(transparent)]
     Recording(#[from] RecordingError),
     /// It is none of a set.
-    #[error(
-        "{0}: --as-it-was runs recordings by flockslam record again; without it any recording is mapped"
-    )]
+    #[error("{0}: --as-it-was runs recordings by flockslam record again; without it any recording is mapped")]
     NotOfASet(String),
     /// Another build has recorded it.
     #[error(
