@@ -57,6 +57,11 @@ pub enum Gap {
         /// The scan.
         scan: u64,
     },
+    /// One of several mappers was started again: which tiles are of it is not recorded.
+    SeveralMappers {
+        /// The scan after which all tiles were published once more.
+        scan: u64,
+    },
     /// Poses of other robots were known; they are not recorded.
     Companions {
         /// The first scan.
@@ -85,6 +90,12 @@ impl fmt::Display for Gap {
             ),
             Self::OtherGrid { stage, scan } => {
                 write!(f, "{stage} had another grid at scan {scan}: some of its tiles came later")
+            }
+            Self::SeveralMappers { scan } => {
+                write!(
+                    f,
+                    "after scan {scan} one of several mappers may have been started again: its tiles are not recorded"
+                )
             }
             Self::Companions { scan } => {
                 write!(f, "poses of other robots were known from scan {scan} on: they are not recorded")

@@ -94,7 +94,10 @@ impl<'a> Rerun<'a> {
             (Some(scan), _) => {
                 self.note_tiles(Stage::ScanMatcher, inputs, self.matcher.tiles());
                 let pose = self.matcher.handle(scan, inputs);
-                self.deviates |= published.is_some_and(|published| published.as_bytes() != pose.as_bytes());
+                if published.is_some_and(|published| published.as_bytes() != pose.as_bytes()) {
+                    self.note_several_mappers();
+                    self.deviates = true;
+                }
                 self.poses.insert(sequence, pose);
             }
             (None, Some(published)) => {
@@ -103,6 +106,15 @@ impl<'a> Rerun<'a> {
                 self.taken_over.insert(sequence);
             }
             (None, None) => {}
+        }
+    }
+
+    /// Names what may be behind the first other pose: of several mappers one that was started again has rebuilt its share of the tiles.
+    fn note_several_mappers(&mut self) {
+        let several = self.recorded.set.configuration.mapper.replicas > 1;
+        let again = self.commits.iter().rev().find(|commit| commit.all_tiles == 1);
+        if let Some(commit) = again.filter(|_| several && !self.deviates) {
+            self.comparison.lacks(Gap::SeveralMappers { scan: commit.id.sequence });
         }
     }
 

@@ -255,7 +255,8 @@ impl MapperProcess {
 
     /// Commits all tiles again once every mapper has sent its own, or the deadline has passed.
     fn commit_again_when_whole(&mut self, context: &StageContext) -> Result<(), StageError> {
-        if self.parts.others() == 0 {
+        // The first commits for all; the others hear themselves, too.
+        if self.parts.others() == 0 || !self.parts.is_first() {
             return Ok(());
         }
         self.parts.drain()?;
