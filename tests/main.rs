@@ -3,6 +3,7 @@
 //! All of them are one executable, since linking takes longer than most of the tests. `house.rs` keeps this list complete.
 
 mod apart;
+mod as_it_was_again;
 mod bad_input;
 mod bad_recordings;
 mod benchmarks;

@@ -21,14 +21,15 @@ use std::time::Duration;
 const DRIVE: Drive = Drive { scan_rate_hz: 10.0, duration_s: 2000.0, rate: 5.0 };
 
 /// A recorder at work; killed when it is forgotten.
-struct Recorder(Child);
+pub struct Recorder(pub Child);
 
 impl Recorder {
     fn start(set: &LiveSet, args: &[&str]) -> Self {
         Self::of_robot(set.robot(), args)
     }
 
-    fn of_robot(robot: &str, args: &[&str]) -> Self {
+    /// Records a set under its name.
+    pub fn of_robot(robot: &str, args: &[&str]) -> Self {
         let mut command = flockslam();
         command.arg("record").args(args).args(["--robot", robot]);
         Self(command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().unwrap())
@@ -181,7 +182,7 @@ validators, counts = {}, {}
 with open(sys.argv[1], "rb") as stream:
     for schema, channel, message in make_reader(stream).iter_messages():
         counts[channel.topic] = counts.get(channel.topic, 0) + 1
-        if channel.topic == "/flockslam/scan":
+        if channel.topic.startswith("/flockslam/"):
             continue
         assert schema.encoding == "jsonschema" and channel.message_encoding == "json"
         if schema.id not in validators:

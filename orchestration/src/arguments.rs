@@ -3,6 +3,7 @@
 use crate::configuration::Profile;
 use crate::lidar_arguments::LidarCommand;
 use crate::supervisor::known_stage;
+use crate::topic_arguments::TopicArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use flockslam_messages::Stage;
 use flockslam_published_methods::CellFusion;
@@ -95,40 +96,20 @@ pub struct MapArgs {
     /// from a local socket in the directory of the set, `scans:PATH` from one at this path
     #[arg(long, value_name = "-|scans|scans:PATH")]
     pub source: Option<PathBuf>,
+    /// Of a recording by `flockslam record`: computes the poses that were published live, with what each stage had in hand then, and
+    /// compares them
+    #[arg(
+        long,
+        requires = "log",
+        conflicts_with_all = ["source", "scan", "odom", "imu", "rate", "live", "robot", "metrics_port", "config", "assignments", "profile"]
+    )]
+    pub as_it_was: bool,
     /// What is read of the recording
     #[command(flatten)]
     pub topics: TopicArgs,
     /// What every run shares
     #[command(flatten)]
     pub run: RunArgs,
-}
-
-/// Topics of a recording that are read.
-#[derive(Clone, Debug, Args)]
-pub struct TopicArgs {
-    /// Topic of the recording that scans are read from; needed where there is more than one; for several lidars given for each
-    #[arg(long, value_name = "TOPIC")]
-    pub scan: Vec<String>,
-    /// Topic of the recording that odometry is read from; needed where there is more than one
-    #[arg(long, value_name = "TOPIC")]
-    pub odom: Option<String>,
-    /// Topic of the recording with an IMU whose turns replace those of odometry
-    #[arg(long, value_name = "TOPIC")]
-    pub imu: Option<String>,
-}
-
-impl TopicArgs {
-    /// The settings that say the same.
-    pub fn assignments(&self) -> Vec<String> {
-        let named = [("odometry_topic", &self.odom), ("imu_topic", &self.imu)];
-        let named = named.into_iter().filter_map(|(key, topic)| topic.as_ref().map(|topic| (key, topic)));
-        let mut found: Vec<String> =
-            named.map(|(key, topic)| format!("lidar_ingest.{key}={topic:?}")).collect();
-        if !self.scan.is_empty() {
-            found.push(format!("lidar_ingest.scan_topics={:?}", self.scan));
-        }
-        found
-    }
 }
 
 /// `flockslam inspect`.

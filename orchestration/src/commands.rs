@@ -1,6 +1,7 @@
 //! What the command line can do, one file a command.
 
 mod accounting;
+mod as_it_was_command;
 mod attendants;
 pub mod config;
 mod contacts;

@@ -1,6 +1,7 @@
 //! Process sets: the command line, the supervisor, outputs, and evaluation against ground truth.
 
 pub mod arguments;
+pub mod as_it_was;
 pub mod cli;
 pub mod commands;
 pub mod configuration;
@@ -14,6 +15,7 @@ pub mod state_directory;
 pub mod store;
 pub mod supervisor;
 pub mod top;
+pub mod topic_arguments;
 
 /// Version of this build.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");

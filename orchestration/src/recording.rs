@@ -11,7 +11,7 @@ mod set_reader;
 mod topics;
 mod websocket;
 
-pub use foxglove_messages::{Recorded, bus_scan, log, pose, scan, transforms};
+pub use foxglove_messages::{Recorded, bus_scan, log, pose, scan, set_record, transforms};
 pub use live_grid::LiveGrid;
 pub use mcap_file::McapFile;
 pub use scene::tracks;

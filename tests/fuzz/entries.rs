@@ -65,8 +65,9 @@ pub fn mcap(bytes: &[u8]) {
 
 /// A message of ROS: the first byte says of which kind, the second how it is serialized.
 pub fn message(bytes: &[u8]) {
-    use ReadingKind::{BusScan, Cloud, Imu, MultiEchoScan, Odometry, Scan, Transforms};
-    const KINDS: [ReadingKind; 7] = [Scan, MultiEchoScan, Cloud, Odometry, Imu, Transforms, BusScan];
+    use ReadingKind::{BusScan, Cloud, Imu, MultiEchoScan, Odometry, Scan, SetRecord, Transforms};
+    const KINDS: [ReadingKind; 8] =
+        [Scan, MultiEchoScan, Cloud, Odometry, Imu, Transforms, BusScan, SetRecord];
     let [kind, wire, message @ ..] = bytes else { return };
     let kind = KINDS[usize::from(*kind) % KINDS.len()];
     let wire = [Wire::Cdr, Wire::Ros1, Wire::Bus][usize::from(*wire) % 3];

@@ -72,8 +72,17 @@ pub fn in_space(pose: Pose) -> Isometry3<f64> {
 impl RosRecording {
     /// Begins a file.
     pub fn create(path: &Path) -> Self {
+        Self::create_with(path, WriteOptions::new())
+    }
+
+    /// Begins a file whose chunks are not packed.
+    pub fn create_unpacked(path: &Path) -> Self {
+        Self::create_with(path, WriteOptions::new().compression(None))
+    }
+
+    fn create_with(path: &Path, options: WriteOptions) -> Self {
         let file = BufWriter::new(File::create(path).unwrap());
-        let writer = WriteOptions::new().profile("ros2").create(file).unwrap();
+        let writer = options.profile("ros2").create(file).unwrap();
         Self { writer, channels: BTreeMap::new() }
     }
 

@@ -11,8 +11,8 @@ use crate::{
 };
 use flockslam_messages::{
     Commit, Control, Correction, FlockFrame, FlockRobots, Layout, MarksHeader, MovingBeamsHeader,
-    PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally, SectorHeader, Stage, SubmapClosed,
-    TileMessage, TracksHeader, Verdict,
+    PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally, SectorHeader, Stage, StageInputs,
+    SubmapClosed, TileMessage, TracksHeader, Verdict,
 };
 
 /// A process' (or thread's) way to all topics and events of its set.
@@ -135,12 +135,13 @@ impl Bus {
 }
 
 /// All topics of a set.
-pub(crate) fn topics(capacity: &Capacity) -> [TopicSpec; 18] {
+pub(crate) fn topics(capacity: &Capacity) -> [TopicSpec; 19] {
     [
         plain::<Verdict>(capacity),
         plain::<ScanTally>(capacity),
         plain::<PoseEstimate>(capacity),
         plain::<Commit>(capacity),
+        plain::<StageInputs>(capacity),
         plain::<PartInserted>(capacity),
         plain::<SubmapClosed>(capacity),
         plain::<Correction>(capacity),

@@ -4,7 +4,7 @@ use crate::tile_port::LANES;
 use flockslam_messages::{
     BeamRange, ClearedCell, Commit, Control, Correction, FlockFrame, FlockRobots, JudgedCell, Layout,
     MarksHeader, Message, MovingBeamsHeader, PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally,
-    SectorHeader, SubmapClosed, TileMessage, Track, TracksHeader, Verdict,
+    SectorHeader, StageInputs, SubmapClosed, TileMessage, Track, TracksHeader, Verdict,
 };
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
@@ -97,6 +97,14 @@ impl Topic for PoseEstimate {
 }
 impl Topic for Commit {
     const NAME: &'static str = "commit";
+}
+impl Topic for StageInputs {
+    const NAME: &'static str = "stage-inputs";
+
+    fn limits(capacity: &Capacity) -> Limits {
+        // Two stages publish on it; only recorders read it.
+        Limits { publishers: 2 * (capacity.replicas + 1), ..Limits::small(capacity) }
+    }
 }
 impl Topic for SubmapClosed {
     const NAME: &'static str = "submap-closed";

@@ -24,18 +24,39 @@ message! {
 }
 
 message! {
+    /// Names a commit for good: generations come again after a restart of the mapper.
+    #[derive(Eq, Hash)]
+    pub struct CommitName = "flockslam/commit-name/v1" {
+        /// The process of the mapper: CLOCK_MONOTONIC when it began, nanoseconds. 0 names no commit.
+        pub mapper: u64,
+        /// Counts the commits of this process from 1.
+        pub number: u64,
+    }
+}
+
+message! {
     /// Makes all tiles up to a generation valid: readers switch at this and at nothing else.
-    pub struct Commit = "flockslam/commit/v1" {
+    pub struct Commit = "flockslam/commit/v2" {
         /// The scan that was inserted last.
         pub id: ScanId,
         /// Its times, as in the scan.
         pub times: Times,
+        /// Its own name.
+        pub name: CommitName,
         /// The generation that is now valid.
         pub generation: u64,
         /// Tiles published for this generation.
         pub tiles: u32,
         /// Submap that the next inserted scan enters.
         pub active_submap: u32,
+        /// Cells that the cleaner's marks have cleared before the insertion.
+        pub cleared: u32,
+        /// Closed submaps that the process began with.
+        pub resumed_submaps: u32,
+        /// 1 when nothing was inserted, and all tiles were published once more.
+        pub all_tiles: u32,
+        /// Reserved, zero.
+        pub reserved: u32,
     }
 }
 

@@ -1,5 +1,6 @@
 //! `flockslam map`: a lidar log becomes a map.
 
+use super::as_it_was_command;
 use super::lidar_calibration::setting;
 use super::run::{Run, run as run_set, summary};
 use super::{CommandError, say};
@@ -16,6 +17,9 @@ const FIRST_PASS: &str = "first-pass";
 /// # Errors
 /// When the log, the configuration or the directory is not usable, or the set fails.
 pub fn run(args: &MapArgs) -> Result<(), CommandError> {
+    if let (Some(log), true) = (&args.log, args.as_it_was) {
+        return as_it_was_command::run(log, &args.run.out);
+    }
     // What was named for itself comes after the settings, and counts.
     let mut run = args.run.clone();
     run.configuration.assignments.extend(args.topics.assignments());

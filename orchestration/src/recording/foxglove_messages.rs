@@ -3,6 +3,7 @@
 use super::RecordTopic;
 use flockslam_geometry::Pose;
 use flockslam_messages::{PoseEstimate, ScanView};
+use flockslam_recordings::SetRecord;
 use serde::Serialize;
 use serde_json::Value;
 
@@ -143,6 +144,11 @@ pub fn scan(scan: ScanView<'_>) -> Recorded {
 /// A scan as it lies on the bus.
 pub fn bus_scan(scan: ScanView<'_>) -> Recorded {
     Recorded { topic: RecordTopic::BusScan, utc_ns: wall(scan.header().times.utc_ns), data: scan.bytes() }
+}
+
+/// A record of the set, as it lies on the bus.
+pub fn set_record(utc_ns: i64, record: &SetRecord) -> Recorded {
+    Recorded { topic: RecordTopic::SetRecord, utc_ns: wall(utc_ns), data: record.bytes() }
 }
 
 /// A pose, in map with the latest correction and in odom.

@@ -1,7 +1,7 @@
 //! Writes messages of a recording to an MCAP file, uncompressed and in chunks.
 
 use super::{RecordError, RecordTopic, Recorded};
-use flockslam_recordings::bus_encoding;
+use flockslam_recordings::{bus_encoding, set_record_encoding};
 use mcap::records::MessageHeader;
 use mcap::{WriteOptions, Writer};
 use std::collections::BTreeMap;
@@ -41,6 +41,7 @@ impl McapFile {
         for topic in RecordTopic::all() {
             let (schema_encoding, encoding) = match topic {
                 RecordTopic::BusScan => ("", bus_encoding()),
+                RecordTopic::SetRecord => ("", set_record_encoding()),
                 _ => ("jsonschema", "json".to_owned()),
             };
             let schema = writer

@@ -1,9 +1,13 @@
 //! Reads the bus and the log stream of a running set, and gives what it has read as messages of a recording.
 
-use super::{LiveGrid, RecordError, Recorded, bus_scan, log, pose, scan, tracks, transforms};
+use super::{LiveGrid, RecordError, Recorded, bus_scan, log, pose, scan, set_record, tracks, transforms};
 use flockslam_bus::{Bus, BusError, Capacity, RuntimeDir, ScanSubscriber, SliceSubscriber, Subscriber};
 use flockslam_geometry::Pose;
-use flockslam_messages::{Commit, Control, ControlKind, PoseEstimate, Stage, TileMessage, TracksHeader};
+use flockslam_messages::{
+    Commit, Control, ControlKind, MarksHeader, PoseEstimate, Stage, StageInputs, TileMessage, TracksHeader,
+    Verdict,
+};
+use flockslam_recordings::SetRecord;
 use flockslam_telemetry::log_stream_file;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -23,6 +27,13 @@ pub struct SetReader {
     tiles: Subscriber<TileMessage>,
     commits: Subscriber<Commit>,
     tracks: SliceSubscriber<TracksHeader>,
+    verdicts: Subscriber<Verdict>,
+    inputs: Subscriber<StageInputs>,
+    marks: SliceSubscriber<MarksHeader>,
+    /// `set.json`, until the first scan.
+    set: Option<Vec<u8>>,
+    /// Wall clock of the last scan, nanoseconds.
+    utc_ns: i64,
     log: LogTail,
     grid: LiveGrid,
     /// When the next grid may be sent.
@@ -50,6 +61,11 @@ impl SetReader {
             tiles: bus.subscriber()?,
             commits: bus.subscriber()?,
             tracks: bus.slice_subscriber()?,
+            verdicts: bus.subscriber()?,
+            inputs: bus.subscriber()?,
+            marks: bus.slice_subscriber()?,
+            set: std::fs::read(runtime.configuration()).ok(),
+            utc_ns: 0,
             log: LogTail::at_the_end(log_stream_file(runtime.path())),
             grid: LiveGrid::default(),
             grid_due: Instant::now(),
@@ -70,24 +86,53 @@ impl SetReader {
         &mut self,
         put: &mut impl FnMut(Recorded) -> Result<(), E>,
     ) -> Result<(), E> {
+        // What a pose was made of was sent before it, and is read after it.
+        let mut poses = Vec::new();
+        while let Some(estimate) = self.poses.receive()? {
+            poses.push(*estimate);
+        }
         while let Some(sample) = self.scans.receive()? {
             self.note(0, sample.header().id.sequence);
             self.base_from_laser = sample.header().base_from_laser;
+            self.utc_ns = sample.header().times.utc_ns;
             if let Ok(view) = sample.view() {
                 put(scan(view))?;
                 put(bus_scan(view))?;
             }
         }
-        while let Some(estimate) = self.poses.receive()? {
+        for estimate in poses {
             self.note(1, estimate.id.sequence);
             let frames = transforms(&estimate, self.base_from_laser);
             frames.into_iter().chain(pose(&estimate)).try_for_each(&mut *put)?;
+            put(set_record(estimate.times.utc_ns, &SetRecord::Pose(estimate)))?;
         }
         while let Some(sample) = self.tracks.receive()? {
             put(tracks(&sample.header().times, sample.elements()))?;
         }
+        self.read_inputs(put)?;
         self.read_grid(put)?;
         self.log.read().lines().filter_map(log).try_for_each(put)
+    }
+
+    /// What the stages have said and used, besides poses and commits.
+    fn read_inputs<E: From<BusError>>(
+        &mut self,
+        put: &mut impl FnMut(Recorded) -> Result<(), E>,
+    ) -> Result<(), E> {
+        if let Some(set) = self.set.take_if(|_| self.utc_ns > 0) {
+            put(set_record(self.utc_ns, &SetRecord::Set(set)))?;
+        }
+        while let Some(verdict) = self.verdicts.receive()? {
+            put(set_record(verdict.times.utc_ns, &SetRecord::Verdict(*verdict)))?;
+        }
+        while let Some(inputs) = self.inputs.receive()? {
+            put(set_record(self.utc_ns, &SetRecord::Inputs(*inputs)))?;
+        }
+        while let Some(marks) = self.marks.receive()? {
+            let header = *marks.header();
+            put(set_record(header.times.utc_ns, &SetRecord::Marks(header, marks.elements().to_vec())))?;
+        }
+        Ok(())
     }
 
     fn read_grid<E: From<BusError>>(
@@ -96,6 +141,7 @@ impl SetReader {
     ) -> Result<(), E> {
         let mut newest = None;
         while let Some(commit) = self.commits.receive()? {
+            put(set_record(commit.times.utc_ns, &SetRecord::Commit(*commit)))?;
             newest = Some(*commit);
         }
         while let Some(tile) = self.tiles.receive()? {

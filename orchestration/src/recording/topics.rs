@@ -1,6 +1,7 @@
 //! The topics of a recording, their names, and their JSON schemas.
 
 use flockslam_messages::{Message, ScanHeader};
+use flockslam_recordings::SET_RECORD_TYPE;
 use serde_json::{Value, json};
 
 /// A topic of a recording.
@@ -22,6 +23,8 @@ pub enum RecordTopic {
     Log,
     /// Scans as they are on the bus: what a replay is made of. Only files have them.
     BusScan,
+    /// What the stages have said and used: what a run as it was is made of. Only files have them.
+    SetRecord,
 }
 
 impl RecordTopic {
@@ -29,11 +32,11 @@ impl RecordTopic {
     pub const OF_JSON: [RecordTopic; 7] =
         [Self::Scan, Self::Pose, Self::OdomPose, Self::Transforms, Self::Grid, Self::Tracks, Self::Log];
     /// Number of all.
-    pub const COUNT: usize = Self::OF_JSON.len() + 1;
+    pub const COUNT: usize = Self::OF_JSON.len() + 2;
 
     /// All topics.
     pub fn all() -> impl Iterator<Item = RecordTopic> {
-        Self::OF_JSON.into_iter().chain([Self::BusScan])
+        Self::OF_JSON.into_iter().chain([Self::BusScan, Self::SetRecord])
     }
 
     /// Its name.
@@ -47,6 +50,7 @@ impl RecordTopic {
             Self::Tracks => "/tracks",
             Self::Log => "/log",
             Self::BusScan => "/flockslam/scan",
+            Self::SetRecord => "/flockslam/set",
         }
     }
 
@@ -65,6 +69,7 @@ impl RecordTopic {
             Self::Tracks => "foxglove.SceneUpdate",
             Self::Log => "foxglove.Log",
             Self::BusScan => ScanHeader::TYPE_NAME,
+            Self::SetRecord => SET_RECORD_TYPE,
         }
     }
 
@@ -94,7 +99,7 @@ impl RecordTopic {
                 "timestamp": time(), "level": { "type": "integer" }, "message": text(), "name": text(),
                 "file": text(), "line": whole(),
             }),
-            Self::BusScan => return String::new(),
+            Self::BusScan | Self::SetRecord => return String::new(),
         };
         object(self.schema_name(), fields).to_string()
     }

@@ -9,7 +9,9 @@ use flockslam_bus::{Notifier, ScanSample, SlicePublisher, SliceSample, SliceSubs
 use flockslam_messages::{
     DropReason, MarksHeader, PoseEstimate, PoseFlags, ScanView, SectorHeader, Stage, TracksHeader,
 };
-use flockslam_stage::{Actor, GridReader, Join, Mode, Shares, StageContext, StageError, Waited, run};
+use flockslam_stage::{
+    Actor, GridReader, InputLog, Join, Mode, Shares, StageContext, StageError, Waited, run,
+};
 use flockslam_telemetry::{Counter, names};
 use sectors::Helper;
 
@@ -53,6 +55,7 @@ pub fn shell(
         inputs,
         sectors: Shares::new(context.bus.slice_subscriber()?, parts, SECTORS_HELD_MAX, SECTOR_DEADLINE_NS),
         marks: context.bus.slice_publisher()?,
+        log: InputLog::open(context)?,
         tracks: context.bus.slice_publisher()?,
         mapper: context.bus.notifier(Stage::Mapper.name())?,
         cleared: 0,
@@ -99,6 +102,7 @@ struct Cleaner {
     inputs: Inputs,
     sectors: Shares<SliceSubscriber<SectorHeader>, Shared>,
     marks: SlicePublisher<MarksHeader>,
+    log: InputLog,
     tracks: SlicePublisher<TracksHeader>,
     mapper: Notifier,
     cleared: u64,
@@ -124,6 +128,7 @@ impl Cleaner {
     ) -> Result<(), StageError> {
         let started_ns = context.now_ns();
         let sample = self.inputs.join.scans.take(pose.id.sequence).filter(|_| fresh);
+        self.log_inputs(pose, sample.is_some(), fresh)?;
         let generation = generation(&self.inputs.grid);
         let Some(scan) = sample.as_ref().and_then(|sample| sample.view().ok()) else {
             context.dropped(DropReason::Deadline.name());
@@ -191,6 +196,12 @@ impl Cleaner {
         self.inputs.join.finished(pose.id.sequence + 1)
     }
 
+    fn log_inputs(&mut self, pose: &PoseEstimate, scan: bool, grid: bool) -> Result<(), StageError> {
+        self.log.handled(pose.id, &self.inputs.grid, |inputs| {
+            (inputs.has_scan, inputs.has_grid) = (scan.into(), grid.into());
+        })
+    }
+
     /// Publishes the tracks at a scan.
     fn watch(&mut self, scan: ScanView<'_>, pose: &PoseEstimate) -> Result<(), StageError> {
         let tracks = self.inputs.logic.watch(scan, pose, self.inputs.grid.grid());
@@ -214,6 +225,7 @@ impl Cleaner {
         }
         context.passed_over();
         let sample = self.inputs.join.scans.take(pose.id.sequence);
+        self.log_inputs(pose, sample.is_some(), ready.is_some())?;
         if let Some(scan) = sample.as_ref().and_then(|sample| sample.view().ok()) {
             self.watch(scan, pose)?;
             if ready.is_some() {
@@ -240,6 +252,7 @@ impl Actor for Cleaner {
 
     fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.marks.refresh();
+        self.log.refresh();
         self.tracks.refresh();
         context.report.count("cleared_cells", self.cleared);
         context.probe_tile(&self.inputs.grid);

@@ -84,6 +84,8 @@ struct MapperProcess {
     map_closed: LastWord,
     /// Accepted scans with a sequence below this are in the map.
     applied: u64,
+    /// The map of the predecessor is being rebuilt: readers keep its tiles until all of the new ones are there.
+    recovers: bool,
     journal: JournalReader,
     last: Option<PoseEstimate>,
     metrics: MapMetrics,
@@ -112,6 +114,7 @@ impl MapperProcess {
             marks: Inbox::unlimited(Copies(marks)),
             map_closed: LastWord::open(context, ControlKind::MapClosed, 0, listeners)?,
             applied: 0,
+            recovers: false,
             journal: JournalReader::open(&context.journal_dir)?,
             last: None,
             metrics: MapMetrics::new(&context.metrics),
@@ -126,6 +129,7 @@ impl MapperProcess {
     /// Rebuilds the map of the predecessor: closed submaps from the store, the active one from the journal.
     fn recover(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         let count = self.unsaved.store().count();
+        self.output.resumed_submaps = count;
         let mut inserted = 0;
         for number in 0..count {
             let submap = self.unsaved.store().load(number)?;
@@ -140,7 +144,9 @@ impl MapperProcess {
         if failpoint("replay-twice") {
             self.applied = 0;
         }
+        self.recovers = true;
         self.catch_up(u64::MAX, context)?;
+        self.recovers = false;
         if self.last.is_some() || count > 0 {
             self.republish(context)?;
         }
@@ -156,9 +162,11 @@ impl MapperProcess {
                 continue;
             };
             let Ok(scan) = scan.view() else { continue };
-            if let Some(inserted) = self.apply(scan, &record.pose, &[])? {
+            match self.apply(scan, &record.pose, &[])? {
+                Some(inserted) if self.recovers => self.store(inserted.closed)?,
                 // The others' tiles of it become valid with a later commit.
-                self.commit(inserted)?;
+                Some(inserted) => self.commit(inserted)?,
+                None => {}
             }
         }
         Ok(())
@@ -180,18 +188,24 @@ impl MapperProcess {
             generation: insertion.generation,
             tiles: insertion.changed.len() as u32,
             active_submap: insertion.active_submap,
+            cleared: cleared.len() as u32,
+            ..Commit::default()
         };
         let (closed, tiles) = (insertion.closed, insertion.changed.len());
-        self.output.unsent.extend_from_slice(insertion.changed);
-        self.output.retire(insertion.retired, commit.generation)?;
-        self.output.send_tiles(&self.logic, commit.generation)?;
+        if !self.recovers {
+            self.output.unsent.extend_from_slice(insertion.changed);
+            self.output.retire(insertion.retired, commit.generation)?;
+            self.output.send_tiles(&self.logic, commit.generation)?;
+        }
         self.applied = pose.id.sequence + 1;
         self.last = Some(*pose);
         if self.parts.is_first() {
             return Ok(Some(Inserted { commit, closed }));
         }
         self.logic.take_cleared();
-        self.parts.publish(pose, tiles, false)?;
+        if !self.recovers {
+            self.parts.publish(pose, tiles, false)?;
+        }
         Ok(None)
     }
 
@@ -241,7 +255,8 @@ impl MapperProcess {
 
     /// Commits all tiles again once every mapper has sent its own, or the deadline has passed.
     fn commit_again_when_whole(&mut self, context: &StageContext) -> Result<(), StageError> {
-        if self.parts.others() == 0 {
+        // The first commits for all; the others hear themselves, too.
+        if self.parts.others() == 0 || !self.parts.is_first() {
             return Ok(());
         }
         self.parts.drain()?;
@@ -274,6 +289,8 @@ impl MapperProcess {
             generation: self.logic.generation(),
             tiles: self.logic.live_tiles().count() as u32,
             active_submap: self.logic.active_submap(),
+            all_tiles: 1,
+            ..Commit::default()
         };
         self.output.commit(&commit)?;
         context.bus.notifier(Stage::DynamicCleaner.name())?.ring();

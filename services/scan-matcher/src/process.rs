@@ -7,10 +7,11 @@ use crate::{ScanMatcher, Settings};
 use corrections::Corrections;
 use flockslam_bus::{Publisher, ScanSample, SlicePublisher, Subscriber};
 use flockslam_messages::{
-    DropReason, FlockRobots, KeepReason, MovingBeamsHeader, PoseEstimate, PoseFlags, Stage, Verdict,
+    DropReason, FlockRobots, KeepReason, MovingBeamsHeader, PoseEstimate, PoseFlags, Stage, StageStart,
+    Verdict,
 };
 use flockslam_stage::{
-    Actor, Deadline, GridReader, Join, JournalReader, JournalWriter, LeaderLock, Mode, Notifiers,
+    Actor, Deadline, GridReader, InputLog, Join, JournalReader, JournalWriter, LeaderLock, Mode, Notifiers,
     StageContext, StageError, run, step_aside,
 };
 use flockslam_telemetry::failpoint;
@@ -73,7 +74,10 @@ struct Matcher {
     join: Join<Verdict>,
     corrections: Corrections,
     companions: Subscriber<FlockRobots>,
+    /// Robots in the last message about companions.
+    companions_known: u32,
     grid: GridReader,
+    inputs: InputLog,
     /// Sequences of the accepted scans whose commits are awaited, and since when, oldest first.
     awaited: VecDeque<(u64, u64)>,
     commit_deadline: Deadline,
@@ -103,7 +107,9 @@ impl Matcher {
             join: Join::open(context, VERDICT_DEADLINE_NS)?,
             corrections: Corrections::open(context)?,
             companions: bus.subscriber()?,
+            companions_known: 0,
             grid: GridReader::open(context, cell_size_m)?,
+            inputs: InputLog::open(context)?,
             awaited: VecDeque::with_capacity(2 + LAG_LIVE),
             commit_deadline: Deadline::live(context.mode, COMMIT_DEADLINE_NS),
             poses: bus.publisher()?,
@@ -160,8 +166,10 @@ impl Matcher {
         let is_of_this_session = next > context.first_sequence;
         if is_of_this_session {
             self.logic.resume(&last);
+            self.inputs.resumed(StageStart::Resumed, last.id);
         } else {
             self.logic.resume_elsewhere(&last);
+            self.inputs.resumed(StageStart::Continued, last.id);
         }
         if let Some(commit) = self.grid.committed() {
             // The grid is there already: this process followed it.
@@ -192,6 +200,7 @@ impl Matcher {
         }
         while let Some(robots) = self.companions.receive()? {
             self.logic.companions_are(&robots);
+            self.companions_known = robots.count;
         }
         Ok(())
     }
@@ -265,6 +274,11 @@ impl Matcher {
             return self.join.finished(header.id.sequence + 1);
         };
         let pose = self.logic.handle(scan, verdict, self.grid.grid());
+        let (correction, companions) = (self.corrections.last.unwrap_or_default(), self.companions_known);
+        self.inputs.handled(pose.id, &self.grid, |inputs| {
+            (inputs.keep, inputs.reason) = (verdict.keep, verdict.reason);
+            (inputs.correction, inputs.companions) = (correction, companions);
+        })?;
         // An accepted scan is stored outside of this process before its pose is published.
         let journal = self.journal.as_mut().filter(|_| !failpoint("no-journal"));
         let journaled = journal.map(|journal| journal.append(&pose, scan));
@@ -333,6 +347,7 @@ impl Actor for Matcher {
 
     fn refresh(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.poses.refresh();
+        self.inputs.refresh();
         self.moving_beams.refresh();
         context.probe_tile(&self.grid);
         self.join.refresh()

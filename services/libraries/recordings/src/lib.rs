@@ -12,13 +12,14 @@ mod mcap_messages;
 mod message_fields;
 mod recording_error;
 mod ros_messages;
+mod set_record;
 
 pub use any_recording::{Recording, Topic, TopicReading, is_recording};
 pub use cloud_message::FramedCloud;
-pub use mcap_messages::bus_encoding;
 pub use message_fields::{MessageProblem, Wire};
 pub use recording_error::RecordingError;
 pub use ros_messages::{LaserScanMessage, Reading, ReadingKind};
+pub use set_record::{SET_RECORD_TYPE, SetRecord, bus_encoding, set_record_encoding};
 
 /// A message as it was recorded.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -1,8 +1,8 @@
 //! MCAP files, a record at a time; one that was not closed up to where it ends.
 
 use crate::any_recording::{MessageSource, Topic};
+use crate::set_record::{bus_encoding, set_record_encoding};
 use crate::{Message, RecordingError, Wire};
-use flockslam_messages::{Layout, ScanHeader};
 use mcap::records::Record;
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions, SummaryReadEvent, SummaryReader};
 use mcap::{McapError, parse_record};
@@ -35,16 +35,11 @@ fn linear_reader() -> LinearReader {
     LinearReader::new_with_options(options.with_record_length_limit(RECORD_BYTES_MAX))
 }
 
-/// How a recording names the encoding of scans as they lie on the bus of this build.
-pub fn bus_encoding() -> String {
-    format!("flockslam-{:016x}", ScanHeader::HASH)
-}
-
 fn wire(encoding: &str) -> Option<Wire> {
     match encoding {
         "cdr" => Some(Wire::Cdr),
         "ros1" => Some(Wire::Ros1),
-        bus if bus == bus_encoding() => Some(Wire::Bus),
+        bus if bus == bus_encoding() || bus == set_record_encoding() => Some(Wire::Bus),
         _ => None,
     }
 }

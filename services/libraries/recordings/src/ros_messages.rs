@@ -2,6 +2,7 @@
 
 use crate::cloud_message::{FramedCloud, point_cloud};
 use crate::message_fields::{Fields, MessageProblem, Wire};
+use crate::set_record::{SET_RECORD_TYPE, SetRecord};
 use flockslam_messages::{Message, ScanBuffer, ScanHeader, ScanSections};
 use flockslam_sensor_stream::{BEAMS_MAX, FramedScan, ImuReading, OdometryReading, is_plausible_sweep};
 use flockslam_transforms::{Isometry3, StampedTransform, pose_in_space};
@@ -30,6 +31,8 @@ pub enum ReadingKind {
     Transforms,
     /// A scan as it was on the bus of a set.
     BusScan,
+    /// What else was on it.
+    SetRecord,
 }
 
 /// What a message says.
@@ -47,6 +50,8 @@ pub enum Reading {
     Transforms(Vec<StampedTransform>),
     /// A scan as it was on the bus of a set, with everything that belongs to it.
     BusScan(ScanBuffer),
+    /// What else was on it.
+    SetRecord(SetRecord),
 }
 
 impl ReadingKind {
@@ -60,6 +65,7 @@ impl ReadingKind {
             "sensor_msgs/Imu" => Some(Self::Imu),
             "tf2_msgs/TFMessage" | "tf/tfMessage" => Some(Self::Transforms),
             ScanHeader::TYPE_NAME => Some(Self::BusScan),
+            SET_RECORD_TYPE => Some(Self::SetRecord),
             _ => None,
         }
     }
@@ -76,13 +82,16 @@ impl Reading {
     /// # Errors
     /// When the bytes are not such a message, or it has more beams than are taken.
     pub fn decode(kind: ReadingKind, bytes: &[u8], wire: Wire) -> Result<Self, MessageProblem> {
-        if (kind == ReadingKind::BusScan) != (wire == Wire::Bus) {
+        if matches!(kind, ReadingKind::BusScan | ReadingKind::SetRecord) != (wire == Wire::Bus) {
             return Err(MessageProblem::UnknownEncoding);
         }
         let fields = Fields::new(bytes, wire)?;
         match kind {
             ReadingKind::BusScan => {
                 ScanBuffer::from_bytes(bytes).map(Self::BusScan).ok_or(MessageProblem::BreaksOff)
+            }
+            ReadingKind::SetRecord => {
+                SetRecord::from_bytes(bytes).map(Self::SetRecord).ok_or(MessageProblem::BreaksOff)
             }
             ReadingKind::Scan | ReadingKind::MultiEchoScan => laser_scan(fields, kind).map(Self::Scan),
             ReadingKind::Cloud => point_cloud(fields).map(Self::Cloud),

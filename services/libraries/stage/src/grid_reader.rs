@@ -3,7 +3,7 @@
 use crate::{StageContext, StageError};
 use flockslam_bus::{Notifier, Publisher, Sample, Subscriber, TileHandle};
 use flockslam_evidence::TileGrid;
-use flockslam_messages::{Commit, Control, ControlKind, Stage, TileMessage};
+use flockslam_messages::{Commit, CommitName, Control, ControlKind, Stage, TileMessage};
 
 /// The active grid as a reader holds it: the newest sample of every tile, read in place in the mapper's memory.
 /// Generations switch at commits and at nothing else.
@@ -16,6 +16,7 @@ pub struct GridReader {
     waiting: Vec<Sample<TileMessage>>,
     later: Vec<Sample<TileMessage>>,
     committed: Option<Commit>,
+    first: CommitName,
 }
 
 impl GridReader {
@@ -33,6 +34,7 @@ impl GridReader {
             waiting: Vec::with_capacity(1024),
             later: Vec::new(),
             committed: None,
+            first: CommitName::default(),
         })
     }
 
@@ -55,6 +57,9 @@ impl GridReader {
         // Tiles are sent before their commit, so all tiles of a commit that is seen here have arrived below.
         while let Some(commit) = self.commits.receive()? {
             newest = Some(*commit);
+            if self.first == CommitName::default() {
+                self.first = commit.name;
+            }
         }
         while let Some(tile) = self.tiles.receive()? {
             self.waiting.push(tile);
@@ -79,6 +84,11 @@ impl GridReader {
         std::mem::swap(&mut self.waiting, &mut self.later);
         self.committed = Some(*commit);
         Ok(())
+    }
+
+    /// The first commit that has arrived.
+    pub fn first_committed(&self) -> CommitName {
+        self.first
     }
 
     /// The grid of the last commit.

@@ -133,6 +133,8 @@ impl RecordingReader {
                     self.count(scan);
                     return Ok(true);
                 }
+                // Only a run as it was has a use for them.
+                Reading::SetRecord(_) => {}
                 Reading::Imu(imu) => self.locator.push_imu(recorded_ns, imu),
                 Reading::Odometry(odometry) => self.locator.push_odometry(recorded_ns, &odometry),
                 Reading::Transforms(transforms) => {

@@ -3,13 +3,17 @@
 use crate::Mapper;
 use flockslam_bus::{Notifier, Publisher, TilePublisher};
 use flockslam_evidence::TileKey;
-use flockslam_messages::{Commit, Stage, SubmapClosed};
+use flockslam_messages::{Commit, CommitName, Stage, SubmapClosed};
 use flockslam_stage::{StageContext, StageError};
 
 /// Tiles, commits and closed submaps on the bus.
 pub(super) struct Output {
     tiles: TilePublisher,
     commits: Publisher<Commit>,
+    /// Name of the last commit.
+    last_name: CommitName,
+    /// Closed submaps that the process began with.
+    pub resumed_submaps: u32,
     submaps: Publisher<SubmapClosed>,
     matcher: Notifier,
     sync_manager: Notifier,
@@ -24,6 +28,8 @@ impl Output {
         Ok(Self {
             tiles: TilePublisher::open(bus)?,
             commits: bus.publisher()?,
+            last_name: CommitName { mapper: context.now_ns(), number: 0 },
+            resumed_submaps: 0,
             submaps: bus.publisher()?,
             matcher: bus.notifier(Stage::ScanMatcher.name())?,
             sync_manager: bus.notifier(Stage::SyncManager.name())?,
@@ -63,9 +69,11 @@ impl Output {
         Ok(())
     }
 
-    /// Makes the tiles that were sent valid.
-    pub fn commit(&self, commit: &Commit) -> Result<(), StageError> {
-        self.commits.send(commit)?;
+    /// Makes the tiles that were sent valid, and names the commit.
+    pub fn commit(&mut self, commit: &Commit) -> Result<(), StageError> {
+        self.last_name.number += 1;
+        let (name, resumed_submaps) = (self.last_name, self.resumed_submaps);
+        self.commits.send(&Commit { name, resumed_submaps, ..*commit })?;
         self.matcher.ring();
         Ok(())
     }
