@@ -1,6 +1,6 @@
 //! A set as a node of a ROS 2 graph, against nodes of the client library of ROS (Fast DDS) and of Cyclone DDS.
 
-use crate::support::ros_peers::{Graph, Peer};
+use crate::support::ros_peers::{Graph, Peer, udp_ports};
 use crate::support::{
     LiveSet, flockslam, machine_share, processes_of, run_well, send, simulated_drive, wait_for,
 };
@@ -41,6 +41,35 @@ fn bridges(set: &LiveSet) -> Vec<u32> {
     processes_of(&set.runtime_dir().display().to_string()).into_iter().filter(is_bridge).collect()
 }
 
+/// Nodes find each other within this, seconds.
+const DISCOVERY_MAX_S: f64 = 2.0;
+
+/// Stamp, pose, and when it was sent or heard.
+type Row = (i64, Pose, i64);
+
+/// A scan's odometry and a correction of its time give its pose; returns when that correction was heard.
+fn assert_composed((scan_ns, odom_from_base, _): &Row, pose: Pose, corrections: &[Row]) -> i64 {
+    // Where a pose is late, one that is repeated between scans has its stamp, and its own the next; none is repeated for longer than that.
+    let times = scan_ns + AHEAD_NS..scan_ns + AHEAD_NS + REPEATED_MAX_NS;
+    let is_own =
+        |row: &&Row| times.contains(&row.0) && (row.1 * *odom_from_base).distance_m(pose) < COMPOSED_MAX_M;
+    let own = corrections.iter().find(is_own);
+    own.unwrap_or_else(|| panic!("no correction leads from {odom_from_base:?} to {pose:?} at {scan_ns}")).2
+}
+
+/// Without poses the last correction is repeated for a second; its stamps go on for so long.
+const REPEATED_MAX_NS: i64 = 1_500_000_000;
+
+/// A pose that is put together of odometry and correction is that of the scan, metres.
+const COMPOSED_MAX_M: f64 = 1e-3;
+
+/// Memory that a process has of the machine.
+fn memory_mib(pid: u32) -> f64 {
+    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
+    let line = status.lines().find(|line| line.starts_with("VmRSS:")).unwrap();
+    line.split_whitespace().nth(1).unwrap().parse::<f64>().unwrap() / 1024.0
+}
+
 /// Scans of a drive that begins as soon as the robot's writer knows a reader.
 const FIRST_SCANS: usize = 2;
 
@@ -63,14 +92,10 @@ fn a_log_played_into_the_graph_is_mapped_as_the_file_is() {
     assert_eq!(poses.len(), sent.len(), "no scan is lost at 40 a second");
     assert!(corrections.is_sorted_by(|a, b| a.0 < b.0), "no stamp comes twice");
     let mut delays_ms = Vec::new();
-    for ((scan_ns, odom_from_base, sent_at_ns), (pose_ns, pose, _)) in sent.iter().zip(&poses) {
-        assert_eq!(scan_ns, pose_ns);
-        let own = corrections.iter().find(|(stamp_ns, ..)| *stamp_ns >= scan_ns + AHEAD_NS);
-        let (_, map_from_odom, heard_at_ns) =
-            own.unwrap_or_else(|| panic!("no correction for the scan at {scan_ns}"));
-        let composed = *map_from_odom * *odom_from_base;
-        assert!(composed.distance_m(*pose) < 1e-3, "{composed:?} is not {pose:?}");
-        delays_ms.push((heard_at_ns - sent_at_ns) as f64 * 1e-6);
+    for (scan, pose) in sent.iter().zip(&poses) {
+        assert_eq!(scan.0, pose.0);
+        let heard_at_ns = assert_composed(scan, pose.1, &corrections);
+        delays_ms.push((heard_at_ns - scan.2) as f64 * 1e-6);
     }
     delays_ms.sort_by(f64::total_cmp);
     let quantile = |share: f64| delays_ms[((delays_ms.len() - 1) as f64 * share) as usize];
@@ -187,8 +212,48 @@ fn services_and_parameters_do_what_they_say() {
     let refused = set_to(&mut peer, "odom_frame", json!("other"));
     assert_eq!(refused, json!([false, "odom_frame cannot be changed while the node runs"]));
 
-    let (log, _) = simulated_drive(directory.path(), 8.0);
-    graph.play(&log, 2.0, "/");
+    assert_eq!(peer.tell(&json!(["follow"])), true);
+    for (kind, name) in [
+        ("visualization_msgs/MarkerArray", "/slam_toolbox/graph_visualization"),
+        ("visualization_msgs/MarkerArray", "/flockslam/tracks"),
+        ("diagnostic_msgs/DiagnosticArray", "/flockslam/quality"),
+        ("rcl_interfaces/Log", "/rosout"),
+    ] {
+        assert_eq!(peer.tell(&json!(["listen", kind, name])), true);
+    }
+    let (log, _) = simulated_drive(directory.path(), 16.0);
+    let noted = graph.play(&log, 2.0, "/");
+    let heard = |peer: &mut Peer, name: &str| peer.tell(&json!(["heard", name]));
+    let count = |heard: &Value| heard["count"].as_u64().unwrap() as usize;
+    let quality = heard(&mut peer, "/flockslam/quality");
+    assert!(count(&quality) + FIRST_SCANS >= rows(&noted, "sent").len(), "{quality}");
+    assert_eq!(quality["last"][0]["status"][0]["message"], "tracking");
+    assert!(count(&heard(&mut peer, "/flockslam/tracks")) > 0);
+    let is_quiet = |followed: &Value| (followed["quiet_s"].as_f64()? > 3.0).then(|| followed.clone());
+    let followed = peer.wait_for("the last map", &json!(["followed"]), is_quiet);
+    assert!(followed["changes"].as_u64().unwrap() > 0 && followed["nearer"] == true, "{followed}");
+    let graph_heard = heard(&mut peer, "/slam_toolbox/graph_visualization");
+    let last = graph_heard["last"].as_array().unwrap().last().unwrap();
+    let way = last["markers"].as_array().unwrap().iter().find(|marker| marker["ns"] == "way").unwrap();
+    assert!(way["points"].as_array().unwrap().len() > 5 && way["header"]["frame_id"] == "map", "{way}");
+    let hint = json!({ "header": { "frame_id": "map" }, "pose": { "pose": { "position": { "x": 1.0 } } } });
+    for _ in 0..2 {
+        let said = json!(["say", "geometry_msgs/PoseWithCovarianceStamped", "/initialpose", hint]);
+        assert_eq!(peer.tell(&said), true);
+    }
+    let hints = |heard: &Value| {
+        let lines = heard["last"].as_array().unwrap();
+        lines
+            .iter()
+            .filter(|line| line["msg"].as_str().unwrap().contains("/initialpose has no effect"))
+            .count()
+    };
+    let said = peer.wait_for("the line", &json!(["heard", "/rosout"]), |heard| {
+        Some(hints(heard)).filter(|found| *found > 0)
+    });
+    assert_eq!(said, 1, "one line is enough");
+    let values = peer.tell(&json!(["all parameters", "flockslam"]));
+    assert_eq!(values.as_array().map(Vec::len), Some(16), "an answer with all of them fits a datagram");
     let walls = |cells: &[i8]| cells.iter().filter(|value| **value == 100).count();
     let (_, cells) = peer.map(directory.path());
     assert!(walls(&cells) > 100);
@@ -213,6 +278,93 @@ fn services_and_parameters_do_what_they_say() {
     wait_for("the loaded map", || (save(&mut peer) == Some(0)).then_some(()));
     let image = image::open(picture.with_extension("pgm")).unwrap().into_luma8();
     assert!(image.pixels().filter(|pixel| pixel.0 == [0]).count() > 100, "walls are in it");
+    let url = |path: &std::path::Path| json!({ "map_url": format!("file://{}", path.display()) });
+    let load = |peer: &mut Peer, path: &std::path::Path| {
+        peer.call("nav2_msgs/LoadMap", "/flockslam/load_map", url(path))["result"].as_u64()
+    };
+    assert_eq!(load(&mut peer, &kept), Some(0));
+    assert_eq!(load(&mut peer, &directory.path().join("nowhere")), Some(1));
+    let by_nav2 = directory.path().join("by-nav2");
+    let fields = json!({
+        "map_topic": "map", "map_url": by_nav2, "image_format": "pgm", "map_mode": "trinary",
+        "free_thresh": 0.25, "occupied_thresh": 0.65
+    });
+    wait_for("the loaded map", || {
+        let answer = peer.call("nav2_msgs/SaveMap", "/flockslam/save_map", fields.clone());
+        (answer["result"] == true).then_some(())
+    });
+    assert!(by_nav2.with_extension("yaml").is_file());
+    set.command_well(&["down"]);
+}
+
+#[test]
+fn corrections_follow_bad_wheels_and_callers_of_cyclone_dds_are_answered() {
+    machine_share::mostly_waits();
+    let Some(graph) = Graph::new() else { return };
+    let directory = tempfile::tempdir().unwrap();
+    let arguments = ["-p", "use_sim_time:=true"];
+    let set = graph.set_for("cyclone", directory.path(), &arguments, "rmw_cyclonedds_cpp");
+    let mut peer = graph.peer("caller");
+    // On the way: odometry that is wrong and begins anew, and the time of a log.
+    let (log, _) = simulated_drive(directory.path(), 12.0);
+    let noted = graph.play_with_wheels(&log, 2.0, 1.05);
+    let (sent, poses, corrections) =
+        (rows(&noted, "sent"), rows(&noted, "poses"), rows(&noted, "corrections"));
+    for (scan_ns, pose, _) in &poses {
+        let scan = sent.iter().find(|scan| scan.0 == *scan_ns).unwrap();
+        assert_composed(scan, *pose, &corrections);
+    }
+    println!("{} poses of {} scans", poses.len(), sent.len());
+    assert_eq!(poses.last().unwrap().0, sent.last().unwrap().0);
+    // Between scans as well: the clock of the graph is heard.
+    assert!(corrections.len() > poses.len() && corrections.is_sorted_by(|a, b| a.0 < b.0));
+    let newest_ns = corrections.last().unwrap().0;
+    assert!(newest_ns < sent.last().unwrap().0 + 10 * AHEAD_NS, "stamps are those of the log");
+    // Somebody else corrects it: this node says so, and does not.
+    assert_eq!(peer.tell(&json!(["correct"])), true);
+    let is_withheld = |heard: &Value| {
+        let text = heard["flockslam: poses"][1].as_str()?;
+        text.contains("another node publishes map → odom").then_some(())
+    };
+    peer.wait_for("the status", &json!(["diagnostics"]), is_withheld);
+    let called = json!({ "guid": 71, "sequence": 5, "nothing": 0 });
+    let state = peer.call("lifecycle_msgs/GetState by header", "/flockslam/get_state", called.clone());
+    assert_eq!(state, json!({ "guid": 71, "sequence": 5, "id": 3, "label": "active" }));
+    set.command_well(&["down"]);
+}
+
+#[test]
+fn hostile_traffic_harms_neither_the_bridge_nor_a_pose() {
+    machine_share::alone();
+    let Some(graph) = Graph::new() else { return };
+    let directory = tempfile::tempdir().unwrap();
+    let mut set = graph.set("hostile", directory.path(), &[]);
+    set.wait_until("the set", |_| true);
+    let bridge = wait_for("the bridge", || bridges(&set).first().copied());
+    let mut peer = graph.peer("witness");
+    let state = json!(["call", "lifecycle_msgs/GetState", "/flockslam/get_state", {}]);
+    let is_active = |answer: &Value| (answer["current_state"]["label"] == "active").then_some(());
+    peer.wait_for("the node", &state, is_active);
+    let before_mib = memory_mib(bridge);
+    let ports = udp_ports(bridge);
+    assert!(ports.len() >= 2, "{ports:?}");
+    let mut hostile = graph.hostile(12, 2000, &ports);
+    let (log, _) = simulated_drive(directory.path(), 10.0);
+    let noted = graph.play(&log, 1.0, "/");
+    assert!(wait_for("the end of it", || hostile.try_wait().unwrap()).success());
+    assert_eq!(bridges(&set), [bridge], "it is the same process");
+    let (sent, poses) = (rows(&noted, "sent").len(), rows(&noted, "poses").len());
+    println!(
+        "{poses} poses of {sent} scans; memory {before_mib:.0} MiB, {:.0} MiB after",
+        memory_mib(bridge)
+    );
+    assert!(poses + FIRST_SCANS >= sent, "{poses} poses of {sent} scans");
+    assert!(
+        memory_mib(bridge) < before_mib + 40.0,
+        "{before_mib} MiB before, {} MiB after",
+        memory_mib(bridge)
+    );
+    peer.wait_for("its answer", &state, is_active);
     set.command_well(&["down"]);
 }
 
@@ -221,29 +373,47 @@ fn peers_come_and_go_and_domains_do_not_hear_each_other() {
     machine_share::mostly_waits();
     let (Some(graph), Some(other)) = (Graph::new(), Graph::new()) else { return };
     let directory = tempfile::tempdir().unwrap();
-    let set = graph.set("graphs", directory.path(), &["-r", "__ns:=/r1"]);
+    let mut first = graph.peer("first");
+    first.tell(&json!(["graph"]));
+    let set = graph.set("graphs", directory.path(), &["-r", "__ns:=/r1", "-r", "/tf:=tf"]);
+    wait_for("the bridge", || bridges(&set).first().copied());
+    let began = std::time::Instant::now();
+    let seen = |peer: &mut Peer| peer.tell(&json!(["seen", "/r1/flockslam", "/r1"])).as_f64().unwrap();
+    seen(&mut first);
+    let found_s = began.elapsed().as_secs_f64();
+    println!("found {found_s:.2} s after the start of the bridge");
+    assert!(found_s < DISCOVERY_MAX_S);
+    let found_s = seen(&mut graph.peer("later"));
+    println!("found {found_s:.2} s after the start of a peer");
+    assert!(found_s < DISCOVERY_MAX_S);
     let node = |answer: &Value| {
         let nodes = answer["nodes"].as_array()?;
         nodes.iter().any(|name| name == "/r1/flockslam").then(|| answer.clone())
     };
-    let mut first = graph.peer("first");
     let seen = first.wait_for("the node", &json!(["graph"]), |answer| {
         let answer = node(answer)?;
         let has = |of: &str, name: &str, kind: &str| answer[of][name] == json!([kind]);
         let all = has("topics", "/r1/map", "nav_msgs/msg/OccupancyGrid")
             && has("topics", "/r1/scan", "sensor_msgs/msg/LaserScan")
-            && has("topics", "/tf", "tf2_msgs/msg/TFMessage")
+            && has("topics", "/r1/tf", "tf2_msgs/msg/TFMessage")
             && has("services", "/r1/slam_toolbox/save_map", "slam_toolbox/srv/SaveMap")
             && has("services", "/r1/flockslam/get_state", "lifecycle_msgs/srv/GetState");
         all.then_some(answer)
     });
     assert!(seen["services"].as_object().unwrap().len() > 15);
+    for (topic, expected) in [
+        ("/r1/map", ["RELIABLE", "TRANSIENT_LOCAL"]),
+        ("/r1/map_metadata", ["RELIABLE", "TRANSIENT_LOCAL"]),
+        ("/r1/pose", ["RELIABLE", "VOLATILE"]),
+        ("/r1/scan", ["BEST_EFFORT", "VOLATILE"]),
+        ("/tf_static", ["RELIABLE", "TRANSIENT_LOCAL"]),
+    ] {
+        assert_eq!(first.tell(&json!(["qos", "flockslam", topic])), json!([expected]), "{topic}");
+    }
+    let both_ways = first.tell(&json!(["qos", "flockslam", "/r1/tf"]));
+    assert_eq!(both_ways, json!([["RELIABLE", "VOLATILE"], ["RELIABLE", "VOLATILE"]]));
     let bridge = bridges(&set)[0];
-    let memory = || {
-        let status = std::fs::read_to_string(format!("/proc/{bridge}/status")).unwrap();
-        let line = status.lines().find(|line| line.starts_with("VmRSS:")).unwrap().to_owned();
-        line.split_whitespace().nth(1).unwrap().parse::<f64>().unwrap() / 1024.0
-    };
+    let memory = || memory_mib(bridge);
     let descriptors = || std::fs::read_dir(format!("/proc/{bridge}/fd")).unwrap().count();
     let (before_mib, before) = (memory(), descriptors());
     for round in 0..20 {

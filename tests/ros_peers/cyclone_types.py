@@ -57,6 +57,38 @@ class TFMessage(IdlStruct, typename="tf2_msgs::msg::dds_::TFMessage_"):
 
 
 @dataclass
+class Pose(IdlStruct, typename="geometry_msgs::msg::dds_::Pose_"):
+    position: Vector3
+    orientation: Quaternion
+
+
+@dataclass
+class MapMetaData(IdlStruct, typename="nav_msgs::msg::dds_::MapMetaData_"):
+    map_load_time: Time
+    resolution: T.float32
+    width: T.uint32
+    height: T.uint32
+    origin: Pose
+
+
+@dataclass
+class OccupancyGrid(IdlStruct, typename="nav_msgs::msg::dds_::OccupancyGrid_"):
+    header: Header
+    info: MapMetaData
+    data: T.sequence[T.int8]
+
+
+@dataclass
+class OccupancyGridUpdate(IdlStruct, typename="map_msgs::msg::dds_::OccupancyGridUpdate_"):
+    header: Header
+    x: T.int32
+    y: T.int32
+    width: T.uint32
+    height: T.uint32
+    data: T.sequence[T.int8]
+
+
+@dataclass
 class BondStatus(IdlStruct, typename="bond::msg::dds_::Status_"):
     header: Header
     id: str
@@ -120,7 +152,52 @@ class DeserializeResponse(IdlStruct, typename="slam_toolbox::srv::dds_::Deserial
     result: T.uint8
 
 
+@dataclass
+class LoadMapRequest(IdlStruct, typename="nav2_msgs::srv::dds_::LoadMap_Request_"):
+    map_url: str
+
+
+@dataclass
+class LoadMapResponse(IdlStruct, typename="nav2_msgs::srv::dds_::LoadMap_Response_"):
+    map: OccupancyGrid
+    result: T.uint8
+
+
+@dataclass
+class NavigationSaveRequest(IdlStruct, typename="nav2_msgs::srv::dds_::SaveMap_Request_"):
+    map_topic: str
+    map_url: str
+    image_format: str
+    map_mode: str
+    free_thresh: T.float32
+    occupied_thresh: T.float32
+
+
+@dataclass
+class NavigationSaveResponse(IdlStruct, typename="nav2_msgs::srv::dds_::SaveMap_Response_"):
+    result: bool
+
+
+# What nodes of rmw_cyclonedds_cpp write before each call and answer: who has called, and which call it was.
+@dataclass
+class GetStateByHeader(IdlStruct, typename="lifecycle_msgs::srv::dds_::GetState_Request_"):
+    guid: T.uint64
+    sequence: T.int64
+    nothing: T.uint8
+
+
+@dataclass
+class StateByHeader(IdlStruct, typename="lifecycle_msgs::srv::dds_::GetState_Response_"):
+    guid: T.uint64
+    sequence: T.int64
+    id: T.uint8
+    label: str
+
+
 SERVICES = {
+    "nav2_msgs/LoadMap": (LoadMapRequest, LoadMapResponse),
+    "nav2_msgs/SaveMap": (NavigationSaveRequest, NavigationSaveResponse),
+    "lifecycle_msgs/GetState by header": (GetStateByHeader, StateByHeader),
     "slam_toolbox/SaveMap": (SaveMapRequest, SaveMapResponse),
     "slam_toolbox/Pause": (PauseRequest, PauseResponse),
     "slam_toolbox/Reset": (ResetRequest, ResetResponse),
@@ -150,12 +227,20 @@ def call(participant, kind, name, fields, limit_s):
         if time.monotonic() > deadline:
             return None
         time.sleep(0.01)
+    # The other side may know of this one a little later than this one of it.
+    time.sleep(0.1)
     requests.write(request(**fields))
     while time.monotonic() < deadline:
         for answer in answers.take(N=1):
-            return {name: value for name, value in vars(answer).items() if name in response.__dataclass_fields__}
+            return fields_of(answer)
         time.sleep(0.005)
     return None
+
+
+def fields_of(message):
+    if hasattr(message, "__dataclass_fields__"):
+        return {name: fields_of(getattr(message, name)) for name in message.__dataclass_fields__}
+    return message
 
 
 def stamp(stamp_ns):

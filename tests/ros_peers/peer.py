@@ -3,9 +3,15 @@
 graph                        names of nodes, topics with types, services with types
 map OUT                      a late subscriber of /map: writes the cells to OUT, says size, origin and how long it took
 call TYPE NAME FIELDS        calls a service
-parameters NODE NAMES        values; set NODE NAME VALUE sets one
+parameters NODE NAMES        values; set NODE NAME VALUE sets one; all parameters NODE: the values of all that it lists
 bond ID                      begins to keep a bond as nav2's lifecycle manager does; bonded: whether the other side is alive
 diagnostics                  the last status of each name
+listen TYPE NAME             begins to hear a topic, and what it said last where it keeps that; heard NAME: how many messages came, and the last of them
+say TYPE NAME FIELDS         publishes one message to whoever hears the topic
+follow                       begins to keep a map by /map and its changes; followed: how many came, and whether changes bring it nearer to the next map
+qos NODE TOPIC               reliability and durability that a node publishes or hears a topic with
+correct                      publishes map → odom for a second, as another node would
+seen NODE TOPIC              seconds from the start of this node until the other was in its lists and had found its topic /scan
 """
 import importlib
 import json
@@ -15,7 +21,22 @@ import threading
 import time
 
 import rclpy
-from cyclone_types import SERVICES, BondStatus, Header, reader, stamp, writer
+from cyclone_types import LATCHED as LATCHED_BY_CYCLONE
+from cyclone_types import (
+    SERVICES,
+    BondStatus,
+    Header,
+    OccupancyGridUpdate,
+    Quaternion,
+    TFMessage,
+    Transform,
+    TransformStamped,
+    Vector3,
+    reader,
+    stamp,
+    writer,
+)
+from cyclone_types import OccupancyGrid as GridByCyclone
 from cyclone_types import call as call_by_cyclone
 from cyclonedds.domain import DomainParticipant
 from diagnostic_msgs.msg import DiagnosticArray
@@ -30,11 +51,13 @@ QUIET_S = 1.0
 HEARTBEAT_S, PATIENCE_S = 0.1, 4.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
 
+born = time.monotonic()
 rclpy.init()
 node = rclpy.create_node(sys.argv[1])
 executor = SingleThreadedExecutor()
 executor.add_node(node)
-diagnostics = {}
+threading.Thread(target=executor.spin, daemon=True).start()
+diagnostics, topics = {}, {}
 
 
 def take_diagnostics(message):
@@ -45,13 +68,18 @@ def take_diagnostics(message):
 node.create_subscription(DiagnosticArray, "/diagnostics", take_diagnostics, 10)
 
 
+def wait_until(is_so, limit_s=LIMIT_S):
+    deadline = time.monotonic() + limit_s
+    while not is_so() and time.monotonic() < deadline:
+        time.sleep(0.005)
+    return is_so()
+
+
 def wait(future):
-    executor.spin_until_future_complete(future, timeout_sec=LIMIT_S)
-    return future.result() if future.done() else None
+    return future.result() if wait_until(future.done) else None
 
 
 def graph():
-    executor.spin_once(timeout_sec=0.05)
     names = [f"{space.rstrip('/')}/{name}" for name, space in node.get_node_names_and_namespaces()]
     return {
         "nodes": sorted(names),
@@ -63,16 +91,13 @@ def graph():
 def late_map(out):
     began, found = time.monotonic(), []
     subscription = node.create_subscription(OccupancyGrid, "/map", found.append, LATCHED)
-    while not found and time.monotonic() < began + LIMIT_S:
-        executor.spin_once(timeout_sec=0.1)
+    wait_until(lambda: found)
     seconds = time.monotonic() - began
     # An older map may come before the newest.
-    quiet = time.monotonic() + QUIET_S
-    while found and time.monotonic() < quiet:
-        before = len(found)
-        executor.spin_once(timeout_sec=0.1)
-        if len(found) > before:
-            quiet = time.monotonic() + QUIET_S
+    count = 0
+    while len(found) > count:
+        count = len(found)
+        wait_until(lambda: len(found) > count, QUIET_S)
     node.destroy_subscription(subscription)
     if not found:
         return None
@@ -105,6 +130,8 @@ def plain(message):
         return message.tolist()
     if isinstance(message, (list, tuple)) or type(message).__name__ == "array":
         return [plain(part) for part in message]
+    if isinstance(message, bytes):
+        return int.from_bytes(message, "little")
     return message
 
 
@@ -139,6 +166,13 @@ def set_parameter(of, name, value):
     return answer and [answer.results[0].successful, answer.results[0].reason]
 
 
+def all_parameters(of):
+    client = AsyncParameterClient(node, of)
+    if not client.wait_for_services(LIMIT_S):
+        return None
+    return parameters(of, wait(client.list_parameters([], 10)).result.names)
+
+
 class Bond:
     """The manager's side of a bond: it breaks when the other side is silent for too long, or says that it ends it, or another comes."""
 
@@ -171,7 +205,91 @@ class Bond:
         return {"formed": self.heard_at is not None, "broken": self.broken, "instance": self.sister}
 
 
-bond = None
+def kind_of(name):
+    package, kind = name.split("/")
+    return getattr(importlib.import_module(package + ".msg"), kind)
+
+
+def listen(kind, name):
+    topics[name] = []
+    node.create_subscription(kind_of(kind), name, topics[name].append, LATCHED if name == "/rosout" else 10)
+    return True
+
+
+def heard(name):
+    return {"count": len(topics[name]), "last": [plain(message) for message in topics[name][-20:]]}
+
+
+def say(kind, name, fields):
+    message = kind_of(kind)()
+    fill(message, fields)
+    publisher = node.create_publisher(kind_of(kind), name, 10)
+    if not wait_until(lambda: publisher.get_subscription_count() > 0):
+        return False
+    # The other side may know of this one a little later than this one of it.
+    time.sleep(0.2)
+    publisher.publish(message)
+    return True
+
+
+def qos(name, topic):
+    ends = node.get_publishers_info_by_topic(topic) + node.get_subscriptions_info_by_topic(topic)
+    found = [end.qos_profile for end in ends if end.node_name == name]
+    return [[profile.reliability.name, profile.durability.name] for profile in found]
+
+
+def correct():
+    sends = writer(DomainParticipant(int(os.environ["ROS_DOMAIN_ID"])), "rt/tf", TFMessage)
+    for _ in range(20):
+        pose = Transform(Vector3(1.0, 0.0, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
+        sends.write(TFMessage([TransformStamped(Header(stamp(time.time_ns()), "map"), "odom", pose)]))
+        time.sleep(0.05)
+    return True
+
+
+def seen(name, topic):
+    """Both directions: what the other node publishes is in the lists, and it hears this one's scans."""
+    publisher = node.create_publisher(kind_of("sensor_msgs/LaserScan"), topic + "/scan", 10)
+    names = lambda: [f"{space.rstrip('/')}/{name}" for name, space in node.get_node_names_and_namespaces()]
+    is_found = lambda: node.count_publishers(topic + "/map") > 0 and publisher.get_subscription_count() > 0
+    found = wait_until(lambda: is_found() and name in names())
+    node.destroy_publisher(publisher)
+    return time.monotonic() - born if found else None
+
+
+class FollowedMap:
+    """The map by its topic and the changes of it: whether these bring it nearer to the next map."""
+
+    def __init__(self):
+        self.maps, self.changes, self.pending, self.nearer, self.last = 0, 0, 0, None, time.monotonic()
+        self.size, self.cells, self.before = None, [], []
+        participant = DomainParticipant(int(os.environ["ROS_DOMAIN_ID"]))
+        self.hears_maps = reader(participant, "rt/map", GridByCyclone, LATCHED_BY_CYCLONE)
+        self.hears_changes = reader(participant, "rt/map_updates", OccupancyGridUpdate)
+        threading.Thread(target=self.keep, daemon=True).start()
+
+    def keep(self):
+        while True:
+            for change in self.hears_changes.take(N=10):
+                self.changes, self.pending, self.last = self.changes + 1, self.pending + 1, time.monotonic()
+                for row in range(change.height):
+                    at, end = row * change.width, (row + 1) * change.width
+                    to = (change.y + row) * self.size[0] + change.x
+                    self.cells[to : to + change.width] = change.data[at:end]
+            for grid in self.hears_maps.take(N=10):
+                size = (grid.info.width, grid.info.height)
+                differing = lambda cells: sum(a != b for a, b in zip(cells, grid.data))
+                if self.pending and size == self.size:
+                    self.nearer = self.nearer is not False and differing(self.cells) < differing(self.before)
+                self.maps, self.pending, self.last = self.maps + 1, 0, time.monotonic()
+                self.size, self.cells, self.before = size, list(grid.data), list(grid.data)
+            time.sleep(0.02)
+
+    def state(self):
+        return {"maps": self.maps, "changes": self.changes, "nearer": self.nearer, "quiet_s": time.monotonic() - self.last}
+
+
+bond = followed = None
 for line in sys.stdin:
     command, *rest = json.loads(line)
     answer = None
@@ -183,13 +301,29 @@ for line in sys.stdin:
         answer = call(*rest)
     elif command == "parameters":
         answer = parameters(*rest)
+    elif command == "all parameters":
+        answer = all_parameters(*rest)
     elif command == "set":
         answer = set_parameter(*rest)
     elif command == "diagnostics":
-        until = time.monotonic() + 0.05
-        while time.monotonic() < until:
-            executor.spin_once(timeout_sec=0.01)
         answer = diagnostics
+    elif command == "listen":
+        answer = listen(*rest)
+    elif command == "heard":
+        answer = heard(*rest)
+    elif command == "say":
+        answer = say(*rest)
+    elif command == "qos":
+        answer = qos(*rest)
+    elif command == "correct":
+        answer = correct()
+    elif command == "seen":
+        answer = seen(*rest)
+    elif command == "follow":
+        followed = FollowedMap()
+        answer = True
+    elif command == "followed":
+        answer = followed.state()
     elif command == "bond":
         if bond:
             bond.ended = True

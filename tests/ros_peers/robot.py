@@ -1,8 +1,11 @@
 """A robot in the graph: plays the scans of a CARMEN log on /scan and its odometry on /tf, and notes what comes back on /tf and /pose.
 
-robot.py LOG RATE NAMESPACE OUT
+robot.py LOG RATE NAMESPACE OUT [WHEELS]
+WHEELS: its odometry goes so much farther than the log's, and begins anew at zero in the middle of the drive; and the time of the graph is
+that of the log, by /clock.
 A line of standard output says `playing`, and `done` when all was sent and the last answers have come. OUT gets what was noted, as JSON.
 """
+import gc
 import json
 import math
 import os
@@ -26,6 +29,7 @@ from cyclone_types import (
 )
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import LaserScan
 
 
@@ -53,8 +57,30 @@ def transform(stamp_ns, parent, child, x, y, heading):
     return TransformStamped(Header(stamp(stamp_ns), parent), child, Transform(Vector3(x, y, 0.0), turn))
 
 
-log, rate, namespace, out = sys.argv[1:]
-rate = float(rate)
+# What is noted grows, and looking through it for garbage would be measured.
+gc.disable()
+log, rate, namespace, out = sys.argv[1:5]
+rate, wheels = float(rate), float(sys.argv[5]) if len(sys.argv) > 5 else None
+
+
+class Wheels:
+    """Odometry that goes too far."""
+
+    def __init__(self, count):
+        self.left, self.pose, self.before = count // 2, (0.0, 0.0, 0.0), None
+
+    def pose_at(self, robot):
+        x, y, heading = self.pose
+        x0, y0, heading0 = self.before or robot
+        dx, dy = robot[0] - x0, robot[1] - y0
+        along = wheels * (math.cos(heading0) * dx + math.sin(heading0) * dy)
+        across = wheels * (math.cos(heading0) * dy - math.sin(heading0) * dx)
+        x, y = x + math.cos(heading) * along - math.sin(heading) * across, y + math.sin(heading) * along + math.cos(heading) * across
+        self.left, self.before = self.left - 1, robot
+        self.pose = (0.0, 0.0, 0.0) if self.left == 0 else (x, y, heading + robot[2] - heading0)
+        return list(self.pose)
+
+
 rclpy.init()
 node = rclpy.create_node("robot", namespace=namespace)
 participant = DomainParticipant(int(os.environ["ROS_DOMAIN_ID"]))
@@ -72,6 +98,13 @@ publisher = node.create_publisher(LaserScan, "scan", qos_profile_sensor_data)
 moving = writer(participant, "rt/tf", TFMessage)
 fixed = writer(participant, "rt/tf_static", TFMessage, LATCHED)
 heard = reader(participant, "rt/tf", TFMessage)
+
+
+def tick(stamp_ns):
+    """The time of the log goes on between scans, too."""
+    message = Clock()
+    message.clock.sec, message.clock.nanosec = divmod(stamp_ns, 10**9)
+    clock.publish(message)
 
 
 def look():
@@ -94,16 +127,22 @@ while publisher.get_subscription_count() == 0:
 while not moving.get_matched_subscriptions():
     assert time.monotonic() < deadline, "nobody hears /tf"
     time.sleep(0.01)
+clock = node.create_publisher(Clock, "/clock", qos_profile_sensor_data)
+odometry = wheels and Wheels(sum(1 for _ in scans(log)))
 print("playing", flush=True)
-began, first_ns = time.monotonic(), None
+began, first_ns, ticked = time.monotonic(), None, 0.0
 for stamp_ns, start, step, ranges, laser, robot in scans(log):
     if first_ns is None:
         first_ns = stamp_ns
         dx, dy, turn = laser[0] - robot[0], laser[1] - robot[1], robot[2]
         x, y = math.cos(turn) * dx + math.sin(turn) * dy, math.cos(turn) * dy - math.sin(turn) * dx
         fixed.write(TFMessage([transform(stamp_ns, "base_footprint", "laser", x, y, laser[2] - robot[2])]))
+    robot = odometry.pose_at(robot) if odometry else robot
     due = began + (stamp_ns - first_ns) * 1e-9 / rate
     while time.monotonic() < due:
+        if wheels and time.monotonic() > ticked + 0.01:
+            ticked = time.monotonic()
+            tick(first_ns + round((ticked - began) * rate * 1e9))
         look()
         time.sleep(0.0005)
     message = LaserScan()

@@ -10,7 +10,7 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 /// The packages of the index, by the version that they were tested with.
-const PACKAGES: [&str; 8] = [
+const PACKAGES: [&str; 9] = [
     "ros-jazzy-rclpy==7.1.*",
     "ros-jazzy-rmw-fastrtps-cpp==8.4.*",
     "ros-jazzy-nav-msgs",
@@ -18,6 +18,7 @@ const PACKAGES: [&str; 8] = [
     "ros-jazzy-std-srvs",
     "ros-jazzy-diagnostic-msgs",
     "ros-jazzy-lifecycle-msgs",
+    "ros-jazzy-visualization-msgs",
     "cyclonedds==11.*",
 ];
 /// Cyclone DDS on the loopback interface, which has no multicast.
@@ -67,6 +68,11 @@ impl Graph {
 
     /// Starts a set that takes its scans from the graph, as a node with these arguments.
     pub fn set(&self, test: &str, directory: &Path, arguments: &[&str]) -> LiveSet {
+        self.set_for(test, directory, arguments, "rmw_fastrtps_cpp")
+    }
+
+    /// As [`Self::set`]; its services are for callers of this implementation of DDS.
+    pub fn set_for(&self, test: &str, directory: &Path, arguments: &[&str], callers: &str) -> LiveSet {
         let robot = robot(test);
         let description = format!(
             "robot = \"{robot}\"\nset = [\"page.enabled=false\"]\n[source]\nkind = \"scans\"\n[ros]\nargs = {}\n",
@@ -75,6 +81,7 @@ impl Graph {
         std::fs::write(directory.join("set.toml"), description).unwrap();
         let mut command = flockslam();
         self.put_into_graph(&mut command);
+        command.env("RMW_IMPLEMENTATION", callers);
         LiveSet::start_described(command, robot, directory)
     }
 
@@ -88,14 +95,32 @@ impl Graph {
 
     /// Plays a log into the graph, this many log seconds a second, in a namespace; returns what the robot has noted.
     pub fn play(&self, log: &Path, rate: f64, namespace: &str) -> Value {
+        self.play_with(log, rate, namespace, &[])
+    }
+
+    /// As [`Self::play`]; odometry goes so much farther than it should, and begins anew in the middle.
+    pub fn play_with_wheels(&self, log: &Path, rate: f64, wheels: f64) -> Value {
+        self.play_with(log, rate, "/", &[&wheels.to_string()])
+    }
+
+    fn play_with(&self, log: &Path, rate: f64, namespace: &str, more: &[&str]) -> Value {
         let out = log.with_extension("noted.json");
         let out_text = out.display().to_string();
-        let mut child =
-            self.script("robot.py", &[&log.display().to_string(), &rate.to_string(), namespace, &out_text]);
+        let (log_text, rate_text) = (log.display().to_string(), rate.to_string());
+        let arguments =
+            [&[log_text.as_str(), rate_text.as_str(), namespace, out_text.as_str()], more].concat();
+        let mut child = self.script("robot.py", &arguments);
         drop(child.stdin.take());
         let status = wait_for("the end of the drive", || child.try_wait().unwrap());
         assert!(status.success(), "robot.py: {status}");
         serde_json::from_slice(&std::fs::read(out).unwrap()).unwrap()
+    }
+
+    /// Begins to send what no node should, to these ports, and that many messages a second on `/tf`.
+    pub fn hostile(&self, seconds: u32, rate: u32, ports: &[u16]) -> Child {
+        let numbers = [seconds, rate].into_iter().chain(ports.iter().map(|port| u32::from(*port)));
+        let arguments: Vec<_> = numbers.map(|number| number.to_string()).collect();
+        self.script("hostile.py", &arguments.iter().map(String::as_str).collect::<Vec<_>>())
     }
 
     fn script(&self, name: &str, arguments: &[&str]) -> Child {
@@ -105,6 +130,26 @@ impl Graph {
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::inherit());
         command.spawn().unwrap()
     }
+}
+
+/// The UDP ports that a process has opened.
+pub fn udp_ports(pid: u32) -> Vec<u16> {
+    let descriptors = std::fs::read_dir(format!("/proc/{pid}/fd")).unwrap();
+    let links: Vec<_> = descriptors
+        .filter_map(|entry| std::fs::read_link(entry.ok()?.path()).ok())
+        .map(|link| link.display().to_string())
+        .collect();
+    let table = std::fs::read_to_string(format!("/proc/{pid}/net/udp")).unwrap();
+    let port = |line: &str| {
+        let fields: Vec<_> = line.split_whitespace().collect();
+        let is_own = links.contains(&format!("socket:[{}]", fields.get(9)?));
+        let port = u16::from_str_radix(fields[1].split(':').nth(1)?, 16).ok()?;
+        (is_own && port > 0).then_some(port)
+    };
+    let mut ports: Vec<_> = table.lines().filter_map(port).collect();
+    ports.sort_unstable();
+    ports.dedup();
+    ports
 }
 
 /// A node of the client library of ROS that obeys.

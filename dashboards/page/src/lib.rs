@@ -30,6 +30,7 @@ pub use followed_map::{FollowedMap, Stored, Version, version_of};
 pub use guard::Guard;
 pub use health::{Health, StageHealth};
 pub use outbox::Outbox;
+pub use path::{Path, PathPoint};
 pub use server::{PageError, Service, serve};
 pub use settings::{Settings, SettingsError};
 pub use shared_view::{Place, SetAccess};

@@ -3,19 +3,22 @@
 use super::BridgeError;
 use super::bond::{Bond, HEARTBEAT_PERIOD};
 use super::bridge_parameters::BridgeParameters;
-use super::bridge_publishers::BridgePublishers;
+use super::bridge_publishers::{BridgePublishers, quality};
 use super::bridge_services::{SetOrders, offer};
 use super::diagnostics_thread::{Report, report_by};
 use super::graph_clock::GraphClock;
 use super::graph_ear::{Ear, Heard, listen};
 use super::kept_state::KeptState;
 use super::lifecycle::NodeState;
+use super::log_relay::LogRelay;
 use super::map_correction::{Correction, JUMP_M, JUMP_RAD, MapCorrection};
-use super::map_thread::{self, MapOrder, MapPlace, MapPublishers};
+use super::map_thread::{self, HeardTopics, MapOrder, MapPlace, MapPublishers};
 use super::sensor_relay::SensorRelay;
 use super::set_diagnostics::BridgeReport;
-use flockslam_bus::{Bus, Capacity, RuntimeDir, Subscriber};
-use flockslam_messages::{PoseEstimate, Quality};
+use super::track_markers::track_markers;
+use flockslam_bus::{Bus, Capacity, RuntimeDir, SliceSubscriber, Subscriber};
+use flockslam_geometry::Pose;
+use flockslam_messages::{PoseEstimate, Quality, TracksHeader};
 use flockslam_ros::messages::{
     ChangeState, ChangeStateResponse, GetAvailableTransitionsResponse, GetStateResponse, Transition,
     TransitionEvent,
@@ -32,8 +35,12 @@ use std::time::{Duration, Instant};
 const NODE: &str = "flockslam";
 /// What was heard and is not yet handled; more is dropped and counted.
 const HEARD_MAX: usize = 1024;
-/// While the pose of a scan is awaited, the bus is looked at so often …
-const LOOK_AWAITING: Duration = Duration::from_millis(1);
+/// While the pose of a scan is awaited, the bus is looked at so often: the matcher wakes nobody for each pose, and one is there within a
+/// few milliseconds …
+const LOOK_AWAITING: Duration = Duration::from_micros(200);
+/// … when it takes longer than this, it may take much longer …
+const AWAITING: Duration = Duration::from_millis(10);
+const LOOK_AWAITING_LONG: Duration = Duration::from_millis(1);
 /// … while poses come that are not of scans from the graph …
 const LOOK_WATCHING: Duration = Duration::from_millis(10);
 /// … and else.
@@ -44,6 +51,8 @@ const WATCHING: Duration = Duration::from_secs(2);
 const DIAGNOSTICS_PERIOD: Duration = Duration::from_secs(1);
 /// Another node that was heard to publish map → odom within this still does, nanoseconds.
 const FOREIGN_NS: u64 = 5_000_000_000;
+/// Lines of the log that who comes late gets.
+const LINES_KEPT: usize = 100;
 /// Messages that are handled before the bus is looked at again.
 const BATCH: usize = 256;
 
@@ -111,6 +120,13 @@ struct Bridge {
     kept: KeptState,
     bond: Bond,
     poses: Subscriber<PoseEstimate>,
+    tracks: SliceSubscriber<TracksHeader>,
+    map_from_odom: Pose,
+    robot: String,
+    /// Topics that are made only for who hears them: changes of the map, the graph.
+    heard_names: [String; 2],
+    heard_topics: HeardTopics,
+    tracks_heard: bool,
     last_pose: Option<Instant>,
     /// When another node was heard to publish map → odom, on the monotonic clock, nanoseconds.
     foreign_ns: Option<u64>,
@@ -136,7 +152,11 @@ impl Bridge {
         let map_publishers = MapPublishers {
             map: node.publisher("map", latched)?,
             metadata: node.publisher("map_metadata", latched)?,
+            changes: node.publisher("map_updates", QualityOfService::Reliable { depth: 10 })?,
+            graph: node
+                .publisher("slam_toolbox/graph_visualization", QualityOfService::Reliable { depth: 1 })?,
         };
+        let heard_names = [map_publishers.changes.topic(), map_publishers.graph.topic()].map(str::to_owned);
         let map_place = MapPlace {
             set_dir: set.runtime.path().to_owned(),
             capacity: set.capacity,
@@ -150,7 +170,9 @@ impl Bridge {
         let publishers = BridgePublishers::open(&mut node, &parameters)?;
         let diagnostics = node.publisher("/diagnostics", QualityOfService::Reliable { depth: 10 })?;
         let robot = set.runtime.name().to_owned();
-        let reports = report_by(diagnostics, robot, set.runtime.control_socket())?;
+        let lines = node.publisher("/rosout", QualityOfService::Latched { depth: LINES_KEPT })?;
+        let log = LogRelay::at_the_end(set.runtime.path(), &bond_id);
+        let reports = report_by(diagnostics, lines, log, robot.clone(), set.runtime.control_socket())?;
         offer(&mut node, SetOrders::new(&set.runtime.control_socket(), map.clone()))?;
         let dropped = Arc::new(AtomicU64::new(0));
         let (sender, heard) = sync_channel(HEARD_MAX);
@@ -183,6 +205,12 @@ impl Bridge {
             reports,
             bond,
             poses: bus.subscriber()?,
+            tracks: bus.slice_subscriber()?,
+            map_from_odom: Pose::IDENTITY,
+            robot,
+            heard_names,
+            heard_topics: HeardTopics::default(),
+            tracks_heard: false,
             last_pose: None,
             foreign_ns: None,
             latency: LatencyHistogram::default(),
@@ -201,12 +229,11 @@ impl Bridge {
     /// One turn: hears, reads, says.
     fn turn(&mut self) -> Result<(), BridgeError> {
         let watching = self.last_pose.is_some_and(|at| at.elapsed() < WATCHING);
-        let look = if self.relay.awaits_pose() {
-            LOOK_AWAITING
-        } else if watching || self.relay.holds_scans() {
-            LOOK_WATCHING
-        } else {
-            LOOK_IDLE
+        let look = match self.relay.awaited_for() {
+            Some(since) if since < AWAITING => LOOK_AWAITING,
+            Some(_) => LOOK_AWAITING_LONG,
+            None if watching || self.relay.holds_scans() => LOOK_WATCHING,
+            None => LOOK_IDLE,
         };
         match self.heard.recv_timeout(look) {
             Ok(first) => {
@@ -320,17 +347,39 @@ impl Bridge {
     fn read_poses(&mut self) -> Result<(), BridgeError> {
         while let Some(estimate) = self.poses.receive()? {
             self.last_pose = Some(Instant::now());
+            self.map_from_odom = estimate.map_from_odom;
+            if self.is_active() {
+                self.publishers.quality.send(quality(&estimate, &self.robot));
+            }
             if self.is_active() && estimate.quality != Quality::Lost as u32 {
                 let estimate = *estimate;
                 self.take_pose(&estimate);
             }
         }
+        while let Some(tracks) = self.tracks.receive()? {
+            if self.tracks_heard && self.is_active() {
+                let (stamp_ns, map) = (tracks.header().times.sensor_ns, &self.parameters.map_frame);
+                let markers = track_markers(stamp_ns, map, self.map_from_odom, tracks.elements());
+                self.publishers.tracks.send(markers);
+            }
+        }
         Ok(())
+    }
+
+    /// Looks at who hears what is made only for those who want it.
+    fn look_around(&mut self) {
+        self.tracks_heard = self.node.is_heard(self.publishers.tracks.topic());
+        let [changes, graph] = [0, 1].map(|index| self.node.is_heard(&self.heard_names[index]));
+        let heard = HeardTopics { changes, graph };
+        if std::mem::replace(&mut self.heard_topics, heard) != heard {
+            let _ = self.map.send(MapOrder::Heard(heard));
+        }
     }
 
     fn take_pose(&mut self, estimate: &PoseEstimate) {
         self.publishers.send_pose(estimate, &self.parameters.map_frame);
         let Some(now_ns) = self.clock.now_ns() else { return };
+        self.correction.rate_max_m_s = self.parameters.live.max_correction_rate_m_s.get();
         let scan_ns = estimate.times.sensor_ns;
         if self.parameters.publish_odom_transform {
             let (odom, base) = (&self.parameters.odom_frame, &self.parameters.base_frame);
@@ -408,6 +457,7 @@ impl Bridge {
         }
         self.report_due = Instant::now() + DIAGNOSTICS_PERIOD;
         self.kept.keep(self.kept.state);
+        self.look_around();
         let now_ns = self.clock.now_ns();
         let counts = self.relay.counts;
         let figures = [

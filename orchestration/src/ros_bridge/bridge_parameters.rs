@@ -48,6 +48,8 @@ pub struct LiveParameters {
     pub transform_timeout_s: LiveNumber,
     /// Between scans map → odom is published so often, seconds; 0 for never.
     pub transform_publish_period_s: LiveNumber,
+    /// Small corrections move the robot by at most this, metres a second; 0 for any.
+    pub max_correction_rate_m_s: LiveNumber,
 }
 
 /// A number that another thread may change.
@@ -87,6 +89,7 @@ impl Default for BridgeParameters {
                 map_update_interval_s: LiveNumber::new(5.0),
                 transform_timeout_s: LiveNumber::new(0.2),
                 transform_publish_period_s: LiveNumber::new(0.05),
+                max_correction_rate_m_s: LiveNumber::new(0.0),
             },
             unknown: Vec::new(),
         }
@@ -173,7 +176,8 @@ impl BridgeParameters {
 }
 
 impl LiveParameters {
-    const NAMES: [&str; 3] = ["map_update_interval", "transform_timeout", "transform_publish_period"];
+    const NAMES: [&str; 4] =
+        ["map_update_interval", "transform_timeout", "transform_publish_period", "max_correction_rate"];
 
     /// A parameter by its name, and its least and greatest value.
     fn find(&self, name: &str) -> Option<(&LiveNumber, [f64; 2])> {
@@ -181,6 +185,7 @@ impl LiveParameters {
             "map_update_interval" => Some((&self.map_update_interval_s, [0.1, 3600.0])),
             "transform_timeout" => Some((&self.transform_timeout_s, [0.0, 10.0])),
             "transform_publish_period" => Some((&self.transform_publish_period_s, [0.0, 1.0])),
+            "max_correction_rate" => Some((&self.max_correction_rate_m_s, [0.0, 10.0])),
             _ => None,
         }
     }

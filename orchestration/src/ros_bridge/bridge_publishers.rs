@@ -2,11 +2,12 @@
 
 use super::BridgeError;
 use super::bridge_parameters::BridgeParameters;
+use super::set_diagnostics::status;
 use flockslam_geometry::{Covariance, Pose};
-use flockslam_messages::PoseEstimate;
+use flockslam_messages::{PoseEstimate, PoseFlags, Quality};
 use flockslam_ros::messages::{
-    BondStatus, Header, Pose as RosPose, PoseWithCovariance, PoseWithCovarianceStamped, Quaternion,
-    TFMessage, Transform, TransformStamped, TransitionEvent, Vector3,
+    BondStatus, DiagnosticArray, DiagnosticStatus, Header, MarkerArray, Pose as RosPose, PoseWithCovariance,
+    PoseWithCovarianceStamped, Quaternion, TFMessage, Transform, TransformStamped, TransitionEvent, Vector3,
 };
 use flockslam_ros::{Node, Publisher, QualityOfService};
 
@@ -16,6 +17,10 @@ pub struct BridgePublishers {
     pub transforms: Publisher<TFMessage>,
     /// Poses of scans.
     pub poses: Publisher<PoseWithCovarianceStamped>,
+    /// How far each of them can be trusted.
+    pub quality: Publisher<DiagnosticArray>,
+    /// Moving bodies.
+    pub tracks: Publisher<MarkerArray>,
     /// Transitions of the node.
     pub transitions: Publisher<TransitionEvent>,
     /// Heartbeats; only with a manager.
@@ -34,6 +39,8 @@ impl BridgePublishers {
         Ok(Self {
             transforms: node.publisher("/tf", reliable(100))?,
             poses: node.publisher("pose", reliable(10))?,
+            quality: node.publisher("flockslam/quality", reliable(10))?,
+            tracks: node.publisher("flockslam/tracks", reliable(10))?,
             transitions: node.publisher("~/transition_event", reliable(10))?,
             bond,
         })
@@ -61,6 +68,27 @@ impl BridgePublishers {
             },
         });
     }
+}
+
+/// How far the pose of a scan can be trusted: one status, stamped as the scan.
+pub fn quality(estimate: &PoseEstimate, robot: &str) -> DiagnosticArray {
+    let (level, message) = match estimate.quality {
+        quality if quality == Quality::Tracking as u32 => (DiagnosticStatus::OK, "tracking"),
+        quality if quality == Quality::Degraded as u32 => (DiagnosticStatus::WARN, "degraded"),
+        _ => (DiagnosticStatus::ERROR, "lost"),
+    };
+    let Covariance { xx, yy, tt, .. } = estimate.covariance;
+    let figures = [
+        ("score", format!("{:.3}", estimate.score)),
+        ("position_std_m", format!("{:.4}", (xx + yy).max(0.0).sqrt())),
+        ("heading_std_rad", format!("{:.5}", tt.max(0.0).sqrt())),
+        ("matched", estimate.has(PoseFlags::MATCHED).to_string()),
+        ("inserted", estimate.has(PoseFlags::INSERT).to_string()),
+        ("corrections", estimate.corrections.to_string()),
+        ("trajectory", estimate.trajectory.to_string()),
+    ];
+    let status = status(level, "flockslam: quality".to_owned(), message, robot, &figures);
+    DiagnosticArray { header: Header::new(estimate.times.sensor_ns, ""), status: vec![status] }
 }
 
 /// A covariance in the plane, turned by an angle, among the six of space: those of z, roll and pitch are zero.
@@ -91,5 +119,20 @@ mod tests {
         assert_eq!((found[5][5], found[5][1], found[2][2]), (0.1, found[1][5], 0.0));
         let diagonal = turned(along_x, std::f64::consts::FRAC_PI_4);
         assert!((diagonal[0][1] - 1.5).abs() < 1e-9 && (diagonal[0][0] - 2.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_quality_of_a_pose_is_a_status_with_its_figures() {
+        let covariance = Covariance { xx: 0.0009, yy: 0.0016, tt: 0.0001, ..Covariance::default() };
+        let of = |quality: Quality| PoseEstimate {
+            quality: quality as u32,
+            covariance,
+            ..PoseEstimate::default()
+        };
+        let levels = [Quality::Tracking, Quality::Degraded, Quality::Lost]
+            .map(|kind| quality(&of(kind), "r1").status[0].level);
+        assert_eq!(levels, [DiagnosticStatus::OK, DiagnosticStatus::WARN, DiagnosticStatus::ERROR]);
+        let values = &quality(&of(Quality::Tracking), "r1").status[0].values;
+        assert_eq!((values[1].value.as_str(), values[2].value.as_str()), ("0.0500", "0.01000"));
     }
 }

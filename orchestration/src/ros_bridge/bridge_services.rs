@@ -8,10 +8,10 @@ use crate::outputs::{render_pgm, render_yaml};
 use crate::supervisor::{Reply, Request, ask};
 use flockslam_journal::{Durability, replace_file};
 use flockslam_ros::messages::{
-    ClearQueue, ClearQueueResponse, DeserializePoseGraph, DeserializePoseGraphResponse, NavigationSaveMap,
-    NavigationSaveMapResponse, Reset, ResetResponse, RosService, SerializePoseGraph,
-    SerializePoseGraphResponse, SetBool, SetBoolResponse, TogglePause, TogglePauseResponse, ToolboxSaveMap,
-    ToolboxSaveMapResponse, Trigger, TriggerResponse,
+    ClearQueue, ClearQueueResponse, DeserializePoseGraph, DeserializePoseGraphResponse, LoadMap,
+    LoadMapResponse, NavigationSaveMap, NavigationSaveMapResponse, OccupancyGrid, Reset, ResetResponse,
+    RosService, SerializePoseGraph, SerializePoseGraphResponse, SetBool, SetBoolResponse, TogglePause,
+    TogglePauseResponse, ToolboxSaveMap, ToolboxSaveMapResponse, Trigger, TriggerResponse,
 };
 use flockslam_ros::{Call, Node};
 use std::path::{Path, PathBuf};
@@ -25,7 +25,7 @@ const MAP_LIMIT: Duration = Duration::from_secs(20);
 
 /// What services answer when something is not to be had.
 const FAILURE: u8 = 255;
-/// `slam_toolbox/SaveMap`: there is no map.
+/// `slam_toolbox/SaveMap`, `nav2_msgs/LoadMap`: there is no map.
 const NO_MAP: u8 = 1;
 /// `slam_toolbox/DeserializePoseGraph`: the file cannot be read.
 const NOT_READ: u8 = 3;
@@ -100,8 +100,9 @@ impl SetOrders {
     }
 }
 
-/// A path in a call, as seen from this process.
+/// A path in a call, as seen from this process; nav2 writes them as addresses, too.
 fn absolute(path: &str) -> PathBuf {
+    let path = path.strip_prefix("file://").unwrap_or(path);
     std::path::absolute(path).unwrap_or_else(|_| PathBuf::from(path))
 }
 
@@ -186,6 +187,12 @@ impl Services<'_> {
         self.offer::<DeserializePoseGraph>("slam_toolbox/deserialize_map", |orders, request| {
             let done = orders.done(&Request::Load(absolute(&request.filename)));
             DeserializePoseGraphResponse { result: if done.is_ok() { 0 } else { NOT_READ } }
+        })?;
+        // An answer with the map would not arrive (docs/ros2.md): it comes on its topic.
+        self.offer::<LoadMap>("flockslam/load_map", |orders, request| {
+            let done = orders.done(&Request::Load(absolute(&request.map_url)));
+            let result = if done.is_ok() { 0 } else { NO_MAP };
+            LoadMapResponse { map: OccupancyGrid::default(), result }
         })
     }
 }

@@ -1,12 +1,13 @@
-//! The thread that publishes diagnostics: asking a supervisor takes time that transforms do not have.
+//! The thread that publishes diagnostics and the lines of the log: asking a supervisor takes time that transforms do not have.
 
 use super::BridgeError;
+use super::log_relay::LogRelay;
 use super::map_correction::Correction;
 use super::set_diagnostics::{BridgeReport, diagnostics, status};
 use crate::supervisor::{Reply, Request, ask};
 use flockslam_bus::RuntimeDir;
 use flockslam_ros::Publisher;
-use flockslam_ros::messages::{DiagnosticArray, DiagnosticStatus, Header};
+use flockslam_ros::messages::{DiagnosticArray, DiagnosticStatus, Header, Log};
 use std::path::PathBuf;
 use std::sync::mpsc::{Sender, channel};
 
@@ -24,6 +25,8 @@ pub enum Report {
 /// When the system refuses.
 pub fn report_by(
     publisher: Publisher<DiagnosticArray>,
+    lines: Publisher<Log>,
+    mut log: LogRelay,
     robot: String,
     control: PathBuf,
 ) -> Result<Sender<Report>, BridgeError> {
@@ -37,6 +40,7 @@ pub fn report_by(
                     (vec![status(DiagnosticStatus::WARN, name, &message, &robot, &[])], stamp_ns)
                 }
                 Report::Regular(report, stamp_ns) => {
+                    log.read().into_iter().for_each(|line| lines.send(line));
                     let set = match ask(&control, &Request::Status) {
                         Ok(Reply::Status(status)) => Some(status),
                         _ if !RuntimeDir::running().contains(&robot) => std::process::exit(0),

@@ -2,6 +2,7 @@
 
 use super::bridge_parameters::BridgeParameters;
 use super::lifecycle::NodeState;
+use super::transform_sieve::TransformSieve;
 use flockslam_ros::messages::{
     ChangeState, Clock, GetAvailableStates, GetAvailableStatesResponse, GetAvailableTransitions,
     GetAvailableTransitionsResponse, GetState, Imu, LaserScan, Odometry, PoseWithCovarianceStamped,
@@ -69,13 +70,17 @@ pub fn listen(node: &mut Node, parameters: &BridgeParameters, ear: &Ear) -> Resu
             put(Heard::Scan(Arc::clone(&name), Box::new(scan), Instant::now()));
         })?;
     }
-    let put = ear.put();
+    let (put, mut sieve) = (ear.put(), TransformSieve::of_moving());
     node.subscribe("/tf", QualityOfService::Reliable { depth: 100 }, move |message| {
-        put(Heard::Transforms(message, false));
+        if let Some(message) = sieve.sift(message) {
+            put(Heard::Transforms(message, false));
+        }
     })?;
-    let put = ear.put();
+    let (put, mut sieve) = (ear.put(), TransformSieve::of_static());
     node.subscribe("/tf_static", QualityOfService::Latched { depth: 100 }, move |message| {
-        put(Heard::Transforms(message, true));
+        if let Some(message) = sieve.sift(message) {
+            put(Heard::Transforms(message, true));
+        }
     })?;
     if !parameters.odom_topic.is_empty() {
         let put = ear.put();

@@ -12,6 +12,12 @@ pub const COAST_NS: i64 = 1_000_000_000;
 pub const JUMP_M: f64 = 0.1;
 /// … and radians.
 pub const JUMP_RAD: f64 = 0.035;
+/// Larger corrections are made at once also where small ones are made step by step: metres …
+const SLEWED_M: f64 = 0.3;
+/// … and radians.
+const SLEWED_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
+/// A turn counts as the way of a point at this distance, metres.
+const LEVER_M: f64 = 1.0;
 /// Poses that wait.
 const WAITING_MAX: usize = 64;
 
@@ -36,6 +42,8 @@ pub struct MapCorrection {
     waiting: VecDeque<(i64, Pose, i64)>,
     last: Option<Last>,
     last_stamp_ns: i64,
+    /// A correction moves the robot by at most this, metres a second; 0 for any.
+    pub rate_max_m_s: f64,
     /// Poses at whose time odometry is not known.
     pub without_odometry: u64,
 }
@@ -58,6 +66,7 @@ impl MapCorrection {
             waiting: VecDeque::new(),
             last: None,
             last_stamp_ns: i64::MIN,
+            rate_max_m_s: 0.0,
             without_odometry: 0,
         }
     }
@@ -108,9 +117,13 @@ impl MapCorrection {
         now_ns: i64,
         ahead_ns: i64,
     ) -> Correction {
+        let map_from_odom = self.last.map_or(map_from_odom, |last| {
+            let limit_m = self.rate_max_m_s * scan_ns.saturating_sub(last.scan_ns).max(0) as f64 * 1e-9;
+            slewed(last.map_from_odom, map_from_odom, odom_from_base, limit_m)
+        });
         let moved = |last: Last| {
             let (before, after) = (last.map_from_odom * odom_from_base, map_from_odom * odom_from_base);
-            (before.distance_m(after), before.turn_rad(after))
+            (before.distance_m(after), before.turn_rad(after).abs())
         };
         let jump = self.last.map_or((0.0, 0.0), moved);
         self.last = Some(Last { map_from_odom, scan_ns, made_ns: now_ns, sent_ns: now_ns });
@@ -151,6 +164,24 @@ impl MapCorrection {
         self.last_stamp_ns = wanted_ns.max(self.last_stamp_ns.saturating_add(1));
         self.last_stamp_ns
     }
+}
+
+/// The correction on the way from one to another that moves the robot by no more than `limit_m`; the other where that is 0 or it is far.
+fn slewed(from: Pose, to: Pose, odom_from_base: Pose, limit_m: f64) -> Pose {
+    let (before, after) = (from * odom_from_base, to * odom_from_base);
+    let (way_m, turn_rad) = (before.distance_m(after), after.heading_rad - before.heading_rad);
+    let turn_rad = turn_rad.sin().atan2(turn_rad.cos());
+    let whole_m = way_m.max(turn_rad.abs() * LEVER_M);
+    if limit_m <= 0.0 || whole_m <= limit_m || way_m > SLEWED_M || turn_rad.abs() > SLEWED_RAD {
+        return to;
+    }
+    let share = limit_m / whole_m;
+    let between = Pose::new(
+        before.x_m + share * (after.x_m - before.x_m),
+        before.y_m + share * (after.y_m - before.y_m),
+        before.heading_rad + share * turn_rad,
+    );
+    between * odom_from_base.inverse()
 }
 
 #[cfg(test)]
@@ -242,5 +273,28 @@ mod tests {
         correction.push(200 * MS, Pose::new(100.3, 0.0, 0.02), 0);
         let (jump_m, jump_rad) = correction.next(&buffer, 0, AHEAD).unwrap().jump;
         assert!((jump_m - 0.3).abs() < 1e-9 && (jump_rad - 0.02).abs() < 1e-9);
+    }
+
+    #[test]
+    fn small_corrections_may_be_made_step_by_step_and_large_ones_never_are() {
+        let (mut correction, mut buffer) = (MapCorrection::new("odom", "base"), TransformBuffer::default());
+        correction.rate_max_m_s = 0.5;
+        odometry(&mut buffer, 0, 10.0);
+        odometry(&mut buffer, 1000, 10.0);
+        let mut robot_at = |stamp_ms: i64, pose: Pose| {
+            correction.push(stamp_ms * MS, pose, 0);
+            correction.next(&buffer, 0, AHEAD).unwrap().map_from_odom * Pose::new(10.0, 0.0, 0.0)
+        };
+        robot_at(100, Pose::new(10.0, 0.0, 0.0));
+        let aside = Pose::new(10.0, 0.12, 0.0);
+        let found = [200, 300, 400].map(|stamp_ms| robot_at(stamp_ms, aside).y_m);
+        assert!(
+            [0.05, 0.1, 0.12].iter().zip(found).all(|(expected, y)| (expected - y).abs() < 1e-9),
+            "{found:?}"
+        );
+        let turned = robot_at(500, Pose::new(10.0, 0.12, 0.08));
+        assert!((turned.heading_rad - 0.05).abs() < 1e-9);
+        let far = Pose::new(11.0, 0.0, 0.0);
+        assert!(robot_at(600, far).distance_m(far) < 1e-9);
     }
 }

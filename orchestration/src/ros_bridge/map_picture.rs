@@ -203,13 +203,28 @@ impl MapPicture {
         Point::new(x_m, y_m)
     }
 
-    /// As a message.
-    pub fn message(&self, stamp_ns: i64, frame: &str) -> OccupancyGrid {
+    /// Whether another map has the same size and place.
+    pub fn lies_as(&self, other: &Self) -> bool {
+        (self.bounds, self.resolution_m) == (other.bounds, other.resolution_m)
+    }
+
+    /// Cells along x.
+    pub fn width(&self) -> usize {
+        self.bounds.width()
+    }
+
+    /// Cells row by row from below: −1 unknown, 0 free, 100 occupied.
+    pub fn values(&self) -> Vec<i8> {
         let value = |state: &CellState| match state {
             CellState::Unknown => -1,
             CellState::Free => 0,
             CellState::Occupied => 100,
         };
+        self.cells.iter().map(value).collect()
+    }
+
+    /// As a message.
+    pub fn message(&self, stamp_ns: i64, frame: &str) -> OccupancyGrid {
         OccupancyGrid {
             header: Header::new(stamp_ns, frame),
             info: MapMetaData {
@@ -219,7 +234,7 @@ impl MapPicture {
                 height: self.bounds.height() as u32,
                 origin: RosPose::planar(self.origin().x_m, self.origin().y_m, 0.0),
             },
-            data: self.cells.iter().map(value).collect(),
+            data: self.values(),
         }
     }
 

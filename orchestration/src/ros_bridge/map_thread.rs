@@ -2,13 +2,15 @@
 
 use super::BridgeError;
 use super::bridge_parameters::LiveNumber;
+use super::graph_markers::GraphMarkers;
+use super::map_change::map_change;
 use super::map_picture::{MapPainter, MapPicture};
 use flockslam_bus::{Bus, Capacity, RuntimeDir, Subscriber};
 use flockslam_geometry::Pose;
 use flockslam_messages::{Commit, Control, ControlKind, PoseEstimate, Stage, TileMessage};
 use flockslam_page::{FollowedMap, Version, version_of};
 use flockslam_ros::Publisher;
-use flockslam_ros::messages::{MapMetaData, OccupancyGrid};
+use flockslam_ros::messages::{MapMetaData, MarkerArray, OccupancyGrid, OccupancyGridUpdate};
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
@@ -22,12 +24,26 @@ const SETTLE: Duration = Duration::from_secs(10);
 /// The first map follows what is known at once, within this.
 const FIRST: Duration = Duration::from_millis(500);
 
+/// Changes of the map are published this often, while somebody hears them.
+const CHANGE_PERIOD: Duration = Duration::from_secs(1);
+
 /// Orders to the thread.
 pub enum MapOrder {
     /// Publish, or rest.
     Active(bool),
+    /// Who hears what is made only for those who want it.
+    Heard(HeardTopics),
     /// Bring the map up to date, publish it if it has changed, and hand it over with its stamp.
     Show(ShowMap),
+}
+
+/// Topics of the thread that somebody hears.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct HeardTopics {
+    /// Changes of the map.
+    pub changes: bool,
+    /// The graph.
+    pub graph: bool,
 }
 
 /// Takes the map, and its stamp in nanoseconds; `None` while there is none.
@@ -57,6 +73,10 @@ pub struct MapPublishers {
     pub map: Publisher<OccupancyGrid>,
     /// Its size and place.
     pub metadata: Publisher<MapMetaData>,
+    /// What has changed of it.
+    pub changes: Publisher<OccupancyGridUpdate>,
+    /// The graph.
+    pub graph: Publisher<MarkerArray>,
 }
 
 /// Starts the thread; it ends with the sender of orders.
@@ -87,6 +107,9 @@ struct MapKeeper<'p> {
     map_from_odom: Pose,
     stamp_ns: i64,
     is_active: bool,
+    heard: HeardTopics,
+    graph: GraphMarkers,
+    graph_sent: Instant,
     /// The set's file: it is written anew when the set begins another map.
     set_file: Option<Version>,
     /// Something has changed since the map was painted.
@@ -94,6 +117,10 @@ struct MapKeeper<'p> {
     painted: Option<MapPicture>,
     published: Option<MapPicture>,
     published_at: Option<Instant>,
+    /// What those see who have heard all changes; `None` when it is what was published.
+    changed: Option<MapPicture>,
+    /// When changes are looked for again.
+    change_due: Instant,
     // The ports go before the bus.
     bus: Bus,
 }
@@ -107,6 +134,7 @@ fn keep(
     loop {
         match orders.recv_timeout(LOOK) {
             Ok(MapOrder::Active(is_active)) => keeper.set_active(is_active),
+            Ok(MapOrder::Heard(heard)) => keeper.heard = heard,
             Ok(MapOrder::Show(show)) => {
                 keeper.read()?;
                 keeper.bring_up(SETTLE);
@@ -122,7 +150,10 @@ fn keep(
         if keeper.is_due() {
             keeper.paint();
             keeper.publish();
+        } else {
+            keeper.publish_change();
         }
+        keeper.publish_graph();
     }
 }
 
@@ -141,11 +172,16 @@ impl<'p> MapKeeper<'p> {
             map_from_odom: Pose::IDENTITY,
             stamp_ns: 0,
             is_active: false,
+            heard: HeardTopics::default(),
+            graph: GraphMarkers::default(),
+            graph_sent: Instant::now(),
             set_file: version_of(&runtime.configuration()),
             is_stale: false,
             painted: None,
             published: None,
             published_at: None,
+            changed: None,
+            change_due: Instant::now(),
             runtime,
             bus,
         };
@@ -165,7 +201,7 @@ impl<'p> MapKeeper<'p> {
         self.is_active = is_active;
         if is_active {
             // Who comes later than the last map gets the newest.
-            (self.published, self.published_at) = (None, None);
+            (self.published, self.published_at, self.changed) = (None, None, None);
             self.is_stale = true;
         }
     }
@@ -173,6 +209,7 @@ impl<'p> MapKeeper<'p> {
     fn read(&mut self) -> Result<(), BridgeError> {
         while let Some(pose) = self.poses.receive()? {
             self.map_from_odom = pose.map_from_odom;
+            self.graph.push(&pose);
         }
         while let Some(commit) = self.commits.receive()? {
             self.stamp_ns = commit.times.sensor_ns;
@@ -182,7 +219,8 @@ impl<'p> MapKeeper<'p> {
             self.set_file = present;
             self.followed = FollowedMap::new(&self.runtime, self.place.optimises);
             self.painter.clear();
-            (self.painted, self.published) = (None, None);
+            (self.painted, self.published, self.changed) = (None, None, None);
+            self.graph = GraphMarkers::default();
             self.is_stale = true;
             self.ask_for_tiles()?;
         }
@@ -190,7 +228,9 @@ impl<'p> MapKeeper<'p> {
             self.painter.take(&tile);
             self.is_stale = true;
         }
-        self.is_stale |= self.followed.look().is_new;
+        let stored = self.followed.look();
+        self.is_stale |= stored.is_new;
+        stored.poses.into_iter().for_each(|solution| self.graph.solve(solution));
         Ok(())
     }
 
@@ -205,7 +245,8 @@ impl<'p> MapKeeper<'p> {
     fn is_due(&self) -> bool {
         let interval = Duration::from_secs_f64(self.place.interval_s.get());
         let interval = if self.published.is_some() { interval } else { interval.min(FIRST) };
-        self.is_active && self.is_stale && self.published_at.is_none_or(|at| at.elapsed() >= interval)
+        let is_new = self.is_stale || self.changed.is_some();
+        self.is_active && is_new && self.published_at.is_none_or(|at| at.elapsed() >= interval)
     }
 
     fn paint(&mut self) {
@@ -220,7 +261,8 @@ impl<'p> MapKeeper<'p> {
         if !self.is_active {
             return;
         }
-        self.published_at = Some(Instant::now());
+        (self.published_at, self.changed) = (Some(Instant::now()), None);
+        self.change_due = Instant::now() + CHANGE_PERIOD;
         let Some(painted) = self.painted.as_ref().filter(|painted| self.published.as_ref() != Some(*painted))
         else {
             return;
@@ -229,5 +271,33 @@ impl<'p> MapKeeper<'p> {
         self.publishers.metadata.send(message.info.clone());
         self.publishers.map.send(message);
         self.published = Some(painted.clone());
+    }
+
+    /// Publishes what has changed since the map was published, for who hears that.
+    fn publish_change(&mut self) {
+        if !(self.is_active && self.heard.changes && self.is_stale && self.change_due <= Instant::now()) {
+            return;
+        }
+        self.change_due = Instant::now() + CHANGE_PERIOD;
+        self.paint();
+        let before = self.changed.as_ref().or(self.published.as_ref());
+        let (Some(before), Some(painted)) = (before, &self.painted) else { return };
+        if let Some(change) = map_change(before, painted, self.stamp_ns, &self.place.map_frame) {
+            self.publishers.changes.send(change);
+            self.changed = Some(painted.clone());
+        } else if before != painted {
+            // Another size: the whole map comes when it is due.
+            self.is_stale = true;
+        }
+    }
+
+    fn publish_graph(&mut self) {
+        let interval = Duration::from_secs_f64(self.place.interval_s.get());
+        if self.is_active && self.heard.graph && self.graph_sent.elapsed() >= interval {
+            self.graph_sent = Instant::now();
+            let origins = self.followed.origins();
+            let stamp_ns = self.stamp_ns;
+            self.publishers.graph.send(self.graph.message(stamp_ns, &self.place.map_frame, origins));
+        }
     }
 }

@@ -12,6 +12,8 @@ use std::time::{Duration, Instant};
 const PLACE_WAIT: Duration = Duration::from_secs(2);
 /// Scans that wait.
 const WAITING_MAX: usize = 64;
+/// Frames without a place, and lines that were said, are remembered up to this number: names may come without end.
+const NAMES_MAX: usize = 256;
 /// A frame that lidar-ingest does not take within this is lost.
 const PATIENCE: Duration = Duration::from_millis(50);
 /// A scan whose stamp is farther from the clock of the graph is said to be, nanoseconds.
@@ -100,6 +102,7 @@ impl SensorRelay {
 
     /// Takes a scan; `now_ns` by the clock of the graph.
     pub fn take_scan(&mut self, topic: &str, message: LaserScan, heard: Instant, now_ns: Option<i64>) {
+        let claimed_s = message.time_increment;
         let scan = match scan_of(message) {
             Ok(scan) => scan,
             Err(problem) => {
@@ -107,6 +110,11 @@ impl SensorRelay {
                 return self.say(format!("{topic}: a scan is left out: {problem}"));
             }
         };
+        if claimed_s != 0.0 && scan.scan.header.time_increment_s == 0.0 {
+            self.say(format!(
+                "{topic}: a time_increment of {claimed_s} s cannot be: scans count as taken at one time"
+            ));
+        }
         let stamp_ns = scan.scan.header.times.sensor_ns;
         let gap_ns = now_ns.map_or(0, |now_ns| stamp_ns.saturating_sub(now_ns));
         if gap_ns.saturating_abs() > APART_NS {
@@ -165,9 +173,9 @@ impl SensorRelay {
         }
     }
 
-    /// Whether the pose of a scan is awaited.
-    pub fn awaits_pose(&self) -> bool {
-        !self.on_the_way.is_empty()
+    /// How long ago the scan came whose pose is awaited; `None` when none is.
+    pub fn awaited_for(&self) -> Option<Duration> {
+        self.on_the_way.back().map(|(_, heard)| heard.elapsed())
     }
 
     /// Whether a scan waits for its place.
@@ -224,25 +232,32 @@ impl SensorRelay {
     }
 
     fn relay_scans(&mut self) {
-        while let Some(front) = self.waiting.front() {
-            let stamp_ns = front.scan.scan.header.times.sensor_ns;
-            // Scans of other lidars stand behind it.
-            let waits = front.heard.elapsed() < PLACE_WAIT && !self.placeless.contains(&front.scan.frame);
-            let place = match self.place(&front.scan.frame, stamp_ns) {
+        let mut index = 0;
+        while let Some(next) = self.waiting.get(index) {
+            let stamp_ns = next.scan.scan.header.times.sensor_ns;
+            let waits = next.heard.elapsed() < PLACE_WAIT && !self.placeless.contains(&next.scan.frame);
+            let place = match self.place(&next.scan.frame, stamp_ns) {
                 Ok(place) => place,
-                Err(_) if waits => return,
+                Err(_) if waits => {
+                    // Those of other lidars behind it do not wait for it.
+                    index += 1;
+                    continue;
+                }
                 // Nobody has said anything: the lidar is the robot.
                 Err(_) if self.transforms.is_empty() => Isometry3::identity(),
                 Err(error) => {
-                    let (topic, frame) = (front.topic.clone(), front.scan.frame.clone());
-                    self.waiting.pop_front();
+                    let (topic, frame) = (next.topic.clone(), next.scan.frame.clone());
+                    self.waiting.remove(index);
                     self.counts.unplaced += 1;
+                    if self.placeless.len() == NAMES_MAX {
+                        self.placeless.clear();
+                    }
                     self.placeless.insert(frame.clone());
                     self.say_unplaced(&topic, &frame, error);
                     continue;
                 }
             };
-            let Some(Waiting { topic, mut scan, heard }) = self.waiting.pop_front() else { return };
+            let Some(Waiting { topic, mut scan, heard }) = self.waiting.remove(index) else { return };
             match Mounting::from_transform(&place) {
                 Ok(mounting) => scan.mounting = Some(mounting),
                 Err(tilted) => {
@@ -304,7 +319,7 @@ impl SensorRelay {
     fn say(&mut self, line: String) {
         // Figures differ from line to line.
         let kind: String = line.chars().filter(|c| !c.is_ascii_digit()).collect();
-        if self.said.insert(kind) {
+        if self.said.len() < NAMES_MAX && self.said.insert(kind) {
             tracing::warn!("{line}");
         }
     }
@@ -370,13 +385,26 @@ mod tests {
     fn a_scan_goes_on_with_its_place_once_that_is_known() {
         let (mut relay, mut ingest, _directory) = relay();
         relay.take_scan("/scan", scan(100), Instant::now(), Some(100 * MS));
-        assert!(relay.holds_scans() && !relay.awaits_pose());
+        assert!(relay.holds_scans() && relay.awaited_for().is_none());
         assert_eq!(relay.take_transforms(transform(0, "base", "laser", 0.3), true), None);
         let frames = ingest.frames(1);
         let SensorFrame::Scan(LidarScan { lidar, scan }) = &frames[0] else { panic!("{frames:?}") };
         assert_eq!((lidar.as_str(), scan.frame.as_str()), ("/scan", "laser"));
         assert!((scan.mounting.unwrap().base_from_laser.x_m - 0.3).abs() < 1e-9);
-        assert!(relay.awaits_pose() && relay.came(100 * MS).is_some() && !relay.awaits_pose());
+        assert!(relay.awaited_for().is_some());
+        assert!(relay.came(100 * MS).is_some() && relay.awaited_for().is_none());
+    }
+
+    #[test]
+    fn a_scan_of_a_stranger_holds_nobody_up() {
+        let (mut relay, mut ingest, _directory) = relay();
+        relay.take_transforms(transform(0, "base", "laser", 0.3), true);
+        let of_nobody = LaserScan { header: Header::new(90 * MS, "nobody"), ..scan(90) };
+        relay.take_scan("/scan", of_nobody, Instant::now(), Some(90 * MS));
+        relay.take_scan("/scan", scan(100), Instant::now(), Some(100 * MS));
+        let frames = ingest.frames(1);
+        let SensorFrame::Scan(LidarScan { scan, .. }) = &frames[0] else { panic!("{frames:?}") };
+        assert_eq!((scan.frame.as_str(), relay.holds_scans()), ("laser", true));
     }
 
     #[test]
@@ -415,9 +443,10 @@ mod tests {
         let long_ago = Instant::now() - 2 * PLACE_WAIT;
         relay.take_scan("/scan", scan(100), long_ago, Some(100 * MS));
         relay.take_scan("/scan", LaserScan { angle_min: f32::NAN, ..scan(200) }, long_ago, None);
-        relay.take_scan("/scan", scan(300), long_ago, Some(3_600_000 * MS));
+        let of_a_ydlidar = LaserScan { time_increment: 153_333.0, ..scan(300) };
+        relay.take_scan("/scan", of_a_ydlidar, long_ago, Some(3_600_000 * MS));
         let expected = RelayCounts { unplaced: 2, malformed: 1, apart: 1, ..RelayCounts::default() };
         assert_eq!(relay.counts, expected);
-        assert_eq!(relay.said.len(), 3);
+        assert_eq!(relay.said.len(), 4);
     }
 }

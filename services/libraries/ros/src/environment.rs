@@ -4,8 +4,9 @@ use crate::RosError;
 
 /// Domains whose ports lie in the range that Linux leaves free.
 const DOMAIN_MAX: u16 = 232;
-/// What DDS implementations call themselves: a node speaks with all of them, so either is as good as none.
-const DDS: [&str; 4] = ["", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp"];
+/// What implementations of DDS call themselves: a node hears all of them.
+const DDS: [&str; 4] = ["", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", CYCLONE];
+const CYCLONE: &str = "rmw_cyclonedds_cpp";
 
 /// How far nodes look for each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,6 +17,15 @@ pub enum Reach {
     Subnet,
 }
 
+/// Whose way of calling services the nodes of a graph have. Topics are the same for both.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Callers {
+    /// Who has called stands beside calls and answers: Fast DDS, and others by the standard.
+    FastDds,
+    /// Who has called stands before calls and answers: Cyclone DDS.
+    CycloneDds,
+}
+
 /// The part of the environment that every node of ROS 2 follows.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Environment {
@@ -23,6 +33,8 @@ pub struct Environment {
     pub domain: u16,
     /// From `ROS_LOCALHOST_ONLY` and `ROS_AUTOMATIC_DISCOVERY_RANGE`.
     pub reach: Reach,
+    /// From `RMW_IMPLEMENTATION`; Fast DDS unless it says otherwise.
+    pub callers: Callers,
     /// Variables that are set and have no effect here, each with the reason.
     pub unhonoured: Vec<String>,
 }
@@ -72,6 +84,7 @@ impl Environment {
         };
         let mut unhonoured = Vec::new();
         let middleware = text("RMW_IMPLEMENTATION");
+        let callers = if middleware == CYCLONE { Callers::CycloneDds } else { Callers::FastDds };
         if !DDS.contains(&middleware.as_str()) {
             unhonoured
                 .push(format!("RMW_IMPLEMENTATION={middleware}: nodes of DDS are heard, others are not"));
@@ -82,7 +95,7 @@ impl Environment {
                 unhonoured.push(format!("{name}={value}: nodes are found by multicast only"));
             }
         }
-        Ok(Self { domain, reach, unhonoured })
+        Ok(Self { domain, reach, callers, unhonoured })
     }
 }
 
@@ -121,6 +134,8 @@ mod tests {
             ("ROS_STATIC_PEERS", "10.0.0.2"),
         ]);
         assert_eq!(named.unwrap().unhonoured.len(), 3);
-        assert!(read(&[("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")]).unwrap().unhonoured.is_empty());
+        let cyclone = read(&[("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")]).unwrap();
+        assert_eq!((cyclone.callers, cyclone.unhonoured.len()), (Callers::CycloneDds, 0));
+        assert_eq!(read(&[]).unwrap().callers, Callers::FastDds);
     }
 }

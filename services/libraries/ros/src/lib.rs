@@ -11,7 +11,7 @@ mod quality_of_service;
 mod ros_error;
 mod ros_node;
 
-pub use environment::{Environment, Reach};
+pub use environment::{Callers, Environment, Reach};
 pub use graph_names::{NodeIdentity, Remap};
 pub use node_arguments::NodeArguments;
 pub use parameter_file::parameters_of_file;

@@ -1,7 +1,7 @@
 //! A node: its topics, services and parameters over DDS. One thread hears for it.
 
 use crate::messages::{RosMessage, RosService};
-use crate::{Environment, NodeIdentity, ParameterValue, QualityOfService, Reach, RosError};
+use crate::{Callers, Environment, NodeIdentity, ParameterValue, QualityOfService, Reach, RosError};
 use ros2_client::dds::rustdds::DomainParticipantBuilder;
 use ros2_client::{
     Context, Gid, MessageTypeName, Name, NodeName, NodeOptions, ServiceMapping, ServiceTypeName,
@@ -37,6 +37,7 @@ type Change = Box<dyn Fn(&ParameterValue) -> Result<(), String> + Send + Sync>;
 pub struct Node {
     identity: NodeIdentity,
     node: ros2_client::Node,
+    callers: Callers,
     ears: Vec<Ear>,
     undecodable: Arc<AtomicU64>,
     /// Of its own publishers.
@@ -76,6 +77,11 @@ impl<S: RosService> Answer<S> {
 }
 
 impl<M: RosMessage> Publisher<M> {
+    /// The full name of its topic.
+    pub fn topic(&self) -> &str {
+        &self.topic
+    }
+
     /// Sends a message. One that cannot be sent is said in the log.
     pub fn send(&self, message: M) {
         if let Err(error) = self.publisher.publish(message) {
@@ -107,7 +113,15 @@ impl Node {
             .map_err(|error| RosError::Name { name: identity.full_name(), reason: error.to_string() })?;
         let node =
             context.new_node(name, options(parameters)).map_err(|error| refused(format!("{error:?}")))?;
-        Ok(Self { identity, node, ears: Vec::new(), undecodable: Arc::default(), own: Arc::default() })
+        let callers = environment.callers;
+        Ok(Self {
+            identity,
+            node,
+            callers,
+            ears: Vec::new(),
+            undecodable: Arc::default(),
+            own: Arc::default(),
+        })
     }
 
     /// A topic to send on.
@@ -173,10 +187,14 @@ impl Node {
     ) -> Result<(), RosError> {
         let full = self.identity.resolve(name)?;
         let quality = QualityOfService::Reliable { depth: 10 }.profile();
+        let mapping = match self.callers {
+            Callers::FastDds => ServiceMapping::Enhanced,
+            Callers::CycloneDds => ServiceMapping::Cyclone,
+        };
         let server = self
             .node
             .create_server::<S::Request, S::Response>(
-                ServiceMapping::Enhanced,
+                mapping,
                 &parsed(&full)?,
                 &ServiceTypeName::new(S::TYPE.0, S::TYPE.1),
                 quality.clone(),
@@ -261,9 +279,9 @@ impl RunningNode {
         self.undecodable.load(Ordering::Relaxed)
     }
 
-    /// How many publishers of a topic, by its full name, other nodes have.
-    pub fn publisher_count(&self, full_name: &str) -> usize {
-        self.node.as_ref().map_or(0, |node| node.publisher_count(full_name))
+    /// Whether another node hears a topic, by its full name.
+    pub fn is_heard(&self, full_name: &str) -> bool {
+        self.node.as_ref().is_some_and(|node| node.subscription_count(full_name) > 0)
     }
 }
 
@@ -278,7 +296,8 @@ impl Drop for RunningNode {
 }
 
 fn options(parameters: Vec<Parameter>) -> NodeOptions {
-    let mut options = NodeOptions::new();
+    // Lines of the log are those of the whole set: a publisher like others sends them.
+    let mut options = NodeOptions::new().enable_rosout(false);
     let mut changes = Vec::new();
     for parameter in parameters {
         options = options.declare_parameter(&parameter.name, parameter.value.into());

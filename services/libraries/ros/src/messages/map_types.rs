@@ -1,6 +1,6 @@
 //! Maps.
 
-use super::{Header, Pose, Time, message};
+use super::{Header, Pose, Time, message, service};
 
 message! {
     /// `nav_msgs/MapMetaData`.
@@ -27,5 +27,38 @@ message! {
         info: MapMetaData,
         /// Row by row from below: −1 unknown, 0 free … 100 occupied.
         data: Vec<i8>,
+    }
+}
+
+message! {
+    /// `map_msgs/OccupancyGridUpdate`: a rectangle of a map whose cells have changed.
+    OccupancyGridUpdate = "map_msgs" {
+        /// When, in which frame.
+        header: Header,
+        /// The first column of the rectangle.
+        x: i32,
+        /// Its first row.
+        y: i32,
+        /// Cells along x.
+        width: u32,
+        /// Cells along y.
+        height: u32,
+        /// Row by row from below, as in the map.
+        data: Vec<i8>,
+    }
+}
+
+service! {
+    /// `nav2_msgs/LoadMap`.
+    LoadMap = "nav2_msgs" / "LoadMap",
+    LoadMapRequest {
+        /// Where from: a path or a `file://` address.
+        map_url: String,
+    },
+    LoadMapResponse {
+        /// The map; empty here.
+        map: OccupancyGrid,
+        /// 0 for success, 1 when there is no such map, 255 when something else is wrong.
+        result: u8,
     }
 }
