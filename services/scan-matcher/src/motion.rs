@@ -100,11 +100,6 @@ pub(crate) fn matrix(c: Covariance) -> Matrix3<f64> {
 }
 
 impl Prediction {
-    /// Whether it comes without odometry.
-    pub(crate) fn is_blind(&self) -> bool {
-        self.coasting.is_none()
-    }
-
     /// How improbable a pose is by the prediction alone: the negative logarithm of its probability density relative to the
     /// predicted pose's, at most [`SLIP_COST`].
     pub(crate) fn cost(&self, pose: Pose) -> f64 {

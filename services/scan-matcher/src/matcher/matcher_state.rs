@@ -65,7 +65,7 @@ pub(super) struct Confidence {
     pub(super) searched: Option<Pose>,
     /// The rival of the last pose.
     pub(super) rival: Option<Rival>,
-    /// Where wide searches found the last scans of a robot without odometry that is lost, and in how many in a row.
+    /// Where wide searches found the last scans of a robot that is lost, and in how many in a row.
     pub(super) found: Option<(Pose, u32)>,
 }
 
