@@ -33,6 +33,10 @@ pub(crate) const SLIP_COST: f64 = 10.0;
 /// does, could pass poor fits off as poor wheels: 0.03 m and 0.7° over a metre.
 const STEP_SCALES_MAX: (f64, f64) = (0.05, 0.5);
 
+/// Without odometry the velocity takes over at most this share of what a fit corrects. A scan straightened by a false velocity is placed
+/// wrong by half of what the robot would have gone during it, the other way: taken over whole, this error would sustain itself.
+const SHARE_MAX: f64 = 0.8;
+
 /// Share of the velocity that remains after each rejected scan.
 const KEPT_WHEN_LOST: f64 = 0.5;
 
@@ -281,7 +285,7 @@ impl Motion {
             matrix(predicted.covariance).try_inverse().map(|inverse| matrix(estimate.covariance) * inverse);
         let share = left.and_then(|left| {
             let gain = Matrix3::identity() - left;
-            Some(gain * (Matrix3::identity() + left).try_inverse()?)
+            Some(gain * (Matrix3::identity() + left).try_inverse()? * SHARE_MAX)
         });
         let Some(share) = share else { return estimate.odom_from_base };
         let (from, to) = (predicted.pose, estimate.odom_from_base);
