@@ -33,10 +33,6 @@ pub(crate) const SLIP_COST: f64 = 10.0;
 /// does, could pass poor fits off as poor wheels: 0.03 m and 0.7° over a metre.
 const STEP_SCALES_MAX: (f64, f64) = (0.05, 0.5);
 
-/// Without odometry the velocity takes over at most this share of what a fit corrects. A scan straightened by a false velocity is placed
-/// wrong by half of what the robot would have gone during it, the other way: taken over whole, this error would sustain itself.
-const SHARE_MAX: f64 = 0.8;
-
 /// Share of the velocity that remains after each rejected scan.
 const KEPT_WHEN_LOST: f64 = 0.5;
 
@@ -56,8 +52,6 @@ pub(crate) struct Motion {
     /// The lidar of the last scan.
     lidar: u32,
     period_s: f64,
-    /// The last scan fitted nowhere.
-    is_lost: bool,
     velocity: Twist,
     /// The error of odometry, as fits have shown it.
     noise: OdometryNoise,
@@ -150,7 +144,6 @@ impl Motion {
             stamp_ns: None,
             lidar: 0,
             period_s: PERIOD_START_S,
-            is_lost: false,
             velocity: Twist::default(),
             noise: OdometryNoise::default(),
             scale: WheelScale::default(),
@@ -253,46 +246,24 @@ impl Motion {
     pub(crate) fn advance(&mut self, scan: ScanView<'_>, estimate: &PoseEstimate) {
         let (pose, covariance) = (estimate.odom_from_base, estimate.covariance);
         let lost = estimate.quality == Quality::Lost as u32;
-        // A jump is no motion; nor is the way from where a lost robot was taken to be.
+        // A jump is no motion.
         let jumped = estimate.has(PoseFlags::RESCUED) && scan.odometry().is_some();
         let step_s = self.step_s(scan);
         if self.stamp_ns.is_some() && !self.is_brief(scan, step_s) {
             let kept = if lost { KEPT_WHEN_LOST } else { 1.0 };
             let motion = match (self.odometry, scan.odometry()) {
                 (Some(before), Some(now)) if jumped => before.to(now),
-                _ if self.is_lost && !lost => Pose::IDENTITY,
-                (_, None) if !lost => self.pose.to(self.shown(scan, estimate)),
                 _ => self.pose.to(pose),
             };
             self.velocity = scaled(Twist::from_motion(motion, self.even(scan, step_s)), kept);
             self.period_s += 0.05 * (step_s - self.period_s);
         }
-        self.is_lost = lost;
         self.pose = pose;
         self.covariance = covariance;
         self.odometry = scan.odometry();
         self.gyro_rad = scan.gyro_heading_rad();
         self.stamp_ns = Some(scan.header().times.sensor_ns);
         self.lidar = scan.header().id.lidar;
-    }
-
-    /// The pose to which the velocity would have brought a robot without odometry. Where a scan hardly measures, as along a corridor, a
-    /// step says little of the velocity: the filter of constant velocity (Kalata's relation β = α² ∕ (2 − α)) gives the velocity the share
-    /// α ∕ (2 − α) of what the fit has corrected, with the gain α of the position.
-    fn shown(&self, scan: ScanView<'_>, estimate: &PoseEstimate) -> Pose {
-        let predicted = self.predict(scan);
-        let left =
-            matrix(predicted.covariance).try_inverse().map(|inverse| matrix(estimate.covariance) * inverse);
-        let share = left.and_then(|left| {
-            let gain = Matrix3::identity() - left;
-            Some(gain * (Matrix3::identity() + left).try_inverse()? * SHARE_MAX)
-        });
-        let Some(share) = share else { return estimate.odom_from_base };
-        let (from, to) = (predicted.pose, estimate.odom_from_base);
-        let corrected =
-            Vector3::new(to.x_m - from.x_m, to.y_m - from.y_m, wrap_angle(to.heading_rad - from.heading_rad));
-        let step = share * corrected;
-        Pose::new(from.x_m + step.x, from.y_m + step.y, from.heading_rad + step.z)
     }
 
     /// A step between stamps that jitter, kept near the nominal period: scans of a lidar come at even times even if their stamps do
