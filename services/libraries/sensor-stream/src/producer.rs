@@ -38,13 +38,14 @@ pub enum SendError {
 /// ```no_run
 /// # use flockslam_sensor_stream::{Producer, SensorFrame};
 /// # use std::{path::Path, time::Duration};
-/// # fn next_frame() -> SensorFrame { unimplemented!() }
+/// # fn send_all(frames: impl Iterator<Item = SensorFrame>) {
 /// let mut producer = Producer::new(Path::new("/dev/shm/flockslam-r1/scans"), Some(Duration::from_millis(100)));
-/// loop {
-///     if let Err(problem) = producer.send(&next_frame()) {
+/// for frame in frames {
+///     if let Err(problem) = producer.send(&frame) {
 ///         eprintln!("{problem}; {} frames lost so far", producer.lost());
 ///     }
 /// }
+/// # }
 /// ```
 #[derive(Debug)]
 pub struct Producer {
