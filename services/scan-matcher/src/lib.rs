@@ -43,6 +43,7 @@ mod matcher;
 mod motion;
 pub mod process;
 mod settings;
+mod turn_scale;
 mod wheel_scale;
 
 pub use matcher::ScanMatcher;

@@ -1,6 +1,7 @@
 //! Prediction of the next pose from odometry or the last velocity, with its covariance, and its fusion with a fit (the
 //! update of a Kalman filter).
 
+use crate::turn_scale::TurnScale;
 use crate::wheel_scale::WheelScale;
 use flockslam_geometry::{Covariance, Pose, Twist, wrap_angle};
 use flockslam_messages::{PoseEstimate, PoseFlags, Quality, ScanView};
@@ -33,6 +34,13 @@ pub(crate) const SLIP_COST: f64 = 10.0;
 /// does, could pass poor fits off as poor wheels: 0.03 m and 0.7° over a metre.
 const STEP_SCALES_MAX: (f64, f64) = (0.05, 0.5);
 
+/// Without odometry the velocity takes over at most this share of what a fit corrects. A scan straightened by a false velocity is placed
+/// wrong by half of what the robot would have gone during it, the other way: taken over whole, this error would sustain itself.
+const SHARE_MAX: f64 = 0.8;
+
+/// A change of the turn between scans that may be noise of odometry, radians a second.
+const TURN_NOISE_RAD_S: f64 = 0.1;
+
 /// Share of the velocity that remains after each rejected scan.
 const KEPT_WHEN_LOST: f64 = 0.5;
 
@@ -52,11 +60,17 @@ pub(crate) struct Motion {
     /// The lidar of the last scan.
     lidar: u32,
     period_s: f64,
+    /// The last scan fitted nowhere.
+    is_lost: bool,
     velocity: Twist,
+    /// The mean velocity by odometry between the last two scans.
+    odometry_twist: Option<Twist>,
     /// The error of odometry, as fits have shown it.
     noise: OdometryNoise,
     /// The scale of odometry, as surfaces in the open have shown it.
     scale: WheelScale,
+    /// The scale of its turns, as fits have shown it.
+    turn_scale: TurnScale,
 }
 
 /// Whether a first pose is near enough to the origin to count in centimetres from there.
@@ -70,6 +84,8 @@ pub(crate) struct Prediction {
     pub(crate) pose: Pose,
     /// Velocity since the scan before, in the robot's own frame.
     pub(crate) twist: Twist,
+    /// Scans are missing between this one and the one before: the robot may have gone anywhere near.
+    pub(crate) after_gap: bool,
     pub(crate) covariance: Covariance,
     /// Covariance that the motion since the scan before adds.
     pub(crate) step: Covariance,
@@ -144,9 +160,12 @@ impl Motion {
             stamp_ns: None,
             lidar: 0,
             period_s: PERIOD_START_S,
+            is_lost: false,
             velocity: Twist::default(),
+            odometry_twist: None,
             noise: OdometryNoise::default(),
             scale: WheelScale::default(),
+            turn_scale: TurnScale::default(),
         }
     }
 
@@ -170,7 +189,15 @@ impl Motion {
         {
             let (twist, covariance) = (Twist::default(), self.covariance);
             let step = Covariance::default();
-            return Prediction { pose: start, twist, covariance, step, steady: None, coasting: None };
+            return Prediction {
+                pose: start,
+                twist,
+                after_gap: false,
+                covariance,
+                step,
+                steady: None,
+                coasting: None,
+            };
         }
         let step_s = self.step_s(scan);
         let unchanged = self.velocity.motion_after(self.even(scan, step_s));
@@ -179,7 +206,7 @@ impl Motion {
             (Some(before), Some(now)) => {
                 let said = before.to(now);
                 let motion = Pose { x_m: self.scale.factor() * said.x_m, ..said };
-                (motion, if is_brief { self.velocity } else { Twist::from_motion(motion, step_s) })
+                (motion, if is_brief { self.velocity } else { self.twist_after(scan, motion, step_s) })
             }
             _ => match self.turned_rad(scan) {
                 Some(turned_rad) => {
@@ -203,7 +230,25 @@ impl Motion {
         let position = drift_m2 * (STEP_SCALES_MAX.0 / scales.0).min(1.0);
         let heading = drift_rad2 * (STEP_SCALES_MAX.1 / scales.1).min(1.0);
         let step = Covariance { xx: position, yy: position, tt: heading, ..Covariance::default() };
-        Prediction { pose: self.pose * motion, twist, covariance, step, steady, coasting }
+        let after_gap = self.elapsed_s(scan).is_some_and(|elapsed_s| elapsed_s > PERIOD_MAX_S);
+        let pose = self.pose * motion;
+        Prediction { pose, twist, after_gap, covariance, step, steady, coasting }
+    }
+
+    /// The velocity during a scan that comes after this motion by odometry. A turn that has become faster goes on becoming so; what may be
+    /// noise of odometry is no such change.
+    fn twist_after(&self, scan: ScanView<'_>, motion: Pose, step_s: f64) -> Twist {
+        let now = self.mean_twist(motion, step_s);
+        let Some(before) = self.odometry_twist.filter(|_| !self.is_of_another(scan)) else { return now };
+        let change_rad_s = now.turn_rad_s - before.turn_rad_s;
+        let beyond_rad_s = change_rad_s - change_rad_s.clamp(-TURN_NOISE_RAD_S, TURN_NOISE_RAD_S);
+        Twist { turn_rad_s: now.turn_rad_s + beyond_rad_s, ..now }
+    }
+
+    /// The mean velocity of a motion by odometry.
+    fn mean_twist(&self, motion: Pose, step_s: f64) -> Twist {
+        let turned_rad = self.turn_scale.factor() * motion.heading_rad;
+        Twist::from_motion(Pose { heading_rad: turned_rad, ..motion }, step_s)
     }
 
     /// By how much the gyroscope says that the robot has turned since the scan before, where there is no odometry.
@@ -226,8 +271,10 @@ impl Motion {
 
     /// Learns the errors of odometry and of fits from a fit that nothing else took part in.
     pub(crate) fn learn(&mut self, scan: ScanView<'_>, fit: Pose, claimed: Covariance) {
-        if let Some(odometry) = scan.odometry() {
-            self.noise.learn(fit, odometry, claimed);
+        let Some(odometry) = scan.odometry() else { return };
+        self.noise.learn(fit, odometry, claimed);
+        if let Some(before) = self.odometry {
+            self.turn_scale.learn(before.to(odometry).heading_rad, self.pose.to(fit).heading_rad);
         }
     }
 
@@ -246,24 +293,48 @@ impl Motion {
     pub(crate) fn advance(&mut self, scan: ScanView<'_>, estimate: &PoseEstimate) {
         let (pose, covariance) = (estimate.odom_from_base, estimate.covariance);
         let lost = estimate.quality == Quality::Lost as u32;
-        // A jump is no motion.
+        // A jump is no motion; nor is the way from where a lost robot was taken to be.
         let jumped = estimate.has(PoseFlags::RESCUED) && scan.odometry().is_some();
         let step_s = self.step_s(scan);
         if self.stamp_ns.is_some() && !self.is_brief(scan, step_s) {
             let kept = if lost { KEPT_WHEN_LOST } else { 1.0 };
             let motion = match (self.odometry, scan.odometry()) {
                 (Some(before), Some(now)) if jumped => before.to(now),
+                (_, None) if self.is_lost && !lost => Pose::IDENTITY,
+                (_, None) if !lost => self.pose.to(self.shown(scan, estimate)),
                 _ => self.pose.to(pose),
             };
             self.velocity = scaled(Twist::from_motion(motion, self.even(scan, step_s)), kept);
+            let said = self.odometry.zip(scan.odometry()).map(|(before, now)| before.to(now));
+            self.odometry_twist = said.map(|said| self.mean_twist(said, step_s));
             self.period_s += 0.05 * (step_s - self.period_s);
         }
+        self.is_lost = lost;
         self.pose = pose;
         self.covariance = covariance;
         self.odometry = scan.odometry();
         self.gyro_rad = scan.gyro_heading_rad();
         self.stamp_ns = Some(scan.header().times.sensor_ns);
         self.lidar = scan.header().id.lidar;
+    }
+
+    /// The pose to which the velocity would have brought a robot without odometry. Where a scan hardly measures, as along a corridor, a
+    /// step says little of the velocity: the filter of constant velocity (Kalata's relation β = α² ∕ (2 − α)) gives the velocity the share
+    /// α ∕ (2 − α) of what the fit has corrected, with the gain α of the position.
+    fn shown(&self, scan: ScanView<'_>, estimate: &PoseEstimate) -> Pose {
+        let predicted = self.predict(scan);
+        let left =
+            matrix(predicted.covariance).try_inverse().map(|inverse| matrix(estimate.covariance) * inverse);
+        let share = left.and_then(|left| {
+            let gain = Matrix3::identity() - left;
+            Some(gain * (Matrix3::identity() + left).try_inverse()? * SHARE_MAX)
+        });
+        let Some(share) = share else { return estimate.odom_from_base };
+        let (from, to) = (predicted.pose, estimate.odom_from_base);
+        let corrected =
+            Vector3::new(to.x_m - from.x_m, to.y_m - from.y_m, wrap_angle(to.heading_rad - from.heading_rad));
+        let step = share * corrected;
+        Pose::new(from.x_m + step.x, from.y_m + step.y, from.heading_rad + step.z)
     }
 
     /// A step between stamps that jitter, kept near the nominal period: scans of a lidar come at even times even if their stamps do
@@ -287,9 +358,13 @@ impl Motion {
 
     /// Seconds since the scan before; the nominal period when the stamps of a lidar do not step forward.
     fn step_s(&self, scan: ScanView<'_>) -> f64 {
-        let Some(before) = self.stamp_ns else { return self.period_s };
-        let step_s = scan.header().times.sensor_ns.saturating_sub(before) as f64 * 1e-9;
+        let Some(step_s) = self.elapsed_s(scan) else { return self.period_s };
         let is_forward = step_s > 0.0 || (step_s == 0.0 && self.is_of_another(scan));
         if is_forward && step_s <= PERIOD_MAX_S { step_s } else { self.period_s }
+    }
+
+    /// Seconds since the scan before, by the stamps.
+    fn elapsed_s(&self, scan: ScanView<'_>) -> Option<f64> {
+        self.stamp_ns.map(|before| scan.header().times.sensor_ns.saturating_sub(before) as f64 * 1e-9)
     }
 }

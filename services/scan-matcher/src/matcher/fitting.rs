@@ -38,8 +38,13 @@ const JUMPED: f64 = 0.05;
 /// How far the velocity during a scan may be from that of odometry before it: a robot that speeds up by 1 m/s² and turns in
 /// by 5 rad/s² within a tenth of a second.
 const TWIST_SIGMA: TwistSigma = TwistSigma { x_m_s: 0.1, y_m_s: 0.05, turn_rad_s: 0.5 };
+/// The same where odometry goes on as it did: an absolute part, and a share of the velocity, as far as the scale of odometry is not known.
+const STEADY_SIGMA: TwistSigma = TwistSigma { x_m_s: 0.01, y_m_s: 0.01, turn_rad_s: 0.02 };
+const STEADY_SHARE: f64 = 0.02;
 /// Steps at most to pose and velocity together.
 const SWEEP_STEPS: usize = 8;
+/// Steps to pose and velocity that lose so much of the score, 0 … 1, have led astray.
+const ASTRAY: f64 = 0.05;
 /// Position of a wall within its cell is known to this share of the cell (standard deviation). All points of a wall along the grid
 /// share that error, so it does not shrink with their number.
 const CELL_ERROR: f64 = 0.1;
@@ -260,14 +265,16 @@ impl<F: ScoreField> Fitter<'_, F> {
         is_ours && self.scan.odometry().is_some()
     }
 
-    /// Fits pose and velocity of a scan that takes time together, starting at a fit of its pose alone.
+    /// Fits pose and velocity of a scan that takes time together, starting at a fit of its pose alone. Where the map is thin the steps
+    /// can lead astray: the fit of the pose alone stays if it explains the scan clearly better.
     fn straightened(&self, fitted: Fitted) -> Fitted {
         let Prediction { pose, twist, .. } = fitted.prediction;
         let predicted = MotionState { pose, twist };
+        let sigma = self.twist_sigma(&fitted.prediction);
         let mut now = MotionState { pose: fitted.fit.pose, twist };
         let mut points = fitted.points;
         for _ in 0..SWEEP_STEPS {
-            let next = sweep(&points).step(self.field, now, predicted, TWIST_SIGMA);
+            let next = sweep(&points).step(self.field, now, predicted, sigma);
             points = self.retaken(points, next.twist);
             let settled = next.is_near(now);
             now = next;
@@ -275,9 +282,33 @@ impl<F: ScoreField> Fitter<'_, F> {
                 break;
             }
         }
-        let covariance = sweep(&points).covariance(self.field, now.pose, TWIST_SIGMA, PRIOR_SIGMA);
         let fit = Fit::at(self.field, &points.ends, now.pose);
+        if fit.score < fitted.fit.score - ASTRAY {
+            return Fitted { points: self.retaken(points, twist), ..fitted };
+        }
+        let covariance = sweep(&points).covariance(self.field, now.pose, sigma, PRIOR_SIGMA);
         Fitted { points, fit, twist: now.twist, covariance, ..fitted }
+    }
+
+    /// How far the velocity during the scan may be from the predicted one: a robot whose odometry goes on as before keeps its velocity.
+    fn twist_sigma(&self, prediction: &Prediction) -> TwistSigma {
+        let Some(coasting) = prediction.coasting else {
+            return TWIST_SIGMA;
+        };
+        let (now, before) = (prediction.twist, coasting.twist);
+        let by = |now: f64, before: f64, least: f64, most: f64| {
+            (least + STEADY_SHARE * now.abs() + (now - before).abs()).min(most)
+        };
+        TwistSigma {
+            x_m_s: by(now.x_m_s, before.x_m_s, STEADY_SIGMA.x_m_s, TWIST_SIGMA.x_m_s),
+            y_m_s: by(now.y_m_s, before.y_m_s, STEADY_SIGMA.y_m_s, TWIST_SIGMA.y_m_s),
+            turn_rad_s: by(
+                now.turn_rad_s,
+                before.turn_rad_s,
+                STEADY_SIGMA.turn_rad_s,
+                TWIST_SIGMA.turn_rad_s,
+            ),
+        }
     }
 
     /// The covariance of a fit: large where the scan determines little; there the fit is fused with the prediction.

@@ -17,6 +17,12 @@ const JUMP: (f64, f64) = (0.3, 0.3);
 const WEAK_DIRECTION: f64 = 1.0;
 /// A fit below this share of the running mean, with at least this share of its points in free space, is in the wrong place.
 const CONTRADICTED: (f64, f64) = (0.5, 0.1);
+/// Places that wide searches found in so many scans before, one near the other, are where the robot is, when each scan fits at least
+/// this share as well as usual. Corridors that look alike gave less, and single scans of the true place after a gap in the recording too.
+const FOUND_TIMES: u32 = 3;
+const FOUND_SHARE: f64 = 0.65;
+/// The same where scans are missing before the first that fits nowhere: the robot has gone on, and was hardly carried.
+const FOUND_SHARE_AFTER_GAP: f64 = 0.5;
 /// A scan with this share of its points in unknown space shows a new place.
 const NEW_PLACE: f64 = 0.7;
 
@@ -50,6 +56,9 @@ impl ScanMatcher {
         }
         let as_fitted = Judgement { pose: fitted.fit.pose, twist, covariance, quality: self.quality(fitted) };
         let is_poor = fitted.fit.score < self.least_score(fitted, CONTRADICTED.0);
+        if self.is_found_again(fitted) && !is_contradicted(fitted, mask, grid) {
+            return Judgement { quality: Quality::Degraded, ..as_fitted };
+        }
         if self.settings.rescue.lost_scans_max == 0 || !is_poor {
             return as_fitted;
         }
@@ -60,6 +69,15 @@ impl ScanMatcher {
         let is_new = as_fitted.quality == Quality::Lost
             && in_the_unknown(grid, &fitted.points.ends, pose) >= NEW_PLACE;
         if is_new { Judgement { pose, twist, covariance, quality: Quality::Degraded } } else { as_fitted }
+    }
+
+    /// Whether wide searches find one scan after the other along one way, though none of them well: the robot looks at what the map
+    /// hardly shows, as after a turn that no scan has seen.
+    fn is_found_again(&self, fitted: &Fitted) -> bool {
+        let share = if self.confidence.lost_after_gap { FOUND_SHARE_AFTER_GAP } else { FOUND_SHARE };
+        fitted.is_rescued
+            && fitted.fit.score >= share * self.confidence.mean_score
+            && self.confidence.found_near(fitted.fit.pose) >= FOUND_TIMES
     }
 
     /// The score from which a fit is believed: a share of the usual one. Where scores scatter a fit near the prediction may be

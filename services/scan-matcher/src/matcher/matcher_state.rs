@@ -21,6 +21,9 @@ const OPEN_AT_START: f64 = 0.5;
 /// Standard deviations below the mean from which on a score is unusual.
 const UNUSUAL: f64 = 3.0;
 
+/// A robot moves no farther from one scan to the next, metres and radians.
+const FOUND_NEAR: (f64, f64) = (0.3, 0.35);
+
 /// The map that scans are matched to and enter.
 #[derive(Debug)]
 pub(super) struct MapState {
@@ -62,6 +65,10 @@ pub(super) struct Confidence {
     pub(super) searched: Option<Pose>,
     /// The rival of the last pose.
     pub(super) rival: Option<Rival>,
+    /// Where wide searches found the last scans of a robot that is lost, and in how many in a row.
+    pub(super) found: Option<(Pose, u32)>,
+    /// Scans were missing before the first of those that fit nowhere.
+    pub(super) lost_after_gap: bool,
 }
 
 impl MapState {
@@ -103,6 +110,8 @@ impl Default for Confidence {
             slips: false,
             searched: None,
             rival: None,
+            found: None,
+            lost_after_gap: false,
         }
     }
 }
@@ -115,11 +124,16 @@ impl Confidence {
         self.slips = pose.distance_m(odometry) > SLIPPED.0 || pose.turn_rad(odometry) > SLIPPED.1;
         self.searched = fitted.searched;
         self.rival = fitted.rival;
+        let place = fitted.fit.pose;
+        self.found =
+            (quality == Quality::Lost && fitted.is_rescued).then(|| (place, 1 + self.found_near(place)));
         self.last_score = fitted.fit.score;
         let open = if is_held(&fitted.fit, fitted.points.of_beams(beams)) { 0.0 } else { 1.0 };
         let moved = (pose.distance_m(before) / OPEN_STEP.0).max(pose.turn_rad(before) / OPEN_STEP.1);
         self.open += OPEN_RATE * moved.min(1.0) * (open - self.open);
         if quality == Quality::Lost {
+            self.lost_after_gap =
+                if self.lost == 0 { fitted.prediction.after_gap } else { self.lost_after_gap };
             self.lost += u32::from(fitted.points.len() >= POINTS_MIN_FOR_SHARE);
             return;
         }
@@ -133,6 +147,12 @@ impl Confidence {
         if self.has_started() {
             self.score_variance += rate * (off * off - self.score_variance);
         }
+    }
+
+    /// In how many scans in a row before this one wide searches led near here.
+    pub(super) fn found_near(&self, place: Pose) -> u32 {
+        let is_near = |at: Pose| at.distance_m(place) < FOUND_NEAR.0 && at.turn_rad(place) < FOUND_NEAR.1;
+        self.found.map_or(0, |(at, times)| if is_near(at) { times } else { 0 })
     }
 
     /// The score below which a fit is unusual. Surroundings that look different in each scan, such as plants, give scores that
@@ -162,5 +182,6 @@ impl Confidence {
         self.score_variance = 0.0;
         self.searched = None;
         self.rival = None;
+        self.found = None;
     }
 }
