@@ -220,13 +220,14 @@ fn a_clock_is_found_in_any_form_of_import() {
     }
 }
 
-/// What reads the wall clock, the one place that puts it into a message, for exports, the time of a ROS graph, and what stamps scans of
-/// lidars on lines: other programs stamp odometry by it.
-const WALL_CLOCK: [&str; 4] = [
+/// What reads the wall clock, the one place that puts it into a message, for exports, the time of a ROS graph and of its messages, and
+/// what stamps scans of lidars on lines: other programs stamp odometry by it.
+const WALL_CLOCK: [&str; 5] = [
     "telemetry/src/clock.rs",
     "lidar-ingest/src/process.rs",
     "lidar-ingest/src/process/lidar_session.rs",
     "ros_bridge/graph_clock.rs",
+    "ros/src/sender_clock.rs",
 ];
 
 #[test]

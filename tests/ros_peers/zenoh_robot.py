@@ -3,13 +3,14 @@ odometry on /tf, and notes what comes back; then reads the map late, calls servi
 
 zenoh_robot.py PORT LOG RATE OUT
 PORT: a router is opened there; all others meet by it, as in the defaults of rmw_zenoh. A line of standard output says `ready` when it is
-open, and `done` at the end. OUT gets what was noted, as JSON. Hashes of types are those of the JSON files of their packages.
+open. OUT gets what was noted, as JSON. Hashes of types are those of the JSON files of their packages.
 """
 import json
 import os
 import struct
 import sys
 import time
+import traceback
 from pathlib import Path
 
 import zenoh
@@ -64,6 +65,19 @@ def opened(mode, **endpoints):
     return zenoh.open(configuration)
 
 
+def fail(kind, error, trace):
+    traceback.print_exception(kind, error, trace)
+    end(1)
+
+
+def end(code):
+    """Sessions that are open keep the interpreter from ending by itself."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+sys.excepthook = fail
 port, log, rate, out = sys.argv[1:5]
 router = opened("router", listen=f"tcp/127.0.0.1:{port}")
 session = opened("peer", connect=f"tcp/127.0.0.1:{port}", listen="tcp/127.0.0.1:0")
@@ -81,8 +95,11 @@ def announce(number, kind, topic, name, quality):
 
 def hear(topic, name, take):
     def heard(sample):
-        noted["beside"].append([topic, bytes(sample.attachment).hex()])
-        take(bytes(sample.payload))
+        attachment = bytes(sample.attachment)
+        # What this one sends comes back.
+        if attachment[17:] != GID:
+            noted["beside"].append([topic, attachment.hex()])
+            take(bytes(sample.payload))
 
     kept.append(session.declare_subscriber(key(topic, name), heard))
 
@@ -163,17 +180,14 @@ for token in own:
         name = f"{package}/{of}/{kind.rstrip('_')}"
         hashes.append([name, token[11], published_hash(name)])
 size = lambda grid: [grid.info.width, grid.info.height, sum(value == 100 for value in grid.data)]
-json.dump(
-    noted
-    | {
-        "map": size(maps[-1]),
-        "whole": size(whole.map),
-        "state": [state.current_state.label, has_caller],
-        "parameters": [values.values[0].string_value, values.values[1].double_value],
-        "tokens": ["/".join(token[5:]) for token in own],
-        "hashes": hashes,
-        "session": own[0][2],
-    },
-    open(out, "w"),
-)
-print("done", flush=True)
+found = {
+    "map": size(maps[-1]),
+    "whole": size(whole.map),
+    "state": [state.current_state.label, has_caller],
+    "parameters": [values.values[0].string_value, values.values[1].double_value],
+    "tokens": ["/".join(token[5:]) for token in own],
+    "hashes": hashes,
+}
+with open(out, "w") as file:
+    json.dump(noted | found, file)
+end(0)

@@ -128,7 +128,7 @@ impl Environment {
         })
     }
 
-    /// Whether a node can be opened with it, as far as that can be told without the network.
+    /// Whether a node can be opened with it, as far as that is known without the network.
     ///
     /// # Errors
     /// When the configuration of zenoh cannot be used.
