@@ -50,7 +50,8 @@ fn a_log_played_into_the_graph_is_mapped_as_the_file_is() {
     let Some(graph) = Graph::new() else { return };
     let directory = tempfile::tempdir().unwrap();
     let (log, truth) = simulated_drive(directory.path(), 40.0);
-    let set = graph.set("graph", directory.path(), &[]);
+    let mut set = graph.set("graph", directory.path(), &[]);
+    set.wait_until("the set", |_| true);
     // Ten scans a second, four times as fast.
     let noted = graph.play(&log, 4.0, "/");
     let (sent, poses, corrections) =

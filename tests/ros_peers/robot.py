@@ -51,7 +51,7 @@ participant = DomainParticipant(int(os.environ["ROS_DOMAIN_ID"]))
 noted = {"corrections": [], "poses": [], "sent": []}
 
 
-node.create_subscription(PoseWithCovarianceStamped, "pose", lambda message: noted["poses"].append(pose_row(message)), QoSProfile(depth=100))
+poses = node.create_subscription(PoseWithCovarianceStamped, "pose", lambda message: noted["poses"].append(pose_row(message)), QoSProfile(depth=100))
 publisher = node.create_publisher(LaserScan, "scan", qos_profile_sensor_data)
 moving = writer(participant, "rt/tf", TFMessage)
 fixed = writer(participant, "rt/tf_static", TFMessage, LATCHED)
@@ -72,8 +72,9 @@ def look():
 
 
 deadline = time.monotonic() + 20
-while publisher.get_subscription_count() == 0:
-    assert time.monotonic() < deadline, "nobody hears /scan"
+# Who publishes poses may know of this one a little later than this one of it: /scan and /tf are waited for after it.
+while publisher.get_subscription_count() == 0 or node.count_publishers(poses.topic_name) == 0:
+    assert time.monotonic() < deadline, "nobody hears /scan, or publishes poses"
     look()
     time.sleep(0.01)
 # Cyclone DDS finds its readers for itself.
