@@ -1,6 +1,7 @@
 //! A set as a node of a ROS 2 graph, against nodes of the client library of ROS (Fast DDS) and of Cyclone DDS.
 
 use crate::support::ros_peers::{Graph, Peer, udp_ports};
+use crate::support::ros_rows::{AHEAD_NS, assert_composed, rows};
 use crate::support::{
     LiveSet, flockslam, machine_share, processes_of, run_well, send, simulated_drive, wait_for,
 };
@@ -9,18 +10,6 @@ use flockslam::outputs::TrajectoryPoint;
 use flockslam_geometry::Pose;
 use rustix::process::Signal;
 use serde_json::{Value, json};
-
-/// map → odom is stamped so much ahead of its scan.
-const AHEAD_NS: i64 = 200_000_000;
-
-/// Rows of numbers: a stamp and a pose, and whatever follows.
-fn rows(noted: &Value, name: &str) -> Vec<(i64, Pose, i64)> {
-    let row = |row: &Value| {
-        let number = |index: usize| row[index].as_f64().unwrap();
-        (row[0].as_i64().unwrap(), Pose::new(number(1), number(2), number(3)), row[4].as_i64().unwrap())
-    };
-    noted[name].as_array().unwrap().iter().map(row).collect()
-}
 
 fn points(rows: &[(i64, Pose, i64)]) -> Vec<TrajectoryPoint> {
     rows.iter()
@@ -44,25 +33,6 @@ fn bridges(set: &LiveSet) -> Vec<u32> {
 /// Nodes find each other within this, seconds.
 const DISCOVERY_MAX_S: f64 = 2.0;
 
-/// Stamp, pose, and when it was sent or heard.
-type Row = (i64, Pose, i64);
-
-/// A scan's odometry and a correction of its time give its pose; returns when that correction was heard.
-fn assert_composed((scan_ns, odom_from_base, _): &Row, pose: Pose, corrections: &[Row]) -> i64 {
-    // Where a pose is late, one that is repeated between scans has its stamp, and its own the next; none is repeated for longer than that.
-    let times = scan_ns + AHEAD_NS..scan_ns + AHEAD_NS + REPEATED_MAX_NS;
-    let is_own =
-        |row: &&Row| times.contains(&row.0) && (row.1 * *odom_from_base).distance_m(pose) < COMPOSED_MAX_M;
-    let own = corrections.iter().find(is_own);
-    own.unwrap_or_else(|| panic!("no correction leads from {odom_from_base:?} to {pose:?} at {scan_ns}")).2
-}
-
-/// Without poses the last correction is repeated for a second; its stamps go on for so long.
-const REPEATED_MAX_NS: i64 = 1_500_000_000;
-
-/// A pose that is put together of odometry and correction is that of the scan, metres.
-const COMPOSED_MAX_M: f64 = 1e-3;
-
 /// Memory that a process has of the machine.
 fn memory_mib(pid: u32) -> f64 {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
@@ -80,7 +50,8 @@ fn a_log_played_into_the_graph_is_mapped_as_the_file_is() {
     let Some(graph) = Graph::new() else { return };
     let directory = tempfile::tempdir().unwrap();
     let (log, truth) = simulated_drive(directory.path(), 40.0);
-    let set = graph.set("graph", directory.path(), &[]);
+    let mut set = graph.set("graph", directory.path(), &[]);
+    set.wait_until("the set", |_| true);
     // Ten scans a second, four times as fast.
     let noted = graph.play(&log, 4.0, "/");
     let (sent, poses, corrections) =
@@ -303,7 +274,12 @@ fn corrections_follow_bad_wheels_and_callers_of_cyclone_dds_are_answered() {
     let Some(graph) = Graph::new() else { return };
     let directory = tempfile::tempdir().unwrap();
     let arguments = ["-p", "use_sim_time:=true"];
-    let set = graph.set_for("cyclone", directory.path(), &arguments, "rmw_cyclonedds_cpp");
+    let set = graph.set_with(
+        "cyclone",
+        directory.path(),
+        &arguments,
+        &[("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")],
+    );
     let mut peer = graph.peer("caller");
     // On the way: odometry that is wrong and begins anew, and the time of a log.
     let (log, _) = simulated_drive(directory.path(), 12.0);

@@ -1,10 +1,11 @@
 """Messages that no package of the index has for rclpy, and the quality of service that nodes of ROS give their topics, for Cyclone DDS."""
+import math
 import time
 from dataclasses import dataclass
 
 import cyclonedds.idl.types as T
 from cyclonedds.core import Policy, Qos
-from cyclonedds.idl import IdlStruct
+from cyclonedds.idl import IdlStruct, make_idl_struct
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -98,111 +99,34 @@ class BondStatus(IdlStruct, typename="bond::msg::dds_::Status_"):
     heartbeat_period: T.float32
 
 
-@dataclass
-class SaveMapRequest(IdlStruct, typename="slam_toolbox::srv::dds_::SaveMap_Request_"):
-    name: str
+def service(package, name, request, response):
+    """The request and the response of a service, with these fields."""
 
+    def part(kind, fields):
+        return make_idl_struct(f"{name}{kind}", f"{package}::srv::dds_::{name}_{kind}_", fields)
 
-@dataclass
-class SaveMapResponse(IdlStruct, typename="slam_toolbox::srv::dds_::SaveMap_Response_"):
-    result: T.uint8
-
-
-@dataclass
-class PauseRequest(IdlStruct, typename="slam_toolbox::srv::dds_::Pause_Request_"):
-    nothing: T.uint8
-
-
-@dataclass
-class PauseResponse(IdlStruct, typename="slam_toolbox::srv::dds_::Pause_Response_"):
-    status: bool
-
-
-@dataclass
-class ResetRequest(IdlStruct, typename="slam_toolbox::srv::dds_::Reset_Request_"):
-    pause_new_measurements: bool
-
-
-@dataclass
-class ResetResponse(IdlStruct, typename="slam_toolbox::srv::dds_::Reset_Response_"):
-    result: T.uint8
-
-
-@dataclass
-class SerializeRequest(IdlStruct, typename="slam_toolbox::srv::dds_::SerializePoseGraph_Request_"):
-    filename: str
-
-
-@dataclass
-class SerializeResponse(IdlStruct, typename="slam_toolbox::srv::dds_::SerializePoseGraph_Response_"):
-    result: T.uint8
-
-
-@dataclass
-class DeserializeRequest(IdlStruct, typename="slam_toolbox::srv::dds_::DeserializePoseGraph_Request_"):
-    filename: str
-    match_type: T.int8
-    x: float
-    y: float
-    theta: float
-
-
-@dataclass
-class DeserializeResponse(IdlStruct, typename="slam_toolbox::srv::dds_::DeserializePoseGraph_Response_"):
-    result: T.uint8
-
-
-@dataclass
-class LoadMapRequest(IdlStruct, typename="nav2_msgs::srv::dds_::LoadMap_Request_"):
-    map_url: str
-
-
-@dataclass
-class LoadMapResponse(IdlStruct, typename="nav2_msgs::srv::dds_::LoadMap_Response_"):
-    map: OccupancyGrid
-    result: T.uint8
-
-
-@dataclass
-class NavigationSaveRequest(IdlStruct, typename="nav2_msgs::srv::dds_::SaveMap_Request_"):
-    map_topic: str
-    map_url: str
-    image_format: str
-    map_mode: str
-    free_thresh: T.float32
-    occupied_thresh: T.float32
-
-
-@dataclass
-class NavigationSaveResponse(IdlStruct, typename="nav2_msgs::srv::dds_::SaveMap_Response_"):
-    result: bool
+    return part("Request", request), part("Response", response)
 
 
 # What nodes of rmw_cyclonedds_cpp write before each call and answer: who has called, and which call it was.
-@dataclass
-class GetStateByHeader(IdlStruct, typename="lifecycle_msgs::srv::dds_::GetState_Request_"):
-    guid: T.uint64
-    sequence: T.int64
-    nothing: T.uint8
-
-
-@dataclass
-class StateByHeader(IdlStruct, typename="lifecycle_msgs::srv::dds_::GetState_Response_"):
-    guid: T.uint64
-    sequence: T.int64
-    id: T.uint8
-    label: str
-
-
+CALLER = {"guid": T.uint64, "sequence": T.int64}
+NOTHING, RESULT = {"nothing": T.uint8}, {"result": T.uint8}
+PLACE = {"x": T.float64, "y": T.float64, "theta": T.float64}
+SAVED = {"map_topic": str, "map_url": str, "image_format": str, "map_mode": str}
+SAVED |= {"free_thresh": T.float32, "occupied_thresh": T.float32}
 SERVICES = {
-    "nav2_msgs/LoadMap": (LoadMapRequest, LoadMapResponse),
-    "nav2_msgs/SaveMap": (NavigationSaveRequest, NavigationSaveResponse),
-    "lifecycle_msgs/GetState by header": (GetStateByHeader, StateByHeader),
-    "slam_toolbox/SaveMap": (SaveMapRequest, SaveMapResponse),
-    "slam_toolbox/Pause": (PauseRequest, PauseResponse),
-    "slam_toolbox/Reset": (ResetRequest, ResetResponse),
-    "slam_toolbox/SerializePoseGraph": (SerializeRequest, SerializeResponse),
-    "slam_toolbox/DeserializePoseGraph": (DeserializeRequest, DeserializeResponse),
+    "nav2_msgs/LoadMap": service("nav2_msgs", "LoadMap", {"map_url": str}, {"map": OccupancyGrid, **RESULT}),
+    "nav2_msgs/SaveMap": service("nav2_msgs", "SaveMap", SAVED, {"result": bool}),
+    "lifecycle_msgs/GetState by header": service(
+        "lifecycle_msgs", "GetState", {**CALLER, **NOTHING}, {**CALLER, "id": T.uint8, "label": str}
+    ),
+    "slam_toolbox/SaveMap": service("slam_toolbox", "SaveMap", {"name": str}, RESULT),
+    "slam_toolbox/Pause": service("slam_toolbox", "Pause", NOTHING, {"status": bool}),
+    "slam_toolbox/Reset": service("slam_toolbox", "Reset", {"pause_new_measurements": bool}, RESULT),
+    "slam_toolbox/SerializePoseGraph": service("slam_toolbox", "SerializePoseGraph", {"filename": str}, RESULT),
+    "slam_toolbox/DeserializePoseGraph": service(
+        "slam_toolbox", "DeserializePoseGraph", {"filename": str, "match_type": T.int8, **PLACE}, RESULT
+    ),
 }
 RELIABLE = Policy.Reliability.Reliable(duration(seconds=1))
 VOLATILE = Qos(RELIABLE, Policy.Durability.Volatile, Policy.History.KeepLast(100))
@@ -249,3 +173,17 @@ def stamp(stamp_ns):
 
 def nanoseconds(time):
     return time.sec * 10**9 + time.nanosec
+
+
+def transform(stamp_ns, parent, child, x, y, heading):
+    """A pose in the plane."""
+    turn = Quaternion(0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2))
+    return TransformStamped(Header(stamp(stamp_ns), parent), child, Transform(Vector3(x, y, 0.0), turn))
+
+
+def corrections(message):
+    """Of a message of transforms those from the map to odometry: stamp in nanoseconds, x, y, heading."""
+    for found in message.transforms:
+        if found.header.frame_id == "map" and found.child_frame_id == "odom":
+            at, turn = found.transform.translation, found.transform.rotation
+            yield [nanoseconds(found.header.stamp), at.x, at.y, 2 * math.atan2(turn.z, turn.w)]

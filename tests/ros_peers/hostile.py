@@ -14,7 +14,7 @@ import time
 from dataclasses import dataclass
 
 import cyclonedds.idl.types as T
-from cyclone_types import Header, Quaternion, TFMessage, Time, Transform, TransformStamped, Vector3, stamp, writer
+from cyclone_types import Header, TFMessage, Time, transform, writer
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct
 
@@ -90,9 +90,7 @@ if rate:
             scans.write(ClaimedScan(Header(Time(1, 1), "laser"), [0.0] * 7, GIANT))
             others.write(OtherScan(list(range(chance.randrange(2000)))))
             sent["broken"] += 3
-        turn = Quaternion(0.0, 0.0, 0.0, 1.0)
-        pose = Transform(Vector3(float(sent["messages"]), 0.0, 0.0), turn)
-        floods.write(TFMessage([TransformStamped(Header(stamp(time.time_ns()), "base_footprint"), "wheel", pose)]))
+        floods.write(TFMessage([transform(time.time_ns(), "base_footprint", "wheel", float(sent["messages"]), 0.0, 0.0)]))
         sent["messages"] += 1
         ahead = began + sent["messages"] / rate - time.monotonic()
         if ahead > 0.002:

@@ -27,13 +27,10 @@ from cyclone_types import (
     BondStatus,
     Header,
     OccupancyGridUpdate,
-    Quaternion,
     TFMessage,
-    Transform,
-    TransformStamped,
-    Vector3,
     reader,
     stamp,
+    transform,
     writer,
 )
 from cyclone_types import OccupancyGrid as GridByCyclone
@@ -241,8 +238,7 @@ def qos(name, topic):
 def correct():
     sends = writer(DomainParticipant(int(os.environ["ROS_DOMAIN_ID"])), "rt/tf", TFMessage)
     for _ in range(20):
-        pose = Transform(Vector3(1.0, 0.0, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
-        sends.write(TFMessage([TransformStamped(Header(stamp(time.time_ns()), "map"), "odom", pose)]))
+        sends.write(TFMessage([transform(time.time_ns(), "map", "odom", 1.0, 0.0, 0.0)]))
         time.sleep(0.05)
     return True
 
@@ -290,45 +286,41 @@ class FollowedMap:
 
 
 bond = followed = None
+
+
+def follow():
+    global followed
+    followed = FollowedMap()
+    return True
+
+
+def begin_bond(name):
+    global bond
+    if bond:
+        bond.ended = True
+    bond = Bond(name)
+    return True
+
+
+COMMANDS = {
+    "graph": graph,
+    "map": late_map,
+    "call": call,
+    "parameters": parameters,
+    "all parameters": all_parameters,
+    "set": set_parameter,
+    "diagnostics": lambda: diagnostics,
+    "listen": listen,
+    "heard": heard,
+    "say": say,
+    "qos": qos,
+    "correct": correct,
+    "seen": seen,
+    "follow": follow,
+    "followed": lambda: followed.state(),
+    "bond": begin_bond,
+    "bonded": lambda: bond.state(),
+}
 for line in sys.stdin:
     command, *rest = json.loads(line)
-    answer = None
-    if command == "graph":
-        answer = graph()
-    elif command == "map":
-        answer = late_map(*rest)
-    elif command == "call":
-        answer = call(*rest)
-    elif command == "parameters":
-        answer = parameters(*rest)
-    elif command == "all parameters":
-        answer = all_parameters(*rest)
-    elif command == "set":
-        answer = set_parameter(*rest)
-    elif command == "diagnostics":
-        answer = diagnostics
-    elif command == "listen":
-        answer = listen(*rest)
-    elif command == "heard":
-        answer = heard(*rest)
-    elif command == "say":
-        answer = say(*rest)
-    elif command == "qos":
-        answer = qos(*rest)
-    elif command == "correct":
-        answer = correct()
-    elif command == "seen":
-        answer = seen(*rest)
-    elif command == "follow":
-        followed = FollowedMap()
-        answer = True
-    elif command == "followed":
-        answer = followed.state()
-    elif command == "bond":
-        if bond:
-            bond.ended = True
-        bond = Bond(*rest)
-        answer = True
-    elif command == "bonded":
-        answer = bond.state()
-    print(json.dumps(answer), flush=True)
+    print(json.dumps(COMMANDS[command](*rest)), flush=True)

@@ -14,48 +14,12 @@ import time
 
 import rclpy
 from cyclonedds.domain import DomainParticipant
-from cyclone_types import (
-    LATCHED,
-    Header,
-    Quaternion,
-    TFMessage,
-    Transform,
-    TransformStamped,
-    Vector3,
-    nanoseconds,
-    reader,
-    stamp,
-    writer,
-)
+from cyclone_types import LATCHED, TFMessage, corrections, reader, transform, writer
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from played_log import laser_scan, mounting, paced, pose_row, scans
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import LaserScan
-
-
-def scans(path):
-    """Stamp, first angle, step, ranges, pose of the lidar and pose of the robot of each scan."""
-    for line in open(path):
-        kind, *fields = line.split()
-        if kind == "ROBOTLASER1":
-            start, step, beams = float(fields[1]), float(fields[3]), int(fields[7])
-            ranges, rest = fields[8 : 8 + beams], fields[8 + beams :]
-            rest = rest[1 + int(rest[0]) :]
-            poses, stamped = rest[:6], rest[11]
-        elif kind == "FLASER":
-            beams = int(fields[0])
-            start, step = -math.pi / 2, math.radians(1.0 if beams <= 181 else 0.5)
-            ranges, poses, stamped = fields[1 : 1 + beams], fields[1 + beams : 7 + beams], fields[7 + beams]
-        else:
-            continue
-        poses = [float(number) for number in poses]
-        yield round(float(stamped) * 1e9), start, step, [float(range_m) for range_m in ranges], poses[:3], poses[3:]
-
-
-def transform(stamp_ns, parent, child, x, y, heading):
-    turn = Quaternion(0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2))
-    return TransformStamped(Header(stamp(stamp_ns), parent), child, Transform(Vector3(x, y, 0.0), turn))
-
 
 # What is noted grows, and looking through it for garbage would be measured.
 gc.disable()
@@ -87,13 +51,7 @@ participant = DomainParticipant(int(os.environ["ROS_DOMAIN_ID"]))
 noted = {"corrections": [], "poses": [], "sent": []}
 
 
-def take_pose(message):
-    at, turn = message.pose.pose.position, message.pose.pose.orientation
-    stamp_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-    noted["poses"].append([stamp_ns, at.x, at.y, 2 * math.atan2(turn.z, turn.w), time.monotonic_ns()])
-
-
-node.create_subscription(PoseWithCovarianceStamped, "pose", take_pose, QoSProfile(depth=100))
+poses = node.create_subscription(PoseWithCovarianceStamped, "pose", lambda message: noted["poses"].append(pose_row(message)), QoSProfile(depth=100))
 publisher = node.create_publisher(LaserScan, "scan", qos_profile_sensor_data)
 moving = writer(participant, "rt/tf", TFMessage)
 fixed = writer(participant, "rt/tf_static", TFMessage, LATCHED)
@@ -110,17 +68,13 @@ def tick(stamp_ns):
 def look():
     rclpy.spin_once(node, timeout_sec=0)
     for message in heard.take(N=100):
-        for found in message.transforms:
-            if found.header.frame_id == "map" and found.child_frame_id == "odom":
-                at, turn = found.transform.translation, found.transform.rotation
-                noted["corrections"].append(
-                    [nanoseconds(found.header.stamp), at.x, at.y, 2 * math.atan2(turn.z, turn.w), time.monotonic_ns()]
-                )
+        noted["corrections"].extend(row + [time.monotonic_ns()] for row in corrections(message))
 
 
 deadline = time.monotonic() + 20
-while publisher.get_subscription_count() == 0:
-    assert time.monotonic() < deadline, "nobody hears /scan"
+# Who publishes poses may know of this one a little later than this one of it: /scan and /tf are waited for after it.
+while publisher.get_subscription_count() == 0 or node.count_publishers(poses.topic_name) == 0:
+    assert time.monotonic() < deadline, "nobody hears /scan, or publishes poses"
     look()
     time.sleep(0.01)
 # Cyclone DDS finds its readers for itself.
@@ -130,28 +84,23 @@ while not moving.get_matched_subscriptions():
 clock = node.create_publisher(Clock, "/clock", qos_profile_sensor_data)
 odometry = wheels and Wheels(sum(1 for _ in scans(log)))
 print("playing", flush=True)
-began, first_ns, ticked = time.monotonic(), None, 0.0
-for stamp_ns, start, step, ranges, laser, robot in scans(log):
-    if first_ns is None:
-        first_ns = stamp_ns
-        dx, dy, turn = laser[0] - robot[0], laser[1] - robot[1], robot[2]
-        x, y = math.cos(turn) * dx + math.sin(turn) * dy, math.cos(turn) * dy - math.sin(turn) * dx
-        fixed.write(TFMessage([transform(stamp_ns, "base_footprint", "laser", x, y, laser[2] - robot[2])]))
+ticked = 0.0
+
+
+def wait(now_ns):
+    global ticked
+    if wheels and time.monotonic() > ticked + 0.01:
+        ticked = time.monotonic()
+        tick(now_ns)
+    look()
+    time.sleep(0.0005)
+
+
+for stamp_ns, start, step, ranges, laser, robot in paced(log, rate, wait):
+    if not noted["sent"]:
+        fixed.write(TFMessage([transform(stamp_ns, "base_footprint", "laser", *mounting(laser, robot))]))
     robot = odometry.pose_at(robot) if odometry else robot
-    due = began + (stamp_ns - first_ns) * 1e-9 / rate
-    while time.monotonic() < due:
-        if wheels and time.monotonic() > ticked + 0.01:
-            ticked = time.monotonic()
-            tick(first_ns + round((ticked - began) * rate * 1e9))
-        look()
-        time.sleep(0.0005)
-    message = LaserScan()
-    message.header.frame_id = "laser"
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
-    message.angle_min, message.angle_increment = start, step
-    message.angle_max = message.angle_min + message.angle_increment * (len(ranges) - 1)
-    message.range_min, message.range_max = 0.0, 80.0
-    message.ranges = ranges
+    message = laser_scan(stamp_ns, start, step, ranges)
     moving.write(TFMessage([transform(stamp_ns, "odom", "base_footprint", *robot)]))
     noted["sent"].append([stamp_ns, *robot, time.monotonic_ns()])
     publisher.publish(message)

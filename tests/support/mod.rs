@@ -21,6 +21,7 @@ mod poses;
 pub mod public_logs;
 pub mod ros_peers;
 pub mod ros_recording;
+pub mod ros_rows;
 mod running;
 pub mod seeded_drives;
 pub mod sensor_drive;

@@ -10,7 +10,7 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 /// The packages of the index, by the version that they were tested with.
-const PACKAGES: [&str; 9] = [
+const PACKAGES: [&str; 10] = [
     "ros-jazzy-rclpy==7.1.*",
     "ros-jazzy-rmw-fastrtps-cpp==8.4.*",
     "ros-jazzy-nav-msgs",
@@ -20,6 +20,7 @@ const PACKAGES: [&str; 9] = [
     "ros-jazzy-lifecycle-msgs",
     "ros-jazzy-visualization-msgs",
     "cyclonedds==11.*",
+    "eclipse-zenoh==1.10.*",
 ];
 /// Cyclone DDS on the loopback interface, which has no multicast.
 const CYCLONE: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\"/></Interfaces>\
@@ -45,11 +46,16 @@ fn python() -> Option<PathBuf> {
         }
         std::fs::create_dir_all(&place).unwrap();
         let python = python_with(&place, &PACKAGES)?;
-        tool(&place, &python, &["-c", "import rclpy, cyclonedds"])?;
+        tool(&place, &python, &["-c", "import rclpy, cyclonedds, zenoh"])?;
         std::fs::write(complete, PACKAGES.join("\n")).unwrap();
         Some(python)
     };
     PYTHON.get_or_init(make).clone()
+}
+
+/// The folder with the definitions of the packages of ROS; `None` where they cannot be installed.
+pub fn packages_of_ros() -> Option<PathBuf> {
+    python().map(|python| python.with_file_name("../share"))
 }
 
 impl Graph {
@@ -68,11 +74,17 @@ impl Graph {
 
     /// Starts a set that takes its scans from the graph, as a node with these arguments.
     pub fn set(&self, test: &str, directory: &Path, arguments: &[&str]) -> LiveSet {
-        self.set_for(test, directory, arguments, "rmw_fastrtps_cpp")
+        self.set_with(test, directory, arguments, &[])
     }
 
-    /// As [`Self::set`]; its services are for callers of this implementation of DDS.
-    pub fn set_for(&self, test: &str, directory: &Path, arguments: &[&str], callers: &str) -> LiveSet {
+    /// As [`Self::set`], with more variables in its environment.
+    pub fn set_with(
+        &self,
+        test: &str,
+        directory: &Path,
+        arguments: &[&str],
+        variables: &[(&str, &str)],
+    ) -> LiveSet {
         let robot = robot(test);
         let description = format!(
             "robot = \"{robot}\"\nset = [\"page.enabled=false\"]\n[source]\nkind = \"scans\"\n[ros]\nargs = {}\n",
@@ -81,7 +93,7 @@ impl Graph {
         std::fs::write(directory.join("set.toml"), description).unwrap();
         let mut command = flockslam();
         self.put_into_graph(&mut command);
-        command.env("RMW_IMPLEMENTATION", callers);
+        command.envs(variables.iter().copied());
         LiveSet::start_described(command, robot, directory)
     }
 
@@ -109,11 +121,18 @@ impl Graph {
         let (log_text, rate_text) = (log.display().to_string(), rate.to_string());
         let arguments =
             [&[log_text.as_str(), rate_text.as_str(), namespace, out_text.as_str()], more].concat();
-        let mut child = self.script("robot.py", &arguments);
-        drop(child.stdin.take());
-        let status = wait_for("the end of the drive", || child.try_wait().unwrap());
-        assert!(status.success(), "robot.py: {status}");
-        serde_json::from_slice(&std::fs::read(out).unwrap()).unwrap()
+        noted(self.script("robot.py", &arguments), &out)
+    }
+
+    /// A robot in a graph of rmw_zenoh, whose router is at this port; it plays a log as soon as somebody hears it.
+    pub fn zenoh_robot(&self, port: u16, log: &Path, rate: f64) -> ZenohRobot {
+        let out = log.with_extension("noted.json");
+        let texts =
+            [port.to_string(), log.display().to_string(), rate.to_string(), out.display().to_string()];
+        let mut child = self.script("zenoh_robot.py", &texts.each_ref().map(String::as_str));
+        let mut said = BufReader::new(child.stdout.take().unwrap()).lines();
+        assert_eq!(said.next().expect("the robot says that it is ready").unwrap(), "ready");
+        ZenohRobot { child, out }
     }
 
     /// Begins to send what no node should, to these ports, and that many messages a second on `/tf`.
@@ -129,6 +148,27 @@ impl Graph {
         self.put_into_graph(&mut command);
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::inherit());
         command.spawn().unwrap()
+    }
+}
+
+/// Waits for the end of a drive; what was noted.
+fn noted(mut child: Child, out: &Path) -> Value {
+    drop(child.stdin.take());
+    let status = wait_for("the end of the drive", || child.try_wait().unwrap());
+    assert!(status.success(), "the robot: {status}");
+    serde_json::from_slice(&std::fs::read(out).unwrap()).unwrap()
+}
+
+/// A robot in a graph of rmw_zenoh.
+pub struct ZenohRobot {
+    child: Child,
+    out: PathBuf,
+}
+
+impl ZenohRobot {
+    /// Waits for the end of its drive; what it has noted.
+    pub fn noted(self) -> Value {
+        noted(self.child, &self.out)
     }
 }
 

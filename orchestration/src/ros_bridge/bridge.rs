@@ -77,7 +77,7 @@ pub struct BridgeSet {
 pub fn check_arguments(arguments: &[String]) -> Result<(), BridgeError> {
     let arguments = NodeArguments::parse(arguments)?;
     let identity = NodeIdentity::new(NODE, arguments.remaps.clone())?;
-    Environment::of_this_process()?;
+    Environment::of_this_process()?.check()?;
     let parameters = BridgeParameters::of(&arguments, &identity)?;
     let topics = parameters.scan_topics.iter().chain([&parameters.odom_topic, &parameters.imu_topic]);
     topics.filter(|topic| !topic.is_empty()).try_for_each(|topic| identity.resolve(topic).map(drop))?;
@@ -173,7 +173,7 @@ impl Bridge {
         let lines = node.publisher("/rosout", QualityOfService::Latched { depth: LINES_KEPT })?;
         let log = LogRelay::at_the_end(set.runtime.path(), &bond_id);
         let reports = report_by(diagnostics, lines, log, robot.clone(), set.runtime.control_socket())?;
-        offer(&mut node, SetOrders::new(&set.runtime.control_socket(), map.clone()))?;
+        offer(&mut node, SetOrders::new(&set.runtime.control_socket(), map.clone(), &parameters.map_frame))?;
         let dropped = Arc::new(AtomicU64::new(0));
         let (sender, heard) = sync_channel(HEARD_MAX);
         listen(&mut node, &parameters, &Ear::new(sender, Arc::clone(&dropped)))?;
@@ -348,13 +348,17 @@ impl Bridge {
         while let Some(estimate) = self.poses.receive()? {
             self.last_pose = Some(Instant::now());
             self.map_from_odom = estimate.map_from_odom;
-            if self.is_active() {
-                self.publishers.quality.send(quality(&estimate, &self.robot));
+            if !self.is_active() {
+                continue;
             }
-            if self.is_active() && estimate.quality != Quality::Lost as u32 {
-                let estimate = *estimate;
+            let estimate = *estimate;
+            // The transform is what controllers wait for: it goes first.
+            if estimate.quality != Quality::Lost as u32 {
                 self.take_pose(&estimate);
+                self.correct();
+                self.publishers.send_pose(&estimate, &self.parameters.map_frame);
             }
+            self.publishers.quality.send(quality(&estimate, &self.robot));
         }
         while let Some(tracks) = self.tracks.receive()? {
             if self.tracks_heard && self.is_active() {
@@ -377,7 +381,6 @@ impl Bridge {
     }
 
     fn take_pose(&mut self, estimate: &PoseEstimate) {
-        self.publishers.send_pose(estimate, &self.parameters.map_frame);
         let Some(now_ns) = self.clock.now_ns() else { return };
         self.correction.rate_max_m_s = self.parameters.live.max_correction_rate_m_s.get();
         let scan_ns = estimate.times.sensor_ns;

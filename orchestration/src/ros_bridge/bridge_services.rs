@@ -8,10 +8,11 @@ use crate::outputs::{render_pgm, render_yaml};
 use crate::supervisor::{Reply, Request, ask};
 use flockslam_journal::{Durability, replace_file};
 use flockslam_ros::messages::{
-    ClearQueue, ClearQueueResponse, DeserializePoseGraph, DeserializePoseGraphResponse, LoadMap,
-    LoadMapResponse, NavigationSaveMap, NavigationSaveMapResponse, OccupancyGrid, Reset, ResetResponse,
-    RosService, SerializePoseGraph, SerializePoseGraphResponse, SetBool, SetBoolResponse, TogglePause,
-    TogglePauseResponse, ToolboxSaveMap, ToolboxSaveMapResponse, Trigger, TriggerResponse,
+    ClearQueue, ClearQueueResponse, DeserializePoseGraph, DeserializePoseGraphResponse, GetMap,
+    GetMapResponse, LoadMap, LoadMapResponse, NavigationSaveMap, NavigationSaveMapResponse, OccupancyGrid,
+    Reset, ResetResponse, RosService, SerializePoseGraph, SerializePoseGraphResponse, SetBool,
+    SetBoolResponse, TogglePause, TogglePauseResponse, ToolboxSaveMap, ToolboxSaveMapResponse, Trigger,
+    TriggerResponse,
 };
 use flockslam_ros::{Call, Node};
 use std::path::{Path, PathBuf};
@@ -35,14 +36,15 @@ const NOT_READ: u8 = 3;
 pub struct SetOrders {
     socket: PathBuf,
     map: Sender<MapOrder>,
+    map_frame: String,
 }
 
 type Task = Box<dyn FnOnce(&SetOrders) + Send>;
 
 impl SetOrders {
-    /// Of the set with this control socket, and the thread that has its map.
-    pub fn new(socket: &Path, map: Sender<MapOrder>) -> Self {
-        Self { socket: socket.to_owned(), map }
+    /// Of the set with this control socket, the thread that has its map, and the frame of that.
+    pub fn new(socket: &Path, map: Sender<MapOrder>, map_frame: &str) -> Self {
+        Self { socket: socket.to_owned(), map, map_frame: map_frame.to_owned() }
     }
 
     fn order(&self, request: &Request) -> Result<Reply, String> {
@@ -119,7 +121,11 @@ pub fn offer(node: &mut Node, orders: SetOrders) -> Result<(), BridgeError> {
     })?;
     let mut services = Services { node, tasks };
     services.offer_flow()?;
-    services.offer_maps()
+    services.offer_maps()?;
+    if services.node.answers_at_any_length() {
+        services.offer_map()?;
+    }
+    Ok(())
 }
 
 struct Services<'n> {
@@ -193,6 +199,14 @@ impl Services<'_> {
             let done = orders.done(&Request::Load(absolute(&request.map_url)));
             let result = if done.is_ok() { 0 } else { NO_MAP };
             LoadMapResponse { map: OccupancyGrid::default(), result }
+        })
+    }
+    /// The whole map, where an answer may be as long.
+    fn offer_map(&mut self) -> Result<(), BridgeError> {
+        self.offer::<GetMap>("slam_toolbox/dynamic_map", |orders, _| {
+            let frame = orders.map_frame.clone();
+            let map = orders.map(move |map| map.map(|(map, stamp_ns)| map.message(stamp_ns, &frame)));
+            GetMapResponse { map: map.flatten().unwrap_or_default() }
         })
     }
 }

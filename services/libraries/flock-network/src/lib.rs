@@ -1,5 +1,5 @@
 //! A robot's side of the flock: a thread that publishes the robot's records, takes in those of others, looks for places that both have
-//! seen, and works out the common solution. The only crate that knows zenoh.
+//! seen, and works out the common solution.
 
 mod common;
 mod companions;

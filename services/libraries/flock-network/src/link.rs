@@ -4,15 +4,13 @@ use super::drops::{Dropped, Drops};
 use super::thread_state::locked;
 use crate::settings::FlockSettings;
 use flockslam_records::{MESSAGE_BYTES_MAX, Message, RobotId};
+use flockslam_zenoh_session::{
+    Announcement, Heard as HeardBytes, Session, SessionConfiguration, SessionError, Subscription,
+};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
-use zenoh::Wait;
-use zenoh::liveliness::LivelinessToken;
-use zenoh::pubsub::Subscriber;
-use zenoh::qos::CongestionControl;
-use zenoh::sample::{Sample, SampleKind};
 
 /// Messages that wait to be looked at: more are dropped.
 const WAITING_MAX: usize = 64;
@@ -74,17 +72,17 @@ struct Presence {
 /// What a robot says to another goes to `flockslam/FLOCK/to/RECEIVER/SENDER`. Messages may be lost at any time: they are said again
 /// as long as a robot lacks records. Presence is announced by tokens `flockslam/FLOCK/there/ROBOT`, which go with their robot.
 pub struct Link {
-    session: zenoh::Session,
+    session: Session,
     prefix: String,
     own: String,
     heard: Receiver<Heard>,
     presence: Arc<Mutex<Presence>>,
-    ended: Option<(String, Instant, LivelinessToken)>,
+    ended: Option<(String, Instant, Announcement)>,
     drops: Arc<Drops>,
     traffic: Arc<Traffic>,
     // Kept alive: what they hear comes through `heard` and `presence`.
-    _subscribers: Vec<Subscriber<()>>,
-    _there: LivelinessToken,
+    _subscriptions: Vec<Subscription>,
+    _there: Announcement,
 }
 
 impl Link {
@@ -98,7 +96,7 @@ impl Link {
         drops: &Arc<Drops>,
         traffic: &Arc<Traffic>,
     ) -> Result<Self, String> {
-        let session = zenoh::open(configuration(settings)?).wait().map_err(text)?;
+        let session = Session::open(configuration(settings).map_err(text)?).map_err(text)?;
         let prefix = format!("flockslam/{}", settings.flock);
         let own = address(robot);
         let (queue, heard) = sync_channel(WAITING_MAX);
@@ -111,12 +109,11 @@ impl Link {
             gate: Gate::default(),
         });
         let mail = format!("{prefix}/to/{own}/*");
-        let hear = move |sample: Sample| locked(&mailbox).take(&sample);
-        let mail = session.declare_subscriber(mail).callback(hear).wait().map_err(text)?;
+        let mail = session.hear(mail, move |heard| locked(&mailbox).take(heard)).map_err(text)?;
         let there = watch(&session, format!("{prefix}/there/*"), &presence, Presence::there)?;
         let ended = watch(&session, format!("{prefix}/ended/*/*"), &presence, Presence::ended)?;
         let token = format!("{prefix}/there/{own}");
-        let token = session.liveliness().declare_token(token).wait().map_err(text)?;
+        let token = session.announce(token).map_err(text)?;
         Ok(Self {
             session,
             prefix,
@@ -126,7 +123,7 @@ impl Link {
             ended: None,
             drops: Arc::clone(drops),
             traffic: Arc::clone(traffic),
-            _subscribers: vec![mail, there, ended],
+            _subscriptions: vec![mail, there, ended],
             _there: token,
         })
     }
@@ -136,7 +133,7 @@ impl Link {
         let bytes = message.encode();
         let length = bytes.len();
         let key = format!("{}/to/{receiver}/{}", self.prefix, self.own);
-        match self.session.put(key, bytes).congestion_control(CongestionControl::Drop).wait() {
+        match self.session.put(key, bytes) {
             Ok(()) => {
                 self.traffic.said(receiver, length);
             }
@@ -165,7 +162,7 @@ impl Link {
             return since.elapsed();
         }
         let key = format!("{}/ended/{}/{hash}", self.prefix, self.own);
-        match self.session.liveliness().declare_token(key).wait() {
+        match self.session.announce(key) {
             Ok(token) => self.ended = Some((hash.to_owned(), Instant::now(), token)),
             Err(error) => tracing::warn!(%error, "the end is not announced to the flock"),
         }
@@ -209,20 +206,19 @@ impl Presence {
 }
 
 fn watch(
-    session: &zenoh::Session,
+    session: &Session,
     key: String,
     presence: &Arc<Mutex<Presence>>,
     note: fn(&mut Presence, &[&str], bool),
-) -> Result<Subscriber<()>, String> {
+) -> Result<Subscription, String> {
     let presence = Arc::clone(presence);
     let kinds = key.matches('*').count();
-    let seen = move |sample: Sample| {
-        let key = sample.key_expr().as_str();
+    let seen = move |key: &str, is_there: bool| {
         let parts: Vec<&str> = key.rsplitn(kinds + 1, '/').take(kinds).collect();
         let parts: Vec<&str> = parts.into_iter().rev().collect();
-        note(&mut locked(&presence), &parts, sample.kind() == SampleKind::Put);
+        note(&mut locked(&presence), &parts, is_there);
     };
-    session.liveliness().declare_subscriber(key).history(true).callback(seen).wait().map_err(text)
+    session.hear_announcements(key, seen).map_err(text)
 }
 
 /// Takes messages from the network's own threads to that of the flock, as far as they are not too long or too many.
@@ -235,19 +231,18 @@ struct Mailbox {
 }
 
 impl Mailbox {
-    fn take(&mut self, sample: &Sample) {
-        let Some(sender) = sample.key_expr().as_str().rsplit('/').next().filter(|sender| *sender != self.own)
-        else {
+    fn take(&mut self, sample: &HeardBytes<'_>) {
+        let Some(sender) = sample.key().rsplit('/').next().filter(|sender| *sender != self.own) else {
             return;
         };
-        let length = sample.payload().len();
+        let length = sample.length();
         if length > MESSAGE_BYTES_MAX {
             return self.drops.count(Dropped::TooLong, 1);
         }
         if !self.gate.admits(sender, Instant::now()) {
             return self.drops.count(Dropped::TooMany, 1);
         }
-        let heard = Heard { sender: sender.to_owned(), bytes: sample.payload().to_bytes().into_owned() };
+        let heard = Heard { sender: sender.to_owned(), bytes: sample.bytes().into_owned() };
         match self.queue.try_send(heard) {
             Ok(()) => self.traffic.heard(sender, length),
             Err(TrySendError::Full(_)) => self.drops.count(Dropped::Overflow, 1),
@@ -275,15 +270,14 @@ impl Gate {
 }
 
 /// Peer to peer; what settings do not name stays off.
-fn configuration(settings: &FlockSettings) -> Result<zenoh::Config, String> {
+fn configuration(settings: &FlockSettings) -> Result<SessionConfiguration, SessionError> {
     let mut config = match settings.zenoh_file.as_os_str().is_empty() {
-        true => zenoh::Config::default(),
-        false => zenoh::Config::from_file(&settings.zenoh_file).map_err(text)?,
+        true => SessionConfiguration::default(),
+        false => SessionConfiguration::from_file(&settings.zenoh_file)?,
     };
     let quoted = |text: &str| format!("{text:?}");
     let listed = |endpoints: &[String]| format!("{endpoints:?}");
-    let mut set =
-        |key: &str, value: &str| config.insert_json5(key, value).map_err(|error| format!("{key}: {error}"));
+    let mut set = |key: &str, value: &str| config.set(key, value);
     set("mode", "\"peer\"")?;
     set("scouting/multicast/enabled", if settings.multicast { "true" } else { "false" })?;
     set("scouting/gossip/enabled", "false")?;

@@ -1,12 +1,10 @@
 //! What the environment says of a ROS graph: the domain, and how far it reaches.
 
 use crate::RosError;
+use crate::zenoh_node::zenoh_configuration;
 
 /// Domains whose ports lie in the range that Linux leaves free.
 const DOMAIN_MAX: u16 = 232;
-/// What implementations of DDS call themselves: a node hears all of them.
-const DDS: [&str; 4] = ["", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", CYCLONE];
-const CYCLONE: &str = "rmw_cyclonedds_cpp";
 
 /// How far nodes look for each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,13 +15,16 @@ pub enum Reach {
     Subnet,
 }
 
-/// Whose way of calling services the nodes of a graph have. Topics are the same for both.
+/// What carries the messages of the graph. Topics are the same for both implementations of DDS; who has called a service stands beside
+/// calls and answers for Fast DDS, and others by the standard, and before them for Cyclone DDS.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Callers {
-    /// Who has called stands beside calls and answers: Fast DDS, and others by the standard.
+pub enum Middleware {
+    /// DDS, with callers of Fast DDS.
     FastDds,
-    /// Who has called stands before calls and answers: Cyclone DDS.
+    /// DDS, with callers of Cyclone DDS.
     CycloneDds,
+    /// Zenoh, as rmw_zenoh.
+    Zenoh,
 }
 
 /// The part of the environment that every node of ROS 2 follows.
@@ -34,7 +35,11 @@ pub struct Environment {
     /// From `ROS_LOCALHOST_ONLY` and `ROS_AUTOMATIC_DISCOVERY_RANGE`.
     pub reach: Reach,
     /// From `RMW_IMPLEMENTATION`; Fast DDS unless it says otherwise.
-    pub callers: Callers,
+    pub middleware: Middleware,
+    /// A file with the configuration of zenoh (`ZENOH_SESSION_CONFIG_URI`); empty for none.
+    pub zenoh_file: String,
+    /// Single keys over it, `KEY=VALUE;…` (`ZENOH_CONFIG_OVERRIDE`).
+    pub zenoh_overrides: String,
     /// Variables that are set and have no effect here, each with the reason.
     pub unhonoured: Vec<String>,
 }
@@ -83,19 +88,55 @@ impl Environment {
             }
         };
         let mut unhonoured = Vec::new();
-        let middleware = text("RMW_IMPLEMENTATION");
-        let callers = if middleware == CYCLONE { Callers::CycloneDds } else { Callers::FastDds };
-        if !DDS.contains(&middleware.as_str()) {
-            unhonoured
-                .push(format!("RMW_IMPLEMENTATION={middleware}: nodes of DDS are heard, others are not"));
-        }
-        for name in ["ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS"] {
+        let named = text("RMW_IMPLEMENTATION");
+        let middleware = match named.as_str() {
+            "rmw_zenoh_cpp" => Middleware::Zenoh,
+            "rmw_cyclonedds_cpp" => Middleware::CycloneDds,
+            "" | "rmw_fastrtps_cpp" | "rmw_fastrtps_dynamic_cpp" => Middleware::FastDds,
+            _ => {
+                unhonoured
+                    .push(format!("RMW_IMPLEMENTATION={named}: nodes of DDS are heard, others are not"));
+                Middleware::FastDds
+            }
+        };
+        let (without_effect, reason): (&[_], _) = match middleware {
+            Middleware::Zenoh => (
+                &[
+                    "ROS_LOCALHOST_ONLY",
+                    "ROS_AUTOMATIC_DISCOVERY_RANGE",
+                    "ROS_DISCOVERY_SERVER",
+                    "ROS_STATIC_PEERS",
+                    "ZENOH_ROUTER_CHECK_ATTEMPTS",
+                ],
+                "nodes are found as the configuration of zenoh says, through its router",
+            ),
+            _ => (&["ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS"], "nodes are found by multicast only"),
+        };
+        for name in without_effect {
             let value = text(name);
             if !value.is_empty() {
-                unhonoured.push(format!("{name}={value}: nodes are found by multicast only"));
+                unhonoured.push(format!("{name}={value}: {reason}"));
             }
         }
-        Ok(Self { domain, reach, callers, unhonoured })
+        Ok(Self {
+            domain,
+            reach,
+            middleware,
+            zenoh_file: text("ZENOH_SESSION_CONFIG_URI"),
+            zenoh_overrides: text("ZENOH_CONFIG_OVERRIDE"),
+            unhonoured,
+        })
+    }
+
+    /// Whether a node can be opened with it, as far as that is known without the network.
+    ///
+    /// # Errors
+    /// When the configuration of zenoh cannot be used.
+    pub fn check(&self) -> Result<(), RosError> {
+        match self.middleware {
+            Middleware::Zenoh => zenoh_configuration(self).map(drop),
+            _ => Ok(()),
+        }
     }
 }
 
@@ -129,13 +170,15 @@ mod tests {
         }
         assert!(read(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")]).unwrap_err().contains("no node is heard"));
         let named = read(&[
-            ("RMW_IMPLEMENTATION", "rmw_zenoh_cpp"),
+            ("RMW_IMPLEMENTATION", "rmw_connextdds"),
             ("ROS_DISCOVERY_SERVER", "10.0.0.1:11811"),
             ("ROS_STATIC_PEERS", "10.0.0.2"),
         ]);
         assert_eq!(named.unwrap().unhonoured.len(), 3);
+        let zenoh = read(&[("RMW_IMPLEMENTATION", "rmw_zenoh_cpp"), ("ROS_LOCALHOST_ONLY", "1")]).unwrap();
+        assert_eq!((zenoh.middleware, zenoh.unhonoured.len()), (Middleware::Zenoh, 1));
         let cyclone = read(&[("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")]).unwrap();
-        assert_eq!((cyclone.callers, cyclone.unhonoured.len()), (Callers::CycloneDds, 0));
-        assert_eq!(read(&[]).unwrap().callers, Callers::FastDds);
+        assert_eq!((cyclone.middleware, cyclone.unhonoured.len()), (Middleware::CycloneDds, 0));
+        assert_eq!(read(&[]).unwrap().middleware, Middleware::FastDds);
     }
 }

@@ -49,32 +49,6 @@ impl ParameterValue {
     }
 }
 
-impl From<ParameterValue> for ros2_client::ParameterValue {
-    fn from(value: ParameterValue) -> Self {
-        match value {
-            ParameterValue::Boolean(value) => Self::Boolean(value),
-            ParameterValue::Integer(value) => Self::Integer(value),
-            ParameterValue::Double(value) => Self::Double(value),
-            ParameterValue::Text(value) => Self::String(value),
-            ParameterValue::Texts(value) => Self::StringArray(value),
-        }
-    }
-}
-
-impl ParameterValue {
-    pub(crate) fn from_wire(value: &ros2_client::ParameterValue) -> Option<Self> {
-        use ros2_client::ParameterValue as Wire;
-        match value {
-            Wire::Boolean(value) => Some(Self::Boolean(*value)),
-            Wire::Integer(value) => Some(Self::Integer(*value)),
-            Wire::Double(value) => Some(Self::Double(*value)),
-            Wire::String(value) => Some(Self::Text(value.clone())),
-            Wire::StringArray(value) => Some(Self::Texts(value.clone())),
-            _ => None,
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

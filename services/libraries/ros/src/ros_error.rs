@@ -15,6 +15,16 @@ pub enum RosError {
         /// What is wrong with it.
         reason: &'static str,
     },
+    /// The configuration of zenoh cannot be used.
+    #[error("{name}={value}: {reason}")]
+    Zenoh {
+        /// The variable that has it.
+        name: &'static str,
+        /// What it says.
+        value: String,
+        /// What zenoh said.
+        reason: String,
+    },
     /// An argument behind `--ros-args` has no sense.
     #[error("--ros-args {argument}: {reason}")]
     Argument {
@@ -52,7 +62,7 @@ pub enum RosError {
     Open {
         /// The topic or service.
         name: String,
-        /// What DDS said.
+        /// What the network said.
         reason: String,
     },
 }

@@ -62,3 +62,16 @@ service! {
         result: u8,
     }
 }
+
+service! {
+    /// `nav_msgs/GetMap`.
+    GetMap = "nav_msgs" / "GetMap",
+    GetMapRequest {
+        /// Nothing is asked.
+        structure_needs_at_least_one_member: u8,
+    },
+    GetMapResponse {
+        /// The map.
+        map: OccupancyGrid,
+    }
+}

@@ -1,0 +1,334 @@
+//! A node's topics and services over zenoh, as rmw_zenoh has them.
+
+use crate::messages::{RosMessage, RosService};
+use crate::ros_node::{Answer, Call, Hearing, SendMessage, Undecodable};
+use crate::sender_clock::sender_clock_ns;
+use crate::type_hash::type_hash;
+use crate::zenoh_names::{Beside, Entity, TypeName, ZenohNames, sender_number};
+use crate::{Environment, NodeIdentity, QualityOfService, RosError};
+use byteorder::{BigEndian, LittleEndian};
+use flockslam_zenoh_session::{
+    Announcement, Delivery, Question, Session, SessionConfiguration, SessionError, Subscription,
+};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+/// Before a message in CDR, least byte first.
+const LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];
+/// A router is waited for at most so often, each time so long; it is joined whenever it comes.
+const LOOKS_FOR_ROUTER: u32 = 20;
+const LOOK_PERIOD: Duration = Duration::from_millis(50);
+/// Keys of others that say who hears what: more are not looked at.
+const SUBSCRIPTIONS_MAX: usize = 4096;
+/// What rmw_zenoh has by default, and a bound for what is put together of fragments: a scan of ten million beams has 80 MB.
+const DEFAULTS: [(&str, &str); 7] = [
+    ("mode", "\"peer\""),
+    ("connect/endpoints", "[\"tcp/localhost:7447\"]"),
+    ("connect/timeout_ms", "-1"),
+    ("connect/exit_on_failure", "false"),
+    ("listen/endpoints", "[\"tcp/localhost:0\"]"),
+    ("scouting/multicast/enabled", "false"),
+    ("transport/link/rx/max_message_size", "134217728"),
+];
+
+/// What begins to hear once the node runs.
+type Ear = Box<dyn FnOnce(&Session) -> Result<Subscription, SessionError> + Send>;
+/// Which other sessions hear which topic, by the key that says so.
+type HeardElsewhere = Arc<Mutex<BTreeMap<String, String>>>;
+
+/// A node over zenoh, before it hears.
+pub struct ZenohNode {
+    session: Session,
+    names: ZenohNames,
+    entities: u32,
+    ears: Vec<(String, Ear)>,
+    announced: Vec<Announcement>,
+    heard_elsewhere: HeardElsewhere,
+    undecodable: Arc<Undecodable>,
+    subscriptions: Vec<Subscription>,
+}
+
+/// A node that hears. It leaves the graph when it is dropped.
+struct HearingZenohNode {
+    heard_elsewhere: HeardElsewhere,
+    _announced: Vec<Announcement>,
+    _subscriptions: Vec<Subscription>,
+    _session: Session,
+}
+
+impl ZenohNode {
+    /// Joins the graph.
+    pub fn open(
+        identity: &NodeIdentity,
+        environment: &Environment,
+        undecodable: Arc<Undecodable>,
+    ) -> Result<Self, RosError> {
+        let refused =
+            |error: SessionError| RosError::Network { domain: environment.domain, reason: error.to_string() };
+        let session = Session::open(zenoh_configuration(environment)?).map_err(refused)?;
+        let names = ZenohNames { domain: environment.domain, session: session.id(), node: identity.clone() };
+        let is_connected = (0..LOOKS_FOR_ROUTER).any(|_| {
+            let is_connected = session.is_connected();
+            if !is_connected {
+                std::thread::sleep(LOOK_PERIOD);
+            }
+            is_connected
+        });
+        if !is_connected {
+            tracing::warn!(
+                "no router of zenoh is reached: start `ros2 run rmw_zenoh_cpp rmw_zenohd`, or say where it is in ZENOH_CONFIG_OVERRIDE; \
+                 it is joined as soon as it is there"
+            );
+        }
+        let heard_elsewhere = HeardElsewhere::default();
+        let (known, own) = (Arc::clone(&heard_elsewhere), names.clone());
+        let note = move |key: &str, is_there: bool| {
+            let mut known = known.lock().expect("no thread panics with it");
+            if !is_there {
+                known.remove(key);
+            } else if known.len() < SUBSCRIPTIONS_MAX
+                && let Some(topic) = own.heard_elsewhere(key)
+            {
+                known.insert(key.to_owned(), topic);
+            }
+        };
+        let watching = session.hear_announcements(names.subscriptions_key(), note).map_err(refused)?;
+        let node = session.announce(names.node_key()).map_err(refused)?;
+        Ok(Self {
+            session,
+            names,
+            entities: 0,
+            ears: Vec::new(),
+            announced: vec![node],
+            heard_elsewhere,
+            undecodable,
+            subscriptions: vec![watching],
+        })
+    }
+
+    /// Sends on a topic, by its full name.
+    pub fn publisher<M: RosMessage>(
+        &mut self,
+        full: &str,
+        quality: QualityOfService,
+    ) -> Result<SendMessage<M>, RosError> {
+        let kind = type_name(M::TYPE, "msg")?;
+        let delivery = match quality {
+            QualityOfService::Sensor { .. } => Delivery { is_reliable: false, kept: 0 },
+            QualityOfService::Reliable { .. } => Delivery { is_reliable: true, kept: 0 },
+            QualityOfService::Latched { depth } => Delivery { is_reliable: true, kept: depth },
+        };
+        let publication = self
+            .session
+            .publish(self.names.data_key(full, &kind), delivery)
+            .map_err(|error| refused(full, &error))?;
+        let sender = self.announce(full, Entity::Publisher, &kind, quality)?;
+        let sent = AtomicI64::new(0);
+        Ok(Box::new(move |message: M| {
+            let bytes = encode(&message)?;
+            let sequence = sent.fetch_add(1, Ordering::Relaxed) + 1;
+            let beside = Beside { sequence, sent_ns: sender_clock_ns(), sender };
+            publication.send(bytes, beside.encode()).map_err(|error| error.to_string())
+        }))
+    }
+
+    /// Hears a topic, by its full name.
+    pub fn subscribe<M: RosMessage>(
+        &mut self,
+        full: String,
+        quality: QualityOfService,
+        hear: impl FnMut(M) + Send + 'static,
+    ) -> Result<(), RosError> {
+        let kind = type_name(M::TYPE, "msg")?;
+        let key = self.names.data_key(&full, &kind);
+        self.announce(&full, Entity::Subscription, &kind, quality)?;
+        let (undecodable, hear, name) = (Arc::clone(&self.undecodable), Mutex::new(hear), full.clone());
+        let ear = move |session: &Session| {
+            let take = move |heard: &flockslam_zenoh_session::Heard<'_>| match decode::<M>(&heard.bytes()) {
+                Ok(message) => hear.lock().expect("no thread panics with it")(message),
+                Err(error) => undecodable.note(&name, &error),
+            };
+            match quality {
+                QualityOfService::Latched { depth } => session.hear_kept(key, depth, take),
+                _ => session.hear(key, take),
+            }
+        };
+        self.ears.push((full, Box::new(ear)));
+        Ok(())
+    }
+
+    /// Offers a service, by its full name.
+    pub fn serve<S: RosService>(
+        &mut self,
+        full: String,
+        hear: impl FnMut(Call<S>) + Send + 'static,
+    ) -> Result<(), RosError> {
+        let kind = type_name(S::TYPE, "srv")?;
+        let key = self.names.data_key(&full, &kind);
+        self.announce(&full, Entity::Service, &kind, QualityOfService::Reliable { depth: 10 })?;
+        let (undecodable, hear, name) = (Arc::clone(&self.undecodable), Mutex::new(hear), full.clone());
+        let take = move |question: Question| {
+            let beside = question.attachment().and_then(|bytes| Beside::decode(&bytes));
+            let Some(beside) = beside else {
+                return undecodable.note(&name, "who has called is not said");
+            };
+            let request = match decode::<S::Request>(&question.bytes()) {
+                Ok(request) => request,
+                Err(error) => return undecodable.note(&name, &error),
+            };
+            let name = name.clone();
+            let answer = move |response: S::Response| {
+                let beside = Beside { sent_ns: sender_clock_ns(), ..beside };
+                let sent = encode(&response).and_then(|bytes| {
+                    question.answer(bytes, beside.encode()).map_err(|error| error.to_string())
+                });
+                if let Err(error) = sent {
+                    tracing::warn!(name, error, "an answer could not be sent");
+                }
+            };
+            let call = Call { request, answer: Answer(Box::new(answer)) };
+            hear.lock().expect("no thread panics with it")(call);
+        };
+        self.ears.push((full, Box::new(move |session: &Session| session.take_questions(key, take))));
+        Ok(())
+    }
+
+    /// Begins to hear, on threads of zenoh.
+    pub fn run(mut self) -> Result<Box<dyn Hearing>, RosError> {
+        for (full, ear) in self.ears {
+            self.subscriptions.push(ear(&self.session).map_err(|error| refused(&full, &error))?);
+        }
+        Ok(Box::new(HearingZenohNode {
+            heard_elsewhere: self.heard_elsewhere,
+            _announced: self.announced,
+            _subscriptions: self.subscriptions,
+            _session: self.session,
+        }))
+    }
+
+    /// Announces what the node has; returns its number as a sender.
+    fn announce(
+        &mut self,
+        full: &str,
+        entity: Entity,
+        kind: &TypeName,
+        quality: QualityOfService,
+    ) -> Result<[u8; 16], RosError> {
+        self.entities += 1;
+        let key = self.names.entity_key(self.entities, entity, full, kind, quality);
+        let sender = sender_number(&key);
+        self.announced.push(self.session.announce(key).map_err(|error| refused(full, &error))?);
+        Ok(sender)
+    }
+}
+
+impl Hearing for HearingZenohNode {
+    fn is_heard(&self, full_name: &str) -> bool {
+        let known = self.heard_elsewhere.lock().expect("no thread panics with it");
+        known.values().any(|topic| topic == full_name)
+    }
+}
+
+/// The configuration that the environment asks for, by the variables of rmw_zenoh.
+pub fn zenoh_configuration(environment: &Environment) -> Result<SessionConfiguration, RosError> {
+    let refused = |name: &'static str, value: &str, error: SessionError| RosError::Zenoh {
+        name,
+        value: value.to_owned(),
+        reason: error.to_string(),
+    };
+    let file = environment.zenoh_file.as_str();
+    let mut configuration = SessionConfiguration::default();
+    if file.is_empty() {
+        for (key, value) in DEFAULTS {
+            configuration.set(key, value).expect("zenoh knows its keys");
+        }
+    } else {
+        configuration = SessionConfiguration::from_file(Path::new(file))
+            .map_err(|error| refused("ZENOH_SESSION_CONFIG_URI", file, error))?;
+    }
+    for part in environment.zenoh_overrides.split(';').map(str::trim).filter(|part| !part.is_empty()) {
+        let (key, value) = part.split_once('=').unwrap_or((part, ""));
+        configuration
+            .set(key.trim(), value.trim())
+            .map_err(|error| refused("ZENOH_CONFIG_OVERRIDE", part, error))?;
+    }
+    Ok(configuration)
+}
+
+fn type_name(name: (&str, &str), of: &str) -> Result<TypeName, RosError> {
+    let full = format!("{}/{of}/{}", name.0, name.1);
+    let hash = type_hash(&full).ok_or_else(|| RosError::Open {
+        name: full.clone(),
+        reason: "its definition is not known here".to_owned(),
+    })?;
+    Ok(TypeName::new(name, of, hash))
+}
+
+fn encode(message: &impl Serialize) -> Result<Vec<u8>, String> {
+    let body = cdr_encoding::to_vec::<_, LittleEndian>(message).map_err(|error| error.to_string())?;
+    Ok([&LITTLE_ENDIAN[..], &body].concat())
+}
+
+fn decode<M: DeserializeOwned>(bytes: &[u8]) -> Result<M, String> {
+    let (head, body) = bytes.split_at_checked(LITTLE_ENDIAN.len()).ok_or("it has no head")?;
+    let decoded = match head[..2] {
+        [0, 1] => cdr_encoding::from_bytes::<M, LittleEndian>(body),
+        [0, 0] => cdr_encoding::from_bytes::<M, BigEndian>(body),
+        _ => return Err("it is not in plain CDR".to_owned()),
+    };
+    decoded.map(|(message, _)| message).map_err(|error| error.to_string())
+}
+
+fn refused(name: &str, error: &impl std::fmt::Display) -> RosError {
+    RosError::Open { name: name.to_owned(), reason: error.to_string() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::{Header, LaserScan};
+    use proptest::prelude::*;
+
+    #[test]
+    fn messages_have_a_head_and_come_back_in_both_orders() {
+        let scan =
+            LaserScan { header: Header::new(5, "laser"), ranges: vec![1.0, 2.5], ..LaserScan::default() };
+        let bytes = encode(&scan).unwrap();
+        assert_eq!(bytes[..4], [0, 1, 0, 0]);
+        assert_eq!(decode::<LaserScan>(&bytes).unwrap(), scan);
+        let big = [&[0; 4][..], &cdr_encoding::to_vec::<_, BigEndian>(&scan).unwrap()].concat();
+        assert_eq!(decode::<LaserScan>(&big).unwrap(), scan);
+        assert!(decode::<LaserScan>(&bytes[..3]).is_err());
+    }
+
+    #[test]
+    fn a_configuration_follows_the_variables_and_what_zenoh_does_not_know_is_refused() {
+        let with = |name: &str, value: &str| {
+            let given = (name.to_owned(), value.to_owned());
+            let find = move |name: &str| (name == given.0).then(|| given.1.clone());
+            zenoh_configuration(&Environment::from_variables(find).unwrap())
+                .map(drop)
+                .map_err(|e| e.to_string())
+        };
+        assert_eq!(with("", ""), Ok(()));
+        let good = "mode=\"client\"; connect/endpoints=[\"tcp/10.0.0.1:7447\"];";
+        assert_eq!(with("ZENOH_CONFIG_OVERRIDE", good), Ok(()));
+        let error = with("ZENOH_CONFIG_OVERRIDE", "conect/endpoints=[]").unwrap_err();
+        assert!(error.starts_with("ZENOH_CONFIG_OVERRIDE=conect/endpoints=[]: "), "{error}");
+        let error = with("ZENOH_SESSION_CONFIG_URI", "/nowhere.json5").unwrap_err();
+        assert!(error.starts_with("ZENOH_SESSION_CONFIG_URI=/nowhere.json5: "), "{error}");
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_may_come(bytes in proptest::collection::vec(any::<u8>(), 0..200), little in any::<bool>()) {
+            let _ = decode::<LaserScan>(&bytes);
+            let _ = decode::<LaserScan>(&[&[0, u8::from(little), 0, 0][..], &bytes].concat());
+        }
+    }
+}
