@@ -132,7 +132,8 @@ fn lidars_wherever_and_however_many_give_true_poses() {
         println!("{errors:.4?}");
         errors.iter().sum::<f64>() / errors.len() as f64
     };
-    // Limits: a tenth more than was reached.
+    // Limits: a tenth more than was reached. Over twelve seeds single drives are between 0.0021 and 0.0063 m, the means 0.0031 m plain,
+    // 0.0032 ahead and turned, 0.0044 back to back, 0.0036 with three rates.
     let upside_down = Mounted { upside_down: true, ..at(0.1, 0.0) };
     let slower = Mounted { every: 4, ..at(-0.2, 120.0) };
     let faster = Mounted { every: 1, ..at(0.0, -120.0) };

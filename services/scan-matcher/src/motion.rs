@@ -63,8 +63,8 @@ pub(crate) struct Motion {
     /// The last scan fitted nowhere.
     is_lost: bool,
     velocity: Twist,
-    /// The mean velocity by odometry between the last two scans.
-    odometry_twist: Option<Twist>,
+    /// How fast the robot turned between the last two scans, by odometry.
+    odometry_turn_rad_s: Option<f64>,
     /// The error of odometry, as fits have shown it.
     noise: OdometryNoise,
     /// The scale of odometry, as surfaces in the open have shown it.
@@ -162,7 +162,7 @@ impl Motion {
             period_s: PERIOD_START_S,
             is_lost: false,
             velocity: Twist::default(),
-            odometry_twist: None,
+            odometry_turn_rad_s: None,
             noise: OdometryNoise::default(),
             scale: WheelScale::default(),
             turn_scale: TurnScale::default(),
@@ -238,17 +238,13 @@ impl Motion {
     /// The velocity during a scan that comes after this motion by odometry. A turn that has become faster goes on becoming so; what may be
     /// noise of odometry is no such change.
     fn twist_after(&self, scan: ScanView<'_>, motion: Pose, step_s: f64) -> Twist {
-        let now = self.mean_twist(motion, step_s);
-        let Some(before) = self.odometry_twist.filter(|_| !self.is_of_another(scan)) else { return now };
-        let change_rad_s = now.turn_rad_s - before.turn_rad_s;
+        let turned_rad = self.turn_scale.factor() * motion.heading_rad;
+        let now = Twist::from_motion(Pose { heading_rad: turned_rad, ..motion }, step_s);
+        let before_rad_s = self.odometry_turn_rad_s.filter(|_| !self.is_of_another(scan));
+        let Some(before_rad_s) = before_rad_s else { return now };
+        let change_rad_s = now.turn_rad_s - before_rad_s;
         let beyond_rad_s = change_rad_s - change_rad_s.clamp(-TURN_NOISE_RAD_S, TURN_NOISE_RAD_S);
         Twist { turn_rad_s: now.turn_rad_s + beyond_rad_s, ..now }
-    }
-
-    /// The mean velocity of a motion by odometry.
-    fn mean_twist(&self, motion: Pose, step_s: f64) -> Twist {
-        let turned_rad = self.turn_scale.factor() * motion.heading_rad;
-        Twist::from_motion(Pose { heading_rad: turned_rad, ..motion }, step_s)
     }
 
     /// By how much the gyroscope says that the robot has turned since the scan before, where there is no odometry.
@@ -305,8 +301,10 @@ impl Motion {
                 _ => self.pose.to(pose),
             };
             self.velocity = scaled(Twist::from_motion(motion, self.even(scan, step_s)), kept);
-            let said = self.odometry.zip(scan.odometry()).map(|(before, now)| before.to(now));
-            self.odometry_twist = said.map(|said| self.mean_twist(said, step_s));
+            self.odometry_turn_rad_s = self
+                .odometry
+                .zip(scan.odometry())
+                .map(|(before, now)| self.turn_scale.factor() * before.to(now).heading_rad / step_s);
             self.period_s += 0.05 * (step_s - self.period_s);
         }
         self.is_lost = lost;

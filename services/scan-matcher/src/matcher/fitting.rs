@@ -291,23 +291,20 @@ impl<F: ScoreField> Fitter<'_, F> {
     }
 
     /// How far the velocity during the scan may be from the predicted one: a robot whose odometry goes on as before keeps its velocity.
+    /// Without odometry nothing says that it does.
     fn twist_sigma(&self, prediction: &Prediction) -> TwistSigma {
-        let Some(coasting) = prediction.coasting else {
+        let Some(coasting) = prediction.coasting.filter(|_| self.scan.odometry().is_some()) else {
             return TWIST_SIGMA;
         };
         let (now, before) = (prediction.twist, coasting.twist);
+        let (least, most) = (STEADY_SIGMA, TWIST_SIGMA);
         let by = |now: f64, before: f64, least: f64, most: f64| {
             (least + STEADY_SHARE * now.abs() + (now - before).abs()).min(most)
         };
         TwistSigma {
-            x_m_s: by(now.x_m_s, before.x_m_s, STEADY_SIGMA.x_m_s, TWIST_SIGMA.x_m_s),
-            y_m_s: by(now.y_m_s, before.y_m_s, STEADY_SIGMA.y_m_s, TWIST_SIGMA.y_m_s),
-            turn_rad_s: by(
-                now.turn_rad_s,
-                before.turn_rad_s,
-                STEADY_SIGMA.turn_rad_s,
-                TWIST_SIGMA.turn_rad_s,
-            ),
+            x_m_s: by(now.x_m_s, before.x_m_s, least.x_m_s, most.x_m_s),
+            y_m_s: by(now.y_m_s, before.y_m_s, least.y_m_s, most.y_m_s),
+            turn_rad_s: by(now.turn_rad_s, before.turn_rad_s, least.turn_rad_s, most.turn_rad_s),
         }
     }
 
