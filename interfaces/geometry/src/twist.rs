@@ -1,7 +1,7 @@
 //! Velocities in the body frame. The exponential map of SE(2) makes a motion of a velocity and a duration, and its
 //! inverse makes a velocity of a motion.
 
-use crate::Pose;
+use crate::{Point, Pose};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 /// Velocity in the body frame.
@@ -56,11 +56,51 @@ impl Twist {
         };
         Pose::new(s * x - c * y, c * x + s * y, turn)
     }
+
+    /// A point that was seen after moving with this velocity for `seconds`, as it is seen from before: `motion_after(seconds)` applied
+    /// to it, at a quarter of the cost. Metres.
+    #[inline]
+    pub fn carried(self, point: Point, seconds: f64) -> Point {
+        let (x, y, turn) = (self.x_m_s * seconds, self.y_m_s * seconds, self.turn_rad_s * seconds);
+        let square = turn * turn;
+        // Series up to the eleventh power: within 1e-12 of the functions below half a radian, and the same bits on every machine.
+        let (s, c, cos) = if square < 0.25 {
+            let s = 1.0
+                - square / 6.0
+                    * (1.0
+                        - square / 20.0
+                            * (1.0 - square / 42.0 * (1.0 - square / 72.0 * (1.0 - square / 110.0))));
+            let half = 0.5
+                * (1.0
+                    - square / 12.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0 * (1.0 - square / 90.0))));
+            (s, half * turn, 1.0 - half * square)
+        } else {
+            let (sin, cos) = turn.sin_cos();
+            (sin / turn, (1.0 - cos) / turn, cos)
+        };
+        let sin = s * turn;
+        Point::new(
+            s * x - c * y + cos * point.x_m - sin * point.y_m,
+            c * x + s * y + sin * point.x_m + cos * point.y_m,
+        )
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_point_is_carried_as_the_motion_says() {
+        for turn_rad_s in [0.0, 1e-9, -0.3, 2.0, 4.9, -5.1, 40.0] {
+            let twist = Twist { x_m_s: 0.7, y_m_s: -0.2, turn_rad_s };
+            for seconds in [-0.1, 0.0, 0.03, 0.1] {
+                let point = Point::new(3.0, -8.0);
+                let (one, other) = (twist.carried(point, seconds), twist.motion_after(seconds).apply(point));
+                assert!((one.x_m - other.x_m).hypot(one.y_m - other.y_m) < 1e-11, "{turn_rad_s} {seconds}");
+            }
+        }
+    }
 
     #[test]
     fn motion_and_velocity_are_inverse() {

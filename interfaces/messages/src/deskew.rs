@@ -48,6 +48,18 @@ impl Deskew {
         }
     }
 
+    /// Where beam `beam` of `scan` ends at `range_m`, in `base_link` at the moment of the beam.
+    pub fn end_then(&self, scan: ScanView<'_>, beam: usize, range_m: f64) -> Point {
+        let laser = self.base_from_laser;
+        let (sin, cos) = (laser.heading_rad + scan.angle_rad(beam)).sin_cos();
+        Point::new(laser.x_m + range_m * cos, laser.y_m + range_m * sin)
+    }
+
+    /// A point in `base_link` so many seconds after the stamp as it is in `base_link` at the stamp.
+    pub fn at_stamp(&self, then: Point, seconds: f64) -> Point {
+        if self.moves { self.twist.carried(then, seconds) } else { then }
+    }
+
     /// Where beam `beam` of `scan` ends at `range_m`, in `base_link` at the stamp.
     pub fn end_in_base(&self, scan: ScanView<'_>, beam: usize, range_m: f64) -> Point {
         let laser = self.laser_at(if self.moves { scan.time_s(beam) } else { 0.0 });

@@ -73,6 +73,30 @@ fn split(numbers: &Row<f64>, shift: f64, whole: &mut Row<u64>, rest: &mut Row<f6
     }
 }
 
+/// One point of the linearised problem, in sides of a cell and units of the score: the slope of the score along x, along y and as the
+/// robot turns, and what is missing to the full score.
+struct Linearised {
+    x: f64,
+    y: f64,
+    t: f64,
+    r: f64,
+}
+
+impl Batch {
+    /// Bilinear interpolation M of point `k` with its true derivative, residual 1 - M.
+    #[inline]
+    fn linearised(&self, k: usize) -> Linearised {
+        let [m00, m10, m01, m11] = &self.blocks;
+        let (a, b) = (self.along[k], self.up[k]);
+        let low = f64::from(m10[k].wrapping_sub(m00[k]));
+        let high = f64::from(m11[k].wrapping_sub(m01[k]));
+        let (bottom, top) = (f64::from(m00[k]) + a * low, f64::from(m01[k]) + a * high);
+        let (x, y) = (low + b * (high - low), top - bottom);
+        let r = FULL - (bottom + b * y);
+        Linearised { x, y, t: self.x[k] * y - self.y[k] * x, r }
+    }
+}
+
 /// Sums over batches, in sides of a cell and units of the score.
 #[derive(Default)]
 pub(crate) struct Sums {
@@ -90,20 +114,12 @@ pub(crate) struct Sums {
 }
 
 impl Sums {
-    /// Adds the points of a batch: bilinear interpolation M with its true derivative J, residual r = 1 - M.
+    /// Adds the points of a batch.
     #[inline]
     pub(crate) fn add(&mut self, batch: &Batch) {
-        let [m00, m10, m01, m11] = &batch.blocks;
         for first in (0..BATCH).step_by(LANES) {
             for lane in 0..LANES {
-                let k = first + lane;
-                let (a, b) = (batch.along[k], batch.up[k]);
-                let low = f64::from(m10[k].wrapping_sub(m00[k]));
-                let high = f64::from(m11[k].wrapping_sub(m01[k]));
-                let (bottom, top) = (f64::from(m00[k]) + a * low, f64::from(m01[k]) + a * high);
-                let (x, y) = (low + b * (high - low), top - bottom);
-                let r = FULL - (bottom + b * y);
-                let t = batch.x[k] * y - batch.y[k] * x;
+                let Linearised { x, y, t, r } = batch.linearised(first + lane);
                 self.xx[lane] += x * x;
                 self.xy[lane] += x * y;
                 self.xt[lane] += x * t;
@@ -150,20 +166,109 @@ pub(crate) struct NormalEquations {
 impl NormalEquations {
     pub(crate) fn of(read: &mut impl ScoreRead, points: &[Point], pose: Pose) -> Self {
         let per_metre = 1.0 / read.cell_size_m();
-        let (sin, cos) = pose.heading_rad.sin_cos();
-        let turn = (cos * per_metre, sin * per_metre);
-        let shift = (pose.x_m * per_metre - 0.5, pose.y_m * per_metre - 0.5);
-        let (mut batch, mut sums) = (Batch::default(), Sums::default());
-        let mut rest = [Point::default(); BATCH];
-        for points in points.chunks(BATCH) {
-            let whole = points.try_into().unwrap_or_else(|_| {
-                rest[..points.len()].copy_from_slice(points);
+        let mut sums = Sums::default();
+        for_each_batch(read, points, pose, |batch, _| sums.add(batch));
+        sums.in_metres(per_metre, points.len())
+    }
+}
+
+/// Reads the scores around the ends of all points, batch by batch; `add` gets each batch and the number of its first point.
+#[inline]
+fn for_each_batch(
+    read: &mut impl ScoreRead,
+    points: &[Point],
+    pose: Pose,
+    mut add: impl FnMut(&Batch, usize),
+) {
+    let per_metre = 1.0 / read.cell_size_m();
+    let (sin, cos) = pose.heading_rad.sin_cos();
+    let turn = (cos * per_metre, sin * per_metre);
+    let shift = (pose.x_m * per_metre - 0.5, pose.y_m * per_metre - 0.5);
+    let mut batch = Batch::default();
+    let mut rest = [Point::default(); BATCH];
+    for (number, points) in points.chunks(BATCH).enumerate() {
+        let whole = points.try_into().unwrap_or_else(|_| {
+            rest[..points.len()].copy_from_slice(points);
+            &rest
+        });
+        batch.place(whole, turn, shift);
+        batch.read(read, points.len());
+        add(&batch, number * BATCH);
+    }
+}
+
+/// The same sums of points that were measured one after the other: those of the pose, those times the seconds of each point, and those
+/// times their square.
+#[derive(Default)]
+struct TimedSums {
+    /// xx, xy, xt, yy, yt, tt.
+    squares: [[[f64; LANES]; 6]; 3],
+    /// xr, yr, tr.
+    missed: [[[f64; LANES]; 3]; 2],
+    rr: [f64; LANES],
+}
+
+impl TimedSums {
+    #[inline]
+    fn add(&mut self, batch: &Batch, times_s: &Row<f64>) {
+        for first in (0..BATCH).step_by(LANES) {
+            for lane in 0..LANES {
+                let Linearised { x, y, t, r } = batch.linearised(first + lane);
+                let time_s = times_s[first + lane];
+                let products = [x * x, x * y, x * t, y * y, y * t, t * t];
+                for (i, product) in products.into_iter().enumerate() {
+                    self.squares[0][i][lane] += product;
+                    self.squares[1][i][lane] += product * time_s;
+                    self.squares[2][i][lane] += product * (time_s * time_s);
+                }
+                for (i, slope) in [x, y, t].into_iter().enumerate() {
+                    self.missed[0][i][lane] += slope * r;
+                    self.missed[1][i][lane] += slope * r * time_s;
+                }
+                self.rr[lane] += r * r;
+            }
+        }
+    }
+}
+
+/// The linearised problem in pose and velocity: sums over all points, not yet divided by their number, in metres and shares of the
+/// full score.
+pub(crate) struct TimedEquations {
+    /// Jᵀ J of the pose, weighted by 1, by the seconds of each point, and by their square.
+    pub(crate) blocks: [Matrix3<f64>; 3],
+    /// Jᵀ r, weighted by 1 and by the seconds.
+    pub(crate) gradients: [Vector3<f64>; 2],
+    /// Squared residuals.
+    pub(crate) squares: f64,
+}
+
+impl TimedEquations {
+    /// Of points (metres, frame of the robot), each measured so many seconds after the stamp, at a pose.
+    pub(crate) fn of(read: &mut impl ScoreRead, points: &[Point], times_s: &[f64], pose: Pose) -> Self {
+        assert_eq!(points.len(), times_s.len());
+        let per_metre = 1.0 / read.cell_size_m();
+        let (mut sums, mut rest) = (TimedSums::default(), [0.0; BATCH]);
+        for_each_batch(read, points, pose, |batch, first| {
+            let times_s = &times_s[first..(first + BATCH).min(times_s.len())];
+            let whole = times_s.try_into().unwrap_or_else(|_| {
+                rest[..times_s.len()].copy_from_slice(times_s);
                 &rest
             });
-            batch.place(whole, turn, shift);
-            batch.read(read, points.len());
-            sums.add(&batch);
-        }
-        sums.in_metres(per_metre, points.len())
+            sums.add(batch, whole);
+        });
+        let (one, length) = (1.0 / FULL, per_metre / FULL);
+        let sum = |lanes: [f64; LANES]| lanes.into_iter().sum::<f64>();
+        let blocks = sums.squares.map(|squares| {
+            let [xx, xy, xt, yy, yt, tt] = squares.map(sum);
+            let (both, mixed, turn) = (length * length, length * one, one * one);
+            let (xx, xy, yy) = (both * xx, both * xy, both * yy);
+            let (xt, yt) = (mixed * xt, mixed * yt);
+            Matrix3::new(xx, xy, xt, xy, yy, yt, xt, yt, turn * tt)
+        });
+        let gradients = sums.missed.map(|missed| {
+            let [xr, yr, tr] = missed.map(sum);
+            Vector3::new(length * one * xr, length * one * yr, one * one * tr)
+        });
+        Self { blocks, gradients, squares: one * one * sum(sums.rr) }
     }
 }

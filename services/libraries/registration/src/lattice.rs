@@ -35,6 +35,8 @@ pub struct Correlative {
     sample: Vec<Point>,
     /// Cells that the sample ends in at the window's centre, heading by heading.
     ends: Vec<CellIndex>,
+    /// Those of the pose at hand.
+    known: Vec<CellIndex>,
     bounds: NodeBounds,
     open: BinaryHeap<Node>,
 }
@@ -111,18 +113,19 @@ impl Correlative {
     /// lattice pose by Gauss–Newton on the finest level. Needs at least one point.
     pub fn fit<F: ScoreField>(&mut self, field: &F, points: &[Point], window: Window) -> Fit {
         let prediction = window.center;
-        let start = self.search(field, points, window).map_or(prediction, |(_, pose)| pose);
+        let start = self.search(field, points, window, prediction).map_or(prediction, |(_, pose)| pose);
         let solver = GaussNewton { iterations: [0, 0, REFINEMENTS] };
         solver.fit(field, points, prediction, start)
     }
 
     /// The best pose of the lattice and its mean score less the prediction's pull; `None` when no pose of the window
-    /// scores better than its centre, the prediction.
+    /// scores better than its centre, the prediction, or than `known`, a pose at hand: the better that one, the less is looked at.
     pub fn search<F: ScoreField>(
         &mut self,
         field: &F,
         points: &[Point],
         window: Window,
+        known: Pose,
     ) -> Option<(f64, Pose)> {
         let step_m = field.reader(Level::Full).cell_size_m();
         sample(points, POINTS_MAX, f64::from(side(Level::Quarter)) * step_m, &mut self.sample);
@@ -141,7 +144,8 @@ impl Correlative {
         for heading in -lattice.headings..=lattice.headings {
             self.ends.extend(end_cells(&self.sample, lattice.pose(heading, 0, 0), step_m));
         }
-        let floor_score = self.bound(field, &lattice, Level::Full, (0, 0, 0), -1.0)?;
+        let at_center = self.bound(field, &lattice, Level::Full, (0, 0, 0), -1.0)?;
+        let floor_score = at_center.max(self.score_at(field, &lattice, known));
         self.open_window(field, &lattice, floor_score);
         for _ in 0..NODES_MAX {
             let node = self.open.pop()?;
@@ -154,6 +158,16 @@ impl Correlative {
             }
         }
         None
+    }
+
+    /// Score of a pose off the lattice, less its pull.
+    fn score_at<F: ScoreField>(&mut self, field: &F, lattice: &Lattice, pose: Pose) -> f64 {
+        let window = lattice.window;
+        self.known.clear();
+        self.known.extend(end_cells(&self.sample, pose, lattice.step_m));
+        let (away_m, turn_rad) = (pose.distance_m(window.center), pose.turn_rad(window.center));
+        let pull = PRIOR_XY * away_m * away_m + PRIOR_HEADING * turn_rad * turn_rad;
+        mean_score(&mut field.reader(Level::Full), &self.known, (0, 0)) - pull
     }
 
     /// The turn that moves a typical point by one step.
@@ -255,7 +269,7 @@ mod tests {
             let center =
                 Pose::new(truth.x_m + off.x_m, truth.y_m + off.y_m, truth.heading_rad + off.heading_rad);
             let mut matcher = Correlative::default();
-            let (score, pose) = matcher.search(&field, &points, window(center)).unwrap();
+            let (score, pose) = matcher.search(&field, &points, window(center), center).unwrap();
             let step_rad = matcher.heading_step(0.05);
             let mut best = f64::NEG_INFINITY;
             let headings = (window(center).reach_rad / step_rad).ceil() as i32;
@@ -270,6 +284,7 @@ mod tests {
             }
             assert!((score - best).abs() < 1e-9, "{score} for {best}");
             assert!(pose.distance_m(truth) < 0.08 && pose.turn_rad(truth) < 0.03);
+            assert!(matcher.search(&field, &points, window(center), truth).is_none());
             let fit = matcher.fit(&field, &points, window(center));
             assert!(fit.pose.distance_m(truth) < 0.01 && fit.pose.turn_rad(truth) < 0.005, "{:?}", fit.pose);
         }
@@ -281,8 +296,8 @@ mod tests {
         let start = Pose::new(0.3, 0.2, 0.1);
         let points = test_room::scan(start);
         let mut matcher = Correlative::default();
-        assert!(matcher.search(&test_room::field(&grid), &points, window(start)).is_none());
-        assert!(matcher.search(&test_room::field(&grid), &[], window(start)).is_none());
+        assert!(matcher.search(&test_room::field(&grid), &points, window(start), start).is_none());
+        assert!(matcher.search(&test_room::field(&grid), &[], window(start), start).is_none());
         let fit = matcher.fit(&test_room::field(&grid), &points, window(start));
         assert_eq!(fit.pose, start);
     }

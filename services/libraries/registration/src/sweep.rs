@@ -1,7 +1,8 @@
 //! A scan that takes time, fitted together with the velocity of the robot during it (continuous-time registration as in
 //! CT-ICP, Dellenbach et al. 2022, with a constant velocity within the scan).
 
-use crate::field::{ScoreField, ScoreRead, bilinear};
+use crate::batch::TimedEquations;
+use crate::field::ScoreField;
 use crate::gauss_newton::{PRIOR_HEADING, PRIOR_XY, of_pose, shared_variance};
 use flockslam_evidence::Level;
 use flockslam_geometry::{Covariance, Point, Pose, Twist, wrap_angle};
@@ -142,25 +143,9 @@ fn in_field(pose: Pose, to: Twist, from: Twist) -> [f64; 2] {
 impl System {
     /// A velocity moves the end of a beam by its time as much as a shift and a turn of the pose do.
     fn of<F: ScoreField>(field: &F, sweep: Sweep<'_>, pose: Pose) -> Self {
-        assert_eq!(sweep.points.len(), sweep.times_s.len());
         let mut read = field.reader(Level::Full);
-        let per_metre = 1.0 / read.cell_size_m();
-        let (sin, cos) = pose.heading_rad.sin_cos();
-        let mut blocks = [Matrix3::zeros(); 3];
-        let mut gradients = [Vector3::zeros(); 2];
-        let mut squares = 0.0;
-        for (point, time_s) in sweep.points.iter().zip(sweep.times_s) {
-            let (x, y) = (cos * point.x_m - sin * point.y_m, sin * point.x_m + cos * point.y_m);
-            let sample = bilinear(&mut read, per_metre, x + pose.x_m, y + pose.y_m);
-            let slope = Vector3::new(sample.slope_x, sample.slope_y, x * sample.slope_y - y * sample.slope_x);
-            let (outer, residual) = (slope * slope.transpose(), 1.0 - sample.value);
-            blocks[0] += outer;
-            blocks[1] += outer * *time_s;
-            blocks[2] += outer * (time_s * time_s);
-            gradients[0] += slope * residual;
-            gradients[1] += slope * (residual * time_s);
-            squares += residual * residual;
-        }
+        let TimedEquations { blocks, gradients, squares } =
+            TimedEquations::of(&mut read, sweep.points, sweep.times_s, pose);
         let mut hessian = Matrix6::zeros();
         hessian.fixed_view_mut::<3, 3>(0, 0).copy_from(&blocks[0]);
         hessian.fixed_view_mut::<3, 3>(0, 3).copy_from(&blocks[1]);

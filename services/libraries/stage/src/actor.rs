@@ -45,8 +45,12 @@ pub trait Actor {
 }
 
 const REFRESH: Duration = Duration::from_millis(100);
+const REFRESH_NS: u64 = REFRESH.as_nanos() as u64;
 /// A stage that waits for something checks its deadline this often.
 const WAITING: Duration = Duration::from_millis(5);
+/// Housekeeping waits until the stage has had nothing to do for so long, nanoseconds: right after its work the next stages want the
+/// processors for the same scan.
+const QUIET_NS: u64 = 2_000_000;
 /// After so long without work, nanoseconds …
 const RESTING_NS: u64 = 1_000_000_000;
 /// … it looks only so often.
@@ -76,9 +80,15 @@ pub fn run(context: &mut StageContext, actor: &mut dyn Actor, event: &Listener) 
         if loops.is_some_and(|scans| context.metrics.handled_count() >= scans) {
             loop_once(context);
         }
-        // After the work: a scan that has just arrived does not wait for the housekeeping.
         let now_ns = context.now_ns();
-        if now_ns.saturating_sub(refreshed_ns) >= REFRESH.as_nanos() as u64 {
+        if !idle {
+            worked_ns = now_ns;
+        }
+        let until_quiet = Duration::from_nanos((worked_ns + QUIET_NS).saturating_sub(now_ns));
+        let is_quiet = until_quiet.is_zero();
+        let since_refresh_ns = now_ns.saturating_sub(refreshed_ns);
+        // A stage that is never quiet is refreshed half as often.
+        if since_refresh_ns >= if is_quiet { REFRESH_NS } else { 2 * REFRESH_NS } {
             refreshed_ns = now_ns;
             context.alive();
             if half_made_publishers() > 0 {
@@ -86,9 +96,9 @@ pub fn run(context: &mut StageContext, actor: &mut dyn Actor, event: &Listener) 
             }
             actor.refresh(context)?;
         }
-        context.report.write_sometimes(now_ns, idle);
+        context.report.write_sometimes(now_ns, is_quiet);
         if !idle {
-            (worked_ns, awake_until_ns) = (now_ns, 0);
+            awake_until_ns = 0;
             continue;
         }
         if now_ns < awake_until_ns {
@@ -99,7 +109,9 @@ pub fn run(context: &mut StageContext, actor: &mut dyn Actor, event: &Listener) 
         let patience = actor.patience(now_ns);
         // A stage that has been idle for a while is woken by its event.
         let rests = now_ns.saturating_sub(worked_ns) > RESTING_NS && patience >= REFRESH;
-        if event.wait(if rests { RESTING } else { patience.min(REFRESH) })? == Wake::Announced {
+        let patience = if rests { RESTING } else { patience.min(REFRESH) };
+        let patience = if is_quiet { patience } else { patience.min(until_quiet) };
+        if event.wait(patience)? == Wake::Announced {
             awake_until_ns = context.now_ns() + AWAKE_NS;
         }
     }

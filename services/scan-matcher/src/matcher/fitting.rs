@@ -236,7 +236,7 @@ impl<F: ScoreField> Fitter<'_, F> {
         let Some(steady) = prediction.steady else {
             return self.slipped(points, prediction, by_odometry);
         };
-        let points = self.retaken(points, steady.twist);
+        let points = points.straightened(steady.twist);
         let by_velocity = self.refine(&points, steady.pose, steady.pose);
         if by_velocity.score > by_odometry.score + JUMPED
             && self.gain(&by_velocity, &by_odometry) >= SLIP_COST
@@ -245,13 +245,8 @@ impl<F: ScoreField> Fitter<'_, F> {
             let near = self.track(&points, prediction.pose, Some(by_velocity));
             return Settled { prediction, points, near: Some(near), rival: None };
         }
-        let points = self.retaken(points, prediction.twist);
+        let points = points.straightened(prediction.twist);
         Settled { prediction, points, near: Some(by_odometry), rival: None }
-    }
-
-    /// The same points straightened by another velocity.
-    fn retaken(&self, points: ScanPoints, twist: Twist) -> ScanPoints {
-        points.retaken(self.scan, twist, self.mask, self.settings)
     }
 
     /// Whether the strategy goes down a slope, as opposed to trying poses.
@@ -275,7 +270,7 @@ impl<F: ScoreField> Fitter<'_, F> {
         let mut points = fitted.points;
         for _ in 0..SWEEP_STEPS {
             let next = sweep(&points).step(self.field, now, predicted, sigma);
-            points = self.retaken(points, next.twist);
+            points = points.straightened(next.twist);
             let settled = next.is_near(now);
             now = next;
             if settled {
@@ -284,7 +279,7 @@ impl<F: ScoreField> Fitter<'_, F> {
         }
         let fit = Fit::at(self.field, &points.ends, now.pose);
         if fit.score < fitted.fit.score - ASTRAY {
-            return Fitted { points: self.retaken(points, twist), ..fitted };
+            return Fitted { points: points.straightened(twist), ..fitted };
         }
         let covariance = sweep(&points).covariance(self.field, now.pose, sigma, PRIOR_SIGMA);
         Fitted { points, fit, twist: now.twist, covariance, ..fitted }
@@ -341,7 +336,8 @@ impl<F: ScoreField> Fitter<'_, F> {
         if self.scan.odometry().is_some() {
             return fit;
         }
-        let found = self.solvers.correlative.search(self.field, ends, window(prediction, BLIND_REACH));
+        let found =
+            self.solvers.correlative.search(self.field, ends, window(prediction, BLIND_REACH), fit.pose);
         let other = found.map(|(_, start)| self.refine(points, start, start));
         other.filter(|other| other.score > fit.score).unwrap_or(fit)
     }
@@ -408,7 +404,7 @@ impl<F: ScoreField> Fitter<'_, F> {
         let Rival { pose, motion, gain } =
             self.rival.unwrap_or(Rival { pose: self.before, motion: coasting, gain: 0.0 });
         let start = pose * motion.pose;
-        let points = self.retaken(points, motion.twist);
+        let points = points.straightened(motion.twist);
         let fit = self.refine(&points, start, start);
         let gain = gain + self.gain(&fit, &near) - CHANCE_GAIN;
         if gain >= SLIP_COST {
@@ -416,7 +412,7 @@ impl<F: ScoreField> Fitter<'_, F> {
             let prediction = Prediction { pose: start, twist: motion.twist, covariance, ..prediction };
             return Settled { prediction, points, near: Some(fit), rival: None };
         }
-        let points = self.retaken(points, prediction.twist);
+        let points = points.straightened(prediction.twist);
         let rival = Some(Rival { pose: fit.pose, motion, gain }).filter(|rival| rival.gain > 0.0);
         Settled { prediction, points, near: Some(near), rival }
     }

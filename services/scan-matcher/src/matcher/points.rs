@@ -12,6 +12,8 @@ use std::ops::RangeInclusive;
 pub(super) struct ScanPoints {
     /// Ends of the beams in the robot's frame at the scan's stamp, metres.
     pub(super) ends: Vec<Point>,
+    /// The same in the robot's frame at the moment of each beam: straightening by another velocity begins there.
+    then: Vec<Point>,
     /// The beam of each point.
     pub(super) beams: Vec<u32>,
     /// Seconds after the stamp at which each point was measured.
@@ -87,10 +89,20 @@ impl ScanPoints {
             }
             let Some(range) = scan.valid_range_m(beam) else { continue };
             if limits.contains(&range) && !(skips_isolated && scan.is_isolated(beam)) {
-                self.ends.push(deskew.end_in_base(scan, beam, range));
+                let (then, time_s) = (deskew.end_then(scan, beam, range), scan.time_s(beam));
+                self.then.push(then);
+                self.ends.push(deskew.at_stamp(then, time_s));
                 self.beams.push(number);
-                self.times_s.push(scan.time_s(beam));
+                self.times_s.push(time_s);
             }
+        }
+        self
+    }
+
+    /// The same points straightened by another velocity.
+    pub(super) fn straightened(mut self, twist: Twist) -> Self {
+        for ((end, then), time_s) in self.ends.iter_mut().zip(&self.then).zip(&self.times_s) {
+            *end = twist.carried(*then, *time_s);
         }
         self
     }
@@ -106,6 +118,7 @@ impl ScanPoints {
         for i in 0..self.len() {
             if keeps(i, self.ends[i]) {
                 self.ends[kept] = self.ends[i];
+                self.then[kept] = self.then[i];
                 self.beams[kept] = self.beams[i];
                 self.times_s[kept] = self.times_s[i];
                 kept += 1;
@@ -117,6 +130,7 @@ impl ScanPoints {
 
     fn truncate(&mut self, count: usize) {
         self.ends.truncate(count);
+        self.then.truncate(count);
         self.beams.truncate(count);
         self.times_s.truncate(count);
     }
