@@ -111,8 +111,8 @@ impl ReportWriter {
         self.report.counters.insert(name.to_owned(), value);
     }
 
-    /// Writes the report when the last one is old enough. Measuring the memory takes as long as matching a scan, so a moment
-    /// without work is chosen for it (`idle`), unless there is none for seconds. An idle stage hardly ever measures.
+    /// Writes the report when the last one is old enough. A moment without work is chosen for it (`idle`), unless there is none for
+    /// seconds. An idle stage hardly ever writes.
     pub fn write_sometimes(&mut self, now_ns: u64, idle: bool) {
         let rests = self.report.handled == self.written_handled;
         let period_ns = match (idle, rests) {
@@ -123,13 +123,17 @@ impl ReportWriter {
         if now_ns.saturating_sub(self.written_ns) >= period_ns {
             self.written_ns = now_ns;
             self.written_handled = self.report.handled;
-            self.write();
+            self.write_with(MemoryUse::roughly_of_this_process());
         }
     }
 
-    /// Writes the report. A failure is logged and has no other effect.
+    /// Writes the report, with the memory counted page by page. A failure is logged and has no other effect.
     pub fn write(&mut self) {
-        self.memory = self.memory.max(MemoryUse::of_this_process());
+        self.write_with(MemoryUse::of_this_process());
+    }
+
+    fn write_with(&mut self, memory: MemoryUse) {
+        self.memory = self.memory.max(memory);
         let report = &mut self.report;
         report.cpu_s = own_cpu_s();
         report.peak_rss_bytes = self.memory.peak_rss_bytes;
