@@ -21,6 +21,8 @@ const POINTS_MAX: usize = 100;
 const PRIOR_XY: f64 = 5.0;
 /// Score that it loses per rad², for the same reason.
 const PRIOR_HEADING: f64 = 1.0;
+/// What a pose loses of its score, 0 … 1, as the nearest pose of the lattice: a better one than a pose off the lattice may look worse by this.
+const OFF_LATTICE: f64 = 0.1;
 /// Gauss–Newton steps on the finest level behind the search: they begin within half a cell.
 const REFINEMENTS: u32 = 8;
 
@@ -119,7 +121,8 @@ impl Correlative {
     }
 
     /// The best pose of the lattice and its mean score less the prediction's pull; `None` when no pose of the window
-    /// scores better than its centre, the prediction, or than `known`, a pose at hand: the better that one, the less is looked at.
+    /// scores better than its centre, the prediction, or about as well as `known`, a pose at hand: the better that one, the less is
+    /// looked at.
     pub fn search<F: ScoreField>(
         &mut self,
         field: &F,
@@ -145,7 +148,7 @@ impl Correlative {
             self.ends.extend(end_cells(&self.sample, lattice.pose(heading, 0, 0), step_m));
         }
         let at_center = self.bound(field, &lattice, Level::Full, (0, 0, 0), -1.0)?;
-        let floor_score = at_center.max(self.score_at(field, &lattice, known));
+        let floor_score = at_center.max(self.score_at(field, &lattice, known) - OFF_LATTICE);
         self.open_window(field, &lattice, floor_score);
         for _ in 0..NODES_MAX {
             let node = self.open.pop()?;
@@ -284,7 +287,8 @@ mod tests {
             }
             assert!((score - best).abs() < 1e-9, "{score} for {best}");
             assert!(pose.distance_m(truth) < 0.08 && pose.turn_rad(truth) < 0.03);
-            assert!(matcher.search(&field, &points, window(center), truth).is_none());
+            let again = matcher.search(&field, &points, window(center), truth);
+            assert_eq!(again, Some((score, pose)));
             let fit = matcher.fit(&field, &points, window(center));
             assert!(fit.pose.distance_m(truth) < 0.01 && fit.pose.turn_rad(truth) < 0.005, "{:?}", fit.pose);
         }
