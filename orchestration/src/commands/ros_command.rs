@@ -10,6 +10,9 @@ use flockslam_bus::RuntimeDir;
 use flockslam_lidar_ingest::process::{SCAN_SOCKET, Source};
 use flockslam_stage::Mode;
 
+/// Transforms are awaited; hostile traffic shall not keep the stages from their work: it yields to them, and to nobody else.
+const NICENESS: i32 = -5;
+
 /// Runs the bridge until the set ends.
 ///
 /// # Errors
@@ -25,6 +28,8 @@ pub fn run(args: &RosArgs) -> Result<(), CommandError> {
             return Ok(());
         }
         flockslam_telemetry::log_into_set(&set_dir);
+        // Where that is not allowed, it runs like any process.
+        let _ = rustix::process::setpriority_process(None, NICENESS);
     }
     let runtime = RuntimeDir::open(&set_dir).map_err(CommandError::user)?;
     let set = SetFile::read(&runtime.configuration()).map_err(CommandError::failed)?;

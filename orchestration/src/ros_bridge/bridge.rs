@@ -409,7 +409,9 @@ impl Bridge {
             self.relay.say_without_odometry(now_ns);
         }
         let period_ns = (self.parameters.live.transform_publish_period_s.get() * 1e9) as i64;
-        if let Some(correction) = self.correction.repeated(now_ns, ahead_ns, period_ns) {
+        if let Some(correction) =
+            self.correction.repeated(self.relay.transforms(), now_ns, ahead_ns, period_ns)
+        {
             self.send_correction(&correction);
         }
     }
@@ -477,7 +479,8 @@ impl Bridge {
         let report = BridgeReport {
             node: self.name.clone(),
             state: self.kept.state.message().label,
-            corrects: now_ns.is_some_and(|now_ns| !self.correction.is_silent(now_ns)),
+            corrects: now_ns
+                .is_some_and(|now_ns| !self.correction.is_silent(self.relay.transforms(), now_ns)),
             foreign: self.foreign_ns.is_some(),
             figures: figures.into_iter().map(|(name, value)| (name, value.to_string())).collect(),
         };

@@ -8,6 +8,10 @@ use std::collections::VecDeque;
 const WAIT_NS: i64 = 500_000_000;
 /// Without poses the last correction holds for so long, nanoseconds: a dead lidar must stop the robot.
 pub const COAST_NS: i64 = 1_000_000_000;
+/// … and as long as odometry has drifted by no more than this, metres …
+const COAST_M: f64 = 0.1;
+/// … where it drifts by at most this share of its way: wheels that slip are not noticed without scans.
+const DRIFT_SHARE: f64 = 0.1;
 /// A correction that moves the robot by more than this is said before it is made: metres …
 pub const JUMP_M: f64 = 0.1;
 /// … and radians.
@@ -51,6 +55,8 @@ pub struct MapCorrection {
 #[derive(Clone, Copy, Debug)]
 struct Last {
     map_from_odom: Pose,
+    /// By odometry at the scan; `None` of a robot without odometry in the graph.
+    odom_from_base: Option<Pose>,
     scan_ns: i64,
     /// When it was made, and when it was repeated last, by the clock of the graph.
     made_ns: i64,
@@ -82,7 +88,7 @@ impl MapCorrection {
 
     /// Takes a correction that is known: for a robot without odometry in the graph.
     pub fn set(&mut self, scan_ns: i64, map_from_odom: Pose, now_ns: i64, ahead_ns: i64) -> Correction {
-        self.correct(scan_ns, map_from_odom, Pose::IDENTITY, now_ns, ahead_ns)
+        self.correct(scan_ns, map_from_odom, None, now_ns, ahead_ns)
     }
 
     /// The next correction that can be made.
@@ -93,7 +99,13 @@ impl MapCorrection {
                     self.waiting.pop_front();
                     let odom_from_base = planar(&odom_from_base);
                     let map_from_odom = map_from_base * odom_from_base.inverse();
-                    return Some(self.correct(scan_ns, map_from_odom, odom_from_base, now_ns, ahead_ns));
+                    return Some(self.correct(
+                        scan_ns,
+                        map_from_odom,
+                        Some(odom_from_base),
+                        now_ns,
+                        ahead_ns,
+                    ));
                 }
                 Err(LookupError::NotYet | LookupError::Unlinked)
                     if (0..WAIT_NS).contains(&now_ns.saturating_sub(since_ns)) =>
@@ -113,10 +125,11 @@ impl MapCorrection {
         &mut self,
         scan_ns: i64,
         map_from_odom: Pose,
-        odom_from_base: Pose,
+        by_odometry: Option<Pose>,
         now_ns: i64,
         ahead_ns: i64,
     ) -> Correction {
+        let odom_from_base = by_odometry.unwrap_or(Pose::IDENTITY);
         let map_from_odom = self.last.map_or(map_from_odom, |last| {
             let limit_m = self.rate_max_m_s * scan_ns.saturating_sub(last.scan_ns).max(0) as f64 * 1e-9;
             slewed(last.map_from_odom, map_from_odom, odom_from_base, limit_m)
@@ -126,14 +139,27 @@ impl MapCorrection {
             (before.distance_m(after), before.turn_rad(after).abs())
         };
         let jump = self.last.map_or((0.0, 0.0), moved);
-        self.last = Some(Last { map_from_odom, scan_ns, made_ns: now_ns, sent_ns: now_ns });
+        self.last = Some(Last {
+            map_from_odom,
+            odom_from_base: by_odometry,
+            scan_ns,
+            made_ns: now_ns,
+            sent_ns: now_ns,
+        });
         let stamp_ns = self.stamp(scan_ns.saturating_add(ahead_ns));
         Correction { map_from_odom, stamp_ns, scan_ns: Some(scan_ns), jump }
     }
 
-    /// The last correction once more, when `period_ns` has passed since it was sent; never once it is too old.
-    pub fn repeated(&mut self, now_ns: i64, ahead_ns: i64, period_ns: i64) -> Option<Correction> {
-        if period_ns <= 0 || self.is_silent(now_ns) {
+    /// The last correction once more, when `period_ns` has passed since it was sent; never once it is too old or odometry may have
+    /// drifted too far.
+    pub fn repeated(
+        &mut self,
+        transforms: &TransformBuffer,
+        now_ns: i64,
+        ahead_ns: i64,
+        period_ns: i64,
+    ) -> Option<Correction> {
+        if period_ns <= 0 || self.is_silent(transforms, now_ns) {
             return None;
         }
         let last = self.last.as_mut()?;
@@ -147,10 +173,24 @@ impl MapCorrection {
         Some(Correction { map_from_odom, stamp_ns, scan_ns: None, jump: (0.0, 0.0) })
     }
 
-    /// Whether the last correction is too old to be published any more; true also before the first.
-    pub fn is_silent(&self, now_ns: i64) -> bool {
+    /// Whether the last correction is not to be published any more, as it is too old or odometry may have drifted too far since; true
+    /// also before the first.
+    pub fn is_silent(&self, transforms: &TransformBuffer, now_ns: i64) -> bool {
         // A clock that has gone back makes it old, too.
-        self.last.is_none_or(|last| !(0..=COAST_NS).contains(&now_ns.saturating_sub(last.made_ns)))
+        self.last.is_none_or(|last| {
+            !(0..=COAST_NS).contains(&now_ns.saturating_sub(last.made_ns))
+                || self.drift_bound_m(transforms, &last) > COAST_M
+        })
+    }
+
+    /// How far odometry may have drifted since the last correction, metres. A turn counts as the way of a point at [`LEVER_M`].
+    fn drift_bound_m(&self, transforms: &TransformBuffer, last: &Last) -> f64 {
+        let (odom, base) = (&self.odom_frame, &self.base_frame);
+        let now = transforms
+            .known_until_ns(odom, base)
+            .and_then(|newest_ns| transforms.lookup(odom, base, newest_ns).ok());
+        let Some((now, before)) = now.as_ref().map(planar).zip(last.odom_from_base) else { return 0.0 };
+        DRIFT_SHARE * (before.distance_m(now) + LEVER_M * before.turn_rad(now).abs())
     }
 
     /// Forgets everything: time has gone back, or another map begins.
@@ -240,8 +280,9 @@ mod tests {
         for (scan_ms, now_ms) in [(100, 120), (200, 230), (200, 240), (150, 250), (300, 400)] {
             correction.push(scan_ms * MS, Pose::IDENTITY, now_ms * MS);
             stamps.push(correction.next(&buffer, now_ms * MS, AHEAD).unwrap().stamp_ns);
-            stamps
-                .extend(correction.repeated((now_ms + 60) * MS, AHEAD, 50 * MS).map(|found| found.stamp_ns));
+            stamps.extend(
+                correction.repeated(&buffer, (now_ms + 60) * MS, AHEAD, 50 * MS).map(|found| found.stamp_ns),
+            );
         }
         assert_eq!(stamps.len(), 10);
         assert!(stamps.is_sorted_by(|a, b| a < b), "{stamps:?}");
@@ -251,15 +292,28 @@ mod tests {
     fn without_poses_it_holds_for_a_second_and_then_falls_silent() {
         let (mut correction, mut buffer) = (MapCorrection::new("odom", "base"), TransformBuffer::default());
         odometry(&mut buffer, 100, 0.0);
-        assert!(correction.is_silent(0));
+        assert!(correction.is_silent(&buffer, 0));
         correction.push(100 * MS, Pose::IDENTITY, 110 * MS);
         correction.next(&buffer, 110 * MS, AHEAD).unwrap();
-        assert_eq!(correction.repeated(130 * MS, AHEAD, 50 * MS), None);
-        let repeated = correction.repeated(1000 * MS, AHEAD, 50 * MS).unwrap();
+        assert_eq!(correction.repeated(&buffer, 130 * MS, AHEAD, 50 * MS), None);
+        let repeated = correction.repeated(&buffer, 1000 * MS, AHEAD, 50 * MS).unwrap();
         assert_eq!((repeated.stamp_ns, repeated.scan_ns), ((100 + 890 + 200) * MS, None));
-        assert_eq!(correction.repeated(1000 * MS, AHEAD, 0), None);
-        assert_eq!(correction.repeated(1200 * MS, AHEAD, 50 * MS), None);
-        assert!(correction.is_silent(1200 * MS) && correction.is_silent(50 * MS));
+        assert_eq!(correction.repeated(&buffer, 1000 * MS, AHEAD, 0), None);
+        assert_eq!(correction.repeated(&buffer, 1200 * MS, AHEAD, 50 * MS), None);
+        assert!(correction.is_silent(&buffer, 1200 * MS) && correction.is_silent(&buffer, 50 * MS));
+    }
+
+    #[test]
+    fn without_poses_it_holds_for_a_metre_of_way() {
+        let (mut correction, mut buffer) = (MapCorrection::new("odom", "base"), TransformBuffer::default());
+        odometry(&mut buffer, 100, 0.0);
+        correction.push(100 * MS, Pose::IDENTITY, 110 * MS);
+        correction.next(&buffer, 110 * MS, AHEAD).unwrap();
+        odometry(&mut buffer, 300, 0.9);
+        assert!(correction.repeated(&buffer, 300 * MS, AHEAD, 50 * MS).is_some());
+        odometry(&mut buffer, 350, 1.1);
+        assert_eq!(correction.repeated(&buffer, 360 * MS, AHEAD, 50 * MS), None);
+        assert!(correction.is_silent(&buffer, 360 * MS));
     }
 
     #[test]

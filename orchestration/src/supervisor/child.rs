@@ -252,8 +252,11 @@ impl StageChild {
 }
 
 fn limit(pid: Pid, limits: &ProcessLimits) -> rustix::io::Result<()> {
-    if let Some(nice) = limits.nice.filter(|nice| *nice > 0) {
-        setpriority_process(Some(pid), getpriority_process(None)? + nice)?;
+    match limits.nice {
+        Some(nice @ 1..) => setpriority_process(Some(pid), getpriority_process(None)? + nice)?,
+        // Where that is not allowed, the stage runs like any process.
+        Some(nice @ ..=-1) => _ = setpriority_process(Some(pid), getpriority_process(None)? + nice),
+        Some(0) | None => {}
     }
     if let Some(bytes) = limits.memory_max_bytes {
         // Private writable memory: what is shared with the set counts for nobody.

@@ -460,12 +460,12 @@ fn children(set: &SetFile) -> Vec<StageChild> {
     Stage::ALL.into_iter().flat_map(of_stage).collect()
 }
 
-/// Steps that a stage yields to the others of its set: live, a pose is awaited, the map of it and a loop closure can be a
-/// little later.
+/// Steps that a stage yields to other processes: live, a pose is awaited, the map of it and a loop closure can be a little later. What
+/// leads to a pose takes little of a processor, and takes it before others where the system allows that (`LimitNICE` of a service).
 fn niceness(stage: Stage, mode: Mode) -> i32 {
     match (mode, stage) {
         (Mode::Exact, _) => 0,
-        (Mode::Live, Stage::LidarIngest | Stage::CorrelationFilter | Stage::ScanMatcher) => 0,
+        (Mode::Live, Stage::LidarIngest | Stage::CorrelationFilter | Stage::ScanMatcher) => -10,
         (Mode::Live, Stage::Mapper) => 5,
         (Mode::Live, Stage::DynamicCleaner) => 8,
         (Mode::Live, Stage::SyncManager) => 15,

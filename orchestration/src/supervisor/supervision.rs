@@ -45,7 +45,7 @@ pub struct ProcessLimits {
     pub cpus: Vec<usize>,
     /// Memory of its own (not what is shared) that it may take, bytes.
     pub memory_max_bytes: Option<u64>,
-    /// Niceness, 0 … 19: the higher, the more it yields to others.
+    /// Niceness, -20 … 19: the higher, the more it yields to others. Below 0 only where the system allows it.
     pub nice: Option<i32>,
     /// Without a sign of life for so long it is taken to hang and is replaced, milliseconds.
     pub deadline_ms: Option<u64>,

@@ -63,6 +63,9 @@ pub(crate) struct Motion {
     /// The last scan fitted nowhere.
     is_lost: bool,
     velocity: Twist,
+    /// How far the robot went from the stamp of the last scan to its middle, and how long after the stamp that is, seconds: of scans
+    /// without odometry that take time.
+    to_middle: (Pose, f64),
     /// How fast the robot turned between the last two scans, by odometry.
     odometry_turn_rad_s: Option<f64>,
     /// The error of odometry, as fits have shown it.
@@ -71,6 +74,13 @@ pub(crate) struct Motion {
     scale: WheelScale,
     /// The scale of its turns, as fits have shown it.
     turn_scale: TurnScale,
+}
+
+/// How long after the stamp half of a scan without odometry was taken, seconds. Velocities are measured from middle to middle: there a scan
+/// has the pose that it shows whatever velocity straightens it, while a wrong velocity moves its pose at the stamp the other way, and
+/// would be taken up by the next one.
+fn middle_s(scan: ScanView<'_>) -> f64 {
+    if scan.odometry().is_some() || scan.is_empty() { 0.0 } else { 0.5 * scan.time_s(scan.len() - 1) }
 }
 
 /// Whether a first pose is near enough to the origin to count in centimetres from there.
@@ -162,6 +172,7 @@ impl Motion {
             period_s: PERIOD_START_S,
             is_lost: false,
             velocity: Twist::default(),
+            to_middle: (Pose::IDENTITY, 0.0),
             odometry_turn_rad_s: None,
             noise: OdometryNoise::default(),
             scale: WheelScale::default(),
@@ -200,7 +211,8 @@ impl Motion {
             };
         }
         let step_s = self.step_s(scan);
-        let unchanged = self.velocity.motion_after(self.even(scan, step_s));
+        let (to_middle, middle_s) = self.to_middle;
+        let unchanged = to_middle * self.velocity.motion_after(self.even(scan, step_s) - middle_s);
         let is_brief = self.is_brief(scan, step_s);
         let (motion, twist) = match (self.odometry, scan.odometry()) {
             (Some(before), Some(now)) => {
@@ -292,13 +304,16 @@ impl Motion {
         // A jump is no motion; nor is the way from where a lost robot was taken to be.
         let jumped = estimate.has(PoseFlags::RESCUED) && scan.odometry().is_some();
         let step_s = self.step_s(scan);
+        let middle_s = middle_s(scan);
+        let to_middle = estimate.twist.motion_after(middle_s);
         if self.stamp_ns.is_some() && !self.is_brief(scan, step_s) {
             let kept = if lost { KEPT_WHEN_LOST } else { 1.0 };
+            let middle_before = self.pose * self.to_middle.0;
             let motion = match (self.odometry, scan.odometry()) {
                 (Some(before), Some(now)) if jumped => before.to(now),
                 (_, None) if self.is_lost && !lost => Pose::IDENTITY,
-                (_, None) if !lost => self.pose.to(self.shown(scan, estimate)),
-                _ => self.pose.to(pose),
+                (_, None) if !lost => middle_before.to(self.shown(scan, estimate, middle_s)),
+                _ => middle_before.to(pose * to_middle),
             };
             self.velocity = scaled(Twist::from_motion(motion, self.even(scan, step_s)), kept);
             self.odometry_turn_rad_s = self
@@ -309,6 +324,7 @@ impl Motion {
         }
         self.is_lost = lost;
         self.pose = pose;
+        self.to_middle = (to_middle, middle_s);
         self.covariance = covariance;
         self.odometry = scan.odometry();
         self.gyro_rad = scan.gyro_heading_rad();
@@ -316,10 +332,10 @@ impl Motion {
         self.lidar = scan.header().id.lidar;
     }
 
-    /// The pose to which the velocity would have brought a robot without odometry. Where a scan hardly measures, as along a corridor, a
+    /// The pose in the middle of a scan to which the velocity would have brought a robot without odometry. Where a scan hardly measures, as along a corridor, a
     /// step says little of the velocity: the filter of constant velocity (Kalata's relation β = α² ∕ (2 − α)) gives the velocity the share
     /// α ∕ (2 − α) of what the fit has corrected, with the gain α of the position.
-    fn shown(&self, scan: ScanView<'_>, estimate: &PoseEstimate) -> Pose {
+    fn shown(&self, scan: ScanView<'_>, estimate: &PoseEstimate, middle_s: f64) -> Pose {
         let predicted = self.predict(scan);
         let left =
             matrix(predicted.covariance).try_inverse().map(|inverse| matrix(estimate.covariance) * inverse);
@@ -327,8 +343,9 @@ impl Motion {
             let gain = Matrix3::identity() - left;
             Some(gain * (Matrix3::identity() + left).try_inverse()? * SHARE_MAX)
         });
-        let Some(share) = share else { return estimate.odom_from_base };
-        let (from, to) = (predicted.pose, estimate.odom_from_base);
+        let [from, to] = [(predicted.pose, predicted.twist), (estimate.odom_from_base, estimate.twist)]
+            .map(|(pose, twist)| pose * twist.motion_after(middle_s));
+        let Some(share) = share else { return to };
         let corrected =
             Vector3::new(to.x_m - from.x_m, to.y_m - from.y_m, wrap_angle(to.heading_rad - from.heading_rad));
         let step = share * corrected;

@@ -1,7 +1,7 @@
 //! The area that a submap covers in the fused map.
 
 use crate::resampling::Resampling;
-use flockslam_evidence::{Submap, TileKey};
+use flockslam_evidence::{CellIndex, Submap, TileKey};
 use flockslam_geometry::Pose;
 
 /// Blocks of 8 × 8 cells of the fused map in which a submap has evidence.
@@ -33,6 +33,24 @@ impl Footprint {
             same
         });
         Self { tiles: parts }
+    }
+
+    /// The blocks of cells of the fused map.
+    pub fn of_cells(cells: &[CellIndex]) -> Self {
+        let block = |cell: &CellIndex| {
+            let (tile, place) = (cell.tile(), cell.offset());
+            (tile, 1u64 << (place >> 9 << 3 | (place >> 3 & 7)))
+        };
+        Self::new(cells.iter().map(block).collect())
+    }
+
+    /// Whether two have a block in common.
+    pub fn overlaps(&self, other: &Footprint) -> bool {
+        let mut rest = other.tiles.iter().peekable();
+        self.tiles.iter().any(|(key, blocks)| {
+            while rest.next_if(|(other, _)| other < key).is_some() {}
+            rest.peek().is_some_and(|(other, others)| other == key && blocks & others != 0)
+        })
     }
 
     /// Its tiles in ascending order, each with its blocks (bit = row of blocks · 8 + column).

@@ -201,17 +201,17 @@ impl FusedMap {
 
 fn add(cells: &mut FusedTile, evidence: &[(u16, PackedCell)]) {
     for (place, evidence) in evidence {
-        let cell = cells.cell_mut(usize::from(*place));
-        *cell = cell.combine(evidence.unpack());
+        let place = usize::from(*place);
+        cells.set_cell(place, cells.cell(place).combine(evidence.unpack()));
     }
 }
 
 /// Subtracts evidence as far as possible; gives the number of changed cells.
 fn withdraw(cells: &mut FusedTile, evidence: &[(u16, PackedCell)]) -> usize {
     for (done, (place, evidence)) in evidence.iter().enumerate() {
-        let cell = cells.cell_mut(usize::from(*place));
-        match cell.withdraw(evidence.unpack()) {
-            Some(left) => *cell = left,
+        let place = usize::from(*place);
+        match cells.cell(place).withdraw(evidence.unpack()) {
+            Some(left) => cells.set_cell(place, left),
             None => return done,
         }
     }

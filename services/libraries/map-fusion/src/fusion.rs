@@ -3,7 +3,7 @@
 
 use crate::coverage::Coverage;
 use crate::{Footprint, FusedMap};
-use flockslam_evidence::{ClearedCells, Submap, TILE_SIDE, TooFar};
+use flockslam_evidence::{CellIndex, ClearedCells, Submap, TILE_SIDE, TooFar};
 use flockslam_geometry::{Point, Pose};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -131,10 +131,14 @@ impl Fusion {
         self.wanted(submaps_in_map, closed).rev().copied().map(Step::Place).collect()
     }
 
-    /// The submaps of a solution that are in the map, each as the step that leaves it where it is.
-    pub fn present(&self, submaps_in_map: &[PlacedSubmap]) -> Vec<Step> {
+    /// The submaps of a solution that are in the map and know something in the blocks of these cells, each as the step that leaves it
+    /// where it is.
+    pub fn present(&self, submaps_in_map: &[PlacedSubmap], cells: &[CellIndex]) -> Vec<Step> {
+        let blocks = Footprint::of_cells(cells);
         let is_there = |placed: &&PlacedSubmap| {
-            self.fused.get(&placed.number).is_some_and(|fused| fused.map_from_odom == placed.map_from_odom)
+            self.fused.get(&placed.number).is_some_and(|fused| {
+                fused.map_from_odom == placed.map_from_odom && fused.footprint.overlaps(&blocks)
+            })
         };
         submaps_in_map.iter().filter(is_there).copied().map(Step::Place).collect()
     }

@@ -15,6 +15,7 @@ use std::path::Path;
 pub const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 /// Records that are larger are refused, bytes.
 const RECORD_BYTES_MAX: usize = 256 << 20;
+/// Read at once. A record that claims to be longer than the file then costs no memory.
 const BUFFER_BYTES: usize = 1 << 18;
 
 /// An MCAP file that is read from its beginning to its end.
@@ -92,6 +93,7 @@ impl McapFile {
                     self.file.seek(to).map(|position| reader.notify_seeked(position))
                 }
                 Ok(SummaryReadEvent::ReadRequest(bytes)) if bytes <= RECORD_BYTES_MAX => {
+                    let bytes = bytes.min(BUFFER_BYTES);
                     self.file.read(reader.insert(bytes)).map(|read| reader.notify_read(read))
                 }
                 _ => return false,
@@ -215,7 +217,7 @@ impl McapFile {
             };
             match step {
                 Step::Read(bytes) => {
-                    let read = self.file.read(reader.insert(bytes));
+                    let read = self.file.read(reader.insert(bytes.min(BUFFER_BYTES)));
                     let read = read.map_err(|error| RecordingError::unreadable(&self.name, error))?;
                     reader.notify_read(read);
                 }

@@ -101,7 +101,7 @@ impl Fuser {
     /// # Errors
     /// When the store fails.
     pub fn clear(&mut self, cells: &[CellIndex], submaps_in_map: &[PlacedSubmap]) -> Result<(), StageError> {
-        for step in self.fusion.present(submaps_in_map) {
+        for step in self.fusion.present(submaps_in_map, cells) {
             let (Some(map), Step::Place(placed)) = (self.fusion.map(), step) else { continue };
             let mut submap = self.store.load(placed.number)?;
             let map_from_submap = placed.map_from_odom * submap.odom_from_submap;
