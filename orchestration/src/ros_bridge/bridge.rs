@@ -25,6 +25,7 @@ use flockslam_ros::messages::{
 };
 use flockslam_ros::{Call, Environment, Node, NodeArguments, NodeIdentity, QualityOfService, RunningNode};
 use flockslam_telemetry::{LatencyHistogram, monotonic_ns};
+use std::num::NonZeroU64;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -37,7 +38,7 @@ const NODE: &str = "flockslam";
 const HEARD_MAX: usize = 1024;
 /// While the pose of a scan is awaited, the bus is looked at so often: the matcher wakes nobody for each pose, and one is there within a
 /// few milliseconds …
-const LOOK_AWAITING: Duration = Duration::from_micros(200);
+const LOOK_AWAITING: Duration = Duration::from_micros(100);
 /// … when it takes longer than this, it may take much longer …
 const AWAITING: Duration = Duration::from_millis(10);
 const LOOK_AWAITING_LONG: Duration = Duration::from_millis(1);
@@ -100,6 +101,8 @@ pub fn run_bridge(set: &BridgeSet, arguments: &[String]) -> Result<(), BridgeErr
         tracing::warn!("{line}");
     }
     let mut bridge = Bridge::open(set, parameters, identity, &environment)?;
+    // The default slack of Linux adds 50 µs to each look. Without this looks come later, and nothing else changes.
+    let _ = rustix::thread::set_current_timer_slack(Some(NonZeroU64::MIN));
     loop {
         bridge.turn()?;
     }

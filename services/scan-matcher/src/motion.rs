@@ -34,8 +34,8 @@ pub(crate) const SLIP_COST: f64 = 10.0;
 /// does, could pass poor fits off as poor wheels: 0.03 m and 0.7° over a metre.
 const STEP_SCALES_MAX: (f64, f64) = (0.05, 0.5);
 
-/// Without odometry the velocity takes over at most this share of what a fit corrects. A scan straightened by a false velocity is placed
-/// wrong by half of what the robot would have gone during it, the other way: taken over whole, this error would sustain itself.
+/// Without odometry the velocity takes over at most this share of what a fit corrects: taken over whole, the noise of each fit would be a
+/// velocity.
 const SHARE_MAX: f64 = 0.8;
 
 /// A change of the turn between scans that may be noise of odometry, radians a second.
@@ -332,9 +332,9 @@ impl Motion {
         self.lidar = scan.header().id.lidar;
     }
 
-    /// The pose in the middle of a scan to which the velocity would have brought a robot without odometry. Where a scan hardly measures, as along a corridor, a
-    /// step says little of the velocity: the filter of constant velocity (Kalata's relation β = α² ∕ (2 − α)) gives the velocity the share
-    /// α ∕ (2 − α) of what the fit has corrected, with the gain α of the position.
+    /// The pose in the middle of a scan to which the velocity would have brought a robot without odometry. Where a scan hardly measures, as
+    /// along a corridor, a step says little of the velocity: the filter of constant velocity (Kalata's relation β = α² ∕ (2 − α)) gives the
+    /// velocity the share α ∕ (2 − α) of what the fit has corrected, with the gain α of the position.
     fn shown(&self, scan: ScanView<'_>, estimate: &PoseEstimate, middle_s: f64) -> Pose {
         let predicted = self.predict(scan);
         let left =
@@ -381,5 +381,37 @@ impl Motion {
     /// Seconds since the scan before, by the stamps.
     fn elapsed_s(&self, scan: ScanView<'_>) -> Option<f64> {
         self.stamp_ns.map(|before| scan.header().times.sensor_ns.saturating_sub(before) as f64 * 1e-9)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockslam_messages::ScanBuffer;
+
+    /// A robot without odometry stands, and is taken to move. Each scan takes as long as the time between two, so that a false velocity
+    /// moves the pose at its stamp by half a step, the other way.
+    #[test]
+    fn a_false_velocity_of_a_robot_that_stands_dies_away_and_does_not_swing() {
+        let mut scan = ScanBuffer::from_ranges(&[2.0; 101], -1.0, 0.02);
+        scan.header.time_increment_s = 0.001;
+        let mut motion = Motion::new();
+        motion.velocity = Twist { x_m_s: 0.5, turn_rad_s: 0.4, ..Twist::default() };
+        let mut speeds_m_s = Vec::new();
+        for number in 0..12 {
+            scan.header.times.sensor_ns = number * 100_000_000;
+            let view = scan.view().unwrap();
+            let twist = motion.predict(view).twist;
+            let estimate = PoseEstimate {
+                odom_from_base: twist.motion_after(0.05).inverse(),
+                covariance: Covariance::diagonal(0.002, 0.001),
+                twist,
+                ..PoseEstimate::default()
+            };
+            motion.advance(view, &estimate);
+            speeds_m_s.push(motion.velocity.x_m_s);
+        }
+        assert!(speeds_m_s.iter().all(|speed_m_s| *speed_m_s > -0.01), "{speeds_m_s:?}");
+        assert!(speeds_m_s[5] < 0.01, "{speeds_m_s:?}");
     }
 }
