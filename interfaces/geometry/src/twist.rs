@@ -58,7 +58,7 @@ impl Twist {
     }
 
     /// A point that was seen after moving with this velocity for `seconds`, as it is seen from before: `motion_after(seconds)` applied
-    /// to it, at a quarter of the cost. Metres.
+    /// to it, without a sine. Metres.
     #[inline]
     pub fn carried(self, point: Point, seconds: f64) -> Point {
         let (x, y, turn) = (self.x_m_s * seconds, self.y_m_s * seconds, self.turn_rad_s * seconds);

@@ -159,13 +159,12 @@ impl MapCorrection {
         ahead_ns: i64,
         period_ns: i64,
     ) -> Option<Correction> {
-        if period_ns <= 0 || self.is_silent(transforms, now_ns) {
+        // Asked in each turn of the bridge: what costs least is looked at first.
+        let is_due = |last: Last| now_ns.saturating_sub(last.sent_ns) >= period_ns;
+        if period_ns <= 0 || !self.last.is_some_and(is_due) || self.is_silent(transforms, now_ns) {
             return None;
         }
         let last = self.last.as_mut()?;
-        if now_ns.saturating_sub(last.sent_ns) < period_ns {
-            return None;
-        }
         last.sent_ns = now_ns;
         let (map_from_odom, age_ns) = (last.map_from_odom, now_ns.saturating_sub(last.made_ns));
         let stamp_ns = last.scan_ns.saturating_add(age_ns).saturating_add(ahead_ns);
