@@ -144,6 +144,10 @@ pub struct RunArgs {
     /// Live operation: nothing is waited for past its deadline; a recorded source is replayed at --rate 1
     #[arg(long)]
     pub live: bool,
+    /// Find the robot in this map and follow it there, instead of making a map: a saved map, the outputs of a run, or a nav2 map.yaml.
+    /// The map is only read
+    #[arg(long, value_name = "MAP")]
+    pub localize: Option<PathBuf>,
     /// Name of the robot's process set
     #[arg(long, value_name = "NAME")]
     pub robot: Option<String>,
@@ -246,6 +250,10 @@ pub struct UpArgs {
     /// Continue the map in this directory, when there is one, and save it there while the set runs
     #[arg(long, value_name = "DIR")]
     pub map: Option<PathBuf>,
+    /// Find the robot in this map and follow it there, instead of making a map: a saved map, the outputs of a run, or a nav2 map.yaml.
+    /// The map is only read
+    #[arg(long, value_name = "MAP", conflicts_with = "map")]
+    pub localize: Option<PathBuf>,
     /// When the source ends, write the outputs of `map` into this directory
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,

@@ -10,6 +10,7 @@ pub mod demo;
 pub mod evaluate;
 pub mod inspect;
 mod joined_map;
+mod known_map;
 mod lidar_calibration;
 pub mod lidar_command;
 pub mod log_command;

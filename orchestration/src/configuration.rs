@@ -182,7 +182,7 @@ impl Configuration {
         let most = Stage::ALL.into_iter().map(|stage| self.replicas(stage)).max();
         let replicas = most.unwrap_or(1).max(2);
         let (window, live_tiles) = (WINDOW, self.set.live_tiles);
-        StageOptions { mode, window, replicas, live_tiles, first_sequence: 0 }
+        StageOptions { mode, window, replicas, live_tiles, first_sequence: 0, localizes: false }
     }
 
     /// Processes of a stage.

@@ -7,6 +7,7 @@
 mod head;
 mod keeper;
 mod mirror;
+mod nav2_map;
 mod saved_map;
 #[cfg(test)]
 mod tests;
@@ -14,6 +15,7 @@ mod tests;
 pub use head::{FORMAT, MapHead};
 pub use keeper::MapKeeper;
 pub use mirror::Mirror;
+pub use nav2_map::{Nav2MapError, read_nav2_map};
 pub use saved_map::{Findings, SavedMap};
 
 use flockslam_journal::JournalError;

@@ -10,7 +10,7 @@ use crate::{
     SlicePublisher, SliceSubscriber, SliceTopic, Subscriber, Topic,
 };
 use flockslam_messages::{
-    Commit, Control, Correction, FlockFrame, FlockRobots, Layout, MarksHeader, MovingBeamsHeader,
+    Commit, Control, Correction, FlockFrame, FlockRobots, Layout, LocalisationOrder, MarksHeader, MovingBeamsHeader,
     PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally, SectorHeader, Stage, StageInputs,
     SubmapClosed, TileMessage, TracksHeader, Verdict,
 };
@@ -135,7 +135,7 @@ impl Bus {
 }
 
 /// All topics of a set.
-pub(crate) fn topics(capacity: &Capacity) -> [TopicSpec; 19] {
+pub(crate) fn topics(capacity: &Capacity) -> [TopicSpec; 20] {
     [
         plain::<Verdict>(capacity),
         plain::<ScanTally>(capacity),
@@ -147,6 +147,7 @@ pub(crate) fn topics(capacity: &Capacity) -> [TopicSpec; 19] {
         plain::<Correction>(capacity),
         plain::<FlockFrame>(capacity),
         plain::<FlockRobots>(capacity),
+        plain::<LocalisationOrder>(capacity),
         plain::<Control>(capacity),
         plain::<Progress>(capacity),
         plain::<TileMessage>(capacity),

@@ -5,7 +5,7 @@ use crate::room::{Megabytes, Room, SHARED_MEMORY};
 use crate::tile_port::LANES;
 use crate::{Capacity, LargeScanHeader, SliceTopic, Topic};
 use flockslam_messages::{
-    Control, Correction, FlockFrame, FlockRobots, MarksHeader, MovingBeamsHeader, PartInserted, PoseEstimate,
+    Control, Correction, FlockFrame, FlockRobots, LocalisationOrder, MarksHeader, MovingBeamsHeader, PartInserted, PoseEstimate,
     Progress, ScanHeader, ScanTally, SectorHeader, Stage, TileMessage, TracksHeader, Verdict,
 };
 use std::fmt;
@@ -106,7 +106,7 @@ fn publisher(topic: &str) -> Option<Stage> {
         PoseEstimate::NAME | MovingBeamsHeader::NAME => Some(Stage::ScanMatcher),
         MarksHeader::NAME | SectorHeader::NAME | TracksHeader::NAME => Some(Stage::DynamicCleaner),
         Correction::NAME | FlockFrame::NAME | FlockRobots::NAME => Some(Stage::SyncManager),
-        Control::NAME | Progress::NAME => None,
+        Control::NAME | Progress::NAME | LocalisationOrder::NAME => None,
         // Tiles, commits, submaps, and what several mappers tell each other.
         _ => Some(Stage::Mapper),
     }

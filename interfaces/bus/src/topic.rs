@@ -3,7 +3,7 @@
 use crate::tile_port::LANES;
 use flockslam_messages::{
     BeamRange, ClearedCell, Commit, Control, Correction, FlockFrame, FlockRobots, JudgedCell, Layout,
-    MarksHeader, Message, MovingBeamsHeader, PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally,
+    LocalisationOrder,    MarksHeader, Message, MovingBeamsHeader, PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally,
     SectorHeader, StageInputs, SubmapClosed, TileMessage, Track, TracksHeader, Verdict,
 };
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
@@ -114,6 +114,9 @@ impl Topic for PartInserted {
 }
 impl Topic for Correction {
     const NAME: &'static str = "correction";
+}
+impl Topic for LocalisationOrder {
+    const NAME: &'static str = "localisation-order";
 }
 impl Topic for FlockFrame {
     const NAME: &'static str = "flock-frame";

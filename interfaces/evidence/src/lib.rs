@@ -2,6 +2,7 @@
 
 mod cell;
 mod cell_coder;
+mod cell_state;
 mod cell_table;
 mod directory;
 mod grid;
@@ -13,6 +14,7 @@ mod tile;
 mod weight_levels;
 
 pub use cell::{Cell, PACKED_WEIGHT_MAX_NAT, PackedCell, WEIGHT_SCALE};
+pub use cell_state::CellState;
 pub use cell_table::CellTable;
 pub use directory::{TileDirectory, TooFar};
 pub use grid::{Level, ScoreReader, TileGrid, floor};

@@ -84,4 +84,6 @@ impl PoseFlags {
     pub const CONTINUES: u32 = 32;
     /// The grid does not hold the scan: its pose follows from the surfaces that the last scans have shown, and from the prediction.
     pub const OPEN: u32 = 64;
+    /// The set localizes in a known map and has not found its place there: `map_from_odom` says nothing.
+    pub const UNPLACED: u32 = 128;
 }

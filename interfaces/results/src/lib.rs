@@ -3,6 +3,7 @@
 pub mod flock_files;
 mod flock_status;
 mod lidar_status;
+mod localisation_status;
 mod results_error;
 mod run_results;
 mod stored_map;
@@ -11,12 +12,13 @@ mod unattached;
 
 pub use flock_status::FlockStatus;
 pub use lidar_status::LidarStatus;
+pub use localisation_status::{HypothesisRow, LocalisationStatus, LocalisationSummary};
 pub use results_error::ResultsError;
 pub use run_results::{
     DetachedRow, FINAL_TRAJECTORY, LivePoses, ONLINE_TRAJECTORY, SUMMARY, StampedPose, SubmapRow, Summary,
     TRUE_TRAJECTORY, live_poses_file, read_live_poses, read_summary, read_trajectory, write_live_poses,
     write_summary, write_trajectory,
 };
-pub use stored_map::{FUSED_MAP, MapReader, MapShape, StoredMap, read_map, write_map, write_map_rows};
+pub use stored_map::{FUSED_MAP, KNOWN_MAP, MapReader, MapShape, StoredMap, read_map, write_map, write_map_file, write_map_rows};
 pub use submap_store::SubmapStore;
 pub use unattached::Unattached;

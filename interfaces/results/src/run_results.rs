@@ -1,6 +1,6 @@
 //! What sync-manager leaves at the end of a run, as files in the set's directory.
 
-use crate::ResultsError;
+use crate::{LocalisationSummary, ResultsError};
 use flockslam_geometry::Pose;
 use flockslam_journal::{Durability, replace_file};
 use flockslam_messages::{DropReason, PoseEstimate, PoseFlags};
@@ -67,6 +67,9 @@ pub struct Summary {
     /// These trajectories, the longest first.
     #[serde(default)]
     pub detached: Vec<DetachedRow>,
+    /// What localisation did, when the set localized in a known map.
+    #[serde(default)]
+    pub localisation: Option<LocalisationSummary>,
     /// Searches for loop closures.
     pub closures_tried: u64,
     /// Closures that passed all checks.

@@ -11,6 +11,8 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 /// The fused map.
 pub const FUSED_MAP: &str = "fused.map";
+/// The map that a set localizes in, in the same form.
+pub const KNOWN_MAP: &str = "known.map";
 /// Cells of a row, and rows, at most: a torn file must not make a reader ask for more memory.
 const SIDE_MAX: usize = 1 << 26;
 /// Bits of a number in one byte; the highest bit says that another byte follows.
@@ -120,7 +122,14 @@ impl MapReader {
     /// # Errors
     /// When there is none.
     pub fn open(directory: &Path) -> Result<Self, ResultsError> {
-        let path = directory.join(FUSED_MAP);
+        Self::open_file(directory.join(FUSED_MAP))
+    }
+
+    /// Opens a map by its file.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub fn open_file(path: PathBuf) -> Result<Self, ResultsError> {
         let mut rows = BufReader::new(File::open(&path).map_err(|e| ResultsError::file(&path, e))?);
         let mut head = [0; size_of::<MapHead>()];
         rows.read_exact(&mut head).map_err(|_| broken(&path))?;
@@ -220,6 +229,15 @@ pub fn write_map(directory: &Path, map: &StoredMap) -> Result<(), ResultsError> 
     let head = map.shape().head();
     let parts = [head.as_bytes(), &map.rows];
     Ok(replace_file_by_parts(&directory.join(FUSED_MAP), &parts, Durability::Process)?)
+}
+
+/// Writes a map into a file.
+///
+/// # Errors
+/// When the disk refuses.
+pub fn write_map_file(file: &mut File, map: &StoredMap) -> io::Result<()> {
+    file.write_all(map.shape().head().as_bytes())?;
+    file.write_all(&map.rows)
 }
 
 /// As [`write_map`], for a map of which `rows` hands over one row after the other, the lowest y first: they need not lie in memory together.

@@ -3,7 +3,7 @@
 use super::CommandError;
 use super::accounting::{SharedMemoryPeak, sum_up};
 use super::attendants::Attendants;
-use super::lidar_calibration;
+use super::{known_map, lidar_calibration};
 use super::progress_bar::RunProgress;
 use crate::arguments::RunArgs;
 use crate::configuration::Configuration;
@@ -19,7 +19,7 @@ use flockslam_lidar_ingest::process::{LidarSpec, Source};
 use flockslam_messages::Stage;
 use flockslam_results::flock_files;
 use flockslam_results::{self as results, StampedPose, StoredMap, Summary};
-use flockslam_results::{FlockStatus, Unattached};
+use flockslam_results::{FlockStatus, LocalisationSummary, Unattached};
 use flockslam_scan_matcher::process::LOST;
 use flockslam_stage::{MemoryUse, Mode, read_reports};
 use flockslam_telemetry::LatencyHistogram;
@@ -68,6 +68,7 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
     let given = &args.configuration;
     let configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
     prepare_directory(&args.out)?;
+    let known_map = args.localize.as_deref().map(known_map::read).transpose()?;
     // A recorded source has no pace of its own; sensors have.
     let paced = args.live && !matches!(run.source, Source::Pipe | Source::Scans(_) | Source::Lidars(_));
     let rate = args.rate.or_else(|| paced.then_some(1.0));
@@ -81,6 +82,10 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
     if let Some(map) = &run.continues {
         let head = MapHead::of_this_build(&name, configuration.mapper.cell_size_m);
         options.first_sequence = map.restore(&runtime, &head).map_err(CommandError::user)?.next_sequence;
+    }
+    if let Some(map) = &known_map {
+        known_map::put(map, &runtime)?;
+        options.localizes = true;
     }
     let file = SetFile {
         version: crate::VERSION.to_owned(),
@@ -349,6 +354,7 @@ fn report(
         trajectories: summary.trajectories,
         detached_scans: summary.detached_scans,
         detached: summary.detached.clone(),
+        localisation: summary.localisation,
         loop_closures: LoopClosures {
             tried: summary.closures_tried,
             accepted: summary.closures_accepted,
@@ -404,6 +410,9 @@ fn way_m(trajectory: &[TrajectoryPoint]) -> f64 {
 
 /// What is not in the map, for people: a line, or nothing.
 fn not_attached(report: &Report) -> String {
+    if let Some(localisation) = report.localisation {
+        return localized(&localisation);
+    }
     if report.detached.is_empty() {
         return String::new();
     }
@@ -413,6 +422,18 @@ fn not_attached(report: &Report) -> String {
     let own = if own.is_empty() { String::new() } else { format!(": they are in {}", own.join(", ")) };
     let unattached = Unattached { scans: report.detached_scans, travel_m, since_s };
     format!("{unattached}{own}\n")
+}
+
+/// How the robot was found in a known map, for people.
+fn localized(found: &LocalisationSummary) -> String {
+    let all = found.localized_scans + found.unlocalized_scans;
+    match found.found_after_m {
+        None => format!("NOT FOUND in the known map: {} searches of {all} scans\n", found.searches),
+        Some(after_m) => format!(
+            "found in the known map after {after_m:.1} m; {} of {all} scans localized, found {} times by {} searches\n",
+            found.localized_scans, found.found, found.searches
+        ),
+    }
 }
 
 /// What a run gave, for people.

@@ -54,6 +54,7 @@ fn export(args: &ExportArgs) -> Result<(), CommandError> {
         out: args.out.clone(),
         rate: None,
         live: false,
+        localize: None,
         robot: None,
         metrics_port: None,
         configuration: args.configuration.clone(),

@@ -2,6 +2,7 @@
 
 use super::CommandError;
 use super::attendants::start_page;
+use super::known_map;
 use super::run::{Finished, count_interrupts, points, prepare_directory, write_outputs};
 use crate::arguments::UpArgs;
 use crate::configuration::Configuration;
@@ -73,7 +74,13 @@ impl LiveSet {
         let mut configuration = description.configuration(&args.assignments)?;
         let ros_arguments = ros_arguments(args, description)?;
         let head = MapHead::of_this_build(&description.robot, configuration.mapper.cell_size_m);
+        let known = args.localize.as_ref().or(description.localize.as_ref());
+        let known_map = known.map(|path| known_map::read(path)).transpose()?;
         let map = args.map.as_ref().or(description.map.as_ref()).map(|directory| SavedMap::at(directory));
+        if let (Some(_), Some(kept)) = (&known, &map) {
+            let kept = kept.directory().display();
+            return Err(CommandError::user(format!("a set that localizes makes no map to keep in {kept}")));
+        }
         let beside = map.as_ref().map(SavedMap::directory);
         let spill_dir = spill_directory(configuration.set.spill_dir.as_deref(), beside);
         let (runtime, taken_over) = RuntimeDir::create_or_take_over(&description.robot, spill_dir.as_deref())
@@ -93,6 +100,10 @@ impl LiveSet {
         };
         let mut options = configuration.stage_options(Mode::Live);
         options.first_sequence = first_sequence;
+        if let Some(map) = &known_map {
+            known_map::put(map, &runtime)?;
+            options.localizes = true;
+        }
         let task = description.source();
         let file = SetFile {
             version: crate::VERSION.to_owned(),

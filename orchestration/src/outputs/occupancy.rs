@@ -1,20 +1,7 @@
 //! A map in three states, cell by cell: free, occupied, unknown. Map files and pictures are made of it.
 
-use flockslam_evidence::Cell;
+use flockslam_evidence::CellState;
 use flockslam_geometry::Point;
-
-/// What is known of a cell.
-#[repr(u8)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum CellState {
-    /// Nothing.
-    #[default]
-    Unknown = 0,
-    /// Nothing stands there.
-    Free = 1,
-    /// Something stands there.
-    Occupied = 2,
-}
 
 /// Cells in a byte.
 const PACKED: usize = 4;
@@ -28,25 +15,6 @@ pub struct OccupancyImage {
     origin: Point,
     /// Each row begins with a byte of its own.
     cells: Vec<u8>,
-}
-
-impl CellState {
-    /// Of a cell with this evidence: thresholds as in nav2, on p/(p+q).
-    pub fn of(cell: &Cell) -> Self {
-        match cell.masses().occupancy() {
-            Some(occupancy) if occupancy > 0.65 => Self::Occupied,
-            Some(occupancy) if occupancy < 0.25 => Self::Free,
-            _ => Self::Unknown,
-        }
-    }
-
-    fn of_bits(bits: u8) -> Self {
-        match bits {
-            1 => Self::Free,
-            2 => Self::Occupied,
-            _ => Self::Unknown,
-        }
-    }
 }
 
 impl OccupancyImage {

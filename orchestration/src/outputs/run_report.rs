@@ -65,6 +65,9 @@ pub struct Report {
     pub detached_scans: u64,
     /// These trajectories, the longest first, with the subdirectory of their own map.
     pub detached: Vec<DetachedRow>,
+    /// What localisation did, when the set localized in a known map.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub localisation: Option<flockslam_results::LocalisationSummary>,
     /// Where lidars sit and how far their clocks are off, by the motions of scans and odometry; no row where the drive tells nothing of it.
     pub calibration: Vec<CalibrationRow>,
     /// Loop closures.

@@ -43,6 +43,8 @@ pub struct SetDescription {
     pub robot: String,
     /// Where the map is kept on disk: continued from there, and saved there.
     pub map: Option<PathBuf>,
+    /// A map to localize in, instead of making one: a saved map, the outputs of a run, or a nav2 map.yaml.
+    pub localize: Option<PathBuf>,
     /// The map is saved so often, seconds.
     #[serde(default = "save_every_s")]
     pub save_every_s: f64,
@@ -217,6 +219,7 @@ impl SetDescription {
         let base = base.parent().unwrap_or(Path::new("/")).to_owned();
         let beside = |path: &mut PathBuf| *path = base.join(&*path);
         description.map.iter_mut().for_each(beside);
+        description.localize.iter_mut().for_each(beside);
         description.config.iter_mut().for_each(beside);
         match &mut description.source {
             SourceDescription::Log { path, .. } => beside(path),

@@ -96,6 +96,8 @@ struct Matcher {
     trajectory_began: u64,
     /// The others are woken once in so many poses that they only have to count.
     quiet_scans: u64,
+    /// The set localizes and has not found its place.
+    is_unplaced: bool,
     metrics: PoseMetrics,
 }
 
@@ -125,6 +127,7 @@ impl Matcher {
             trajectory: 0,
             trajectory_began: 0,
             quiet_scans: (context.capacity.window as u64 / 8).max(1),
+            is_unplaced: context.localizes,
             metrics: PoseMetrics::new(&context.metrics),
         })
     }
@@ -162,6 +165,7 @@ impl Matcher {
             return Ok(());
         }
         let Some(last) = self.last else { return Ok(()) };
+        self.is_unplaced &= last.has(PoseFlags::UNPLACED);
         let next = last.id.sequence + 1;
         let is_of_this_session = next > context.first_sequence;
         if is_of_this_session {
@@ -197,6 +201,7 @@ impl Matcher {
         self.corrections.drain()?;
         while let Some(correction) = self.corrections.next_due(context.mode, self.active_submap()) {
             self.logic.corrected(&correction);
+            self.is_unplaced = context.localizes && correction.attached == 0;
         }
         while let Some(robots) = self.companions.receive()? {
             self.logic.companions_are(&robots);
@@ -273,7 +278,8 @@ impl Matcher {
             context.dropped("unreadable");
             return self.join.finished(header.id.sequence + 1);
         };
-        let pose = self.logic.handle(scan, verdict, self.grid.grid());
+        let mut pose = self.logic.handle(scan, verdict, self.grid.grid());
+        pose.flags |= if self.is_unplaced { PoseFlags::UNPLACED } else { 0 };
         let (correction, companions) = (self.corrections.last.unwrap_or_default(), self.companions_known);
         self.inputs.handled(pose.id, &self.grid, |inputs| {
             (inputs.keep, inputs.reason) = (verdict.keep, verdict.reason);

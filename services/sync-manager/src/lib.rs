@@ -5,14 +5,18 @@
 //! measured constraints; poses are solved from it again and again, so each closure can be revoked at any
 //! time.
 
+mod back_end;
 mod between;
 mod filled_trajectory;
+mod localizing;
 mod manager;
 mod pose_record;
 pub mod process;
 mod settings;
 mod solution;
 
+pub use back_end::BackEnd;
+pub use localizing::LocalizingManager;
 pub use manager::SyncManager;
 pub use settings::Settings;
 pub use solution::{ClosureCounts, DetachedPart, FrozenScan, PlacedScan, Solution};

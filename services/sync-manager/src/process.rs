@@ -4,7 +4,7 @@
 //! Of several processes one is active. The others read the same inputs and compute the same results without publishing them, so that one of them
 //! goes on when it dies: recovering its state would take as long as all its searches.
 
-use crate::{Settings, SyncManager};
+use crate::{BackEnd, ClosureCounts, LocalizingManager, Settings, SyncManager};
 use clear_at_end::clear_at_end;
 use detached::write_detached;
 use flock_outbox::Outbox;
@@ -13,11 +13,11 @@ use flockslam_flock_network::FlockMetrics;
 use flockslam_geometry::Pose;
 use flockslam_map_fusion::PlacedSubmap;
 use flockslam_messages::{
-    BeamRange, ControlKind, Correction, FlockFrame, FlockRobots, MovingBeamsHeader, PoseEstimate, PoseFlags,
+    BeamRange, ControlKind, Correction, FlockFrame, FlockRobots, LocalisationOrder, MovingBeamsHeader, PoseEstimate, PoseFlags,
     ScanView, Stage, SubmapClosed,
 };
 use flockslam_results::SubmapStore;
-use flockslam_results::{self as results, LivePoses, SubmapRow, Summary, Unattached};
+use flockslam_results::{self as results, LivePoses, LocalisationStatus, SubmapRow, Summary, Unattached};
 use flockslam_stage::{
     Actor, Copies, Inbox, Join, JournalReader, LastWord, LeaderLock, Mode, Notifiers, StageContext,
     StageError, run,
@@ -32,6 +32,8 @@ mod clear_at_end;
 mod detached;
 mod flock_outbox;
 mod fuser;
+mod known_map;
+mod localized;
 mod metrics;
 mod trajectories;
 
@@ -59,7 +61,7 @@ pub fn shell(context: &mut StageContext, settings: Settings) -> Result<Box<dyn A
 }
 
 struct SyncProcess {
-    logic: SyncManager,
+    logic: BackEnd,
     lock: LeaderLock,
     /// This process is the active one; otherwise it is on standby.
     is_active: bool,
@@ -76,6 +78,7 @@ struct SyncProcess {
     moving_beams: Inbox<Copies<MovingBeamsHeader>>,
     journal: JournalReader,
     submaps: Subscriber<SubmapClosed>,
+    orders: Subscriber<LocalisationOrder>,
     /// Closed submaps that the logic has not seen, by number.
     waiting_submaps: BTreeMap<u32, SubmapClosed>,
     /// The logic has seen all submaps below this.
@@ -102,6 +105,8 @@ struct SyncProcess {
     metrics: CorrectionMetrics,
     /// What nothing connects with the map, as said last.
     unattached: Unattached,
+    /// What is believed of the robot's place in a known map, as told last.
+    localisation: Option<LocalisationStatus>,
 }
 
 impl SyncProcess {
@@ -117,7 +122,7 @@ impl SyncProcess {
             is_watched: context.mode == Mode::Live,
             result_dir: context.result_dir.clone(),
             fuser: Fuser::new(SubmapStore::new(&context.submap_dir), &settings),
-            logic: SyncManager::new(settings.clone()),
+            logic: back_end(context, &settings)?,
             lock,
             is_active,
             correction: None,
@@ -126,6 +131,7 @@ impl SyncProcess {
             moving_beams: Inbox::unlimited(Copies(bus.slice_subscriber()?)),
             journal: JournalReader::open(&context.journal_dir)?,
             submaps: bus.subscriber()?,
+            orders: bus.subscriber()?,
             waiting_submaps: BTreeMap::new(),
             next_submap: 0,
             corrections: bus.publisher()?,
@@ -144,10 +150,11 @@ impl SyncProcess {
             recovered: false,
             metrics: CorrectionMetrics::new(&context.metrics),
             unattached: Unattached::default(),
+            localisation: None,
         };
         process.join.speak(is_active);
-        if !process.settings.flock.name.is_empty() {
-            process.logic.publish_to_flock();
+        if let (Some(mapping), false) = (process.logic.mapping(), process.settings.flock.name.is_empty()) {
+            mapping.publish_to_flock();
         }
         if process.is_active {
             process.speak(context)?;
@@ -179,8 +186,10 @@ impl SyncProcess {
         self.is_active = true;
         self.join.speak(true);
         self.speak(context)?;
-        for number in 0..self.next_submap {
-            self.outbox.publish(&mut self.logic, number, &self.store)?;
+        if let Some(mapping) = self.logic.mapping() {
+            for number in 0..self.next_submap {
+                self.outbox.publish(mapping, number, &self.store)?;
+            }
         }
         if let Some(correction) = &self.correction {
             self.corrections.send(correction)?;
@@ -229,26 +238,36 @@ impl SyncProcess {
         let started_ns = context.now_ns();
         let correction = self.logic.submap_closed(notice);
         let took_ns = context.now_ns().saturating_sub(started_ns);
-        self.trajectories.frozen(&self.logic.take_frozen());
-        self.outbox.publish(&mut self.logic, notice.number, &self.store)?;
         self.next_submap = notice.number + 1;
         self.correction = Some(correction);
+        let Some(mapping) = self.logic.mapping() else { return self.correct(&correction) };
+        self.trajectories.frozen(&mapping.take_frozen());
+        self.outbox.publish(mapping, notice.number, &self.store)?;
         if !self.is_active {
-            self.metrics.recovered(self.logic.closure_counts());
+            self.metrics.recovered(mapping.closure_counts());
             return Ok(());
         }
-        self.corrections.send(&correction)?;
-        self.matcher.ring();
-        let retired = self.fuser.follow(&self.logic.submap_poses(), self.next_submap)?;
-        self.logic.submaps_retired(&retired);
-        self.publish(took_ns);
-        self.say_unattached(context);
+        self.correct(&correction)?;
+        let Some(mapping) = self.logic.mapping() else { return Ok(()) };
+        let retired = self.fuser.follow(&mapping.submap_poses(), self.next_submap)?;
+        mapping.submaps_retired(&retired);
+        let (counts, unattached) = (mapping.closure_counts(), mapping.unattached());
+        self.publish(took_ns, counts);
+        self.say_unattached(unattached, context);
         self.show();
         Ok(())
     }
 
-    fn publish(&mut self, took_ns: u64) {
-        let counts = self.logic.closure_counts();
+    /// Gives the front end a correction.
+    fn correct(&mut self, correction: &Correction) -> Result<(), StageError> {
+        if self.is_active {
+            self.corrections.send(correction)?;
+            self.matcher.ring();
+        }
+        Ok(())
+    }
+
+    fn publish(&mut self, took_ns: u64, counts: ClosureCounts) {
         let (scan, submap) = (self.join.expected, self.next_submap.saturating_sub(1));
         tracing::debug!(
             scan,
@@ -266,8 +285,7 @@ impl SyncProcess {
     }
 
     /// Says what nothing connects with the map, when that has changed. A failure has no other effect.
-    fn say_unattached(&mut self, context: &StageContext) {
-        let unattached = self.logic.unattached();
+    fn say_unattached(&mut self, unattached: Unattached, context: &StageContext) {
         if unattached == self.unattached {
             return;
         }
@@ -279,14 +297,12 @@ impl SyncProcess {
     }
 
     /// Writes the solution for readers. A failure has no other effect.
-    fn show(&self) {
-        if !self.is_watched {
-            return;
-        }
-        let counts = self.logic.closure_counts();
+    fn show(&mut self) {
+        let Some(mapping) = self.logic.mapping().filter(|_| self.is_watched) else { return };
+        let counts = mapping.closure_counts();
         let live = LivePoses {
-            submaps: rows(&self.logic.submap_poses()),
-            closures: self.logic.loops(),
+            submaps: rows(&mapping.submap_poses()),
+            closures: mapping.loops(),
             searches: counts.searches,
             accepted: counts.accepted,
         };
@@ -327,6 +343,7 @@ impl SyncProcess {
         self.moving_beams.drain()?;
         let moving = self.moving_beams.take(sequence).map_or_else(Vec::new, |(_, beams)| beams);
         self.take_in(pose, scan, &moving)?;
+        self.localized(context)?;
         if self.is_active {
             context.handled(sequence, started_ns, pose.times.monotonic_ns);
         } else {
@@ -355,9 +372,10 @@ impl SyncProcess {
             let submap = self.store.load(number)?;
             self.conclude(&self.store.notice(&submap)?, context)?;
         }
-        let solution = self.logic.finish();
-        self.logic.forget_scans();
         let directory = &context.result_dir.clone();
+        let Some(mapping) = self.logic.mapping() else { return self.finish_localizing(directory) };
+        let solution = mapping.finish();
+        mapping.forget_scans();
         let scans = self.trajectories.finish(&solution)?;
         self.fuser.finish(&solution.submaps)?;
         if self.settings.clear_at_end {
@@ -373,9 +391,20 @@ impl SyncProcess {
         self.summary.closures_accepted = solution.closures.accepted;
         self.summary.closures_revoked = solution.closures.revoked;
         results::write_summary(directory, &self.summary)?;
-        self.outbox.finish(&mut self.logic, &solution, &self.store, &scans, context)?;
+        if let Some(mapping) = self.logic.mapping() {
+            self.outbox.finish(mapping, &solution, &self.store, &scans, context)?;
+        }
         self.finished.say(self.summary.scans)
     }
+}
+
+/// The back end of a set: one that makes a map, or one that localizes.
+fn back_end(context: &StageContext, settings: &Settings) -> Result<BackEnd, StageError> {
+    if !context.localizes {
+        return Ok(BackEnd::Mapping(Box::new(SyncManager::new(settings.clone()))));
+    }
+    let surroundings = known_map::load(&context.result_dir)?;
+    Ok(BackEnd::Localizing(Box::new(LocalizingManager::new(surroundings))))
 }
 
 fn rows(submaps: &[PlacedSubmap]) -> Vec<SubmapRow> {
@@ -392,6 +421,7 @@ impl Actor for SyncProcess {
         if !self.is_active && self.lock.is_ours() {
             self.take_over(context)?;
         }
+        self.obey()?;
         let mut any = false;
         while let Some(pose) = self.join.oldest()? {
             self.drain_submaps()?;

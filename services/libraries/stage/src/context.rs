@@ -34,6 +34,9 @@ pub struct StageOptions {
     /// Sequence of the first scan of this session: what comes before belongs to a map that is continued.
     #[serde(default)]
     pub first_sequence: u64,
+    /// The set localizes in the map that lies in its results, and makes no map.
+    #[serde(default)]
+    pub localizes: bool,
 }
 
 impl StageOptions {
@@ -89,6 +92,8 @@ pub struct StageContext {
     pub capacity: Capacity,
     /// Sequence of the first scan of this session: what comes before belongs to a map that is continued.
     pub first_sequence: u64,
+    /// The set localizes in the map that lies in its results, and makes no map.
+    pub localizes: bool,
     /// Journal of scans and poses.
     pub journal_dir: PathBuf,
     /// Store of closed submaps.
@@ -155,6 +160,7 @@ impl StageContext {
             mode: options.mode,
             capacity: options.capacity(),
             first_sequence: options.first_sequence,
+            localizes: options.localizes,
             runtime: runtime.path().to_owned(),
             journal_dir: runtime.journal(),
             submap_dir: runtime.submaps(),

@@ -1,0 +1,205 @@
+//! Point-to-line refinement of a pose in the known map by Gauss–Newton (Censi 2008), and how well points agree with the map at a pose.
+
+use crate::surface_lines::SurfaceLines;
+use crate::{KnownMap, PlaceField};
+use flockslam_evidence::CellState;
+use flockslam_pose_graph::Symmetric;
+use flockslam_registration::cloud::Placement;
+
+/// Gauss–Newton steps.
+const STEPS: u32 = 12;
+/// Points farther from their line than this are not used in the first half of the steps, and in the second, metres.
+const GATES_M: (f64, f64) = (0.3, 0.15);
+/// Scale of the Cauchy kernel, metres.
+const KERNEL_M: f64 = 0.05;
+/// A point nearer to something occupied than this is explained by it, metres.
+const EXPLAINED_M: f64 = 0.15;
+/// A point in free space farther than this from all that is occupied contradicts the map, metres.
+const CONTRADICTED_M: f64 = 0.3;
+/// What lies before a point by less than this is not in its beam, metres.
+const BEFORE_M: f64 = 0.4;
+/// Steps along a beam, metres.
+const BEAM_STEP_M: f64 = 0.1;
+
+/// A point of a cloud, and where it was seen from, metres in the cloud's frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SeenPoint {
+    /// The point.
+    pub x_m: f64,
+    /// Its other coordinate.
+    pub y_m: f64,
+    /// Where the robot was.
+    pub from_x_m: f64,
+    /// The other coordinate of that.
+    pub from_y_m: f64,
+}
+
+/// Where a cloud fits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fit {
+    /// The pose of the cloud's origin in the map.
+    pub map_from_cloud: Placement,
+    /// `Σ w J Jᵀ` over all points at it, 1/m² of a unit weight: translation in the map's axes, rotation about the cloud's origin; of the
+    /// prior nothing is in it.
+    pub information: Symmetric,
+    /// Share of the points within the gate of a line.
+    pub inliers: f64,
+    /// Root mean square distance of those from their lines, metres.
+    pub spread_m: f64,
+}
+
+/// How points agree with the map at a pose: shares of all points.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Agreement {
+    /// Points near something occupied.
+    pub explained: f64,
+    /// Points in known-free space, or behind something that their beam would have met.
+    pub contradicted: f64,
+    /// Points that the map says something of.
+    pub judged: f64,
+}
+
+/// The known map in the forms that search, refinement and judgement read.
+pub struct Surroundings {
+    map: KnownMap,
+    field: PlaceField,
+    lines: SurfaceLines,
+}
+
+impl Surroundings {
+    /// Works them out once.
+    pub fn new(map: KnownMap) -> Self {
+        let (field, lines) = (PlaceField::new(&map), SurfaceLines::new(&map));
+        Self { map, field, lines }
+    }
+
+    /// The map itself.
+    pub fn map(&self) -> &KnownMap {
+        &self.map
+    }
+
+    /// What a search reads.
+    pub fn field(&self) -> &PlaceField {
+        &self.field
+    }
+
+    /// Fits points to the surfaces of the map from `guess`, drawn to it by `prior` (information in the map's axes). `None` when no point
+    /// meets a surface.
+    pub fn fit(&self, points: &[SeenPoint], guess: Placement, prior: &Symmetric) -> Option<Fit> {
+        let mut at = guess;
+        for step in 0..STEPS {
+            let is_first_half = 2 * step < STEPS;
+            let sums = self.sums(points, &at, if is_first_half { GATES_M.0 } else { GATES_M.1 });
+            let turn = flockslam_geometry::wrap_angle(at.heading_rad - guess.heading_rad);
+            let from_guess = [at.x_m - guess.x_m, at.y_m - guess.y_m, turn];
+            let (mut h, mut g) = (sums.h, sums.g);
+            for (h, prior) in h.iter_mut().zip(prior) {
+                *h += prior;
+            }
+            let pull = product(prior, &from_guess);
+            g.iter_mut().zip(pull).for_each(|(g, pull)| *g += pull);
+            let delta = solved(&h, &g)?;
+            let bounded = |v: f64, most: f64| v.clamp(-most, most);
+            let delta = [bounded(delta[0], 0.3), bounded(delta[1], 0.3), bounded(delta[2], 0.2)];
+            at = Placement::new(at.x_m - delta[0], at.y_m - delta[1], at.heading_rad - delta[2]);
+            let is_small = delta[0] * delta[0] + delta[1] * delta[1] < 1e-8 && delta[2].abs() < 1e-5;
+            if is_small && !is_first_half {
+                break;
+            }
+        }
+        let sums = self.sums(points, &at, GATES_M.1);
+        (sums.inliers > 0).then(|| Fit {
+            map_from_cloud: at,
+            information: sums.h,
+            inliers: f64::from(sums.inliers) / points.len() as f64,
+            spread_m: (sums.squared / f64::from(sums.inliers)).sqrt(),
+        })
+    }
+
+    fn sums(&self, points: &[SeenPoint], at: &Placement, gate_m: f64) -> Sums {
+        let mut sums = Sums::default();
+        let kernel = 1.0 / (KERNEL_M * KERNEL_M);
+        for point in points {
+            let (rx, ry) = at.rotate(point.x_m, point.y_m);
+            let (x, y) = (at.x_m + rx, at.y_m + ry);
+            let view = at.rotate(point.x_m - point.from_x_m, point.y_m - point.from_y_m);
+            let Some(line) = self.lines.near(x, y, view) else { continue };
+            let (nx, ny) = (f64::from(line.normal_x), f64::from(line.normal_y));
+            let distance = nx * (x - f64::from(line.x_m)) + ny * (y - f64::from(line.y_m));
+            if distance.abs() > gate_m {
+                continue;
+            }
+            let flat = f64::from(line.flatness);
+            let weight = flat * flat / (1.0 + distance * distance * kernel);
+            let jt = ny * rx - nx * ry;
+            let (wx, wy, wt) = (weight * nx, weight * ny, weight * jt);
+            let h = [wx * nx, wx * ny, wx * jt, wy * ny, wy * jt, wt * jt];
+            sums.h.iter_mut().zip(h).for_each(|(sum, h)| *sum += h);
+            sums.g.iter_mut().zip([wx, wy, wt]).for_each(|(sum, w)| *sum += w * distance);
+            sums.inliers += 1;
+            sums.squared += distance * distance;
+        }
+        sums
+    }
+
+    /// How points agree with the map at a pose.
+    pub fn agreement(&self, points: &[SeenPoint], map_from_cloud: &Placement) -> Agreement {
+        let (mut explained, mut contradicted, mut judged) = (0, 0, 0);
+        for point in points {
+            let (x, y) = map_from_cloud.apply(point.x_m, point.y_m);
+            let place = self.map.at(x, y);
+            let is_explained = place.distance_m <= EXPLAINED_M;
+            let is_in_free = place.state == CellState::Free && place.distance_m > CONTRADICTED_M;
+            let is_behind = !is_in_free && self.is_behind(point, map_from_cloud);
+            explained += u32::from(is_explained && !is_behind);
+            contradicted += u32::from(is_in_free || is_behind);
+            judged += u32::from(is_explained || is_in_free || is_behind);
+        }
+        let share = |count: u32| f64::from(count) / points.len().max(1) as f64;
+        Agreement {
+            explained: share(explained),
+            contradicted: share(contradicted),
+            judged: share(judged),
+        }
+    }
+
+    /// Whether a beam to a point would have ended at something before it.
+    fn is_behind(&self, point: &SeenPoint, map_from_cloud: &Placement) -> bool {
+        let from = map_from_cloud.apply(point.from_x_m, point.from_y_m);
+        let to = map_from_cloud.apply(point.x_m, point.y_m);
+        let (dx, dy) = (to.0 - from.0, to.1 - from.1);
+        let range_m = libm::hypot(dx, dy);
+        let steps = ((range_m - BEFORE_M) / BEAM_STEP_M).floor().max(0.0) as u32;
+        let (dx, dy) = (dx / range_m * BEAM_STEP_M, dy / range_m * BEAM_STEP_M);
+        // A beam that grazes a corner meets it in a step or two.
+        let mut met = 0;
+        for step in 2..steps {
+            let at = (from.0 + dx * f64::from(step), from.1 + dy * f64::from(step));
+            met += u32::from(self.map.at(at.0, at.1).state == CellState::Occupied);
+        }
+        met >= 2
+    }
+}
+
+/// Sums over the points at one pose.
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    h: Symmetric,
+    g: [f64; 3],
+    inliers: u32,
+    squared: f64,
+}
+
+fn product(m: &Symmetric, v: &[f64; 3]) -> [f64; 3] {
+    [
+        m[0] * v[0] + m[1] * v[1] + m[2] * v[2],
+        m[1] * v[0] + m[3] * v[1] + m[4] * v[2],
+        m[2] * v[0] + m[4] * v[1] + m[5] * v[2],
+    ]
+}
+
+/// `h⁻¹ · g`; `None` when h has no inverse.
+fn solved(h: &Symmetric, g: &[f64; 3]) -> Option<[f64; 3]> {
+    let inverse = flockslam_pose_graph::inverse(h)?;
+    Some(product(&inverse, g))
+}

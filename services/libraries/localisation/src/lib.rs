@@ -1,0 +1,18 @@
+//! Where a robot is in a map that is known and never edited.
+
+mod alignment;
+mod belief;
+mod known_map;
+mod localizer;
+mod place_field;
+mod place_search;
+mod stretch;
+mod surface_lines;
+
+pub use alignment::{Agreement, Fit, SeenPoint, Surroundings};
+pub use belief::{Belief, Hypothesis, Knowledge};
+pub use known_map::{KnownMap, Place};
+pub use localizer::{Hint, Localizer, Measurement};
+pub use place_field::PlaceField;
+pub use place_search::{Candidate, Near, PlaceSearch, Places, Quest};
+pub use stretch::Stretch;

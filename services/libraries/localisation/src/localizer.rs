@@ -1,0 +1,320 @@
+//! Finds a robot in the known map and follows it: scans and poses of the front end in, a belief out.
+
+use crate::alignment::{Agreement, Fit, SeenPoint, Surroundings};
+use crate::belief::{Belief, Hypothesis, Knowledge};
+use crate::place_search::{Near, PlaceSearch, Quest, is_same};
+use crate::stretch::Stretch;
+use flockslam_pose_graph::{Symmetric, inverse};
+use flockslam_registration::cloud::{PackedPoint, Placement};
+
+/// What was seen over this much travel is looked for in the map …
+const SEARCH_M: f64 = 8.0;
+/// … and over this much is judged, metres.
+const JUDGED_M: f64 = 16.0;
+/// Points that are fitted and judged.
+const POINTS: usize = 600;
+/// A robot that is not found is looked for again after this much travel, metres, or turning, radians.
+const AGAIN: (f64, f64) = (0.9, 0.7);
+/// Least score of a place in a search, and least share of the best.
+const SCORE_MIN: f64 = 0.45;
+const SHARE_MIN: f64 = 0.75;
+/// A cloud of fewer points is not looked for.
+const POINTS_MIN: usize = 40;
+
+/// A place is believed when at least this share of the points is explained there, and at most this contradicted.
+const EXPLAINED_MIN: f64 = 0.55;
+const CONTRADICTED_MAX: f64 = 0.08;
+/// The same for what a robot has seen without having driven this far, metres.
+const STANDING_M: f64 = 0.7;
+const STANDING: (f64, f64) = (0.8, 0.04);
+/// Elsewhere at most this share of the merit is found.
+const RIVAL_MAX: f64 = 0.8;
+/// Places that were not looked at score at most this share of the place that is believed.
+const UNSEEN_MAX: f64 = 0.92;
+/// Greatest standard deviation of a pose in the worst direction from one fit, metres.
+const SIGMA_MAX_M: f64 = 0.1;
+/// How sharply merit separates weights.
+const SHARPNESS: f64 = 40.0;
+/// Hypotheses that are published and followed.
+const HYPOTHESES_MAX: usize = 16;
+
+/// Information of all points of a fit together, 1/m²: a wall seen by all fixes its distance to a centimetre.
+const FIT_INFORMATION: f64 = 1e4;
+/// The pose is followed with what was seen over this much travel, metres.
+const FOLLOWED_M: f64 = 1.0;
+/// How the front end's pose drifts: standard deviations for a metre of travel, metres and radians, and for a radian of turning.
+const DRIFT: (f64, f64) = (0.015, 0.004);
+const DRIFT_TURNING_RAD: f64 = 0.004;
+/// A fit of fewer inliers says nothing.
+const INLIERS_MIN: f64 = 0.25;
+/// A robot has lost its place when so much of what it has seen contradicts the map and less than half as much is explained.
+const LOST_CONTRADICTED: f64 = 0.3;
+/// … over at least this much travel, metres.
+const LOST_M: f64 = 2.0;
+
+/// Finds and follows a robot in a known map. A pure function of its calls; work per call is bounded.
+pub struct Localizer {
+    surroundings: Surroundings,
+    search: PlaceSearch,
+    stretch: Stretch,
+    belief: Belief,
+    /// `map_from_odom` and the information of the robot's pose, while it is followed.
+    followed: Option<Followed>,
+    /// Where the robot was when it was looked for last.
+    searched_at: Option<Placement>,
+    last: Option<Placement>,
+    /// A guess from outside that was not tried yet.
+    hint: Option<Hint>,
+    searches: u64,
+    measured: Option<Measurement>,
+}
+
+/// Where the robot was measured to be by what it saw last.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Measurement {
+    /// The pose.
+    pub map_from_base: Placement,
+    /// What the points say of it, without what was known before, in the map's axes.
+    pub information: Symmetric,
+}
+
+/// A guess of where the robot is, with its standard deviations: metres and radians.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hint {
+    /// The guess.
+    pub map_from_base: Placement,
+    /// Of the position.
+    pub sigma_m: f64,
+    /// Of the heading.
+    pub sigma_rad: f64,
+}
+
+#[derive(Clone, Copy)]
+struct Followed {
+    map_from_odom: Placement,
+    information: Symmetric,
+}
+
+/// A place that was judged.
+#[derive(Clone, Copy)]
+struct Judged {
+    at: Placement,
+    score: f64,
+    fit: Option<Fit>,
+    agreement: Agreement,
+}
+
+impl Judged {
+    fn merit(&self) -> f64 {
+        (self.agreement.explained - self.agreement.contradicted).max(0.0)
+    }
+}
+
+impl Localizer {
+    /// A robot that may be anywhere in the map.
+    pub fn new(surroundings: Surroundings) -> Self {
+        Self {
+            surroundings,
+            search: PlaceSearch::default(),
+            stretch: Stretch::default(),
+            belief: Belief::default(),
+            followed: None,
+            searched_at: None,
+            last: None,
+            hint: None,
+            searches: 0,
+            measured: None,
+        }
+    }
+
+    /// The known map.
+    pub fn surroundings(&self) -> &Surroundings {
+        &self.surroundings
+    }
+
+    /// What is believed.
+    pub fn belief(&self) -> &Belief {
+        &self.belief
+    }
+
+    /// `map_from_odom`, while the robot is localized.
+    pub fn map_from_odom(&self) -> Option<Placement> {
+        self.followed.map(|followed| followed.map_from_odom)
+    }
+
+    /// Where the robot was measured to be at the last view; `None` when it is not localized or saw nothing of the map.
+    pub fn measured(&self) -> Option<Measurement> {
+        self.measured
+    }
+
+    /// How often the map was searched.
+    pub fn searches(&self) -> u64 {
+        self.searches
+    }
+
+    /// Forgets where the robot is and looks for it again, near a hint when there is one.
+    pub fn relocalize(&mut self, hint: Option<Hint>) {
+        self.followed = None;
+        self.belief = Belief::default();
+        self.searched_at = None;
+        self.hint = hint;
+    }
+
+    /// The front end has begun a trajectory that is not known relative to the one before.
+    pub fn odometry_breaks(&mut self) {
+        self.stretch.clear();
+        self.last = None;
+        self.relocalize(None);
+    }
+
+    /// Takes the points of a scan (in the robot's frame) at its pose by the front end, some decimetres after the last one.
+    pub fn see(&mut self, odom_from_base: Placement, points: &[PackedPoint]) -> &Belief {
+        self.stretch.push(odom_from_base, points, JUDGED_M);
+        self.measured = None;
+        let last = self.last.replace(odom_from_base).unwrap_or(odom_from_base);
+        if let Some(followed) = self.followed {
+            self.follow(followed, last, odom_from_base);
+        }
+        if self.followed.is_none() && self.is_due(&odom_from_base) {
+            self.searched_at = Some(odom_from_base);
+            self.look(odom_from_base);
+        }
+        &self.belief
+    }
+
+    fn is_due(&self, at: &Placement) -> bool {
+        self.searched_at
+            .is_none_or(|last| last.distance_m(at) >= AGAIN.0 || last.turn_rad(at) >= AGAIN.1)
+    }
+
+    /// Follows the robot by fitting what it sees to the map.
+    fn follow(&mut self, followed: Followed, last: Placement, odom: Placement) {
+        let (way_m, turn_rad) = (last.distance_m(&odom), last.turn_rad(&odom));
+        let expected = followed.map_from_odom.compose(odom);
+        let position = DRIFT.0 * DRIFT.0 * way_m;
+        let heading = DRIFT.1 * DRIFT.1 * way_m + DRIFT_TURNING_RAD * DRIFT_TURNING_RAD * turn_rad;
+        let prior = carried(&followed.information, position, heading);
+        let cloud = self.stretch.cloud(FOLLOWED_M, POINTS);
+        let unit = FIT_INFORMATION / cloud.len().max(1) as f64;
+        let fit = self.surroundings.fit(&cloud, expected, &prior.map(|v| v / unit));
+        let fit = fit.filter(|fit| fit.inliers >= INLIERS_MIN);
+        let mut now = Followed { map_from_odom: followed.map_from_odom, information: prior };
+        if let Some(fit) = fit {
+            now.map_from_odom = fit.map_from_cloud.compose(odom.inverse());
+            let information = fit.information.map(|h| unit * h);
+            self.measured = Some(Measurement { map_from_base: fit.map_from_cloud, information });
+            now.information.iter_mut().zip(fit.information).for_each(|(sum, h)| *sum += unit * h);
+        }
+        self.followed = Some(now);
+        let at = now.map_from_odom.compose(odom);
+        let agreement = self.surroundings.agreement(&cloud, &at);
+        self.belief = Belief {
+            knowledge: Knowledge::Localized,
+            hypotheses: vec![Hypothesis { map_from_base: at, weight: 1.0, agreement }],
+            covariance: inverse(&now.information),
+        };
+        let is_against = |agreement: &Agreement| {
+            agreement.contradicted > LOST_CONTRADICTED && agreement.explained < 0.5 * agreement.contradicted
+        };
+        if is_against(&agreement) {
+            let wider = self.stretch.cloud(LOST_M, POINTS);
+            if is_against(&self.surroundings.agreement(&wider, &at)) {
+                self.relocalize(None);
+                self.measured = None;
+            }
+        }
+    }
+
+    /// Looks for the robot in the map.
+    fn look(&mut self, odom: Placement) {
+        self.searches += 1;
+        let near = self.hint.map(|hint| Near {
+            pose: hint.map_from_base,
+            reach_m: 3.0 * hint.sigma_m,
+            turn_rad: 3.0 * hint.sigma_rad,
+        });
+        let cloud = self.stretch.cloud(SEARCH_M, 2 * POINTS);
+        if cloud.len() < POINTS_MIN {
+            self.belief = Belief::default();
+            return;
+        }
+        let points: Vec<(f64, f64)> = cloud.iter().map(|p| (p.x_m, p.y_m)).collect();
+        let quest = Quest { score_min: SCORE_MIN, share_min: SHARE_MIN, near };
+        let places = self.search.find(self.surroundings.field(), &points, &quest);
+        let judged_cloud = self.stretch.cloud(JUDGED_M, POINTS);
+        let mut judged: Vec<Judged> = Vec::new();
+        for place in &places.found {
+            let candidate = self.judge(&judged_cloud, place.map_from_cloud, place.score);
+            if !judged.iter().any(|better| is_same(&better.at, &candidate.at)) {
+                judged.push(candidate);
+            }
+        }
+        // A stable sort: of equals the one with the better score.
+        judged.sort_by(|a, b| b.merit().total_cmp(&a.merit()));
+        self.conclude(odom, &judged, places.others_max);
+    }
+
+    fn judge(&self, cloud: &[SeenPoint], at: Placement, score: f64) -> Judged {
+        let weak = [1.0, 0.0, 0.0, 1.0, 0.0, 4.0];
+        let fit = self.surroundings.fit(cloud, at, &weak);
+        let at = fit.map_or(at, |fit| fit.map_from_cloud);
+        Judged { at, score, fit, agreement: self.surroundings.agreement(cloud, &at) }
+    }
+
+    fn conclude(&mut self, odom: Placement, judged: &[Judged], others_max: f64) {
+        let Some(best) = judged.first() else {
+            self.belief = Belief::default();
+            return;
+        };
+        let worth = |merit: f64| libm::exp(SHARPNESS * (merit - best.merit()));
+        let unseen = libm::exp(SHARPNESS * (others_max - best.score));
+        let sum: f64 = judged.iter().map(|j| worth(j.merit())).sum::<f64>() + unseen.min(1.0);
+        let hypothesis = |j: &Judged| Hypothesis {
+            map_from_base: j.at,
+            weight: worth(j.merit()) / sum,
+            agreement: j.agreement,
+        };
+        self.belief.hypotheses = judged.iter().take(HYPOTHESES_MAX).map(hypothesis).collect();
+        self.belief.covariance = None;
+        let (explained, contradicted) =
+            if self.stretch.travel_m() < STANDING_M { STANDING } else { (EXPLAINED_MIN, CONTRADICTED_MAX) };
+        let is_good = best.agreement.explained >= explained && best.agreement.contradicted <= contradicted;
+        let rival = judged.get(1).map_or(0.0, Judged::merit);
+        let is_unique = rival <= RIVAL_MAX * best.merit() && others_max <= UNSEEN_MAX * best.score;
+        let covariance = best.fit.and_then(|fit| {
+            let unit = FIT_INFORMATION / POINTS as f64;
+            inverse(&fit.information.map(|h| unit * h))
+        });
+        let is_held = covariance.is_some_and(|c| widest(&c) <= SIGMA_MAX_M * SIGMA_MAX_M);
+        self.belief.knowledge = match (is_good, is_unique && is_held) {
+            (false, _) => Knowledge::Unknown,
+            (true, false) => Knowledge::Ambiguous,
+            (true, true) => Knowledge::Localized,
+        };
+        if let (Knowledge::Localized, Some(fit), Some(covariance)) = (self.belief.knowledge, best.fit, covariance)
+        {
+            self.belief.covariance = Some(covariance);
+            let information = fit.information.map(|h| FIT_INFORMATION / POINTS as f64 * h);
+            self.measured = Some(Measurement { map_from_base: best.at, information });
+            let information = inverse(&covariance).unwrap_or(fit.information);
+            self.followed =
+                Some(Followed { map_from_odom: best.at.compose(odom.inverse()), information });
+            self.hint = None;
+        }
+    }
+}
+
+/// Information after errors of these variances were added: of the position, m², and of the heading, rad².
+fn carried(information: &Symmetric, position: f64, heading: f64) -> Symmetric {
+    let Some(mut covariance) = inverse(information) else { return *information };
+    covariance[0] += position;
+    covariance[3] += position;
+    covariance[5] += heading;
+    inverse(&covariance).unwrap_or(*information)
+}
+
+/// The variance of the position in its widest direction, m².
+fn widest(covariance: &Symmetric) -> f64 {
+    let [xx, xy, _, yy, ..] = *covariance;
+    0.5 * (xx + yy) + libm::hypot(0.5 * (xx - yy), xy)
+}

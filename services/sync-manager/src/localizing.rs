@@ -1,0 +1,284 @@
+//! The back end of a robot that localizes: poses and scans in; a belief and corrections out. The map is known and stays as it is.
+
+use crate::filled_trajectory::{Between, filled};
+use crate::pose_record::PoseRecord;
+use crate::solution::{ClosureCounts, DetachedPart, FrozenScan, PlacedScan, Solution};
+use flockslam_geometry::Pose;
+use flockslam_localisation::{Belief, Hint, Knowledge, Localizer, Measurement, Surroundings};
+use flockslam_loop_closure::scans::ScanStore;
+use flockslam_messages::{
+    BeamRange, Correction, LocalisationOrder, PoseEstimate, PoseFlags, ScanView, SubmapClosed,
+};
+use flockslam_pose_graph::{Edge, RobustSettings, Symmetric, solve};
+use flockslam_registration::cloud::Placement;
+use flockslam_results::LocalisationSummary;
+
+/// A scan is looked at after this much travel, metres, or turning, radians.
+const VIEW_M: f64 = 0.3;
+const VIEW_RAD: f64 = 0.35;
+/// Errors of the front end's motion from view to view: for a metre of travel, metres and radians, and what is there without any.
+const DRIFT: (f64, f64) = (0.015, 0.004);
+const DRIFT_MIN: (f64, f64) = (0.002, 0.001);
+/// Each point is seen by so many measurements in a row.
+const SHARED: f64 = 1.0 / 3.0;
+/// A measurement with a greater squared Mahalanobis error is an outlier.
+const CHI_SQUARED_MAX: f64 = 25.0;
+/// Views after which the older half of the drive gets its final poses.
+const VIEWS_MAX: usize = 4000;
+
+/// The back end of a robot that localizes in a known map. A pure function of its calls.
+pub struct LocalizingManager {
+    localizer: Localizer,
+    records: Vec<PoseRecord>,
+    views: Vec<View>,
+    /// The last scan that was looked at, and its trajectory.
+    last_view: Option<(Placement, u32)>,
+    revision: u32,
+    run: u32,
+    /// The last correction that was given.
+    corrected: Option<(Pose, bool)>,
+    frozen: Vec<FrozenScan>,
+    summary: LocalisationSummary,
+    travel_m: f64,
+    is_localized: bool,
+    stamp_ns: i64,
+}
+
+/// A place in the map that was measured.
+#[derive(Clone, Copy)]
+struct View {
+    record: usize,
+    measured: Measurement,
+    /// The robot was followed from the view before this one.
+    follows: bool,
+}
+
+impl LocalizingManager {
+    /// A robot that may be anywhere in the map.
+    pub fn new(surroundings: Surroundings) -> Self {
+        Self {
+            localizer: Localizer::new(surroundings),
+            records: Vec::new(),
+            views: Vec::new(),
+            last_view: None,
+            revision: 0,
+            run: 0,
+            corrected: None,
+            frozen: Vec::new(),
+            summary: LocalisationSummary::default(),
+            travel_m: 0.0,
+            is_localized: false,
+            stamp_ns: 0,
+        }
+    }
+
+    /// Area of the known map, m².
+    pub fn map_area_m2(&self) -> f64 {
+        self.localizer.surroundings().map().known_area_m2()
+    }
+
+    /// What is believed, and the sensor stamp of the last scan that was looked at.
+    pub fn belief(&self) -> (&Belief, i64) {
+        (self.localizer.belief(), self.stamp_ns)
+    }
+
+    /// What localisation did so far.
+    pub fn summary(&self) -> LocalisationSummary {
+        LocalisationSummary { searches: self.localizer.searches(), ..self.summary }
+    }
+
+    /// Looks for the robot anew at the next scan.
+    pub fn relocalize(&mut self, order: &LocalisationOrder) {
+        let hint = Hint {
+            map_from_base: order.map_from_base.into(),
+            sigma_m: order.sigma_m,
+            sigma_rad: order.sigma_rad,
+        };
+        self.localizer.relocalize((order.sigma_m > 0.0).then_some(hint));
+        self.last_view = None;
+    }
+
+    /// Takes the published pose of a scan. Every scan's, in order of arrival.
+    pub fn pose(&mut self, pose: &PoseEstimate) {
+        self.run = pose.id.run;
+        if let Some(last) = self.records.last() {
+            let step_m = last.odom.distance_m(&pose.odom_from_base.into());
+            self.travel_m += if last.trajectory == pose.trajectory { step_m } else { 0.0 };
+        }
+        self.records.push(PoseRecord::new(pose));
+        let count = if self.is_localized {
+            &mut self.summary.localized_scans
+        } else {
+            &mut self.summary.unlocalized_scans
+        };
+        *count += 1;
+    }
+
+    /// Takes a scan whose pose has just been given. `moving` are its beams on what moves, in order: they are not matched.
+    pub fn node(&mut self, scan: ScanView<'_>, pose: &PoseEstimate, moving: &[BeamRange]) {
+        let Some(record) = self.records.iter().rposition(|r| r.id == pose.id) else { return };
+        let PoseRecord { odom, trajectory, continues, .. } = self.records[record];
+        let is_due = self.last_view.is_none_or(|(last, of)| {
+            of != trajectory || last.distance_m(&odom) >= VIEW_M || last.turn_rad(&odom) >= VIEW_RAD
+        });
+        if !is_due {
+            return;
+        }
+        let breaks = self.last_view.is_some_and(|(_, of)| of != trajectory) && !continues;
+        if breaks {
+            self.localizer.odometry_breaks();
+        }
+        self.last_view = Some((odom, trajectory));
+        self.stamp_ns = self.records[record].stamp_ns;
+        let mut store = ScanStore::default();
+        let number = store.keep(scan, pose.twist.into(), moving, pose.has(PoseFlags::OPEN));
+        let was_localized = self.is_localized && !breaks;
+        self.localizer.see(odom, store.points(number));
+        self.is_localized = self.localizer.belief().knowledge == Knowledge::Localized;
+        if self.is_localized && !was_localized {
+            self.summary.found += 1;
+            self.summary.found_after_m.get_or_insert(self.travel_m);
+        }
+        if let Some(measured) = self.localizer.measured() {
+            self.views.push(View { record, measured, follows: was_localized });
+        }
+        if self.views.len() > VIEWS_MAX {
+            self.freeze();
+        }
+    }
+
+    /// The correction of the front end, when it is another one than was given last; for a set that runs live.
+    pub fn fresh_correction(&mut self, submap: u32) -> Option<Correction> {
+        let now = (self.map_from_odom(), self.is_localized);
+        (self.corrected != Some(now)).then(|| self.correction(submap))
+    }
+
+    /// The correction of the front end after a closed submap of the mapper.
+    pub fn submap_closed(&mut self, notice: &SubmapClosed) -> Correction {
+        self.run = notice.last.run;
+        self.correction(notice.number)
+    }
+
+    fn map_from_odom(&self) -> Pose {
+        let before = self.corrected.map_or(Pose::IDENTITY, |(pose, _)| pose);
+        self.localizer.map_from_odom().map_or(before, Placement::pose)
+    }
+
+    fn correction(&mut self, submap: u32) -> Correction {
+        let map_from_odom = self.map_from_odom();
+        self.corrected = Some((map_from_odom, self.is_localized));
+        self.revision += 1;
+        Correction {
+            map_from_odom,
+            run: self.run,
+            submap,
+            revision: self.revision,
+            closures: u32::from(self.is_localized),
+            trajectory: self.records.last().map_or(0, |last| last.trajectory),
+            attached: u32::from(self.is_localized),
+        }
+    }
+
+    /// Scans that have their final poses since this was asked last.
+    pub fn take_frozen(&mut self) -> Vec<FrozenScan> {
+        std::mem::take(&mut self.frozen)
+    }
+
+    /// Gives the older half of the drive its final poses, and forgets it.
+    fn freeze(&mut self) {
+        let poses = self.solved();
+        let half = self.views.len() / 2;
+        let end = self.views[half].record;
+        let known: Vec<(usize, Placement)> =
+            self.views[..=half].iter().map(|view| view.record).zip(poses).collect();
+        let filled = filled(&self.records[..=end], &known, Between::FrontEnd);
+        let frozen = |(record, pose): (&PoseRecord, &Placement)| FrozenScan {
+            id: record.id,
+            stamp_ns: record.stamp_ns,
+            anchor: 0,
+            anchor_from_base: pose.pose(),
+        };
+        self.frozen.extend(self.records[..end].iter().zip(&filled).map(frozen));
+        self.records.drain(..end);
+        self.views.drain(..half);
+        self.views.iter_mut().for_each(|view| view.record -= end);
+        self.views[0].follows = false;
+    }
+
+    /// The poses of all views in the map: measurements and the front end's motions together.
+    fn solved(&self) -> Vec<Placement> {
+        let measured = self.views.iter().map(|view| view.measured.map_from_base);
+        let mut poses: Vec<Placement> = std::iter::once(Placement::IDENTITY).chain(measured).collect();
+        let mut edges: Vec<Edge> = Vec::new();
+        // Each view hangs loosely at where it was measured: what nothing else holds stays there.
+        let loose = [1.0, 0.0, 0.0, 1.0, 0.0, 1.0];
+        edges.extend((1..poses.len()).map(|to| Edge {
+            from: 0,
+            to,
+            motion: poses[to],
+            information: loose,
+        }));
+        for (k, pair) in self.views.windows(2).enumerate().filter(|(_, pair)| pair[1].follows) {
+            let (from, to) = (&self.records[pair[0].record], &self.records[pair[1].record]);
+            let motion = from.odom.to(to.odom);
+            edges.push(Edge { from: k + 1, to: k + 2, motion, information: drift(&motion) });
+        }
+        let trusted = edges.len();
+        let measured = self.views.iter().enumerate().map(|(k, view)| Edge {
+            from: 0,
+            to: k + 1,
+            motion: view.measured.map_from_base,
+            information: view.measured.information.map(|v| SHARED * v),
+        });
+        edges.extend(measured);
+        let settings =
+            RobustSettings { chi_squared_max: CHI_SQUARED_MAX, growth: 1.6, rounds: 25, warm_up: 6 };
+        solve(poses.len(), &edges, trusted, &settings, &mut poses);
+        poses.split_off(1)
+    }
+
+    /// Concludes the run: final poses of all scans that are not frozen. Trajectories that were never found in the map stay apart.
+    pub fn finish(&mut self) -> Solution {
+        let known: Vec<(usize, Placement)> =
+            self.views.iter().map(|view| view.record).zip(self.solved()).collect();
+        let poses = filled(&self.records, &known, Between::FrontEnd);
+        let found: Vec<u32> = known.iter().map(|(record, _)| self.records[*record].trajectory).collect();
+        let placed = |(record, pose): (&PoseRecord, &Placement)| PlacedScan {
+            id: record.id,
+            stamp_ns: record.stamp_ns,
+            map_from_base: pose.pose(),
+        };
+        let apart: Vec<PlacedScan> = self
+            .records
+            .iter()
+            .zip(&poses)
+            .filter(|(record, _)| found.binary_search(&record.trajectory).is_err())
+            .map(placed)
+            .collect();
+        let detached_scans = apart.len() as u64;
+        let travel_m = apart.windows(2).map(|pair| pair[0].map_from_base.distance_m(pair[1].map_from_base));
+        let detached = DetachedPart { travel_m: travel_m.sum(), scans: apart, ..DetachedPart::default() };
+        Solution {
+            trajectory: self.records.iter().zip(&poses).map(placed).collect(),
+            anchors: vec![(0, Pose::IDENTITY)],
+            submaps: Vec::new(),
+            closures: ClosureCounts {
+                searches: self.localizer.searches(),
+                accepted: self.summary.found,
+                trajectories: self.records.last().map_or(0, |last| u64::from(last.trajectory) + 1),
+                detached_scans,
+                ..ClosureCounts::default()
+            },
+            detached: if detached_scans > 0 { vec![detached] } else { Vec::new() },
+        }
+    }
+}
+
+/// Information of a motion of the front end.
+fn drift(motion: &Placement) -> Symmetric {
+    let way_m = libm::hypot(motion.x_m, motion.y_m);
+    let variance = |least: f64, per_m: f64| least * least + per_m * per_m * way_m;
+    let (position, heading) =
+        (1.0 / variance(DRIFT_MIN.0, DRIFT.0), 1.0 / variance(DRIFT_MIN.1, DRIFT.1));
+    [position, 0.0, 0.0, position, 0.0, heading]
+}
