@@ -45,6 +45,8 @@ pub enum Command {
     Resume(RobotArgs),
     /// Lets a running set forget its map and begin a new one
     Reset(RobotArgs),
+    /// Lets a set that localizes look for its robot in the known map anew
+    Relocalize(RelocalizeArgs),
     /// Changes how many processes a stage of a running set has
     Scale(ScaleArgs),
     /// Shows a running set live in the terminal: stages, latencies, drops, restarts
@@ -265,6 +267,16 @@ pub struct UpArgs {
     pub ros_args: Vec<String>,
 }
 
+/// Three numbers, the last above zero.
+fn near(text: &str) -> Result<[f64; 3], String> {
+    let wrong = || format!("'{text}' is not X,Y,R: two coordinates and a radius in metres");
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
+    match numbers.map_err(|_| wrong())?.as_slice() {
+        &[x, y, r] if x.is_finite() && y.is_finite() && r > 0.0 && r.is_finite() => Ok([x, y, r]),
+        _ => Err(wrong()),
+    }
+}
+
 /// `flockslam store`.
 #[derive(Clone, Debug, Subcommand)]
 pub enum StoreCommand {
@@ -352,6 +364,17 @@ pub struct StageOrderArgs {
     /// Which stage
     #[arg(value_parser = known_stage)]
     pub stage: Stage,
+    /// Which set
+    #[command(flatten)]
+    pub robot: RobotArgs,
+}
+
+/// `flockslam relocalize`.
+#[derive(Clone, Debug, Args)]
+pub struct RelocalizeArgs {
+    /// Where to look: x and y in the map and a radius, metres; everywhere without it
+    #[arg(long, value_name = "X,Y,R", value_parser = near, allow_hyphen_values = true)]
+    pub near: Option<[f64; 3]>,
     /// Which set
     #[command(flatten)]
     pub robot: RobotArgs,

@@ -35,6 +35,7 @@ pub fn main() -> ExitCode {
         Command::Pause(args) => commands::control_command::pause(&args, true),
         Command::Resume(args) => commands::control_command::pause(&args, false),
         Command::Reset(args) => commands::control_command::reset(&args),
+        Command::Relocalize(args) => commands::control_command::relocalize(&args),
         Command::Scale(args) => commands::control_command::scale(&args),
         Command::Top(args) => commands::top_command::run(&args),
         Command::Log(args) => commands::log_command::run(&args),

@@ -15,6 +15,7 @@ mod graph_ear;
 mod graph_markers;
 mod kept_state;
 mod lifecycle;
+mod localisation_relay;
 mod log_relay;
 mod map_change;
 mod map_correction;

@@ -1,6 +1,7 @@
 //! Follows the map of closed submaps as stages store it, in small steps. Reads files of a set; gives the fused map where the solution has it.
 
 use crate::fused_picture::FusedPicture;
+use crate::known_submap::{KNOWN, known_submap};
 use flockslam_bus::RuntimeDir;
 use flockslam_evidence::{Submap, TileKey};
 use flockslam_geometry::Pose;
@@ -41,9 +42,10 @@ pub struct Stored {
 }
 
 impl FollowedMap {
-    /// The map of a set; `optimises`: its sync-manager says where submaps lie.
-    pub fn new(runtime: &RuntimeDir, optimises: bool) -> Self {
-        Self {
+    /// The map of a set; `optimises`: its sync-manager says where submaps lie. Of a set that localizes it is the known map, in cells of
+    /// this size.
+    pub fn new(runtime: &RuntimeDir, optimises: bool, cell_size_m: f64) -> Self {
+        let mut followed = Self {
             store: SubmapStore::new(&runtime.submaps()),
             results: runtime.results(),
             optimises,
@@ -53,7 +55,14 @@ impl FollowedMap {
             poses_file: None,
             versions: BTreeMap::new(),
             picture: FusedPicture::default(),
+        };
+        if let Some(known) = known_submap(&runtime.results(), cell_size_m) {
+            followed.submap_poses.insert(KNOWN, Pose::IDENTITY);
+            if let Err(far) = followed.picture.place(KNOWN, known.encode(), Pose::IDENTITY) {
+                tracing::warn!(%far, "the known map is not in the picture");
+            }
         }
+        followed
     }
 
     /// Looks at what stages have stored. What cannot be read now is read later.

@@ -13,6 +13,7 @@ mod frame;
 mod fused_picture;
 mod guard;
 mod health;
+mod known_submap;
 mod layer;
 mod outbox;
 mod path;

@@ -72,7 +72,7 @@ impl Session {
             waiting_scans: VecDeque::new(),
             journal: JournalReader::open(&runtime.journal())?,
             has_caught_up: false,
-            followed: FollowedMap::new(&runtime, place.optimises),
+            followed: FollowedMap::new(&runtime, place.optimises, place.cell_size_m),
             loops: None,
             shader: Shader::default(),
             ticks: 0,

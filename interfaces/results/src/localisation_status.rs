@@ -54,19 +54,24 @@ pub struct LocalisationSummary {
 }
 
 impl LocalisationStatus {
+    /// Where it is left.
+    pub fn file(status_dir: &Path) -> PathBuf {
+        status_dir.join("localisation.json")
+    }
+
     /// Leaves it for who asks.
     ///
     /// # Errors
     /// When the disk refuses.
     pub fn write(&self, status_dir: &Path) -> Result<(), ResultsError> {
-        let path = file(status_dir);
+        let path = Self::file(status_dir);
         let json = serde_json::to_vec(self).map_err(|e| ResultsError::file(&path, e))?;
         Ok(replace_file(&path, &json, Durability::Process)?)
     }
 
     /// What was left last; `None` when the set does not localize.
     pub fn read(status_dir: &Path) -> Option<Self> {
-        let json = std::fs::read(file(status_dir)).ok()?;
+        let json = std::fs::read(Self::file(status_dir)).ok()?;
         serde_json::from_slice(&json).ok()
     }
 }
@@ -87,10 +92,6 @@ impl fmt::Display for LocalisationStatus {
             (None, places) => write!(f, " by {:.0} % of {places} places", 100.0 * first.weight),
         }
     }
-}
-
-fn file(status_dir: &Path) -> PathBuf {
-    status_dir.join("localisation.json")
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! `flockslam down`, `status`, `restart`, `pause`, `resume`, `reset` and `scale`: orders to a running set.
 
 use super::{CommandError, say};
-use crate::arguments::{RobotArgs, ScaleArgs, StageOrderArgs, StatusArgs};
+use crate::arguments::{RelocalizeArgs, RobotArgs, ScaleArgs, StageOrderArgs, StatusArgs};
 use crate::supervisor::{Reply, Request, ask};
 use flockslam_bus::RuntimeDir;
 use std::time::{Duration, Instant};
@@ -66,6 +66,16 @@ pub fn pause(args: &RobotArgs, rests: bool) -> Result<(), CommandError> {
 /// When there is no such set, or it keeps its map on disk.
 pub fn reset(args: &RobotArgs) -> Result<(), CommandError> {
     order(&choose(args)?, &Request::Reset).map(drop)
+}
+
+/// Lets a set look for its robot in the known map anew.
+///
+/// # Errors
+/// When there is no such set, or it makes a map.
+pub fn relocalize(args: &RelocalizeArgs) -> Result<(), CommandError> {
+    // The heading is not known; what is within the radius is within three standard deviations.
+    let hint = args.near.map(|[x_m, y_m, radius_m]| [x_m, y_m, 0.0, radius_m / 3.0, std::f64::consts::PI]);
+    order(&choose(&args.robot)?, &Request::Relocalize(hint)).map(drop)
 }
 
 /// Changes the number of processes of a stage.

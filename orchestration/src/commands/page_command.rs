@@ -42,9 +42,9 @@ pub fn run(args: &PageArgs) -> Result<(), CommandError> {
         set_dir,
         robot: runtime.name().to_owned(),
         version: crate::VERSION.to_owned(),
-        cell_size_m: set.configuration.mapper.cell_size_m,
         capacity: set.options.capacity(),
         optimises: set.configuration.sync_manager.enabled,
+        cell_size_m: set.configuration.mapper.cell_size_m,
         can_save: settings.save_dir.is_some(),
     };
     let access = Supervisor {

@@ -47,6 +47,7 @@ pub fn run(args: &RosArgs) -> Result<(), CommandError> {
         runtime,
         capacity: set.options.capacity(),
         optimises: set.configuration.sync_manager.enabled,
+        localizes: set.options.localizes,
         cell_size_m: set.configuration.mapper.cell_size_m,
         scan_socket,
     };

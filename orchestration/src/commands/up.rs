@@ -168,6 +168,7 @@ impl LiveSet {
             Request::Save(directory) => return self.save_elsewhere(&directory, order),
             Request::Load(directory) => self.load(&directory),
             Request::Reset => self.reset(),
+            Request::Relocalize(near) => self.set.relocalize(near),
         };
         order.answer(outcome.map_or_else(Reply::Refused, |()| Reply::Done));
     }
@@ -192,6 +193,9 @@ impl LiveSet {
     /// Forgets the map and begins a new one.
     fn reset(&mut self) -> Result<(), String> {
         self.refuse_kept()?;
+        if self.set.localizes() {
+            return Err("this set localizes in a known map, which stays: relocalize looks for the robot anew".to_owned());
+        }
         let reset: Result<(), CommandError> = self.set.begin_anew(|_| Ok(0));
         self.page.iter_mut().for_each(SideProcess::restart);
         reset.map_err(|error| error.to_string())
@@ -199,6 +203,9 @@ impl LiveSet {
 
     fn load(&mut self, directory: &Path) -> Result<(), String> {
         self.refuse_kept()?;
+        if self.set.localizes() {
+            return self.localize_in(directory);
+        }
         let map = SavedMap::at(directory);
         let head = &self.head;
         // What is refused leaves the set as it is.
@@ -210,6 +217,15 @@ impl LiveSet {
         });
         self.page.iter_mut().for_each(SideProcess::restart);
         loaded.map_err(|error| error.to_string())
+    }
+
+    /// Localizes in another map.
+    fn localize_in(&mut self, map: &Path) -> Result<(), String> {
+        let map = known_map::read(map).map_err(|error| error.to_string())?;
+        let begun: Result<(), CommandError> =
+            self.set.begin_anew(|runtime| known_map::put(&map, runtime).map(|()| 0));
+        self.page.iter_mut().for_each(SideProcess::restart);
+        begun.map_err(|error| error.to_string())
     }
 
     fn stop_and_save(&mut self) {

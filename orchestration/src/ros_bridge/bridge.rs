@@ -10,6 +10,7 @@ use super::graph_clock::GraphClock;
 use super::graph_ear::{Ear, Heard, listen};
 use super::kept_state::KeptState;
 use super::lifecycle::NodeState;
+use super::localisation_relay::LocalisationRelay;
 use super::log_relay::LogRelay;
 use super::map_correction::{Correction, JUMP_M, JUMP_RAD, MapCorrection};
 use super::map_thread::{self, HeardTopics, MapOrder, MapPlace, MapPublishers};
@@ -65,6 +66,8 @@ pub struct BridgeSet {
     pub capacity: Capacity,
     /// Its sync-manager says where submaps lie.
     pub optimises: bool,
+    /// It localizes in a known map.
+    pub localizes: bool,
     /// Side of a cell, metres.
     pub cell_size_m: f64,
     /// The socket that lidar-ingest reads.
@@ -136,7 +139,7 @@ struct Bridge {
     latency: LatencyHistogram,
     heartbeat_due: Instant,
     report_due: Instant,
-    said_initial_pose: bool,
+    localisation: LocalisationRelay,
     // The ports go before the bus.
     _bus: Bus,
 }
@@ -164,6 +167,7 @@ impl Bridge {
             set_dir: set.runtime.path().to_owned(),
             capacity: set.capacity,
             optimises: set.optimises,
+            localizes: set.localizes,
             cell_size_m: set.cell_size_m,
             resolution_m: parameters.resolution_m,
             map_frame: parameters.map_frame.clone(),
@@ -181,6 +185,8 @@ impl Bridge {
         let (sender, heard) = sync_channel(HEARD_MAX);
         listen(&mut node, &parameters, &Ear::new(sender, Arc::clone(&dropped)))?;
         let bus = Bus::join(&set.runtime, "ros", set.capacity)?;
+        let localisation =
+            LocalisationRelay::open(&mut node, &bus, &set.runtime.status(), set.localizes)?;
         let fresh = match (parameters.use_lifecycle_manager, parameters.autostart) {
             (false, true) => NodeState::Active,
             _ => NodeState::Unconfigured,
@@ -219,7 +225,7 @@ impl Bridge {
             latency: LatencyHistogram::default(),
             heartbeat_due: Instant::now(),
             report_due: Instant::now(),
-            said_initial_pose: false,
+            localisation,
             _bus: bus,
             parameters,
             kept,
@@ -250,6 +256,7 @@ impl Bridge {
         }
         self.relay.tick();
         self.read_poses()?;
+        self.localisation.tick(&self.parameters.map_frame);
         self.correct();
         self.beat();
         self.report();
@@ -291,9 +298,9 @@ impl Bridge {
                     self.correction.clear();
                 }
             }
-            Heard::InitialPose => {
-                if !std::mem::replace(&mut self.said_initial_pose, true) {
-                    tracing::warn!("/initialpose has no effect while the map is being made");
+            Heard::InitialPose(hint) => {
+                if let Err(error) = self.localisation.take_hint(&hint) {
+                    tracing::warn!(%error, "a hint of where the robot is does not reach the set");
                 }
             }
             Heard::ChangeState(call) => self.change_state(call),
@@ -356,10 +363,11 @@ impl Bridge {
             }
             let estimate = *estimate;
             // The transform is what controllers wait for: it goes first.
-            if estimate.quality != Quality::Lost as u32 {
+            if estimate.quality != Quality::Lost as u32 && self.localisation.places(&estimate) {
                 self.take_pose(&estimate);
                 self.correct();
                 self.publishers.send_pose(&estimate, &self.parameters.map_frame);
+                self.localisation.send_pose(&estimate, &self.parameters.map_frame);
             }
             self.publishers.quality.send(quality(&estimate, &self.robot));
         }

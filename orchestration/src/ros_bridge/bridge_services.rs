@@ -2,16 +2,18 @@
 //! a thread of its own, one call after the other.
 
 use super::BridgeError;
+use super::localisation_relay::order_near;
 use super::map_picture::MapPicture;
 use super::map_thread::MapOrder;
 use crate::outputs::{render_pgm, render_yaml};
 use crate::supervisor::{Reply, Request, ask};
+use flockslam_geometry::Pose;
 use flockslam_journal::{Durability, replace_file};
 use flockslam_ros::messages::{
-    ClearQueue, ClearQueueResponse, DeserializePoseGraph, DeserializePoseGraphResponse, GetMap,
+    ClearQueue, ClearQueueResponse, DeserializePoseGraph, DeserializePoseGraphResponse, Empty, EmptyResponse, GetMap,
     GetMapResponse, LoadMap, LoadMapResponse, NavigationSaveMap, NavigationSaveMapResponse, OccupancyGrid,
     Reset, ResetResponse, RosService, SerializePoseGraph, SerializePoseGraphResponse, SetBool,
-    SetBoolResponse, TogglePause, TogglePauseResponse, ToolboxSaveMap, ToolboxSaveMapResponse, Trigger,
+    SetBoolResponse, SetInitialPose, SetInitialPoseResponse, TogglePause, TogglePauseResponse, ToolboxSaveMap, ToolboxSaveMapResponse, Trigger,
     TriggerResponse,
 };
 use flockslam_ros::{Call, Node};
@@ -122,6 +124,7 @@ pub fn offer(node: &mut Node, orders: SetOrders) -> Result<(), BridgeError> {
     let mut services = Services { node, tasks };
     services.offer_flow()?;
     services.offer_maps()?;
+    services.offer_localisation()?;
     if services.node.answers_at_any_length() {
         services.offer_map()?;
     }
@@ -201,6 +204,25 @@ impl Services<'_> {
             LoadMapResponse { map: OccupancyGrid::default(), result }
         })
     }
+
+    /// Under the names of AMCL.
+    fn offer_localisation(&mut self) -> Result<(), BridgeError> {
+        self.offer::<Empty>("reinitialize_global_localization", |orders, _| {
+            // A refusal is in the log.
+            let _ = orders.done(&Request::Relocalize(None));
+            EmptyResponse::default()
+        })?;
+        // Every scan is looked at anyway.
+        self.offer::<Empty>("request_nomotion_update", |_, _| EmptyResponse::default())?;
+        self.offer::<SetInitialPose>("set_initial_pose", |orders, request| {
+            let near = order_near(&request.pose.pose);
+            let Pose { x_m, y_m, heading_rad } = near.map_from_base;
+            let hint = [x_m, y_m, heading_rad, near.sigma_m, near.sigma_rad];
+            let _ = orders.done(&Request::Relocalize(Some(hint)));
+            SetInitialPoseResponse::default()
+        })
+    }
+
     /// The whole map, where an answer may be as long.
     fn offer_map(&mut self) -> Result<(), BridgeError> {
         self.offer::<GetMap>("slam_toolbox/dynamic_map", |orders, _| {

@@ -5,7 +5,7 @@ use super::lifecycle::NodeState;
 use super::transform_sieve::TransformSieve;
 use flockslam_ros::messages::{
     ChangeState, Clock, GetAvailableStates, GetAvailableStatesResponse, GetAvailableTransitions,
-    GetAvailableTransitionsResponse, GetState, Imu, LaserScan, Odometry, PoseWithCovarianceStamped,
+    GetAvailableTransitionsResponse, GetState, Imu, LaserScan, Odometry, PoseWithCovariance, PoseWithCovarianceStamped,
     TFMessage,
 };
 use flockslam_ros::{Call, Node, QualityOfService, RosError};
@@ -27,7 +27,7 @@ pub enum Heard {
     /// The time, nanoseconds.
     Clock(i64),
     /// Where somebody says that the robot is.
-    InitialPose,
+    InitialPose(Box<PoseWithCovariance>),
     /// A transition is asked for.
     ChangeState(Call<ChangeState>),
     /// The state is asked for.
@@ -100,8 +100,8 @@ pub fn listen(node: &mut Node, parameters: &BridgeParameters, ear: &Ear) -> Resu
     node.subscribe(
         "/initialpose",
         QualityOfService::Reliable { depth: 10 },
-        move |_: PoseWithCovarianceStamped| {
-            put(Heard::InitialPose);
+        move |message: PoseWithCovarianceStamped| {
+            put(Heard::InitialPose(Box::new(message.pose)));
         },
     )?;
     let put = ear.put();

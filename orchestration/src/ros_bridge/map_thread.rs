@@ -57,6 +57,8 @@ pub struct MapPlace {
     pub capacity: Capacity,
     /// Its sync-manager says where submaps lie.
     pub optimises: bool,
+    /// The set localizes: the map is the known one, and nothing of what it sees now.
+    pub localizes: bool,
     /// Side of a cell of the set's map, metres …
     pub cell_size_m: f64,
     /// … and of the map that is published.
@@ -167,7 +169,7 @@ impl<'p> MapKeeper<'p> {
             tiles: bus.subscriber()?,
             commits: bus.subscriber()?,
             poses: bus.subscriber()?,
-            followed: FollowedMap::new(&runtime, place.optimises),
+            followed: FollowedMap::new(&runtime, place.optimises, place.cell_size_m),
             painter: MapPainter::new(place.resolution_m, place.cell_size_m),
             map_from_odom: Pose::IDENTITY,
             stamp_ns: 0,
@@ -217,7 +219,7 @@ impl<'p> MapKeeper<'p> {
         let present = version_of(&self.runtime.configuration());
         if present != self.set_file {
             self.set_file = present;
-            self.followed = FollowedMap::new(&self.runtime, self.place.optimises);
+            self.followed = FollowedMap::new(&self.runtime, self.place.optimises, self.place.cell_size_m);
             self.painter.clear();
             (self.painted, self.published, self.changed) = (None, None, None);
             self.graph = GraphMarkers::default();
@@ -225,8 +227,10 @@ impl<'p> MapKeeper<'p> {
             self.ask_for_tiles()?;
         }
         while let Some(tile) = self.tiles.receive()? {
-            self.painter.take(&tile);
-            self.is_stale = true;
+            if !self.place.localizes {
+                self.painter.take(&tile);
+                self.is_stale = true;
+            }
         }
         let stored = self.followed.look();
         self.is_stale |= stored.is_new;

@@ -121,6 +121,7 @@ mod tests {
             saved: None,
             not_durable: None,
             unattached: None,
+            localisation: None,
             flock: None,
             lidars: Vec::new(),
             lidar_lines: Vec::new(),

@@ -10,6 +10,8 @@ use std::path::{Path, PathBuf};
 const WEIGHT_NAT: f64 = 4.0;
 /// Most cells: 10 km² of 5 cm.
 const CELLS_MAX: u64 = 4_000_000_000;
+/// Least share of the ends of free space that are walls, in a map that shows walls.
+const WALLS_MIN: f64 = 0.1;
 /// A map that is turned by less than this is not turned, radians.
 const TURN_MIN_RAD: f64 = 1e-6;
 
@@ -60,11 +62,43 @@ pub fn read_nav2_map(yaml: &Path) -> Result<StoredMap, Nav2MapError> {
     if u64::from(width) * u64::from(height) > CELLS_MAX {
         return Err(wrong(&path, format!("{width} × {height} pixels are more than a map has")));
     }
-    Ok(if description.origin.heading_rad.abs() < TURN_MIN_RAD {
+    let map = if description.origin.heading_rad.abs() < TURN_MIN_RAD {
         straight(&description, &picture)
     } else {
         turned(&description, &picture)
-    })
+    };
+    Ok(with_walls(map))
+}
+
+/// A map whose free space ends at unknown cells nearly everywhere shows its walls as unknown: they are taken for occupied where free space
+/// is beside them.
+fn with_walls(map: StoredMap) -> StoredMap {
+    let mut rows: Vec<Vec<CellState>> = Vec::with_capacity(map.height);
+    map.for_each_row(|row| rows.push(row.iter().map(CellState::of).collect()));
+    let is_beside_free = |rows: &[Vec<CellState>], x: usize, y: usize| {
+        let free = |x: usize, y: usize| {
+            rows.get(y).and_then(|row| row.get(x)).is_some_and(|state| *state == CellState::Free)
+        };
+        free(x.wrapping_sub(1), y) || free(x + 1, y) || free(x, y.wrapping_sub(1)) || free(x, y + 1)
+    };
+    let ends = |state: CellState| {
+        let cells = (0..map.height).flat_map(|y| (0..map.width).map(move |x| (x, y)));
+        cells.filter(|&(x, y)| rows[y][x] == state && is_beside_free(&rows, x, y)).count()
+    };
+    let (occupied, unknown) = (ends(CellState::Occupied), ends(CellState::Unknown));
+    if unknown == 0 || occupied as f64 > WALLS_MIN * (occupied + unknown) as f64 {
+        return map;
+    }
+    tracing::warn!("the map shows hardly any wall: free space is taken to end at walls where nothing is known");
+    let mut walled = StoredMap::of_width(map.width, map.cell_size_m, map.origin);
+    for (y, row) in rows.iter().enumerate() {
+        let state = |x: usize| match row[x] {
+            CellState::Unknown if is_beside_free(&rows, x, y) => CellState::Occupied,
+            state => state,
+        };
+        walled.push_row(&(0..map.width).map(|x| evidence(state(x))).collect::<Vec<_>>());
+    }
+    walled
 }
 
 fn description(text: &str) -> Result<Description, String> {
@@ -220,6 +254,12 @@ mod tests {
         // Columns of the picture are rows of the map now, its lowest row the column on the right.
         assert_eq!(states(&map), [[Occupied, Free], [Unknown, Free], [Free, Occupied]]);
         assert!((map.origin.x_m - 0.8).abs() < 1e-6 && (map.origin.y_m + 2.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_map_without_walls_gets_them_where_free_space_ends() {
+        let map = read([254, 205, 205, 254, 205, 205], "origin: [0, 0, 0]").unwrap();
+        assert_eq!(states(&map), [[Free, Occupied, Unknown], [Free, Occupied, Unknown]]);
     }
 
     #[test]

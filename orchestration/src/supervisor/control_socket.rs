@@ -39,6 +39,8 @@ pub enum Request {
     Load(PathBuf),
     /// Forget the map and begin a new one.
     Reset,
+    /// Look for the robot in the known map anew: everywhere, or near x, y, heading with two standard deviations, in metres and radians.
+    Relocalize(Option<[f64; 5]>),
 }
 
 /// What a set answers.

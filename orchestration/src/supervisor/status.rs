@@ -2,7 +2,7 @@
 
 use super::child::StageChild;
 use flockslam_lidar_ingest::process::LidarLineStatus;
-use flockslam_results::{FlockStatus, LidarStatus, Unattached};
+use flockslam_results::{FlockStatus, LidarStatus, LocalisationStatus, Unattached};
 use flockslam_telemetry::{Beat, monotonic_ns};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -29,6 +29,9 @@ pub struct SetStatus {
     /// What nothing connects with its map; `None` when all scans are in it.
     #[serde(default)]
     pub unattached: Option<Unattached>,
+    /// Where it believes to be in the known map, when it localizes.
+    #[serde(default)]
+    pub localisation: Option<LocalisationStatus>,
     /// What its sync-manager tells of its flock, when it is part of one.
     #[serde(default)]
     pub flock: Option<FlockStatus>,
@@ -171,6 +174,9 @@ impl fmt::Display for SetStatus {
         if let Some(unattached) = &self.unattached {
             writeln!(f, "  {unattached}")?;
         }
+        if let Some(localisation) = &self.localisation {
+            writeln!(f, "  {localisation}")?;
+        }
         if let Some(flock) = &self.flock {
             write_flock(f, flock)?;
         }
@@ -185,6 +191,7 @@ impl fmt::Display for SetStatus {
                 writeln!(f, "  NOT DURABLE: {directory}: {problem}")
             }
             Some(SaveStatus { directory, .. }) => writeln!(f, "  map not yet saved in {directory}"),
+            None if self.localisation.is_some() => Ok(()),
             None => writeln!(f, "  the map is not saved: give --map DIR"),
         }
     }

@@ -14,13 +14,11 @@ use flockslam_registration::cloud::Placement;
 use flockslam_results::LocalisationSummary;
 
 /// A scan is looked at after this much travel, metres, or turning, radians.
-const VIEW_M: f64 = 0.3;
-const VIEW_RAD: f64 = 0.35;
+const VIEW_M: f64 = 0.05;
+const VIEW_RAD: f64 = 0.05;
 /// Errors of the front end's motion from view to view: for a metre of travel, metres and radians, and what is there without any.
 const DRIFT: (f64, f64) = (0.015, 0.004);
 const DRIFT_MIN: (f64, f64) = (0.002, 0.001);
-/// Each point is seen by so many measurements in a row.
-const SHARED: f64 = 1.0 / 3.0;
 /// A measurement with a greater squared Mahalanobis error is an outlier.
 const CHI_SQUARED_MAX: f64 = 25.0;
 /// Views after which the older half of the drive gets its final poses.
@@ -228,7 +226,7 @@ impl LocalizingManager {
             from: 0,
             to: k + 1,
             motion: view.measured.map_from_base,
-            information: view.measured.information.map(|v| SHARED * v),
+            information: view.measured.information,
         });
         edges.extend(measured);
         let settings =

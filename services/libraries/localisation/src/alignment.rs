@@ -12,6 +12,8 @@ const STEPS: u32 = 12;
 const GATES_M: (f64, f64) = (0.3, 0.15);
 /// Scale of the Cauchy kernel, metres.
 const KERNEL_M: f64 = 0.05;
+/// A direction of which the surfaces say less than this share of what they say across it is open.
+const OPEN_SHARE: f64 = 0.03;
 /// A point nearer to something occupied than this is explained by it, metres.
 const EXPLAINED_M: f64 = 0.15;
 /// A point in free space farther than this from all that is occupied contradicts the map, metres.
@@ -87,9 +89,11 @@ impl Surroundings {
     /// meets a surface.
     pub fn fit(&self, points: &[SeenPoint], guess: Placement, prior: &Symmetric) -> Option<Fit> {
         let mut at = guess;
+        let open = self.sums(points, &at, GATES_M.0).open_direction();
         for step in 0..STEPS {
             let is_first_half = 2 * step < STEPS;
-            let sums = self.sums(points, &at, if is_first_half { GATES_M.0 } else { GATES_M.1 });
+            let gate_m = if is_first_half { GATES_M.0 } else { GATES_M.1 };
+            let sums = self.sums(points, &at, gate_m).without(open);
             let turn = flockslam_geometry::wrap_angle(at.heading_rad - guess.heading_rad);
             let from_guess = [at.x_m - guess.x_m, at.y_m - guess.y_m, turn];
             let (mut h, mut g) = (sums.h, sums.g);
@@ -107,7 +111,7 @@ impl Surroundings {
                 break;
             }
         }
-        let sums = self.sums(points, &at, GATES_M.1);
+        let sums = self.sums(points, &at, GATES_M.1).without(open);
         (sums.inliers > 0).then(|| Fit {
             map_from_cloud: at,
             information: sums.h,
@@ -188,6 +192,38 @@ struct Sums {
     g: [f64; 3],
     inliers: u32,
     squared: f64,
+}
+
+impl Sums {
+    /// The direction that the surfaces leave open, a unit vector, as along a bare corridor: what single cells of a wall seem to say of it
+    /// is noise, and would pull a robot along bit by bit.
+    fn open_direction(&self) -> Option<(f64, f64)> {
+        let [xx, xy, _, yy, ..] = self.h;
+        let (middle, half, spread) = (0.5 * (xx + yy), 0.5 * (xx - yy), libm::hypot(0.5 * (xx - yy), xy));
+        if middle - spread > OPEN_SHARE * (middle + spread) {
+            return None;
+        }
+        // The axis of the larger eigenvalue lies at half the angle of (half, xy); the smaller one's is across.
+        let (sin, cos) = libm::sincos(0.5 * libm::atan2(xy, half));
+        Some((-sin, cos))
+    }
+
+    /// The same without what it says along a direction.
+    fn without(mut self, direction: Option<(f64, f64)>) -> Self {
+        let Some((dx, dy)) = direction else { return self };
+        let across = |x: f64, y: f64| {
+            let along = x * dx + y * dy;
+            (x - along * dx, y - along * dy)
+        };
+        let [xx, xy, xt, yy, yt, tt] = self.h;
+        // Columns, then rows, of the translation block.
+        let ((ax, ay), (bx, by)) = (across(xx, xy), across(xy, yy));
+        let ((xx, xy), (_, yy)) = (across(ax, bx), across(ay, by));
+        let (xt, yt) = across(xt, yt);
+        self.h = [xx, xy, xt, yy, yt, tt];
+        (self.g[0], self.g[1]) = across(self.g[0], self.g[1]);
+        self
+    }
 }
 
 fn product(m: &Symmetric, v: &[f64; 3]) -> [f64; 3] {

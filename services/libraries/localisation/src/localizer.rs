@@ -24,15 +24,27 @@ const POINTS_MIN: usize = 40;
 /// A place is believed when at least this share of the points is explained there, and at most this contradicted.
 const EXPLAINED_MIN: f64 = 0.55;
 const CONTRADICTED_MAX: f64 = 0.08;
+/// Where nothing else is nearly as good, at most this share of the merit elsewhere, less is asked: changes of the world explain it.
+const ALONE_MAX: f64 = 0.5;
+const ALONE: (f64, f64) = (0.5, 0.15);
 /// The same for what a robot has seen without having driven this far, metres.
 const STANDING_M: f64 = 0.7;
-const STANDING: (f64, f64) = (0.8, 0.04);
+const STANDING: (f64, f64) = (0.9, 0.04);
+const STANDING_ALONE: (f64, f64) = (0.8, 0.06);
 /// Elsewhere at most this share of the merit is found.
 const RIVAL_MAX: f64 = 0.8;
 /// Places that were not looked at score at most this share of the place that is believed.
 const UNSEEN_MAX: f64 = 0.92;
 /// Greatest standard deviation of a pose in the worst direction from one fit, metres.
 const SIGMA_MAX_M: f64 = 0.1;
+/// A hint within these standard deviations says where the robot is, as AMCL's users mean it: metres and radians; a wider one only where
+/// to look.
+const HINT_SIGMA_MAX: (f64, f64) = (1.0, 0.6);
+/// What is seen where a hint says agrees so far with the map: least share explained, greatest contradicted.
+const HINT_EXPLAINED_MIN: f64 = 0.4;
+const HINT_CONTRADICTED_MAX: f64 = 0.25;
+/// Merit that a place loses for each squared standard deviation from the hint.
+const HINT_PULL: f64 = 0.02;
 /// How sharply merit separates weights.
 const SHARPNESS: f64 = 40.0;
 /// Hypotheses that are published and followed.
@@ -41,14 +53,24 @@ const HYPOTHESES_MAX: usize = 16;
 /// Information of all points of a fit together, 1/m²: a wall seen by all fixes its distance to a centimetre.
 const FIT_INFORMATION: f64 = 1e4;
 /// The pose is followed with what was seen over this much travel, metres.
-const FOLLOWED_M: f64 = 1.0;
+const FOLLOWED_M: f64 = 0.3;
+/// Each point is in so many fits, one after the other.
+const SHARED: f64 = 1.0 / 6.0;
 /// How the front end's pose drifts: standard deviations for a metre of travel, metres and radians, and for a radian of turning.
 const DRIFT: (f64, f64) = (0.015, 0.004);
 const DRIFT_TURNING_RAD: f64 = 0.004;
 /// A fit of fewer inliers says nothing.
 const INLIERS_MIN: f64 = 0.25;
-/// A robot has lost its place when so much of what it has seen contradicts the map and less than half as much is explained.
-const LOST_CONTRADICTED: f64 = 0.3;
+/// After this much travel a better place is looked for beside the one that is followed …
+const CHECK_M: f64 = 1.0;
+/// … for what was seen over this much, metres, within metres and radians, …
+const BESIDE_M: f64 = 3.0;
+const BESIDE_REACH: (f64, f64) = (1.0, 0.15);
+/// … and taken when its merit is so much better.
+const BESIDE_BETTER: f64 = 0.1;
+/// A robot has lost its place when more than this of what it has seen contradicts the map, and less than three times as much is explained.
+const LOST_CONTRADICTED: f64 = 0.1;
+const LOST_EXPLAINED: f64 = 3.0;
 /// … over at least this much travel, metres.
 const LOST_M: f64 = 2.0;
 
@@ -67,6 +89,8 @@ pub struct Localizer {
     hint: Option<Hint>,
     searches: u64,
     measured: Option<Measurement>,
+    /// Travel since a better place was looked for beside the one that is followed, metres.
+    since_check_m: f64,
 }
 
 /// Where the robot was measured to be by what it saw last.
@@ -124,6 +148,7 @@ impl Localizer {
             hint: None,
             searches: 0,
             measured: None,
+            since_check_m: 0.0,
         }
     }
 
@@ -195,7 +220,7 @@ impl Localizer {
         let heading = DRIFT.1 * DRIFT.1 * way_m + DRIFT_TURNING_RAD * DRIFT_TURNING_RAD * turn_rad;
         let prior = carried(&followed.information, position, heading);
         let cloud = self.stretch.cloud(FOLLOWED_M, POINTS);
-        let unit = FIT_INFORMATION / cloud.len().max(1) as f64;
+        let unit = SHARED * FIT_INFORMATION / cloud.len().max(1) as f64;
         let fit = self.surroundings.fit(&cloud, expected, &prior.map(|v| v / unit));
         let fit = fit.filter(|fit| fit.inliers >= INLIERS_MIN);
         let mut now = Followed { map_from_odom: followed.map_from_odom, information: prior };
@@ -206,6 +231,15 @@ impl Localizer {
             now.information.iter_mut().zip(fit.information).for_each(|(sum, h)| *sum += unit * h);
         }
         self.followed = Some(now);
+        self.since_check_m += way_m;
+        if self.since_check_m >= CHECK_M {
+            self.since_check_m = 0.0;
+            if let Some(better) = self.better_beside(now.map_from_odom.compose(odom)) {
+                now = Followed { map_from_odom: better.compose(odom.inverse()), information: prior };
+                self.followed = Some(now);
+                self.measured = None;
+            }
+        }
         let at = now.map_from_odom.compose(odom);
         let agreement = self.surroundings.agreement(&cloud, &at);
         self.belief = Belief {
@@ -214,7 +248,7 @@ impl Localizer {
             covariance: inverse(&now.information),
         };
         let is_against = |agreement: &Agreement| {
-            agreement.contradicted > LOST_CONTRADICTED && agreement.explained < 0.5 * agreement.contradicted
+            agreement.contradicted > LOST_CONTRADICTED && agreement.explained < LOST_EXPLAINED * agreement.contradicted
         };
         if is_against(&agreement) {
             let wider = self.stretch.cloud(LOST_M, POINTS);
@@ -225,10 +259,85 @@ impl Localizer {
         }
     }
 
+    /// A pose beside this one with which what was seen last agrees clearly better: the front end may slip along a bare corridor by more
+    /// than a fit finds.
+    fn better_beside(&mut self, at: Placement) -> Option<Placement> {
+        let cloud = self.stretch.cloud(BESIDE_M, POINTS);
+        let points: Vec<(f64, f64)> = cloud.iter().map(|p| (p.x_m, p.y_m)).collect();
+        let near = Near { pose: at, reach_m: BESIDE_REACH.0, turn_rad: BESIDE_REACH.1 };
+        let quest = Quest { score_min: SCORE_MIN, share_min: SHARE_MIN, near: Some(near) };
+        let present = self.surroundings.agreement(&cloud, &at);
+        let merit = |agreement: &Agreement| agreement.explained - agreement.contradicted;
+        let places = self.search.find(self.surroundings.field(), &points, &quest);
+        let judged = places.found.iter().map(|place| self.judge(&cloud, place.map_from_cloud, place.score));
+        let best = judged.max_by(|a, b| merit(&a.agreement).total_cmp(&merit(&b.agreement)))?;
+        let is_better = merit(&best.agreement) >= merit(&present) + BESIDE_BETTER
+            && best.agreement.contradicted <= present.contradicted;
+        is_better.then_some(best.at)
+    }
+
+    /// Takes a hint for true, as far as what is seen agrees with it: where nothing else tells places apart, it does.
+    fn follow_hint(&mut self, odom: Placement, hint: &Hint) -> bool {
+        if hint.sigma_rad > HINT_SIGMA_MAX.1 || hint.sigma_m > HINT_SIGMA_MAX.0 {
+            return false;
+        }
+        let (position, heading) = (hint.sigma_m.powi(-2), hint.sigma_rad.powi(-2));
+        let prior = [position, 0.0, 0.0, position, 0.0, heading];
+        let cloud = self.stretch.cloud(SEARCH_M, POINTS);
+        if cloud.len() < POINTS_MIN {
+            return false;
+        }
+        let points: Vec<(f64, f64)> = cloud.iter().map(|p| (p.x_m, p.y_m)).collect();
+        let near = Near {
+            pose: hint.map_from_base,
+            reach_m: 3.0 * hint.sigma_m,
+            turn_rad: 3.0 * hint.sigma_rad,
+        };
+        let quest = Quest { score_min: 0.0, share_min: SHARE_MIN, near: Some(near) };
+        let places = self.search.find(self.surroundings.field(), &points, &quest);
+        let starts = places.found.iter().map(|place| place.map_from_cloud).chain([hint.map_from_base]);
+        let unit = FIT_INFORMATION / cloud.len() as f64;
+        let fitted = starts.filter_map(|start| {
+            // The pull is towards the hint, wherever the fit starts.
+            let fit = self.surroundings.fit(&cloud, start, &prior.map(|v| v / unit))?;
+            let agreement = self.surroundings.agreement(&cloud, &fit.map_from_cloud);
+            let moved = hint.map_from_base.to(fit.map_from_cloud);
+            let off = (moved.x_m * moved.x_m + moved.y_m * moved.y_m) * position
+                + moved.heading_rad * moved.heading_rad * heading;
+            let merit = agreement.explained - agreement.contradicted - HINT_PULL * off;
+            Some((merit, fit, agreement))
+        });
+        let best = fitted.max_by(|a, b| a.0.total_cmp(&b.0));
+        let Some((_, fit, agreement)) = best.filter(|(_, _, agreement)| {
+            agreement.explained >= HINT_EXPLAINED_MIN && agreement.contradicted <= HINT_CONTRADICTED_MAX
+        }) else {
+            return false;
+        };
+        let mut information = prior;
+        information.iter_mut().zip(fit.information).for_each(|(sum, h)| *sum += unit * h);
+        self.followed = Some(Followed {
+            map_from_odom: fit.map_from_cloud.compose(odom.inverse()),
+            information,
+        });
+        self.belief = Belief {
+            knowledge: Knowledge::Localized,
+            hypotheses: vec![Hypothesis { map_from_base: fit.map_from_cloud, weight: 1.0, agreement }],
+            covariance: inverse(&information),
+        };
+        true
+    }
+
     /// Looks for the robot in the map.
     fn look(&mut self, odom: Placement) {
         self.searches += 1;
-        let near = self.hint.map(|hint| Near {
+        if let Some(hint) = self.hint
+            && self.follow_hint(odom, &hint)
+        {
+            self.hint = None;
+            return;
+        }
+        // A hint that leads nowhere is not asked twice.
+        let near = self.hint.take().map(|hint| Near {
             pose: hint.map_from_base,
             reach_m: 3.0 * hint.sigma_m,
             turn_rad: 3.0 * hint.sigma_rad,
@@ -276,10 +385,15 @@ impl Localizer {
         };
         self.belief.hypotheses = judged.iter().take(HYPOTHESES_MAX).map(hypothesis).collect();
         self.belief.covariance = None;
-        let (explained, contradicted) =
-            if self.stretch.travel_m() < STANDING_M { STANDING } else { (EXPLAINED_MIN, CONTRADICTED_MAX) };
-        let is_good = best.agreement.explained >= explained && best.agreement.contradicted <= contradicted;
         let rival = judged.get(1).map_or(0.0, Judged::merit);
+        let is_alone = rival <= ALONE_MAX * best.merit();
+        let (explained, contradicted) = match (self.stretch.travel_m() < STANDING_M, is_alone) {
+            (true, true) => STANDING_ALONE,
+            (true, false) => STANDING,
+            (false, true) => ALONE,
+            (false, false) => (EXPLAINED_MIN, CONTRADICTED_MAX),
+        };
+        let is_good = best.agreement.explained >= explained && best.agreement.contradicted <= contradicted;
         let is_unique = rival <= RIVAL_MAX * best.merit() && others_max <= UNSEEN_MAX * best.score;
         let covariance = best.fit.and_then(|fit| {
             let unit = FIT_INFORMATION / POINTS as f64;
@@ -294,12 +408,11 @@ impl Localizer {
         if let (Knowledge::Localized, Some(fit), Some(covariance)) = (self.belief.knowledge, best.fit, covariance)
         {
             self.belief.covariance = Some(covariance);
-            let information = fit.information.map(|h| FIT_INFORMATION / POINTS as f64 * h);
+            let information = fit.information.map(|h| SHARED * FIT_INFORMATION / POINTS as f64 * h);
             self.measured = Some(Measurement { map_from_base: best.at, information });
             let information = inverse(&covariance).unwrap_or(fit.information);
             self.followed =
                 Some(Followed { map_from_odom: best.at.compose(odom.inverse()), information });
-            self.hint = None;
         }
     }
 }
@@ -318,3 +431,6 @@ fn widest(covariance: &Symmetric) -> f64 {
     let [xx, xy, _, yy, ..] = *covariance;
     0.5 * (xx + yy) + libm::hypot(0.5 * (xx - yy), xy)
 }
+
+#[cfg(test)]
+mod tests;

@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 /// The mean of the points in each square of this side stands for them, metres.
 const CELL_M: f64 = 0.1;
 /// Views that a stretch holds at most: a robot that turns on the spot gets many without travel.
-const VIEWS_MAX: usize = 64;
+const VIEWS_MAX: usize = 400;
 
 /// A scan and where it was taken by the front end.
 #[derive(Clone, Debug)]

@@ -11,7 +11,7 @@ const CELL_M: f64 = 0.1;
 /// Sides of a block of cells that is stored together.
 const BLOCK: usize = 8;
 /// An occupied cell belongs to a surface when free space is within so many cells.
-const BESIDE: i64 = 2;
+const BESIDE: i64 = 1;
 /// A line is fitted to the cells of its surface within this, metres.
 const FIT_M: f64 = 0.2;
 /// Cells of one surface look the same way: least cosine.

@@ -77,6 +77,12 @@ impl Quaternion {
         let (z, w) = (heading_rad / 2.0).sin_cos();
         Self { x: 0.0, y: 0.0, z, w }
     }
+
+    /// The heading of a rotation: its turn about z, radians.
+    pub fn heading_rad(self) -> f64 {
+        let Self { x, y, z, w } = self;
+        (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z))
+    }
 }
 
 /// `geometry_msgs/Pose`.

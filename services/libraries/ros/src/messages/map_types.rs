@@ -1,6 +1,6 @@
 //! Maps.
 
-use super::{Header, Pose, Time, message, service};
+use super::{Header, Pose, PoseWithCovarianceStamped, Time, message, service};
 
 message! {
     /// `nav_msgs/MapMetaData`.
@@ -45,6 +45,38 @@ message! {
         height: u32,
         /// Row by row from below, as in the map.
         data: Vec<i8>,
+    }
+}
+
+/// `nav2_msgs/Particle`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Particle {
+    /// Where the robot may be.
+    pub pose: Pose,
+    /// Its share of all that is believed.
+    pub weight: f64,
+}
+
+message! {
+    /// `nav2_msgs/ParticleCloud`.
+    ParticleCloud = "nav2_msgs" {
+        /// When, in the frame of the map.
+        header: Header,
+        /// Where the robot may be.
+        particles: Vec<Particle>,
+    }
+}
+
+service! {
+    /// `nav2_msgs/SetInitialPose`.
+    SetInitialPose = "nav2_msgs" / "SetInitialPose",
+    SetInitialPoseRequest {
+        /// Where somebody says that the robot is.
+        pose: PoseWithCovarianceStamped,
+    },
+    SetInitialPoseResponse {
+        /// Nothing is answered.
+        structure_needs_at_least_one_member: u8,
     }
 }
 

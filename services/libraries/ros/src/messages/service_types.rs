@@ -18,6 +18,19 @@ service! {
 }
 
 service! {
+    /// `std_srvs/Empty`.
+    Empty = "std_srvs" / "Empty",
+    EmptyRequest {
+        /// Of no meaning.
+        structure_needs_at_least_one_member: u8,
+    },
+    EmptyResponse {
+        /// Of no meaning.
+        structure_needs_at_least_one_member: u8,
+    }
+}
+
+service! {
     /// `std_srvs/SetBool`.
     SetBool = "std_srvs" / "SetBool",
     SetBoolRequest {

@@ -1,0 +1,173 @@
+use super::*;
+use crate::KnownMap;
+use flockslam_evidence::CellState;
+use flockslam_geometry::Point;
+
+const CELL_M: f64 = 0.05;
+
+/// A plan of rectangles, metres: x, y, width, height of free space; walls of two cells around it.
+fn plan(rooms: &[[f64; 4]]) -> KnownMap {
+    let (width, height) = (600, 400);
+    let is_free = |x: i64, y: i64| {
+        let (x, y) = ((x as f64 + 0.5) * CELL_M, (y as f64 + 0.5) * CELL_M);
+        rooms.iter().any(|[left, low, w, h]| x > *left && x < left + w && y > *low && y < low + h)
+    };
+    let mut map = KnownMap::of_width(width, CELL_M, Point::default());
+    for y in 0..height {
+        let state = |x: i64| {
+            if is_free(x, y) {
+                return CellState::Free;
+            }
+            let beside = (-2..=2).flat_map(|dy| (-2..=2).map(move |dx| (dx, dy)));
+            let is_wall = beside.into_iter().any(|(dx, dy)| is_free(x + dx, y + dy));
+            if is_wall { CellState::Occupied } else { CellState::Unknown }
+        };
+        map.push_row((0..width as i64).map(state));
+    }
+    map.measured()
+}
+
+/// Two rooms that are the same, on a corridor whose ends are not.
+const EQUAL_ROOMS: [[f64; 4]; 6] = [
+    [2.0, 2.0, 4.0, 5.0],
+    [3.5, 7.0, 1.0, 1.0],
+    [14.0, 2.0, 4.0, 5.0],
+    [15.5, 7.0, 1.0, 1.0],
+    [1.0, 8.0, 22.0, 2.0],
+    [20.0, 10.0, 3.0, 4.0],
+];
+
+/// What a lidar of 180 beams all around sees in a map, up to 12 m.
+fn seen(map: &KnownMap, at: Placement) -> Vec<PackedPoint> {
+    let beam = |k: i32| {
+        let angle = f64::from(k) * std::f64::consts::TAU / 180.0;
+        let (sin, cos) = (libm::sin(angle), libm::cos(angle));
+        (0..1200).map(|step| f64::from(step) * 0.01).find_map(|range_m| {
+            let (x, y) = at.apply(range_m * cos, range_m * sin);
+            let hit = map.at(x, y).state != CellState::Free;
+            hit.then(|| PackedPoint::from_metres(range_m * cos, range_m * sin)).flatten()
+        })
+    };
+    (0..180).filter_map(beam).collect()
+}
+
+/// Drives straight through these places and looks around every 0.3 m; the frame of odometry lies anywhere. Gives the belief at the end.
+fn drive(localizer: &mut Localizer, world: &KnownMap, places: &[(f64, f64)], odom_from_map: Placement) -> Belief {
+    for pair in places.windows(2) {
+        let (dx, dy) = (pair[1].0 - pair[0].0, pair[1].1 - pair[0].1);
+        let steps = (libm::hypot(dx, dy) / 0.3).ceil().max(1.0) as i32;
+        for step in 0..=steps {
+            let share = f64::from(step) / f64::from(steps);
+            let at = Placement::new(pair[0].0 + share * dx, pair[0].1 + share * dy, libm::atan2(dy, dx));
+            localizer.see(odom_from_map.compose(at), &seen(world, at));
+        }
+    }
+    localizer.belief().clone()
+}
+
+fn localizer() -> (Localizer, KnownMap) {
+    let map = plan(&EQUAL_ROOMS);
+    (Localizer::new(Surroundings::new(map.clone())), map)
+}
+
+const ANYWHERE: (f64, f64, f64) = (-31.0, 12.0, 2.3);
+
+fn anywhere() -> Placement {
+    Placement::new(ANYWHERE.0, ANYWHERE.1, ANYWHERE.2)
+}
+
+#[test]
+fn a_robot_is_found_at_its_first_scan_where_that_is_unmistakable_and_followed() {
+    let (mut localizer, map) = localizer();
+    let start = Placement::new(21.0, 12.5, 0.4);
+    let belief = localizer.see(anywhere().compose(start), &seen(&map, start)).clone();
+    assert_eq!(belief.knowledge, Knowledge::Localized, "{belief:?}");
+    assert!(belief.hypotheses[0].map_from_base.distance_m(&start) < 0.03, "{belief:?}");
+    let belief = drive(&mut localizer, &map, &[(21.0, 12.5), (21.0, 9.0), (5.0, 9.0)], anywhere());
+    let end = Placement::new(5.0, 9.0, std::f64::consts::PI);
+    let off_m = belief.hypotheses[0].map_from_base.distance_m(&end);
+    println!("{off_m:.3} m off at the end, {:?}", belief.covariance);
+    assert!(belief.knowledge == Knowledge::Localized && off_m < 0.05, "{belief:?}");
+    assert_eq!(localizer.searches(), 1);
+}
+
+#[test]
+fn equal_rooms_stay_ambiguous_until_something_tells_them_apart() {
+    let (mut localizer, map) = localizer();
+    let belief = drive(&mut localizer, &map, &[(15.0, 3.0), (17.0, 3.0), (16.0, 5.5)], anywhere());
+    assert_eq!(belief.knowledge, Knowledge::Ambiguous, "{belief:?}");
+    let weights: Vec<f64> = belief.hypotheses.iter().map(|hypothesis| hypothesis.weight).collect();
+    assert!(weights.len() >= 2 && weights[1] > 0.3 && belief.entropy_nat() > 0.6, "{weights:?}");
+    assert_eq!(localizer.map_from_odom(), None);
+    let belief = drive(&mut localizer, &map, &[(16.0, 5.5), (16.0, 9.0), (20.0, 9.0)], anywhere());
+    let end = Placement::new(20.0, 9.0, 0.0);
+    assert_eq!(belief.knowledge, Knowledge::Localized, "{belief:?}");
+    assert!(belief.hypotheses[0].map_from_base.distance_m(&end) < 0.05, "{belief:?}");
+}
+
+#[test]
+fn a_hint_tells_equal_rooms_apart() {
+    for (hinted_x, room_x) in [(4.4, 4.0), (15.6, 16.0)] {
+        let (mut localizer, map) = localizer();
+        // The robot stands in the right room, or in the left one: what it sees is the same.
+        let at = Placement::new(16.0, 4.0, 1.0);
+        let hint = Hint {
+            map_from_base: Placement::new(hinted_x, 3.8, 1.1),
+            sigma_m: 0.5,
+            sigma_rad: 0.2,
+        };
+        localizer.relocalize(Some(hint));
+        let belief = localizer.see(anywhere().compose(at), &seen(&map, at)).clone();
+        assert_eq!(belief.knowledge, Knowledge::Localized, "{belief:?}");
+        let expected = Placement::new(room_x, 4.0, 1.0);
+        let off_m = belief.hypotheses[0].map_from_base.distance_m(&expected);
+        assert!(off_m < 0.05, "{off_m} m: {belief:?}");
+    }
+}
+
+#[test]
+fn a_robot_in_another_building_is_not_localized() {
+    let (mut localizer, _) = localizer();
+    let other = plan(&[[2.0, 2.0, 7.0, 3.0], [8.0, 5.0, 3.0, 9.0], [11.0, 12.0, 12.0, 6.0]]);
+    let way = [(3.0, 3.5), (8.5, 4.0), (9.5, 7.0), (9.5, 13.0), (14.0, 15.0), (20.0, 14.0)];
+    for pair in way.windows(2) {
+        let belief = drive(&mut localizer, &other, pair, anywhere());
+        assert_ne!(belief.knowledge, Knowledge::Localized, "{belief:?}");
+    }
+}
+
+#[test]
+fn a_robot_that_is_carried_away_notices_and_is_found_again() {
+    let (mut localizer, map) = localizer();
+    let belief = drive(&mut localizer, &map, &[(21.0, 13.0), (21.5, 11.0)], anywhere());
+    assert_eq!(belief.knowledge, Knowledge::Localized);
+    // It is put down elsewhere, and its odometry has not noticed.
+    let moved = Placement::new(21.5, 11.0, 0.0).compose(Placement::new(2.0, 9.0, 0.0).inverse());
+    let (mut lost, mut knowledge) = (false, Knowledge::Localized);
+    for pair in [(2.0, 9.0), (4.0, 9.2), (4.0, 5.0), (5.0, 3.0), (4.0, 5.0), (4.0, 9.0), (9.0, 9.0)].windows(2) {
+        knowledge = drive(&mut localizer, &map, pair, anywhere().compose(moved)).knowledge;
+        lost |= knowledge != Knowledge::Localized || localizer.searches() > 1;
+    }
+    let belief = localizer.belief();
+    let off_m = belief.hypotheses[0].map_from_base.distance_m(&Placement::new(9.0, 9.0, 0.0));
+    assert!(lost && knowledge == Knowledge::Localized && off_m < 0.1, "{off_m} m: {belief:?}");
+}
+
+#[test]
+fn a_break_of_odometry_and_an_order_forget_the_place() {
+    let (mut localizer, map) = localizer();
+    let at = Placement::new(21.0, 12.5, 0.4);
+    localizer.see(at, &seen(&map, at));
+    assert!(localizer.map_from_odom().is_some());
+    localizer.odometry_breaks();
+    assert_eq!((localizer.map_from_odom(), localizer.belief().knowledge), (None, Knowledge::Unknown));
+    localizer.see(at, &seen(&map, at));
+    assert!(localizer.map_from_odom().is_some());
+    localizer.relocalize(None);
+    assert_eq!(localizer.map_from_odom(), None);
+    let searches = localizer.searches();
+    localizer.see(at, &seen(&map, at));
+    assert!(localizer.map_from_odom().is_some() && localizer.searches() == searches + 1);
+    localizer.odometry_breaks();
+    assert_eq!(localizer.see(at, &[]).knowledge, Knowledge::Unknown, "nothing is seen");
+}
