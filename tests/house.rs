@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Crates that others may import, lowest layer first; an import goes to a lower layer only.
-const LIBRARIES: [(&str, u32); 30] = [
+const LIBRARIES: [(&str, u32); 31] = [
     ("geometry", 0),
     ("random", 0),
     ("zenoh-session", 0),
@@ -35,6 +35,7 @@ const LIBRARIES: [(&str, u32); 30] = [
     ("map-fusion", 5),
     ("pose-graph", 5),
     ("loop-closure", 6),
+    ("localisation", 6),
     ("flock", 7),
     ("flock-network", 8),
     ("published-methods", 8),

@@ -20,6 +20,7 @@ mod killed_stage;
 mod lidar_lines;
 mod live_calibration;
 mod live_set;
+mod localisation;
 mod log_readers;
 mod logs;
 mod metrics;

@@ -2,6 +2,7 @@
 
 use crate::configuration::Profile;
 use crate::lidar_arguments::LidarCommand;
+use crate::localisation_arguments::RelocalizeArgs;
 use crate::supervisor::known_stage;
 use crate::topic_arguments::TopicArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -267,16 +268,6 @@ pub struct UpArgs {
     pub ros_args: Vec<String>,
 }
 
-/// Three numbers, the last above zero.
-fn near(text: &str) -> Result<[f64; 3], String> {
-    let wrong = || format!("'{text}' is not X,Y,R: two coordinates and a radius in metres");
-    let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
-    match numbers.map_err(|_| wrong())?.as_slice() {
-        &[x, y, r] if x.is_finite() && y.is_finite() && r > 0.0 && r.is_finite() => Ok([x, y, r]),
-        _ => Err(wrong()),
-    }
-}
-
 /// `flockslam store`.
 #[derive(Clone, Debug, Subcommand)]
 pub enum StoreCommand {
@@ -364,17 +355,6 @@ pub struct StageOrderArgs {
     /// Which stage
     #[arg(value_parser = known_stage)]
     pub stage: Stage,
-    /// Which set
-    #[command(flatten)]
-    pub robot: RobotArgs,
-}
-
-/// `flockslam relocalize`.
-#[derive(Clone, Debug, Args)]
-pub struct RelocalizeArgs {
-    /// Where to look: x and y in the map and a radius, metres; everywhere without it
-    #[arg(long, value_name = "X,Y,R", value_parser = near, allow_hyphen_values = true)]
-    pub near: Option<[f64; 3]>,
     /// Which set
     #[command(flatten)]
     pub robot: RobotArgs,

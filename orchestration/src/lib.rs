@@ -8,6 +8,7 @@ pub mod configuration;
 pub mod evaluation;
 pub mod lidar_arguments;
 pub mod lidar_view;
+mod localisation_arguments;
 pub mod outputs;
 pub mod recording;
 pub mod ros_bridge;

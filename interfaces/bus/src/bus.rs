@@ -10,9 +10,9 @@ use crate::{
     SlicePublisher, SliceSubscriber, SliceTopic, Subscriber, Topic,
 };
 use flockslam_messages::{
-    Commit, Control, Correction, FlockFrame, FlockRobots, Layout, LocalisationOrder, MarksHeader, MovingBeamsHeader,
-    PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally, SectorHeader, Stage, StageInputs,
-    SubmapClosed, TileMessage, TracksHeader, Verdict,
+    Commit, Control, Correction, FlockFrame, FlockRobots, Layout, LocalisationOrder, MarksHeader,
+    MovingBeamsHeader, PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally, SectorHeader, Stage,
+    StageInputs, SubmapClosed, TileMessage, TracksHeader, Verdict,
 };
 
 /// A process' (or thread's) way to all topics and events of its set.

@@ -5,8 +5,9 @@ use crate::room::{Megabytes, Room, SHARED_MEMORY};
 use crate::tile_port::LANES;
 use crate::{Capacity, LargeScanHeader, SliceTopic, Topic};
 use flockslam_messages::{
-    Control, Correction, FlockFrame, FlockRobots, LocalisationOrder, MarksHeader, MovingBeamsHeader, PartInserted, PoseEstimate,
-    Progress, ScanHeader, ScanTally, SectorHeader, Stage, TileMessage, TracksHeader, Verdict,
+    Control, Correction, FlockFrame, FlockRobots, LocalisationOrder, MarksHeader, MovingBeamsHeader,
+    PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally, SectorHeader, Stage, TileMessage,
+    TracksHeader, Verdict,
 };
 use std::fmt;
 

@@ -3,8 +3,9 @@
 use crate::tile_port::LANES;
 use flockslam_messages::{
     BeamRange, ClearedCell, Commit, Control, Correction, FlockFrame, FlockRobots, JudgedCell, Layout,
-    LocalisationOrder,    MarksHeader, Message, MovingBeamsHeader, PartInserted, PoseEstimate, Progress, ScanHeader, ScanTally,
-    SectorHeader, StageInputs, SubmapClosed, TileMessage, Track, TracksHeader, Verdict,
+    LocalisationOrder, MarksHeader, Message, MovingBeamsHeader, PartInserted, PoseEstimate, Progress,
+    ScanHeader, ScanTally, SectorHeader, StageInputs, SubmapClosed, TileMessage, Track, TracksHeader,
+    Verdict,
 };
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 

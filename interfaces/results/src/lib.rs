@@ -19,6 +19,8 @@ pub use run_results::{
     TRUE_TRAJECTORY, live_poses_file, read_live_poses, read_summary, read_trajectory, write_live_poses,
     write_summary, write_trajectory,
 };
-pub use stored_map::{FUSED_MAP, KNOWN_MAP, MapReader, MapShape, StoredMap, read_map, write_map, write_map_file, write_map_rows};
+pub use stored_map::{
+    FUSED_MAP, KNOWN_MAP, MapReader, MapShape, StoredMap, read_map, write_map, write_map_file, write_map_rows,
+};
 pub use submap_store::SubmapStore;
 pub use unattached::Unattached;

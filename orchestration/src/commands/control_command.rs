@@ -1,7 +1,8 @@
 //! `flockslam down`, `status`, `restart`, `pause`, `resume`, `reset` and `scale`: orders to a running set.
 
 use super::{CommandError, say};
-use crate::arguments::{RelocalizeArgs, RobotArgs, ScaleArgs, StageOrderArgs, StatusArgs};
+use crate::arguments::{RobotArgs, ScaleArgs, StageOrderArgs, StatusArgs};
+use crate::localisation_arguments::RelocalizeArgs;
 use crate::supervisor::{Reply, Request, ask};
 use flockslam_bus::RuntimeDir;
 use std::time::{Duration, Instant};

@@ -3,8 +3,8 @@
 use super::CommandError;
 use super::accounting::{SharedMemoryPeak, sum_up};
 use super::attendants::Attendants;
-use super::{known_map, lidar_calibration};
 use super::progress_bar::RunProgress;
+use super::{lidar_calibration, localisation_map};
 use crate::arguments::RunArgs;
 use crate::configuration::Configuration;
 use crate::outputs::{
@@ -68,7 +68,7 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
     let given = &args.configuration;
     let configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
     prepare_directory(&args.out)?;
-    let known_map = args.localize.as_deref().map(known_map::read).transpose()?;
+    let known_map = args.localize.as_deref().map(localisation_map::read).transpose()?;
     // A recorded source has no pace of its own; sensors have.
     let paced = args.live && !matches!(run.source, Source::Pipe | Source::Scans(_) | Source::Lidars(_));
     let rate = args.rate.or_else(|| paced.then_some(1.0));
@@ -84,7 +84,7 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
         options.first_sequence = map.restore(&runtime, &head).map_err(CommandError::user)?.next_sequence;
     }
     if let Some(map) = &known_map {
-        known_map::put(map, &runtime)?;
+        localisation_map::put(map, &runtime)?;
         options.localizes = true;
     }
     let file = SetFile {

@@ -2,7 +2,7 @@
 
 use super::CommandError;
 use super::attendants::start_page;
-use super::known_map;
+use super::localisation_map;
 use super::run::{Finished, count_interrupts, points, prepare_directory, write_outputs};
 use crate::arguments::UpArgs;
 use crate::configuration::Configuration;
@@ -75,7 +75,7 @@ impl LiveSet {
         let ros_arguments = ros_arguments(args, description)?;
         let head = MapHead::of_this_build(&description.robot, configuration.mapper.cell_size_m);
         let known = args.localize.as_ref().or(description.localize.as_ref());
-        let known_map = known.map(|path| known_map::read(path)).transpose()?;
+        let known_map = known.map(|path| localisation_map::read(path)).transpose()?;
         let map = args.map.as_ref().or(description.map.as_ref()).map(|directory| SavedMap::at(directory));
         if let (Some(_), Some(kept)) = (&known, &map) {
             let kept = kept.directory().display();
@@ -101,7 +101,7 @@ impl LiveSet {
         let mut options = configuration.stage_options(Mode::Live);
         options.first_sequence = first_sequence;
         if let Some(map) = &known_map {
-            known_map::put(map, &runtime)?;
+            localisation_map::put(map, &runtime)?;
             options.localizes = true;
         }
         let task = description.source();
@@ -194,7 +194,10 @@ impl LiveSet {
     fn reset(&mut self) -> Result<(), String> {
         self.refuse_kept()?;
         if self.set.localizes() {
-            return Err("this set localizes in a known map, which stays: relocalize looks for the robot anew".to_owned());
+            return Err(
+                "this set localizes in a known map, which stays: relocalize looks for the robot anew"
+                    .to_owned(),
+            );
         }
         let reset: Result<(), CommandError> = self.set.begin_anew(|_| Ok(0));
         self.page.iter_mut().for_each(SideProcess::restart);
@@ -221,9 +224,9 @@ impl LiveSet {
 
     /// Localizes in another map.
     fn localize_in(&mut self, map: &Path) -> Result<(), String> {
-        let map = known_map::read(map).map_err(|error| error.to_string())?;
+        let map = localisation_map::read(map).map_err(|error| error.to_string())?;
         let begun: Result<(), CommandError> =
-            self.set.begin_anew(|runtime| known_map::put(&map, runtime).map(|()| 0));
+            self.set.begin_anew(|runtime| localisation_map::put(&map, runtime).map(|()| 0));
         self.page.iter_mut().for_each(SideProcess::restart);
         begun.map_err(|error| error.to_string())
     }

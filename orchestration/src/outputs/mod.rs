@@ -12,9 +12,9 @@ mod run_report;
 mod tum_text;
 
 pub use calibration_row::CalibrationRow;
+pub use flockslam_evidence::CellState;
 pub use map_files::{render_pgm, render_yaml, write_map};
 pub use map_hash::{MapHasher, map_hash};
-pub use flockslam_evidence::CellState;
 pub use occupancy::OccupancyImage;
 pub use picture::{PictureTracks, render_picture, write_flock_picture, write_picture};
 pub use run_report::{LatencyMicroseconds, LoopClosures, ProcessUse, Report, StageReport, write_report};

@@ -185,8 +185,7 @@ impl Bridge {
         let (sender, heard) = sync_channel(HEARD_MAX);
         listen(&mut node, &parameters, &Ear::new(sender, Arc::clone(&dropped)))?;
         let bus = Bus::join(&set.runtime, "ros", set.capacity)?;
-        let localisation =
-            LocalisationRelay::open(&mut node, &bus, &set.runtime.status(), set.localizes)?;
+        let localisation = LocalisationRelay::open(&mut node, &bus, &set.runtime.status(), set.localizes)?;
         let fresh = match (parameters.use_lifecycle_manager, parameters.autostart) {
             (false, true) => NodeState::Active,
             _ => NodeState::Unconfigured,

@@ -10,11 +10,11 @@ use crate::supervisor::{Reply, Request, ask};
 use flockslam_geometry::Pose;
 use flockslam_journal::{Durability, replace_file};
 use flockslam_ros::messages::{
-    ClearQueue, ClearQueueResponse, DeserializePoseGraph, DeserializePoseGraphResponse, Empty, EmptyResponse, GetMap,
-    GetMapResponse, LoadMap, LoadMapResponse, NavigationSaveMap, NavigationSaveMapResponse, OccupancyGrid,
-    Reset, ResetResponse, RosService, SerializePoseGraph, SerializePoseGraphResponse, SetBool,
-    SetBoolResponse, SetInitialPose, SetInitialPoseResponse, TogglePause, TogglePauseResponse, ToolboxSaveMap, ToolboxSaveMapResponse, Trigger,
-    TriggerResponse,
+    ClearQueue, ClearQueueResponse, DeserializePoseGraph, DeserializePoseGraphResponse, Empty, EmptyResponse,
+    GetMap, GetMapResponse, LoadMap, LoadMapResponse, NavigationSaveMap, NavigationSaveMapResponse,
+    OccupancyGrid, Reset, ResetResponse, RosService, SerializePoseGraph, SerializePoseGraphResponse, SetBool,
+    SetBoolResponse, SetInitialPose, SetInitialPoseResponse, TogglePause, TogglePauseResponse,
+    ToolboxSaveMap, ToolboxSaveMapResponse, Trigger, TriggerResponse,
 };
 use flockslam_ros::{Call, Node};
 use std::path::{Path, PathBuf};

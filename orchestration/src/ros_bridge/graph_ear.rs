@@ -5,8 +5,8 @@ use super::lifecycle::NodeState;
 use super::transform_sieve::TransformSieve;
 use flockslam_ros::messages::{
     ChangeState, Clock, GetAvailableStates, GetAvailableStatesResponse, GetAvailableTransitions,
-    GetAvailableTransitionsResponse, GetState, Imu, LaserScan, Odometry, PoseWithCovariance, PoseWithCovarianceStamped,
-    TFMessage,
+    GetAvailableTransitionsResponse, GetState, Imu, LaserScan, Odometry, PoseWithCovariance,
+    PoseWithCovarianceStamped, TFMessage,
 };
 use flockslam_ros::{Call, Node, QualityOfService, RosError};
 use std::sync::Arc;

@@ -39,12 +39,7 @@ impl LocalisationRelay {
     ///
     /// # Errors
     /// When the graph or the bus refuses.
-    pub fn open(
-        node: &mut Node,
-        bus: &Bus,
-        status_dir: &Path,
-        localizes: bool,
-    ) -> Result<Self, BridgeError> {
+    pub fn open(node: &mut Node, bus: &Bus, status_dir: &Path, localizes: bool) -> Result<Self, BridgeError> {
         let said = localizes
             .then(|| -> Result<Topics, BridgeError> {
                 Ok(Topics {
@@ -162,6 +157,9 @@ mod tests {
     #[test]
     fn a_covariance_of_the_plane_lies_among_those_of_space() {
         let found = in_space(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
-        assert_eq!((found[0][1], found[1][0], found[5][1], found[5][5], found[2][2]), (2.0, 2.0, 5.0, 6.0, 0.0));
+        assert_eq!(
+            (found[0][1], found[1][0], found[5][1], found[5][5], found[2][2]),
+            (2.0, 2.0, 5.0, 6.0, 0.0)
+        );
     }
 }

@@ -89,7 +89,9 @@ fn with_walls(map: StoredMap) -> StoredMap {
     if unknown == 0 || occupied as f64 > WALLS_MIN * (occupied + unknown) as f64 {
         return map;
     }
-    tracing::warn!("the map shows hardly any wall: free space is taken to end at walls where nothing is known");
+    tracing::warn!(
+        "the map shows hardly any wall: free space is taken to end at walls where nothing is known"
+    );
     let mut walled = StoredMap::of_width(map.width, map.cell_size_m, map.origin);
     for (y, row) in rows.iter().enumerate() {
         let state = |x: usize| match row[x] {
@@ -180,9 +182,8 @@ fn straight(description: &Description, picture: &DynamicImage) -> StoredMap {
     let origin = Point::new(description.origin.x_m, description.origin.y_m);
     let mut map = StoredMap::of_width(width as usize, description.resolution_m, origin);
     for row in (0..height).rev() {
-        let cells: Vec<Cell> = (0..width)
-            .map(|column| evidence(description.state(picture.get_pixel(column, row).0)))
-            .collect();
+        let cells: Vec<Cell> =
+            (0..width).map(|column| evidence(description.state(picture.get_pixel(column, row).0))).collect();
         map.push_row(&cells);
     }
     map

@@ -8,8 +8,7 @@ use super::{ProcessLimits, SetFile, Supervision, system_limits};
 use crate::configuration::Configuration;
 use flockslam_bus::{Bus, BusError, Notifier, OrphanedNodes, Publisher, RuntimeDir, Subscriber};
 use flockslam_lidar_ingest::process::read_lidar_lines;
-use flockslam_geometry::Pose;
-use flockslam_messages::{LocalisationOrder, Control, ControlKind, Progress, Stage};
+use flockslam_messages::{Control, ControlKind, LocalisationOrder, Progress, Stage};
 use flockslam_results::{FlockStatus, LidarStatus, LocalisationStatus, Unattached};
 use flockslam_stage::{Mode, Pause};
 use flockslam_telemetry::{SupervisorMetrics, monotonic_ns};
@@ -21,6 +20,7 @@ use std::process::ExitStatus;
 use std::time::{Duration, Instant};
 
 mod set_durability;
+mod set_localisation;
 mod set_log_levels;
 mod set_scaling;
 
@@ -310,11 +310,6 @@ impl ProcessSet {
         self.set.options.first_sequence
     }
 
-    /// Whether it localizes in a known map.
-    pub fn localizes(&self) -> bool {
-        self.set.options.localizes
-    }
-
     /// The configuration of its stages.
     pub fn configuration(&self) -> &Configuration {
         &self.set.configuration
@@ -391,20 +386,6 @@ impl ProcessSet {
         self.orders.send(&Control { kind: ControlKind::EndWanted as u32, run: 0, value: 0 })?;
         self.source_notifier.ring();
         Ok(())
-    }
-
-    /// Lets sync-manager look for the robot in the known map anew.
-    ///
-    /// # Errors
-    /// When the set makes a map, or the bus refuses.
-    pub fn relocalize(&self, near: Option<[f64; 5]>) -> Result<(), String> {
-        if !self.set.options.localizes {
-            return Err("this set makes a map: start it with --localize MAP to localize".to_owned());
-        }
-        let order = near.map_or_else(LocalisationOrder::default, |[x_m, y_m, heading_rad, sigma_m, sigma_rad]| {
-            LocalisationOrder { map_from_base: Pose::new(x_m, y_m, heading_rad), sigma_m, sigma_rad }
-        });
-        self.localisation_orders.send(&order).map_err(|error| error.to_string())
     }
 
     /// Stops all stages: SIGTERM, and SIGKILL for who does not listen.

@@ -210,12 +210,7 @@ impl LocalizingManager {
         let mut edges: Vec<Edge> = Vec::new();
         // Each view hangs loosely at where it was measured: what nothing else holds stays there.
         let loose = [1.0, 0.0, 0.0, 1.0, 0.0, 1.0];
-        edges.extend((1..poses.len()).map(|to| Edge {
-            from: 0,
-            to,
-            motion: poses[to],
-            information: loose,
-        }));
+        edges.extend((1..poses.len()).map(|to| Edge { from: 0, to, motion: poses[to], information: loose }));
         for (k, pair) in self.views.windows(2).enumerate().filter(|(_, pair)| pair[1].follows) {
             let (from, to) = (&self.records[pair[0].record], &self.records[pair[1].record]);
             let motion = from.odom.to(to.odom);
@@ -276,7 +271,6 @@ impl LocalizingManager {
 fn drift(motion: &Placement) -> Symmetric {
     let way_m = libm::hypot(motion.x_m, motion.y_m);
     let variance = |least: f64, per_m: f64| least * least + per_m * per_m * way_m;
-    let (position, heading) =
-        (1.0 / variance(DRIFT_MIN.0, DRIFT.0), 1.0 / variance(DRIFT_MIN.1, DRIFT.1));
+    let (position, heading) = (1.0 / variance(DRIFT_MIN.0, DRIFT.0), 1.0 / variance(DRIFT_MIN.1, DRIFT.1));
     [position, 0.0, 0.0, position, 0.0, heading]
 }

@@ -13,8 +13,8 @@ use flockslam_flock_network::FlockMetrics;
 use flockslam_geometry::Pose;
 use flockslam_map_fusion::PlacedSubmap;
 use flockslam_messages::{
-    BeamRange, ControlKind, Correction, FlockFrame, FlockRobots, LocalisationOrder, MovingBeamsHeader, PoseEstimate, PoseFlags,
-    ScanView, Stage, SubmapClosed,
+    BeamRange, ControlKind, Correction, FlockFrame, FlockRobots, LocalisationOrder, MovingBeamsHeader,
+    PoseEstimate, PoseFlags, ScanView, Stage, SubmapClosed,
 };
 use flockslam_results::SubmapStore;
 use flockslam_results::{self as results, LivePoses, LocalisationStatus, SubmapRow, Summary, Unattached};
@@ -32,7 +32,6 @@ mod clear_at_end;
 mod detached;
 mod flock_outbox;
 mod fuser;
-mod known_map;
 mod localized;
 mod metrics;
 mod trajectories;
@@ -105,7 +104,7 @@ struct SyncProcess {
     metrics: CorrectionMetrics,
     /// What nothing connects with the map, as said last.
     unattached: Unattached,
-    /// What is believed of the robot's place in a known map, as told last.
+    /// What is believed of the robot's place in a known map, as said last.
     localisation: Option<LocalisationStatus>,
 }
 
@@ -403,7 +402,7 @@ fn back_end(context: &StageContext, settings: &Settings) -> Result<BackEnd, Stag
     if !context.localizes {
         return Ok(BackEnd::Mapping(Box::new(SyncManager::new(settings.clone()))));
     }
-    let surroundings = known_map::load(&context.result_dir)?;
+    let surroundings = localized::load(&context.result_dir)?;
     Ok(BackEnd::Localizing(Box::new(LocalizingManager::new(surroundings))))
 }
 

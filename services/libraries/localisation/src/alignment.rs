@@ -160,11 +160,7 @@ impl Surroundings {
             judged += u32::from(is_explained || is_in_free || is_behind);
         }
         let share = |count: u32| f64::from(count) / points.len().max(1) as f64;
-        Agreement {
-            explained: share(explained),
-            contradicted: share(contradicted),
-            judged: share(judged),
-        }
+        Agreement { explained: share(explained), contradicted: share(contradicted), judged: share(judged) }
     }
 
     /// Whether a beam to a point would have ended at something before it.

@@ -6,7 +6,7 @@ mod known_map;
 mod localizer;
 mod place_field;
 mod place_search;
-mod stretch;
+mod recent_views;
 mod surface_lines;
 
 pub use alignment::{Agreement, Fit, SeenPoint, Surroundings};
@@ -15,4 +15,4 @@ pub use known_map::{KnownMap, Place};
 pub use localizer::{Hint, Localizer, Measurement};
 pub use place_field::PlaceField;
 pub use place_search::{Candidate, Near, PlaceSearch, Places, Quest};
-pub use stretch::Stretch;
+pub use recent_views::RecentViews;

@@ -3,7 +3,7 @@
 use crate::alignment::{Agreement, Fit, SeenPoint, Surroundings};
 use crate::belief::{Belief, Hypothesis, Knowledge};
 use crate::place_search::{Near, PlaceSearch, Quest, is_same};
-use crate::stretch::Stretch;
+use crate::recent_views::RecentViews;
 use flockslam_pose_graph::{Symmetric, inverse};
 use flockslam_registration::cloud::{PackedPoint, Placement};
 
@@ -78,7 +78,7 @@ const LOST_M: f64 = 2.0;
 pub struct Localizer {
     surroundings: Surroundings,
     search: PlaceSearch,
-    stretch: Stretch,
+    recent: RecentViews,
     belief: Belief,
     /// `map_from_odom` and the information of the robot's pose, while it is followed.
     followed: Option<Followed>,
@@ -140,7 +140,7 @@ impl Localizer {
         Self {
             surroundings,
             search: PlaceSearch::default(),
-            stretch: Stretch::default(),
+            recent: RecentViews::default(),
             belief: Belief::default(),
             followed: None,
             searched_at: None,
@@ -187,14 +187,14 @@ impl Localizer {
 
     /// The front end has begun a trajectory that is not known relative to the one before.
     pub fn odometry_breaks(&mut self) {
-        self.stretch.clear();
+        self.recent.clear();
         self.last = None;
         self.relocalize(None);
     }
 
     /// Takes the points of a scan (in the robot's frame) at its pose by the front end, some decimetres after the last one.
     pub fn see(&mut self, odom_from_base: Placement, points: &[PackedPoint]) -> &Belief {
-        self.stretch.push(odom_from_base, points, JUDGED_M);
+        self.recent.push(odom_from_base, points, JUDGED_M);
         self.measured = None;
         let last = self.last.replace(odom_from_base).unwrap_or(odom_from_base);
         if let Some(followed) = self.followed {
@@ -208,8 +208,7 @@ impl Localizer {
     }
 
     fn is_due(&self, at: &Placement) -> bool {
-        self.searched_at
-            .is_none_or(|last| last.distance_m(at) >= AGAIN.0 || last.turn_rad(at) >= AGAIN.1)
+        self.searched_at.is_none_or(|last| last.distance_m(at) >= AGAIN.0 || last.turn_rad(at) >= AGAIN.1)
     }
 
     /// Follows the robot by fitting what it sees to the map.
@@ -219,7 +218,7 @@ impl Localizer {
         let position = DRIFT.0 * DRIFT.0 * way_m;
         let heading = DRIFT.1 * DRIFT.1 * way_m + DRIFT_TURNING_RAD * DRIFT_TURNING_RAD * turn_rad;
         let prior = carried(&followed.information, position, heading);
-        let cloud = self.stretch.cloud(FOLLOWED_M, POINTS);
+        let cloud = self.recent.cloud(FOLLOWED_M, POINTS);
         let unit = SHARED * FIT_INFORMATION / cloud.len().max(1) as f64;
         let fit = self.surroundings.fit(&cloud, expected, &prior.map(|v| v / unit));
         let fit = fit.filter(|fit| fit.inliers >= INLIERS_MIN);
@@ -248,10 +247,11 @@ impl Localizer {
             covariance: inverse(&now.information),
         };
         let is_against = |agreement: &Agreement| {
-            agreement.contradicted > LOST_CONTRADICTED && agreement.explained < LOST_EXPLAINED * agreement.contradicted
+            agreement.contradicted > LOST_CONTRADICTED
+                && agreement.explained < LOST_EXPLAINED * agreement.contradicted
         };
         if is_against(&agreement) {
-            let wider = self.stretch.cloud(LOST_M, POINTS);
+            let wider = self.recent.cloud(LOST_M, POINTS);
             if is_against(&self.surroundings.agreement(&wider, &at)) {
                 self.relocalize(None);
                 self.measured = None;
@@ -262,7 +262,7 @@ impl Localizer {
     /// A pose beside this one with which what was seen last agrees clearly better: the front end may slip along a bare corridor by more
     /// than a fit finds.
     fn better_beside(&mut self, at: Placement) -> Option<Placement> {
-        let cloud = self.stretch.cloud(BESIDE_M, POINTS);
+        let cloud = self.recent.cloud(BESIDE_M, POINTS);
         let points: Vec<(f64, f64)> = cloud.iter().map(|p| (p.x_m, p.y_m)).collect();
         let near = Near { pose: at, reach_m: BESIDE_REACH.0, turn_rad: BESIDE_REACH.1 };
         let quest = Quest { score_min: SCORE_MIN, share_min: SHARE_MIN, near: Some(near) };
@@ -283,16 +283,13 @@ impl Localizer {
         }
         let (position, heading) = (hint.sigma_m.powi(-2), hint.sigma_rad.powi(-2));
         let prior = [position, 0.0, 0.0, position, 0.0, heading];
-        let cloud = self.stretch.cloud(SEARCH_M, POINTS);
+        let cloud = self.recent.cloud(SEARCH_M, POINTS);
         if cloud.len() < POINTS_MIN {
             return false;
         }
         let points: Vec<(f64, f64)> = cloud.iter().map(|p| (p.x_m, p.y_m)).collect();
-        let near = Near {
-            pose: hint.map_from_base,
-            reach_m: 3.0 * hint.sigma_m,
-            turn_rad: 3.0 * hint.sigma_rad,
-        };
+        let near =
+            Near { pose: hint.map_from_base, reach_m: 3.0 * hint.sigma_m, turn_rad: 3.0 * hint.sigma_rad };
         let quest = Quest { score_min: 0.0, share_min: SHARE_MIN, near: Some(near) };
         let places = self.search.find(self.surroundings.field(), &points, &quest);
         let starts = places.found.iter().map(|place| place.map_from_cloud).chain([hint.map_from_base]);
@@ -315,10 +312,8 @@ impl Localizer {
         };
         let mut information = prior;
         information.iter_mut().zip(fit.information).for_each(|(sum, h)| *sum += unit * h);
-        self.followed = Some(Followed {
-            map_from_odom: fit.map_from_cloud.compose(odom.inverse()),
-            information,
-        });
+        self.followed =
+            Some(Followed { map_from_odom: fit.map_from_cloud.compose(odom.inverse()), information });
         self.belief = Belief {
             knowledge: Knowledge::Localized,
             hypotheses: vec![Hypothesis { map_from_base: fit.map_from_cloud, weight: 1.0, agreement }],
@@ -342,7 +337,7 @@ impl Localizer {
             reach_m: 3.0 * hint.sigma_m,
             turn_rad: 3.0 * hint.sigma_rad,
         });
-        let cloud = self.stretch.cloud(SEARCH_M, 2 * POINTS);
+        let cloud = self.recent.cloud(SEARCH_M, 2 * POINTS);
         if cloud.len() < POINTS_MIN {
             self.belief = Belief::default();
             return;
@@ -350,7 +345,7 @@ impl Localizer {
         let points: Vec<(f64, f64)> = cloud.iter().map(|p| (p.x_m, p.y_m)).collect();
         let quest = Quest { score_min: SCORE_MIN, share_min: SHARE_MIN, near };
         let places = self.search.find(self.surroundings.field(), &points, &quest);
-        let judged_cloud = self.stretch.cloud(JUDGED_M, POINTS);
+        let judged_cloud = self.recent.cloud(JUDGED_M, POINTS);
         let mut judged: Vec<Judged> = Vec::new();
         for place in &places.found {
             let candidate = self.judge(&judged_cloud, place.map_from_cloud, place.score);
@@ -387,7 +382,7 @@ impl Localizer {
         self.belief.covariance = None;
         let rival = judged.get(1).map_or(0.0, Judged::merit);
         let is_alone = rival <= ALONE_MAX * best.merit();
-        let (explained, contradicted) = match (self.stretch.travel_m() < STANDING_M, is_alone) {
+        let (explained, contradicted) = match (self.recent.travel_m() < STANDING_M, is_alone) {
             (true, true) => STANDING_ALONE,
             (true, false) => STANDING,
             (false, true) => ALONE,
@@ -405,14 +400,14 @@ impl Localizer {
             (true, false) => Knowledge::Ambiguous,
             (true, true) => Knowledge::Localized,
         };
-        if let (Knowledge::Localized, Some(fit), Some(covariance)) = (self.belief.knowledge, best.fit, covariance)
+        if let (Knowledge::Localized, Some(fit), Some(covariance)) =
+            (self.belief.knowledge, best.fit, covariance)
         {
             self.belief.covariance = Some(covariance);
             let information = fit.information.map(|h| SHARED * FIT_INFORMATION / POINTS as f64 * h);
             self.measured = Some(Measurement { map_from_base: best.at, information });
             let information = inverse(&covariance).unwrap_or(fit.information);
-            self.followed =
-                Some(Followed { map_from_odom: best.at.compose(odom.inverse()), information });
+            self.followed = Some(Followed { map_from_odom: best.at.compose(odom.inverse()), information });
         }
     }
 }

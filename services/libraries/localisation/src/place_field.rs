@@ -138,10 +138,11 @@ mod tests {
         }
         let field = PlaceField::new(&map.measured());
         assert_eq!(field.height(), 10);
-        assert_eq!(field.passable(5), [1..8]);
+        assert_eq!((field.passable(5).len(), field.passable(5)[0].clone()), (1, 1..8));
         let middle = field.middle(3, 2);
         assert!((middle.0 - 1.7).abs() < 1e-9 && (middle.1 - 2.5).abs() < 1e-9);
-        let beside = |column, row, x_m, y_m| field.beside(&(column..column + 1), row, field.steps(x_m, y_m))[0];
+        let beside =
+            |column, row, x_m, y_m| field.beside(&(column..column + 1), row, field.steps(x_m, y_m))[0];
         assert_eq!(beside(2, 5, 1.2, 0.0), 255);
         assert_eq!(beside(2, 5, 0.2, 0.1), 0);
         assert_eq!(beside(2, 5, -0.4, 0.0), UNKNOWN);

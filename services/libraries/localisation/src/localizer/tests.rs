@@ -1,3 +1,5 @@
+//! A small building with two rooms that are the same, and robots in it.
+
 use super::*;
 use crate::KnownMap;
 use flockslam_evidence::CellState;
@@ -52,7 +54,12 @@ fn seen(map: &KnownMap, at: Placement) -> Vec<PackedPoint> {
 }
 
 /// Drives straight through these places and looks around every 0.3 m; the frame of odometry lies anywhere. Gives the belief at the end.
-fn drive(localizer: &mut Localizer, world: &KnownMap, places: &[(f64, f64)], odom_from_map: Placement) -> Belief {
+fn drive(
+    localizer: &mut Localizer,
+    world: &KnownMap,
+    places: &[(f64, f64)],
+    odom_from_map: Placement,
+) -> Belief {
     for pair in places.windows(2) {
         let (dx, dy) = (pair[1].0 - pair[0].0, pair[1].1 - pair[0].1);
         let steps = (libm::hypot(dx, dy) / 0.3).ceil().max(1.0) as i32;
@@ -111,11 +118,7 @@ fn a_hint_tells_equal_rooms_apart() {
         let (mut localizer, map) = localizer();
         // The robot stands in the right room, or in the left one: what it sees is the same.
         let at = Placement::new(16.0, 4.0, 1.0);
-        let hint = Hint {
-            map_from_base: Placement::new(hinted_x, 3.8, 1.1),
-            sigma_m: 0.5,
-            sigma_rad: 0.2,
-        };
+        let hint = Hint { map_from_base: Placement::new(hinted_x, 3.8, 1.1), sigma_m: 0.5, sigma_rad: 0.2 };
         localizer.relocalize(Some(hint));
         let belief = localizer.see(anywhere().compose(at), &seen(&map, at)).clone();
         assert_eq!(belief.knowledge, Knowledge::Localized, "{belief:?}");
@@ -144,7 +147,9 @@ fn a_robot_that_is_carried_away_notices_and_is_found_again() {
     // It is put down elsewhere, and its odometry has not noticed.
     let moved = Placement::new(21.5, 11.0, 0.0).compose(Placement::new(2.0, 9.0, 0.0).inverse());
     let (mut lost, mut knowledge) = (false, Knowledge::Localized);
-    for pair in [(2.0, 9.0), (4.0, 9.2), (4.0, 5.0), (5.0, 3.0), (4.0, 5.0), (4.0, 9.0), (9.0, 9.0)].windows(2) {
+    for pair in
+        [(2.0, 9.0), (4.0, 9.2), (4.0, 5.0), (5.0, 3.0), (4.0, 5.0), (4.0, 9.0), (9.0, 9.0)].windows(2)
+    {
         knowledge = drive(&mut localizer, &map, pair, anywhere().compose(moved)).knowledge;
         lost |= knowledge != Knowledge::Localized || localizer.searches() > 1;
     }

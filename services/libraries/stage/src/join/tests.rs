@@ -25,7 +25,14 @@ fn id(sequence: u64) -> ScanId {
 impl Bench {
     fn new(name: &str, mode: Mode) -> Self {
         let runtime = RuntimeDir::create(&format!("{name}-{}", std::process::id())).unwrap();
-        let options = StageOptions { mode, window: 64, replicas: 1, live_tiles: 16, first_sequence: 0, localizes: false };
+        let options = StageOptions {
+            mode,
+            window: 64,
+            replicas: 1,
+            live_tiles: 16,
+            first_sequence: 0,
+            localizes: false,
+        };
         let bus = Bus::in_memory();
         let join = bus.memory_joiner().unwrap();
         let stop = StopFlag::default();

@@ -64,5 +64,6 @@ fn of_saved(map: SavedMap) -> Result<StoredMap, CommandError> {
 /// When the disk refuses.
 pub(super) fn put(map: &StoredMap, runtime: &RuntimeDir) -> Result<(), CommandError> {
     let path: PathBuf = runtime.results().join(KNOWN_MAP);
-    replace_file_by(&path, |file| write_map_file(file, map), Durability::Process).map_err(CommandError::failed)
+    replace_file_by(&path, |file| write_map_file(file, map), Durability::Process)
+        .map_err(CommandError::failed)
 }

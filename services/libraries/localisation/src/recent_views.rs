@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 
 /// The mean of the points in each square of this side stands for them, metres.
 const CELL_M: f64 = 0.1;
-/// Views that a stretch holds at most: a robot that turns on the spot gets many without travel.
+/// Views that are held at most: a robot that turns on the spot gets many without travel.
 const VIEWS_MAX: usize = 400;
 
 /// A scan and where it was taken by the front end.
@@ -19,11 +19,11 @@ struct View {
 
 /// The last views of a robot.
 #[derive(Clone, Debug, Default)]
-pub struct Stretch {
+pub struct RecentViews {
     views: VecDeque<View>,
 }
 
-impl Stretch {
+impl RecentViews {
     /// Forgets all.
     pub fn clear(&mut self) {
         self.views.clear();

@@ -1,0 +1,126 @@
+//! `cargo bench -p flockslam --bench unknown_starts -- MAP.yaml LOG TRAJECTORY.tum STARTS`: robots that are switched on at unknown poses in the
+//! second half of a CARMEN log look for themselves in a map, which was made of the first half; each drives up to 40 m. The trajectory of
+//! the whole log serves as their front end and as the truth. Prints how far each had to drive in mapped space, and what was false.
+
+use flockslam::store::read_nav2_map;
+use flockslam_evidence::CellState;
+use flockslam_geometry::Pose;
+use flockslam_localisation::{Knowledge, KnownMap, Localizer, Surroundings};
+use flockslam_loop_closure::scans::{ScanStore, Velocity};
+use flockslam_messages::ScanBuffer;
+use flockslam_registration::cloud::Placement;
+use std::error::Error;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+/// A robot looks around after so much travel and turning, metres and radians.
+const VIEW: (f64, f64) = (0.3, 0.35);
+/// A robot gives up after this way, and is followed over this one once it is found, metres.
+const WAY_M: (f64, f64) = (40.0, 18.0);
+/// What is found farther from the truth is false, metres and radians; a map of half a log bends by up to a metre and a half.
+const FALSE: (f64, f64) = (2.0, 0.15);
+
+/// How one robot has fared.
+#[derive(Debug, Default)]
+struct Search {
+    /// Way in mapped space until it was found.
+    found_after_m: Option<f64>,
+    mapped_m: f64,
+    is_false: bool,
+    was_lost: bool,
+    slowest: Duration,
+}
+
+fn scans(log: &str, store: &mut ScanStore) -> Result<Vec<usize>, Box<dyn Error>> {
+    let mut numbers = Vec::new();
+    for line in log.lines().filter(|line| line.starts_with("FLASER ")) {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let beams: usize = words[1].parse()?;
+        let ranges: Result<Vec<f32>, _> = words[2..2 + beams].iter().map(|word| word.parse()).collect();
+        let tail: Result<Vec<f64>, _> = words[2 + beams..8 + beams].iter().map(|word| word.parse()).collect();
+        let tail = tail?;
+        let step = 180.0 / if beams % 2 == 1 { beams - 1 } else { beams } as f64;
+        let mut scan = ScanBuffer::from_ranges(&ranges?, (-90f64).to_radians(), step.to_radians());
+        scan.header.range_max_m = 49.9;
+        let (laser, robot) = (Pose::new(tail[0], tail[1], tail[2]), Pose::new(tail[3], tail[4], tail[5]));
+        scan.header.base_from_laser = robot.to(laser);
+        numbers.push(store.keep(scan.view()?, Velocity::default(), &[], false));
+    }
+    Ok(numbers)
+}
+
+fn trajectory(text: &str) -> Result<Vec<Placement>, Box<dyn Error>> {
+    let pose = |line: &str| -> Result<Placement, Box<dyn Error>> {
+        let v: Vec<f64> = line.split_whitespace().map(str::parse).collect::<Result<_, _>>()?;
+        Ok(Placement::new(v[1], v[2], 2.0 * v[6].atan2(v[7])))
+    };
+    text.lines().filter(|line| !line.starts_with('#')).map(pose).collect()
+}
+
+fn search(localizer: &mut Localizer, way: &[Placement], scans: &[usize], store: &ScanStore) -> Search {
+    localizer.odometry_breaks();
+    let odom_from_map = Placement::new(3.0, -7.0, 1.9);
+    let mut search = Search::default();
+    let (mut last, mut travel_m, mut followed_m) = (None::<Placement>, 0.0, 0.0);
+    for (truth, scan) in way.iter().zip(scans) {
+        if last.is_some_and(|last| last.distance_m(truth) < VIEW.0 && last.turn_rad(truth) < VIEW.1) {
+            continue;
+        }
+        let step_m = last.map_or(0.0, |last| last.distance_m(truth));
+        last = Some(*truth);
+        travel_m += step_m;
+        let is_mapped = localizer.surroundings().map().at(truth.x_m, truth.y_m).state == CellState::Free;
+        search.mapped_m += if is_mapped { step_m } else { 0.0 };
+        let started = Instant::now();
+        let belief = localizer.see(odom_from_map.compose(*truth), store.points(*scan));
+        search.slowest = search.slowest.max(started.elapsed());
+        if belief.knowledge == Knowledge::Localized {
+            search.found_after_m.get_or_insert(search.mapped_m);
+            let found = belief.hypotheses[0].map_from_base;
+            search.is_false |= found.distance_m(truth) > FALSE.0 || found.turn_rad(truth) > FALSE.1;
+            followed_m += step_m;
+        } else {
+            search.was_lost |= search.found_after_m.is_some();
+        }
+        if search.is_false || search.was_lost || followed_m > WAY_M.1 || travel_m > WAY_M.0 {
+            break;
+        }
+    }
+    search
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    // Cargo adds an option of its own.
+    let arguments: Vec<String> = std::env::args().filter(|argument| argument != "--bench").collect();
+    let [_, map, log, truth, starts] = arguments.as_slice() else {
+        println!("unknown_starts needs MAP.yaml LOG TRAJECTORY.tum STARTS");
+        return Ok(());
+    };
+    let stored = read_nav2_map(Path::new(map))?;
+    let mut known = KnownMap::of_width(stored.width, stored.cell_size_m, stored.origin);
+    stored.for_each_row(|row| known.push_row(row.iter().map(CellState::of)));
+    let mut localizer = Localizer::new(Surroundings::new(known.measured()));
+    let mut store = ScanStore::default();
+    let scans = scans(&std::fs::read_to_string(log)?, &mut store)?;
+    let way = trajectory(&std::fs::read_to_string(truth)?)?;
+    let (half, starts) = (scans.len() / 2, starts.parse::<usize>()?);
+    let searches: Vec<Search> = (0..starts)
+        .map(|k| half + (scans.len() - half) * k / starts)
+        .map(|first| search(&mut localizer, &way[first..], &scans[first..], &store))
+        .collect();
+    let mut found_m: Vec<f64> = searches.iter().filter_map(|search| search.found_after_m).collect();
+    found_m.sort_by(f64::total_cmp);
+    let quantile = |share: f64| found_m.get((share * found_m.len() as f64) as usize).copied();
+    let count = |is: fn(&Search) -> bool| searches.iter().filter(|search| is(search)).count();
+    println!(
+        "{starts} starts: {} found after p50 {:.1?} m, p95 {:.1?} m in mapped space; {} false, {} lost again, {} not found in 5 m or more of mapped space; slowest step {:.2?}",
+        found_m.len(),
+        quantile(0.5),
+        quantile(0.95),
+        count(|search| search.is_false),
+        count(|search| search.was_lost),
+        count(|search| search.found_after_m.is_none() && search.mapped_m >= 5.0),
+        searches.iter().map(|search| search.slowest).max().unwrap_or_default(),
+    );
+    Ok(())
+}

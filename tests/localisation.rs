@@ -1,0 +1,135 @@
+//! A set that localizes: it finds its robot in a map that is known and follows it there. The map is only read.
+
+use crate::support;
+use crate::support::{Drive, LiveSet, building, flockslam, run, run_well, send, stderr};
+use flockslam::supervisor::SetStatus;
+use flockslam_bus::RuntimeDir;
+use flockslam_messages::Stage;
+use rustix::process::Signal;
+use std::fs;
+use std::path::Path;
+
+/// A drive that no test sees the end of.
+const LONG: Drive = Drive { scan_rate_hz: 10.0, duration_s: 3000.0, rate: 6.0 };
+
+/// Makes a map of the simulated building in this directory.
+fn map_in(directory: &Path) -> support::Outputs {
+    let mut args = building(60);
+    args.extend(["--set", "correlation_filter.mode=off"].map(str::to_owned));
+    run_well("known-map", directory, &args)
+}
+
+fn is_localized(status: &SetStatus) -> bool {
+    status.localisation.as_ref().is_some_and(|localisation| localisation.knowledge == "localized")
+}
+
+#[test]
+fn a_robot_is_followed_in_a_known_map_which_stays_the_same_to_the_byte() {
+    let directory = tempfile::tempdir().unwrap();
+    let (known, out) = (directory.path().join("known"), directory.path().join("out"));
+    let mapped = map_in(&known);
+    let mut args = building(60);
+    args.extend(["--localize".to_owned(), known.display().to_string()]);
+    let localized = run_well("localizes", &out, &args);
+    let found = localized.report.localisation.expect("the report tells of localisation");
+    println!("{found:?}");
+    assert!(
+        found.found_after_m.is_some_and(|way_m| way_m < 5.0) && found.unlocalized_scans < 60,
+        "{found:?}"
+    );
+    assert_eq!(fs::read(known.join("map.pgm")).unwrap(), fs::read(out.join("map.pgm")).unwrap());
+    assert_eq!(localized.report.submaps, 0, "no map was made");
+    // The same drive: its poses are those of the run that has made the map.
+    let (before, after) = (mapped.lines("trajectory.tum"), localized.lines("trajectory.tum"));
+    assert_eq!(before.len(), after.len());
+    let mut farthest_m = 0.0f64;
+    for (a, b) in before.iter().zip(&after) {
+        let numbers =
+            |line: &str| -> Vec<f64> { line.split(' ').map(|word| word.parse().unwrap()).collect() };
+        let (a, b) = (numbers(a), numbers(b));
+        farthest_m = farthest_m.max((a[1] - b[1]).hypot(a[2] - b[2]));
+    }
+    println!("at most {farthest_m:.3} m from where mapping had it");
+    assert!(farthest_m < 0.12, "{farthest_m} m");
+    let again = directory.path().join("again");
+    run_well("localizes", &again, &args);
+    let bytes = |out: &Path| fs::read(out.join("trajectory.tum")).unwrap();
+    assert_eq!(bytes(&out), bytes(&again), "an exact replay gives the same bytes");
+}
+
+#[test]
+fn killed_stages_and_orders_leave_the_known_map_as_it_is() {
+    let directory = tempfile::tempdir().unwrap();
+    let known = directory.path().join("known");
+    map_in(&known);
+    let map_bytes = fs::read(known.join("map.pgm")).unwrap();
+    let mut set = LiveSet::start("known", directory.path(), LONG, &format!("localize = {known:?}"));
+    let status = set.wait_until("the robot is localized", is_localized);
+    println!("{}", status.localisation.unwrap());
+    let known_in_set = RuntimeDir::open(&set.runtime_dir()).unwrap().results().join("known.map");
+    let bytes_in_set = fs::read(&known_in_set).unwrap();
+    for stage in [Stage::SyncManager, Stage::ScanMatcher, Stage::Mapper, Stage::SyncManager] {
+        let pid = set.pid(stage);
+        send(pid, Signal::KILL);
+        let handled = set.status().unwrap().localisation.unwrap().stamp_ns;
+        set.wait_until("the robot is localized after a kill", |status| {
+            is_localized(status) && status.localisation.as_ref().is_some_and(|l| l.stamp_ns > handled)
+        });
+    }
+    let searches = set.status().unwrap().localisation.unwrap().searches;
+    set.command_well(&["relocalize"]);
+    set.wait_until("the robot is looked for on request", |status| {
+        is_localized(status) && status.localisation.as_ref().is_some_and(|l| l.searches > searches)
+    });
+    let nonsense = set.command(&["relocalize", "--near", "here"]);
+    assert_eq!(nonsense.status.code(), Some(2));
+    let reset = set.command(&["reset"]);
+    assert_eq!(reset.status.code(), Some(2));
+    assert!(stderr(&reset).contains("relocalize"), "{}", stderr(&reset));
+    assert_eq!(fs::read(&known_in_set).unwrap(), bytes_in_set);
+    set.command_well(&["down"]);
+    assert_eq!(set.wait(), Some(0));
+    assert_eq!(fs::read(known.join("map.pgm")).unwrap(), map_bytes);
+}
+
+#[test]
+fn a_robot_that_is_not_in_the_map_is_not_found_there() {
+    let directory = tempfile::tempdir().unwrap();
+    let (known, out) = (directory.path().join("known"), directory.path().join("out"));
+    map_in(&known);
+    let mut args = building(60);
+    args.extend(["--set".to_owned(), "simulation.world=hotel".to_owned()]);
+    args.extend(["--localize".to_owned(), known.display().to_string()]);
+    let report = run_well("elsewhere", &out, &args).report;
+    let found = report.localisation.unwrap();
+    println!("{found:?}");
+    assert_eq!((found.localized_scans, found.found), (0, 0));
+    assert_eq!(report.detached_scans, report.scans);
+}
+
+#[test]
+fn what_is_no_map_to_localize_in_is_refused_in_one_line() {
+    let directory = tempfile::tempdir().unwrap();
+    let nowhere = directory.path().join("nowhere");
+    let mut args = building(5);
+    args.extend(["--localize".to_owned(), nowhere.display().to_string()]);
+    let output = run("no-map", &directory.path().join("out"), &args);
+    assert_eq!(output.status.code(), Some(2));
+    let text = stderr(&output);
+    assert!(text.lines().count() == 1 && text.contains("no map to localize in"), "{text}");
+
+    let set = directory.path().join("set.toml");
+    let robot = support::robot("both");
+    fs::write(&set, format!("robot = \"{robot}\"\nmap = \"kept\"\nlocalize = \"known\"\n")).unwrap();
+    let output = flockslam().arg("up").arg(&set).output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    assert_eq!(stderr(&output).lines().count(), 1, "{}", stderr(&output));
+
+    let mut mapping = LiveSet::start("maps", directory.path(), LONG, "");
+    mapping.wait_until_handled(Stage::ScanMatcher, 5);
+    let order = mapping.command(&["relocalize"]);
+    assert_eq!(order.status.code(), Some(2));
+    assert!(stderr(&order).contains("--localize"), "{}", stderr(&order));
+    mapping.command_well(&["down"]);
+    assert_eq!(mapping.wait(), Some(0));
+}
