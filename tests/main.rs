@@ -38,6 +38,7 @@ mod recordings;
 mod replay;
 mod replicas;
 mod ros2;
+mod ros2_localisation;
 mod ros2_zenoh;
 mod saved_maps;
 mod scans_source;

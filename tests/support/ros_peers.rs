@@ -77,6 +77,18 @@ impl Graph {
         self.set_with(test, directory, arguments, &[])
     }
 
+    /// As [`Self::set`], of a set that localizes in a map.
+    pub fn localizing_set(&self, test: &str, directory: &Path, map: &Path) -> LiveSet {
+        let robot = robot(test);
+        let description = format!(
+            "robot = \"{robot}\"\nlocalize = {map:?}\nset = [\"page.enabled=false\"]\n[source]\nkind = \"scans\"\n[ros]\nargs = [\"-p\", \"resolution:=0.045\"]\n"
+        );
+        std::fs::write(directory.join("set.toml"), description).unwrap();
+        let mut command = flockslam();
+        self.put_into_graph(&mut command);
+        LiveSet::start_described(command, robot, directory)
+    }
+
     /// As [`Self::set`], with more variables in its environment.
     pub fn set_with(
         &self,

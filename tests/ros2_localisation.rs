@@ -1,0 +1,88 @@
+//! A set that localizes, as a node of a ROS 2 graph: it stands where AMCL stands.
+
+use crate::support::ros_peers::Graph;
+use crate::support::ros_rows::rows;
+use crate::support::{machine_share, run_well, simulated_drive};
+use serde_json::{Value, json};
+
+/// Side of a cell of the map, and of the set's own.
+const RESOLUTION_M: f64 = 0.045;
+
+#[test]
+fn a_peer_hears_the_known_map_the_pose_in_it_and_moves_the_robot_by_a_hint() {
+    machine_share::mostly_waits();
+    let Some(graph) = Graph::new() else { return };
+    let directory = tempfile::tempdir().unwrap();
+    let (log, _) = simulated_drive(directory.path(), 24.0);
+    let known = directory.path().join("known");
+    let mapped = run_well("known", &known, &["map".to_owned(), log.display().to_string()]);
+    let mut set = graph.localizing_set("amcl", directory.path(), &known);
+    set.wait_until("the set", |_| true);
+    let mut peer = graph.peer("user");
+
+    let (found, cells) = peer.map(directory.path());
+    let (width, height) = (found["width"].as_u64().unwrap() as i64, found["height"].as_u64().unwrap() as i64);
+    let low = |axis: usize| (found["origin"][axis].as_f64().unwrap() / RESOLUTION_M).round() as i64;
+    let picture = image::open(known.join("map.pgm")).unwrap().into_luma8();
+    let yaml = std::fs::read_to_string(known.join("map.yaml")).unwrap();
+    let origin = yaml.lines().find_map(|line| line.strip_prefix("origin: [")).unwrap();
+    let origin: Vec<i64> = origin
+        .split(',')
+        .take(2)
+        .map(|number| (number.trim().parse::<f64>().unwrap() / RESOLUTION_M).round() as i64)
+        .collect();
+    let (mut walls, mut wrong) = (0, Vec::new());
+    for (x, row, pixel) in picture.enumerate_pixels() {
+        let y = i64::from(picture.height() - 1 - row);
+        let (column, line) = (origin[0] + i64::from(x) - low(0), origin[1] + y - low(1));
+        assert!((0..width).contains(&column) && (0..height).contains(&line), "{x}, {y} is not in {found}");
+        let expected = match pixel.0[0] {
+            0 => 100,
+            254 => 0,
+            _ => -1,
+        };
+        let found = cells[(line * width + column) as usize];
+        if found != expected {
+            wrong.push((x, row, found, expected));
+        }
+        walls += u32::from(expected == 100);
+    }
+    assert!(wrong.is_empty(), "{} of {} pixels differ, as {:?}; {found}, {origin:?}", wrong.len(), picture.len(), &wrong[..9.min(wrong.len())]);
+    assert!(walls > 500, "{walls}");
+
+    let (pose_type, pose_topic) = ("geometry_msgs/PoseWithCovarianceStamped", "/amcl_pose");
+    assert_eq!(peer.tell(&json!(["listen", pose_type, pose_topic])), true);
+    let noted = graph.play(&log, 2.0, "/");
+    let corrections = rows(&noted, "corrections");
+    let poses = rows(&noted, "poses");
+    assert!(poses.len() + 40 > rows(&noted, "sent").len(), "{} poses", poses.len());
+    let trajectory = mapped.trajectory("trajectory.tum");
+    let truth = |stamp_ns: i64| trajectory.iter().find(|point| (point.stamp_ns - stamp_ns).abs() < 1_000_000);
+    let off_m = poses.iter().filter_map(|row| Some(truth(row.0)?.map_from_base.distance_m(row.1)));
+    let farthest_m = off_m.fold(0.0, f64::max);
+    println!("{} poses, {} corrections, at most {farthest_m:.3} m off", poses.len(), corrections.len());
+    assert!(corrections.len() > 100 && farthest_m < 0.12, "{farthest_m} m");
+    let heard = peer.tell(&json!(["heard", pose_topic]));
+    assert!(heard["count"].as_u64().unwrap() > 100, "{heard}");
+    let variance = heard["last"][0]["pose"]["covariance"][0].as_f64().unwrap();
+    assert!(variance > 0.0 && variance < 0.01, "{variance}");
+
+    let searches = |set: &crate::support::LiveSet| set.status().unwrap().localisation.unwrap().searches;
+    let before = searches(&set);
+    let answer: Value = peer.call("std_srvs/Empty", "/reinitialize_global_localization", json!({}));
+    assert!(!answer.is_null(), "the service answers");
+    // The robot stands: it is looked for with its next scans.
+    graph.play(&log, 4.0, "/");
+    set.wait_until("the robot was looked for anew", |status| {
+        status.localisation.as_ref().is_some_and(|localisation| localisation.searches > before)
+    });
+    let before = searches(&set);
+    let hint = json!({ "header": { "frame_id": "map" }, "pose": { "pose": { "position": { "x": 0.2 } } } });
+    assert_eq!(peer.tell(&json!(["say", pose_type, "/initialpose", hint])), true);
+    graph.play(&log, 4.0, "/");
+    set.wait_until("the hint is tried", |status| {
+        status.localisation.as_ref().is_some_and(|localisation| localisation.searches > before)
+    });
+    set.command_well(&["down"]);
+    assert_eq!(set.wait(), Some(0));
+}
