@@ -47,7 +47,13 @@ fn a_peer_hears_the_known_map_the_pose_in_it_and_moves_the_robot_by_a_hint() {
         }
         walls += u32::from(expected == 100);
     }
-    assert!(wrong.is_empty(), "{} of {} pixels differ, as {:?}; {found}, {origin:?}", wrong.len(), picture.len(), &wrong[..9.min(wrong.len())]);
+    assert!(
+        wrong.is_empty(),
+        "{} of {} pixels differ, as {:?}; {found}, {origin:?}",
+        wrong.len(),
+        picture.len(),
+        &wrong[..9.min(wrong.len())]
+    );
     assert!(walls > 500, "{walls}");
 
     let (pose_type, pose_topic) = ("geometry_msgs/PoseWithCovarianceStamped", "/amcl_pose");

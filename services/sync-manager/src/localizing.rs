@@ -21,8 +21,11 @@ const DRIFT: (f64, f64) = (0.015, 0.004);
 const DRIFT_MIN: (f64, f64) = (0.002, 0.001);
 /// A measurement with a greater squared Mahalanobis error is an outlier.
 const CHI_SQUARED_MAX: f64 = 25.0;
-/// Views after which the older half of the drive gets its final poses.
+/// Views, and poses, after which the older half of the drive gets its final poses.
 const VIEWS_MAX: usize = 4000;
+const RECORDS_MAX: usize = 40_000;
+/// What a published pose in the map is worth as a measurement after a restart: standard deviations, metres and radians.
+const PUBLISHED_SIGMA: (f64, f64) = (0.03, 0.01);
 
 /// The back end of a robot that localizes in a known map. A pure function of its calls.
 pub struct LocalizingManager {
@@ -40,6 +43,7 @@ pub struct LocalizingManager {
     travel_m: f64,
     is_localized: bool,
     stamp_ns: i64,
+    map_area_m2: f64,
 }
 
 /// A place in the map that was measured.
@@ -55,6 +59,7 @@ impl LocalizingManager {
     /// A robot that may be anywhere in the map.
     pub fn new(surroundings: Surroundings) -> Self {
         Self {
+            map_area_m2: surroundings.map().known_area_m2(),
             localizer: Localizer::new(surroundings),
             records: Vec::new(),
             views: Vec::new(),
@@ -72,7 +77,7 @@ impl LocalizingManager {
 
     /// Area of the known map, m².
     pub fn map_area_m2(&self) -> f64 {
-        self.localizer.surroundings().map().known_area_m2()
+        self.map_area_m2
     }
 
     /// What is believed, and the sensor stamp of the last scan that was looked at.
@@ -110,6 +115,48 @@ impl LocalizingManager {
             &mut self.summary.unlocalized_scans
         };
         *count += 1;
+        if self.records.len() > RECORDS_MAX {
+            self.freeze();
+        }
+    }
+
+    /// Takes a pose that a predecessor of this process has heard. Where it was placed in the map, that is taken for a measurement: the
+    /// scans are not looked at again.
+    pub fn published(&mut self, pose: &PoseEstimate) {
+        let is_placed = !pose.has(PoseFlags::UNPLACED) && pose.has(PoseFlags::MATCHED);
+        let begins = self.is_localized != is_placed;
+        self.is_localized = is_placed;
+        self.pose(pose);
+        let Some(record) = self.records.len().checked_sub(1) else { return };
+        let PoseRecord { odom, trajectory, .. } = self.records[record];
+        let is_due = begins || self.last_view.is_none_or(|(last, _)| last.distance_m(&odom) >= VIEW_M);
+        if !is_placed || !is_due {
+            return;
+        }
+        let (position, heading) = (PUBLISHED_SIGMA.0.powi(-2), PUBLISHED_SIGMA.1.powi(-2));
+        let measured = Measurement {
+            map_from_base: pose.map_from_base().into(),
+            information: [position, 0.0, 0.0, position, 0.0, heading],
+        };
+        self.views.push(View { record, measured, follows: !begins });
+        self.last_view = Some((odom, trajectory));
+        if begins {
+            self.summary.found += 1;
+            self.summary.found_after_m.get_or_insert(self.travel_m);
+        }
+        self.corrected = Some((pose.map_from_odom, true));
+        if self.views.len() > VIEWS_MAX {
+            self.freeze();
+        }
+    }
+
+    /// Goes on after the poses that a predecessor has heard.
+    pub fn resume(&mut self) {
+        if let (true, Some((map_from_odom, _))) = (self.is_localized, self.corrected) {
+            self.localizer.resume(map_from_odom.into());
+        }
+        // The next scan is looked at wherever it was taken.
+        self.last_view = None;
     }
 
     /// Takes a scan whose pose has just been given. `moving` are its beams on what moves, in order: they are not matched.
@@ -186,9 +233,16 @@ impl LocalizingManager {
     fn freeze(&mut self) {
         let poses = self.solved();
         let half = self.views.len() / 2;
-        let end = self.views[half].record;
-        let known: Vec<(usize, Placement)> =
-            self.views[..=half].iter().map(|view| view.record).zip(poses).collect();
+        let end = self.views.get(half).map_or(0, |view| view.record);
+        // A robot that stands, or is not found, has few views.
+        let end = if end == 0 { self.records.len() / 2 } else { end };
+        let known: Vec<(usize, Placement)> = self
+            .views
+            .iter()
+            .map(|view| view.record)
+            .zip(poses)
+            .take_while(|(record, _)| *record <= end)
+            .collect();
         let filled = filled(&self.records[..=end], &known, Between::FrontEnd);
         let frozen = |(record, pose): (&PoseRecord, &Placement)| FrozenScan {
             id: record.id,
@@ -197,10 +251,17 @@ impl LocalizingManager {
             anchor_from_base: pose.pose(),
         };
         self.frozen.extend(self.records[..end].iter().zip(&filled).map(frozen));
+        // What goes on begins with where the first scan that is left was.
+        let before = self.views.iter().rposition(|view| view.record <= end);
+        let begin = before.map(|last| {
+            let information = self.views[last].measured.information;
+            let measured = Measurement { map_from_base: filled[end], information };
+            View { record: end, measured, follows: false }
+        });
+        self.views.retain(|view| view.record > end);
+        self.views.splice(..0, begin);
         self.records.drain(..end);
-        self.views.drain(..half);
         self.views.iter_mut().for_each(|view| view.record -= end);
-        self.views[0].follows = false;
     }
 
     /// The poses of all views in the map: measurements and the front end's motions together.
@@ -273,4 +334,131 @@ fn drift(motion: &Placement) -> Symmetric {
     let variance = |least: f64, per_m: f64| least * least + per_m * per_m * way_m;
     let (position, heading) = (1.0 / variance(DRIFT_MIN.0, DRIFT.0), 1.0 / variance(DRIFT_MIN.1, DRIFT.1));
     [position, 0.0, 0.0, position, 0.0, heading]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockslam_evidence::CellState;
+    use flockslam_geometry::Point;
+    use flockslam_localisation::KnownMap;
+    use flockslam_messages::ScanBuffer;
+
+    /// A room of 6 × 4 m with a niche in a corner, in the map frame.
+    fn room() -> KnownMap {
+        let mut map = KnownMap::of_width(140, 0.05, Point::new(-0.5, -0.5));
+        let is_free =
+            |x: f64, y: f64| (0.0..6.0).contains(&x) && (0.0..4.0).contains(&y) && !(x > 4.5 && y > 3.2);
+        for row in 0..100 {
+            let state = |column: i64| {
+                let (x, y) = (f64::from(column as i32) * 0.05 - 0.475, f64::from(row) * 0.05 - 0.475);
+                let near = (-2..=2).flat_map(|i| (-2..=2).map(move |k| (f64::from(i), f64::from(k))));
+                match is_free(x, y) {
+                    true => CellState::Free,
+                    false if near.into_iter().any(|(i, k)| is_free(x + 0.05 * i, y + 0.05 * k)) => {
+                        CellState::Occupied
+                    }
+                    false => CellState::Unknown,
+                }
+            };
+            map.push_row((0..140).map(state));
+        }
+        map.measured()
+    }
+
+    fn scan(map: &KnownMap, at: Placement) -> ScanBuffer {
+        let range = |degrees: i32| {
+            let angle = f64::from(degrees).to_radians();
+            let (cos, sin) = (libm::cos(angle), libm::sin(angle));
+            let is_hit = |range_m: &f64| {
+                let (x, y) = at.apply(range_m * cos, range_m * sin);
+                map.at(x, y).state != CellState::Free
+            };
+            (0..1000).map(|step| f64::from(step) * 0.01).find(is_hit).unwrap_or(0.0) as f32
+        };
+        ScanBuffer::from_ranges(&(0..360).map(range).collect::<Vec<_>>(), 0.0, 1f64.to_radians())
+    }
+
+    const MAP_FROM_ODOM: (f64, f64, f64) = (3.0, 1.0, 0.5);
+
+    fn way(step: u64) -> Placement {
+        Placement::new(1.0 + 0.02 * step as f64, 1.5, 0.3)
+    }
+
+    /// The pose of the front end at a step of the way.
+    fn estimate(step: u64, placed: bool) -> PoseEstimate {
+        let (x, y, heading) = MAP_FROM_ODOM;
+        let map_from_odom = Placement::new(x, y, heading);
+        let mut pose = PoseEstimate {
+            flags: PoseFlags::MATCHED | if placed { 0 } else { PoseFlags::UNPLACED },
+            odom_from_base: map_from_odom.to(way(step)).pose(),
+            ..PoseEstimate::default()
+        };
+        pose.map_from_odom = if placed { map_from_odom.pose() } else { Pose::IDENTITY };
+        pose.id.sequence = step;
+        pose
+    }
+
+    #[test]
+    fn the_final_poses_are_those_in_the_map() {
+        let map = room();
+        let mut manager = LocalizingManager::new(Surroundings::new(map.clone()));
+        for step in 0..100 {
+            let pose = estimate(step, false);
+            manager.pose(&pose);
+            manager.node(scan(&map, way(step)).view().unwrap(), &pose, &[]);
+        }
+        assert_eq!((manager.summary().found, manager.summary().searches), (1, 1));
+        let correction = manager.fresh_correction(0).unwrap();
+        assert_eq!((correction.attached, manager.fresh_correction(0)), (1, None));
+        let solution = manager.finish();
+        assert_eq!((solution.trajectory.len(), solution.detached.len()), (100, 0));
+        for (step, placed) in (0..).zip(&solution.trajectory) {
+            let off_m = way(step).distance_m(&placed.map_from_base.into());
+            assert!(off_m < 0.03, "{step}: {off_m} m");
+        }
+    }
+
+    #[test]
+    fn a_successor_goes_on_without_a_search() {
+        let map = room();
+        let mut manager = LocalizingManager::new(Surroundings::new(map.clone()));
+        (0..60).for_each(|step| manager.published(&estimate(step, step >= 5)));
+        manager.resume();
+        for step in 60..100 {
+            let pose = estimate(step, true);
+            manager.pose(&pose);
+            manager.node(scan(&map, way(step)).view().unwrap(), &pose, &[]);
+        }
+        assert_eq!(manager.belief().0.knowledge, Knowledge::Localized);
+        assert_eq!(manager.summary().searches, 0);
+        let solution = manager.finish();
+        let farthest_m = (0..)
+            .zip(&solution.trajectory)
+            .map(|(step, placed)| way(step).distance_m(&placed.map_from_base.into()))
+            .fold(0.0, f64::max);
+        assert!(solution.trajectory.len() == 100 && farthest_m < 0.03, "{farthest_m} m");
+    }
+
+    #[test]
+    fn what_is_kept_of_a_robot_that_stands_for_hours_is_bounded_and_no_pose_is_lost() {
+        let map = room();
+        let mut manager = LocalizingManager::new(Surroundings::new(map.clone()));
+        let (scan, mut frozen) = (scan(&map, way(0)), Vec::new());
+        for sequence in 0..100_000 {
+            let mut pose = estimate(0, false);
+            pose.id.sequence = sequence;
+            manager.pose(&pose);
+            if sequence < 3 {
+                manager.node(scan.view().unwrap(), &pose, &[]);
+            }
+            assert!(manager.records.len() <= RECORDS_MAX + 1);
+            frozen.extend(manager.take_frozen());
+        }
+        let solution = manager.finish();
+        assert_eq!(frozen.len() + solution.trajectory.len(), 100_000);
+        let at = |pose: Pose| way(0).distance_m(&pose.into());
+        assert!(frozen.iter().all(|scan| at(scan.anchor_from_base) < 0.03));
+        assert!(solution.trajectory.iter().all(|scan| at(scan.map_from_base) < 0.03));
+    }
 }

@@ -166,6 +166,9 @@ impl SyncProcess {
     fn recover(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.catch_up(u64::MAX, context)?;
         self.recovered = true;
+        if let Some(localizing) = self.logic.localizing() {
+            localizing.resume();
+        }
         self.join.finished(self.join.expected)
     }
 
@@ -222,10 +225,14 @@ impl SyncProcess {
         scan: Option<ScanView<'_>>,
         moving: &[BeamRange],
     ) -> Result<(), StageError> {
-        self.logic.pose(pose);
         self.pose = Some(*pose);
         self.trajectories.published(pose);
         self.summary.count(pose);
+        if let Some(localizing) = self.logic.localizing().filter(|_| !self.recovered) {
+            localizing.published(pose);
+            return Ok(());
+        }
+        self.logic.pose(pose);
         if let Some(scan) = scan.filter(|_| self.optimises && pose.has(PoseFlags::MATCHED)) {
             self.logic.node(scan, pose, moving);
         }

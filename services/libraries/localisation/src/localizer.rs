@@ -68,6 +68,8 @@ const BESIDE_M: f64 = 3.0;
 const BESIDE_REACH: (f64, f64) = (1.0, 0.15);
 /// … and taken when its merit is so much better.
 const BESIDE_BETTER: f64 = 0.1;
+/// How far a robot may be from where a predecessor of this process had it: standard deviations, metres and radians.
+const RESUMED_SIGMA: (f64, f64) = (0.1, 0.03);
 /// A robot has lost its place when more than this of what it has seen contradicts the map, and less than three times as much is explained.
 const LOST_CONTRADICTED: f64 = 0.1;
 const LOST_EXPLAINED: f64 = 3.0;
@@ -183,6 +185,14 @@ impl Localizer {
         self.belief = Belief::default();
         self.searched_at = None;
         self.hint = hint;
+    }
+
+    /// Goes on where a predecessor had the robot: its correction, which the next view has to bear out.
+    pub fn resume(&mut self, map_from_odom: Placement) {
+        let (position, heading) = (RESUMED_SIGMA.0.powi(-2), RESUMED_SIGMA.1.powi(-2));
+        self.followed =
+            Some(Followed { map_from_odom, information: [position, 0.0, 0.0, position, 0.0, heading] });
+        self.belief.knowledge = Knowledge::Localized;
     }
 
     /// The front end has begun a trajectory that is not known relative to the one before.

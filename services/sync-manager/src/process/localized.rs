@@ -16,10 +16,15 @@ impl SyncProcess {
     pub(super) fn localized(&mut self, context: &StageContext) -> Result<(), StageError> {
         let Some(localizing) = self.logic.localizing() else { return Ok(()) };
         self.trajectories.frozen(&localizing.take_frozen());
-        let status = status(localizing);
-        if !self.is_active || self.localisation.as_ref() == Some(&status) {
+        let (belief, stamp_ns) = localizing.belief();
+        let is_known = self
+            .localisation
+            .as_ref()
+            .is_some_and(|last| last.stamp_ns == stamp_ns && last.knowledge == belief.knowledge.name());
+        if !self.is_active || is_known {
             return Ok(());
         }
+        let status = status(localizing);
         // In exact replay corrections have fixed places: after each closed submap.
         let live = context.mode == Mode::Live;
         let submap = self.next_submap.saturating_sub(1);
