@@ -76,6 +76,9 @@ fn killed_stages_and_orders_leave_the_known_map_as_it_is() {
             is_localized(status) && status.localisation.as_ref().is_some_and(|l| l.stamp_ns > handled)
         });
     }
+    // The supervisor and all stages at once; the next set of this name goes on in the same map.
+    let mut set = set.kill_and_start_again();
+    set.wait_until("the robot is localized by the next set", is_localized);
     let searches = set.status().unwrap().localisation.unwrap().searches;
     set.command_well(&["relocalize"]);
     set.wait_until("the robot is looked for on request", |status| {

@@ -5,10 +5,11 @@ use super::run::{Run, run as run_set};
 use crate::arguments::{ConfigurationArgs, RunArgs};
 use crate::configuration::Profile;
 use crate::store::{SavedMap, read_nav2_map};
+use crate::supervisor::{SetError, SetFile};
 use flockslam_bus::RuntimeDir;
 use flockslam_journal::{Durability, replace_file_by};
 use flockslam_lidar_ingest::process::Source;
-use flockslam_results::{KNOWN_MAP, StoredMap, write_map_file};
+use flockslam_results::{KNOWN_MAP, MapReader, StoredMap, write_map_file};
 use std::path::{Path, PathBuf};
 
 /// The description of a map in the outputs of a run.
@@ -56,6 +57,38 @@ fn of_saved(map: SavedMap) -> Result<StoredMap, CommandError> {
     let removed = std::fs::remove_dir_all(&out).map_err(CommandError::failed);
     let map = read?;
     removed.map(|()| map)
+}
+
+/// Whether a set can go on with what a killed one of its name has left. What it knew of a robot in another known map is forgotten.
+///
+/// # Errors
+/// When the killed set was making a map, and this one is to localize.
+pub(super) fn fits_killed_set(runtime: &RuntimeDir, known: Option<&StoredMap>) -> Result<bool, CommandError> {
+    let left = SetFile::read(&runtime.configuration()).map_err(SetError::from)?;
+    let fits = match (left.options.localizes, known) {
+        (false, None) => true,
+        (false, Some(_)) => {
+            return Err(CommandError::user(format!(
+                "{}: a killed set left a map that it was making; start it without --localize, or remove the directory",
+                runtime.path().display()
+            )));
+        }
+        (true, None) => false,
+        (true, Some(known)) => left_map(runtime).is_some_and(|left| left == *known),
+    };
+    if !fits {
+        runtime.forget_state().map_err(CommandError::failed)?;
+    }
+    Ok(fits)
+}
+
+/// The map that a killed set localized in.
+fn left_map(runtime: &RuntimeDir) -> Option<StoredMap> {
+    let reader = MapReader::open_file(runtime.results().join(KNOWN_MAP)).ok()?;
+    let shape = reader.shape();
+    let mut map = StoredMap::of_width(shape.width, shape.cell_size_m, shape.origin);
+    reader.for_each_row(|row| map.push_row(row)).ok()?;
+    Some(map)
 }
 
 /// Puts a map where the stages of a set look for it.

@@ -89,6 +89,7 @@ impl LiveSet {
             // Whose records go with the map stays who it is.
             configuration.sync_manager.flock.key_file = map.directory().join("flock.key");
         }
+        let taken_over = taken_over && localisation_map::fits_killed_set(&runtime, known_map.as_ref())?;
         let first_sequence = match &map {
             _ if taken_over => first_of_killed_set(&runtime, &configuration)?,
             Some(map) if map.exists() => {
