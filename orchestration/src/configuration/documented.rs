@@ -86,7 +86,7 @@ fn the_document_lists_exactly_the_keys_that_exist_with_their_defaults() {
 }
 
 /// More keys than this nobody looks through: one that nobody turns becomes a constant.
-const ROWS_MAX: usize = 115;
+const ROWS_MAX: usize = 116;
 
 #[test]
 fn the_document_stays_short() {

@@ -114,7 +114,8 @@ fn description(text: &str) -> Result<Description, String> {
     };
     let needed = |key: &str| value(key).ok_or_else(|| format!("no '{key}:' line"));
     let number = |key: &str, text: &str| {
-        let number: f64 = text.trim().parse().map_err(|_| format!("{key}: '{text}' is not a number"))?;
+        let text = text.trim();
+        let number: f64 = text.parse().map_err(|_| format!("{key}: '{text}' is not a number"))?;
         if number.is_finite() { Ok(number) } else { Err(format!("{key}: {text} is not a number")) }
     };
     let resolution_m = number("resolution", &needed("resolution")?)?;
