@@ -1,16 +1,13 @@
 //! The map that a set shall localize in: a saved map, the outputs of a run, or a map of somebody else. It is only read.
 
 use super::CommandError;
-use super::run::{Run, run as run_set};
-use crate::arguments::{ConfigurationArgs, RunArgs};
-use crate::configuration::Profile;
 use crate::store::{SavedMap, read_nav2_map};
 use crate::supervisor::{SetError, SetFile};
 use flockslam_bus::RuntimeDir;
 use flockslam_journal::{Durability, replace_file_by};
-use flockslam_lidar_ingest::process::Source;
 use flockslam_results::{KNOWN_MAP, MapReader, StoredMap, write_map_file};
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 /// The description of a map in the outputs of a run.
 const DESCRIPTION: &str = "map.yaml";
@@ -27,9 +24,8 @@ pub(super) fn read(path: &Path) -> Result<StoredMap, CommandError> {
     if path.join(DESCRIPTION).is_file() {
         return nav2(&path.join(DESCRIPTION));
     }
-    let saved = SavedMap::at(path);
-    if saved.exists() {
-        return of_saved(saved);
+    if SavedMap::at(path).exists() {
+        return of_saved(path);
     }
     Err(CommandError::user(format!(
         "{}: there is no map to localize in: give a saved map, the outputs of a run, or a nav2 map.yaml",
@@ -37,26 +33,23 @@ pub(super) fn read(path: &Path) -> Result<StoredMap, CommandError> {
     )))
 }
 
-/// The fused map of a saved map: a run without a source makes it, in a directory of its own.
-fn of_saved(map: SavedMap) -> Result<StoredMap, CommandError> {
+/// The fused map of a saved map: `store export` makes it in a process of its own, since a process belongs to one set only.
+fn of_saved(map: &Path) -> Result<StoredMap, CommandError> {
     let out = std::env::temp_dir().join(format!("flockslam-known-{}", std::process::id()));
-    let configuration =
-        ConfigurationArgs { config: None, assignments: Vec::new(), profile: Profile::Default };
-    let args = RunArgs {
-        out: out.clone(),
-        rate: None,
-        live: false,
-        localize: None,
-        robot: None,
-        metrics_port: None,
-        configuration,
+    let executable = std::env::current_exe().map_err(CommandError::failed)?;
+    let exported =
+        Command::new(executable).args(["store", "export"]).arg(map).arg("--out").arg(&out).output();
+    let exported = exported.map_err(CommandError::failed)?;
+    let read = if exported.status.success() {
+        read_nav2_map(&out.join(DESCRIPTION)).map_err(CommandError::user)
+    } else {
+        let said = String::from_utf8_lossy(&exported.stderr);
+        let reason = said.lines().last().unwrap_or("its export ended").trim_start_matches("flockslam: ");
+        Err(CommandError::user(format!("{}: {reason}", map.display())))
     };
-    let run = Run { source: Source::Nothing, world: None, scans: None, continues: Some(map) };
-    let outcome = run_set(&args, run);
-    let read = outcome.and_then(|_| read_nav2_map(&out.join(DESCRIPTION)).map_err(CommandError::user));
-    let removed = std::fs::remove_dir_all(&out).map_err(CommandError::failed);
-    let map = read?;
-    removed.map(|()| map)
+    // What it has written is of no more use.
+    let _ = std::fs::remove_dir_all(&out);
+    read
 }
 
 /// Whether a set can go on with what a killed one of its name has left. What it knew of a robot in another known map is forgotten.

@@ -108,7 +108,10 @@ impl LocalizingManager {
             let step_m = last.odom.distance_m(&pose.odom_from_base.into());
             self.travel_m += if last.trajectory == pose.trajectory { step_m } else { 0.0 };
         }
-        self.records.push(PoseRecord::new(pose));
+        let mut record = PoseRecord::new(pose);
+        // Numbers of trajectories only rise. A restarted front end may publish an earlier one.
+        record.trajectory = self.records.last().map_or(0, |last| last.trajectory).max(record.trajectory);
+        self.records.push(record);
         let count = if self.is_localized {
             &mut self.summary.localized_scans
         } else {

@@ -3,7 +3,7 @@
 use crate::surface_lines::SurfaceLines;
 use crate::{KnownMap, PlaceField};
 use flockslam_evidence::CellState;
-use flockslam_pose_graph::Symmetric;
+use flockslam_pose_graph::{Symmetric, inverse, times};
 use flockslam_registration::cloud::Placement;
 
 /// Gauss–Newton steps.
@@ -46,8 +46,6 @@ pub struct Fit {
     pub information: Symmetric,
     /// Share of the points within the gate of a line.
     pub inliers: f64,
-    /// Root mean square distance of those from their lines, metres.
-    pub spread_m: f64,
 }
 
 /// How points agree with the map at a pose: shares of all points.
@@ -57,8 +55,6 @@ pub struct Agreement {
     pub explained: f64,
     /// Points in known-free space, or behind something that their beam would have met.
     pub contradicted: f64,
-    /// Points that the map says something of.
-    pub judged: f64,
 }
 
 /// The known map in the forms that search, refinement and judgement read.
@@ -100,7 +96,7 @@ impl Surroundings {
             for (h, prior) in h.iter_mut().zip(prior) {
                 *h += prior;
             }
-            let pull = product(prior, &from_guess);
+            let pull = times(prior, &from_guess);
             g.iter_mut().zip(pull).for_each(|(g, pull)| *g += pull);
             let delta = solved(&h, &g)?;
             let bounded = |v: f64, most: f64| v.clamp(-most, most);
@@ -116,7 +112,6 @@ impl Surroundings {
             map_from_cloud: at,
             information: sums.h,
             inliers: f64::from(sums.inliers) / points.len() as f64,
-            spread_m: (sums.squared / f64::from(sums.inliers)).sqrt(),
         })
     }
 
@@ -141,14 +136,13 @@ impl Surroundings {
             sums.h.iter_mut().zip(h).for_each(|(sum, h)| *sum += h);
             sums.g.iter_mut().zip([wx, wy, wt]).for_each(|(sum, w)| *sum += w * distance);
             sums.inliers += 1;
-            sums.squared += distance * distance;
         }
         sums
     }
 
     /// How points agree with the map at a pose.
     pub fn agreement(&self, points: &[SeenPoint], map_from_cloud: &Placement) -> Agreement {
-        let (mut explained, mut contradicted, mut judged) = (0, 0, 0);
+        let (mut explained, mut contradicted) = (0, 0);
         for point in points {
             let (x, y) = map_from_cloud.apply(point.x_m, point.y_m);
             let place = self.map.at(x, y);
@@ -157,10 +151,9 @@ impl Surroundings {
             let is_behind = !is_in_free && self.is_behind(point, map_from_cloud);
             explained += u32::from(is_explained && !is_behind);
             contradicted += u32::from(is_in_free || is_behind);
-            judged += u32::from(is_explained || is_in_free || is_behind);
         }
         let share = |count: u32| f64::from(count) / points.len().max(1) as f64;
-        Agreement { explained: share(explained), contradicted: share(contradicted), judged: share(judged) }
+        Agreement { explained: share(explained), contradicted: share(contradicted) }
     }
 
     /// Whether a beam to a point would have ended at something before it.
@@ -187,7 +180,6 @@ struct Sums {
     h: Symmetric,
     g: [f64; 3],
     inliers: u32,
-    squared: f64,
 }
 
 impl Sums {
@@ -222,16 +214,7 @@ impl Sums {
     }
 }
 
-fn product(m: &Symmetric, v: &[f64; 3]) -> [f64; 3] {
-    [
-        m[0] * v[0] + m[1] * v[1] + m[2] * v[2],
-        m[1] * v[0] + m[3] * v[1] + m[4] * v[2],
-        m[2] * v[0] + m[4] * v[1] + m[5] * v[2],
-    ]
-}
-
 /// `h⁻¹ · g`; `None` when h has no inverse.
 fn solved(h: &Symmetric, g: &[f64; 3]) -> Option<[f64; 3]> {
-    let inverse = flockslam_pose_graph::inverse(h)?;
-    Some(product(&inverse, g))
+    Some(times(&inverse(h)?, g))
 }

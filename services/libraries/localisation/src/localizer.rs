@@ -115,6 +115,13 @@ pub struct Hint {
     pub sigma_rad: f64,
 }
 
+impl Hint {
+    /// Where it says that the robot is to be looked for.
+    fn near(&self) -> Near {
+        Near { pose: self.map_from_base, reach_m: 3.0 * self.sigma_m, turn_rad: 3.0 * self.sigma_rad }
+    }
+}
+
 #[derive(Clone, Copy)]
 struct Followed {
     map_from_odom: Placement,
@@ -298,14 +305,12 @@ impl Localizer {
             return false;
         }
         let points: Vec<(f64, f64)> = cloud.iter().map(|p| (p.x_m, p.y_m)).collect();
-        let near =
-            Near { pose: hint.map_from_base, reach_m: 3.0 * hint.sigma_m, turn_rad: 3.0 * hint.sigma_rad };
-        let quest = Quest { score_min: 0.0, share_min: SHARE_MIN, near: Some(near) };
+        let quest = Quest { score_min: 0.0, share_min: SHARE_MIN, near: Some(hint.near()) };
         let places = self.search.find(self.surroundings.field(), &points, &quest);
         let starts = places.found.iter().map(|place| place.map_from_cloud).chain([hint.map_from_base]);
         let unit = FIT_INFORMATION / cloud.len() as f64;
         let fitted = starts.filter_map(|start| {
-            // The pull is towards the hint, wherever the fit starts.
+            // A fit is drawn to its start; how far that is from the hint counts in its merit.
             let fit = self.surroundings.fit(&cloud, start, &prior.map(|v| v / unit))?;
             let agreement = self.surroundings.agreement(&cloud, &fit.map_from_cloud);
             let moved = hint.map_from_base.to(fit.map_from_cloud);
@@ -342,11 +347,7 @@ impl Localizer {
             return;
         }
         // A hint that leads nowhere is not asked twice.
-        let near = self.hint.take().map(|hint| Near {
-            pose: hint.map_from_base,
-            reach_m: 3.0 * hint.sigma_m,
-            turn_rad: 3.0 * hint.sigma_rad,
-        });
+        let near = self.hint.take().map(|hint| hint.near());
         let cloud = self.recent.cloud(SEARCH_M, 2 * POINTS);
         if cloud.len() < POINTS_MIN {
             self.belief = Belief::default();

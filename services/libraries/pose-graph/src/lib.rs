@@ -11,4 +11,4 @@ mod symmetric;
 pub use edge::Edge;
 pub use graph::PoseGraph;
 pub use robust::{RobustSettings, Solved, solve};
-pub use symmetric::{Symmetric, in_frame, inflated, inverse};
+pub use symmetric::{Symmetric, in_frame, inflated, inverse, times};
