@@ -96,6 +96,23 @@ fn killed_stages_and_orders_leave_the_known_map_as_it_is() {
 }
 
 #[test]
+fn a_saved_map_is_localized_in_and_stays_as_it_is() {
+    let directory = tempfile::tempdir().unwrap();
+    let saved = directory.path().join("saved");
+    let mut first = LiveSet::start("keeps", directory.path(), LONG, &format!("map = {saved:?}"));
+    first.wait_until_handled(Stage::ScanMatcher, 300);
+    first.command_well(&["down"]);
+    assert_eq!(first.wait(), Some(0));
+    let bytes = || ["map.head", "scans.journal"].map(|name| fs::read(saved.join(name)).unwrap());
+    let before = bytes();
+    let mut second = LiveSet::start("reads", directory.path(), LONG, &format!("localize = {saved:?}"));
+    second.wait_until("the robot is localized", is_localized);
+    second.command_well(&["down"]);
+    assert_eq!(second.wait(), Some(0));
+    assert!(before == bytes(), "the saved map has changed");
+}
+
+#[test]
 fn a_robot_that_is_not_in_the_map_is_not_found_there() {
     let directory = tempfile::tempdir().unwrap();
     let (known, out) = (directory.path().join("known"), directory.path().join("out"));
