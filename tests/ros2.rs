@@ -224,7 +224,7 @@ fn services_and_parameters_do_what_they_say() {
     });
     assert_eq!(said, 1, "one line is enough");
     let values = peer.tell(&json!(["all parameters", "flockslam"]));
-    assert_eq!(values.as_array().map(Vec::len), Some(16), "an answer with all of them fits a datagram");
+    assert_eq!(values.as_array().map(Vec::len), Some(17), "an answer with all of them fits a datagram");
     let walls = |cells: &[i8]| cells.iter().filter(|value| **value == 100).count();
     let (_, cells) = peer.map(directory.path());
     assert!(walls(&cells) > 100);
@@ -234,6 +234,11 @@ fn services_and_parameters_do_what_they_say() {
     assert_eq!(answer["result"], 0);
     assert!(flockslam().args(["store", "check"]).arg(&kept).output().unwrap().status.success());
 
+    for (localizes, mode) in [(true, "localize"), (false, "map")] {
+        let answer = peer.call("std_srvs/SetBool", "/flockslam/localize", json!({ "data": localizes }));
+        assert_eq!(answer["success"], true, "{answer}");
+        assert_eq!(set.status().unwrap().mode.name, mode);
+    }
     let answer =
         peer.call("slam_toolbox/Reset", "/slam_toolbox/reset", json!({ "pause_new_measurements": false }));
     assert_eq!(answer["result"], 0);
@@ -243,9 +248,12 @@ fn services_and_parameters_do_what_they_say() {
             .as_u64()
     };
     assert_eq!(save(&mut peer), Some(1), "there is no map any more");
-    let load = json!({ "filename": kept, "match_type": 1, "x": 0.0, "y": 0.0, "theta": 0.0 });
-    let answer = peer.call("slam_toolbox/DeserializePoseGraph", "/slam_toolbox/deserialize_map", load);
-    assert_eq!(answer["result"], 0);
+    // To localize in a map has no meaning for a set that makes one.
+    for (match_type, result) in [(3, 2), (9, 2), (1, 0)] {
+        let load = json!({ "filename": kept, "match_type": match_type, "x": 0.0, "y": 0.0, "theta": 0.0 });
+        let answer = peer.call("slam_toolbox/DeserializePoseGraph", "/slam_toolbox/deserialize_map", load);
+        assert_eq!(answer["result"], result, "{match_type}");
+    }
     wait_for("the loaded map", || (save(&mut peer) == Some(0)).then_some(()));
     let image = image::open(picture.with_extension("pgm")).unwrap().into_luma8();
     assert!(image.pixels().filter(|pixel| pixel.0 == [0]).count() > 100, "walls are in it");
@@ -306,6 +314,56 @@ fn corrections_follow_bad_wheels_and_callers_of_cyclone_dds_are_answered() {
     let called = json!({ "guid": 71, "sequence": 5, "nothing": 0 });
     let state = peer.call("lifecycle_msgs/GetState by header", "/flockslam/get_state", called.clone());
     assert_eq!(state, json!({ "guid": 71, "sequence": 5, "id": 3, "label": "active" }));
+    set.command_well(&["down"]);
+}
+
+#[test]
+fn callers_of_cyclone_dds_read_and_set_parameters_and_change_the_state() {
+    machine_share::mostly_waits();
+    let Some(graph) = Graph::new() else { return };
+    let directory = tempfile::tempdir().unwrap();
+    let variables = [("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")];
+    let set = graph.set_with("cyclone-calls", directory.path(), &[], &variables);
+    let mut peer = graph.peer("caller");
+    let mut sequence = 0;
+    let mut call = |kind: &str, name: &str, fields: Value| {
+        sequence += 1;
+        let mut called = json!({ "guid": 71, "sequence": sequence });
+        called.as_object_mut().unwrap().extend(fields.as_object().unwrap().clone());
+        let answer = peer.call(&format!("{kind} by header"), &format!("/flockslam/{name}"), called);
+        assert_eq!((&answer["guid"], &answer["sequence"]), (&json!(71), &json!(sequence)), "{name}");
+        answer
+    };
+    let listed =
+        call("rcl_interfaces/ListParameters", "list_parameters", json!({ "prefixes": [], "depth": 10 }));
+    assert_eq!(listed["result"]["names"].as_array().map(Vec::len), Some(17), "{listed}");
+    let names = json!({ "names": ["odom_frame", "resolution", "use_sim_time"] });
+    let values = &call("rcl_interfaces/GetParameters", "get_parameters", names)["values"];
+    assert_eq!((&values[0]["type"], &values[0]["string_value"]), (&json!(4), &json!("odom")));
+    assert_eq!((&values[1]["type"], &values[1]["double_value"]), (&json!(3), &json!(0.05)));
+    assert_eq!((&values[2]["type"], &values[2]["bool_value"]), (&json!(1), &json!(false)));
+    let given = json!({ "parameters": [["transform_timeout", 0.3], ["map_update_interval", 0.0]] });
+    let results = &call("rcl_interfaces/SetParameters", "set_parameters", given)["results"];
+    let expected = json!([
+        { "successful": true, "reason": "" },
+        { "successful": false, "reason": "0 is not between 0.1 and 3600" }
+    ]);
+    assert_eq!(results, &expected);
+    let names = json!({ "names": ["transform_timeout"] });
+    let values = &call("rcl_interfaces/GetParameters", "get_parameters", names)["values"];
+    assert_eq!(values[0]["double_value"], json!(0.3));
+
+    let nothing = json!({ "nothing": 0 });
+    for (transition, is_one, state) in
+        [(3, false, "active"), (4, true, "inactive"), (2, true, "unconfigured")]
+    {
+        let changed = call("lifecycle_msgs/ChangeState", "change_state", json!({ "transition": transition }));
+        assert_eq!(changed["success"], json!(is_one), "{transition}");
+        assert_eq!(call("lifecycle_msgs/GetState", "get_state", nothing.clone())["label"], json!(state));
+    }
+    let available = call("lifecycle_msgs/GetAvailableTransitions", "get_available_transitions", nothing);
+    let labels: Vec<_> = available["available_transitions"].as_array().unwrap().iter().collect();
+    assert!(labels.iter().any(|found| found["transition"]["label"] == "configure"), "{labels:?}");
     set.command_well(&["down"]);
 }
 

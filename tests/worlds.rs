@@ -12,6 +12,8 @@ const TORN_M: f64 = 0.4;
 /// So many of a thousand seconds said to be tracked may be wrong, over so many seeds.
 const FALSE_CLAIMS_PER_MILLE: usize = 1;
 const YARD_SEEDS: u64 = 6;
+/// Error of the final trajectories in the yard, root mean square, in the mean of these seeds, metres: a tenth more than 0.37 m.
+const YARD_ERROR_M: f64 = 0.41;
 /// Error of the final trajectory on a third of a tour of the campus, root mean square, metres: a tenth more than 0.85 m.
 const CAMPUS_ERROR_M: f64 = 0.94;
 
@@ -52,8 +54,8 @@ fn a_warehouse_whose_aisles_are_all_alike() {
 
 /// Outdoors a pose is right or says that it may not be.
 ///
-/// Over six seeds none of 5867 seconds that are said to be tracked is wrong (3.3 of a thousand before scans in the open were fitted to
-/// surfaces). Most final trajectories are off by metres, where wheels slip by 60° among hedges that return little: nothing is asked of these here.
+/// Wheels slip four times in each drive, by up to 60°, where a tree or two are in sight. Before scans showed it, the final trajectories were
+/// off by 3.9 m in the mean of twenty seeds.
 #[test]
 fn of_a_thousand_seconds_in_a_yard_said_to_be_tracked_few_are_wrong() {
     let drives: Vec<YardDrive> = (1..=YARD_SEEDS).map(YardDrive::with_seed).collect();
@@ -61,6 +63,8 @@ fn of_a_thousand_seconds_in_a_yard_said_to_be_tracked_few_are_wrong() {
     let sum = |value: fn(&YardDrive) -> usize| drives.iter().map(value).sum::<usize>();
     let (wrong, claims) = (sum(|drive| drive.false_claims), sum(|drive| drive.claims));
     assert!(1000 * wrong <= FALSE_CLAIMS_PER_MILLE * claims, "{wrong} of {claims}: {drives:?}");
+    let error_m = drives.iter().map(|drive| drive.ate_m).sum::<f64>() / drives.len() as f64;
+    assert!(error_m < YARD_ERROR_M, "{error_m} m: {drives:?}");
     // Nor does it never trust itself: 0.50 to 0.59 of the scans by seed.
     assert!(drives.iter().all(|drive| drive.tracked > 0.45), "{drives:?}");
 }

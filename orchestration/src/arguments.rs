@@ -2,7 +2,7 @@
 
 use crate::configuration::Profile;
 use crate::lidar_arguments::LidarCommand;
-use crate::localisation_arguments::RelocalizeArgs;
+use crate::localisation_arguments::{ModeArgs, RelocalizeArgs};
 use crate::supervisor::known_stage;
 use crate::topic_arguments::TopicArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -48,6 +48,8 @@ pub enum Command {
     Reset(RobotArgs),
     /// Lets a set that localizes look for its robot in the known map anew
     Relocalize(RelocalizeArgs),
+    /// Lets a running set localize in its map as it is, or map again
+    Mode(ModeArgs),
     /// Changes how many processes a stage of a running set has
     Scale(ScaleArgs),
     /// Shows a running set live in the terminal: stages, latencies, drops, restarts
@@ -254,7 +256,7 @@ pub struct UpArgs {
     #[arg(long, value_name = "DIR")]
     pub map: Option<PathBuf>,
     /// Find the robot in this map and follow it there, instead of making a map: a saved map, the outputs of a run, or a nav2 map.yaml.
-    /// The map is only read
+    /// The map is only read. `ros`: the map that another node of the graph publishes
     #[arg(long, value_name = "MAP", conflicts_with = "map")]
     pub localize: Option<PathBuf>,
     /// When the source ends, write the outputs of `map` into this directory

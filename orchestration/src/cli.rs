@@ -36,6 +36,7 @@ pub fn main() -> ExitCode {
         Command::Resume(args) => commands::control_command::pause(&args, false),
         Command::Reset(args) => commands::control_command::reset(&args),
         Command::Relocalize(args) => commands::control_command::relocalize(&args),
+        Command::Mode(args) => commands::control_command::mode(&args),
         Command::Scale(args) => commands::control_command::scale(&args),
         Command::Top(args) => commands::top_command::run(&args),
         Command::Log(args) => commands::log_command::run(&args),

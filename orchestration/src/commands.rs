@@ -16,6 +16,7 @@ mod localisation_map;
 pub mod log_command;
 pub mod map;
 mod meetings;
+mod mode_order;
 pub mod page_command;
 mod progress_bar;
 pub mod record_command;

@@ -1,15 +1,20 @@
 """Messages that no package of the index has for rclpy, and the quality of service that nodes of ROS give their topics, for Cyclone DDS."""
 import math
+import sys
 import time
 from dataclasses import dataclass
 
 import cyclonedds.idl.types as T
 from cyclonedds.core import Policy, Qos
+from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct, make_idl_struct
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
+
+LIMIT_S = 40
+DISCOVERY_S, ANSWER_S = 5, 15
 
 
 @dataclass
@@ -99,6 +104,62 @@ class BondStatus(IdlStruct, typename="bond::msg::dds_::Status_"):
     heartbeat_period: T.float32
 
 
+@dataclass
+class ParameterValue(IdlStruct, typename="rcl_interfaces::msg::dds_::ParameterValue_"):
+    type: T.uint8
+    bool_value: bool
+    integer_value: T.int64
+    double_value: T.float64
+    string_value: str
+    byte_array_value: T.sequence[T.uint8]
+    bool_array_value: T.sequence[bool]
+    integer_array_value: T.sequence[T.int64]
+    double_array_value: T.sequence[T.float64]
+    string_array_value: T.sequence[str]
+
+
+@dataclass
+class Parameter(IdlStruct, typename="rcl_interfaces::msg::dds_::Parameter_"):
+    name: str
+    value: ParameterValue
+
+
+@dataclass
+class SetParametersResult(IdlStruct, typename="rcl_interfaces::msg::dds_::SetParametersResult_"):
+    successful: bool
+    reason: str
+
+
+@dataclass
+class ListParametersResult(IdlStruct, typename="rcl_interfaces::msg::dds_::ListParametersResult_"):
+    names: T.sequence[str]
+    prefixes: T.sequence[str]
+
+
+@dataclass
+class Transition(IdlStruct, typename="lifecycle_msgs::msg::dds_::Transition_"):
+    id: T.uint8
+    label: str
+
+
+@dataclass
+class State(IdlStruct, typename="lifecycle_msgs::msg::dds_::State_"):
+    id: T.uint8
+    label: str
+
+
+@dataclass
+class TransitionDescription(IdlStruct, typename="lifecycle_msgs::msg::dds_::TransitionDescription_"):
+    transition: Transition
+    start_state: State
+    goal_state: State
+
+
+def parameter(name, value):
+    """A parameter that is a number."""
+    return Parameter(name, ParameterValue(3, False, 0, value, "", [], [], [], [], []))
+
+
 def service(package, name, request, response):
     """The request and the response of a service, with these fields."""
 
@@ -114,7 +175,29 @@ NOTHING, RESULT = {"nothing": T.uint8}, {"result": T.uint8}
 PLACE = {"x": T.float64, "y": T.float64, "theta": T.float64}
 SAVED = {"map_topic": str, "map_url": str, "image_format": str, "map_mode": str}
 SAVED |= {"free_thresh": T.float32, "occupied_thresh": T.float32}
+VALUES, RESULTS = {"values": T.sequence[ParameterValue]}, {"results": T.sequence[SetParametersResult]}
 SERVICES = {
+    "rcl_interfaces/GetParameters by header": service(
+        "rcl_interfaces", "GetParameters", {**CALLER, "names": T.sequence[str]}, {**CALLER, **VALUES}
+    ),
+    "rcl_interfaces/SetParameters by header": service(
+        "rcl_interfaces", "SetParameters", {**CALLER, "parameters": T.sequence[Parameter]}, {**CALLER, **RESULTS}
+    ),
+    "rcl_interfaces/ListParameters by header": service(
+        "rcl_interfaces",
+        "ListParameters",
+        {**CALLER, "prefixes": T.sequence[str], "depth": T.uint64},
+        {**CALLER, "result": ListParametersResult},
+    ),
+    "lifecycle_msgs/ChangeState by header": service(
+        "lifecycle_msgs", "ChangeState", {**CALLER, "transition": Transition}, {**CALLER, "success": bool}
+    ),
+    "lifecycle_msgs/GetAvailableTransitions by header": service(
+        "lifecycle_msgs",
+        "GetAvailableTransitions",
+        {**CALLER, **NOTHING},
+        {**CALLER, "available_transitions": T.sequence[TransitionDescription]},
+    ),
     "nav2_msgs/LoadMap": service("nav2_msgs", "LoadMap", {"map_url": str}, {"map": OccupancyGrid, **RESULT}),
     "nav2_msgs/SaveMap": service("nav2_msgs", "SaveMap", SAVED, {"result": bool}),
     "lifecycle_msgs/GetState by header": service(
@@ -141,29 +224,49 @@ def reader(participant, topic, kind, qos=VOLATILE):
     return DataReader(participant, Topic(participant, topic, kind, qos=qos), qos=qos)
 
 
-def call(participant, kind, name, fields, limit_s):
+# Fields of requests that are no plain values.
+BUILT = {
+    "parameters": lambda pairs: [parameter(*pair) for pair in pairs],
+    "transition": lambda number: Transition(number, ""),
+}
+
+
+def call(domain, kind, name, fields):
     """Calls a service; the answer's fields. Answers to other callers are not told apart: there are none."""
     request, response = SERVICES[kind]
-    answers = reader(participant, "rr" + name + "Reply", response)
-    requests = writer(participant, "rq" + name + "Request", request)
-    deadline = time.monotonic() + limit_s
-    while not (requests.get_matched_subscriptions() and answers.get_matched_publications()):
-        if time.monotonic() > deadline:
-            return None
-        time.sleep(0.01)
-    # The other side may know of this one a little later than this one of it.
-    time.sleep(0.1)
-    requests.write(request(**fields))
+    fields = {name: BUILT.get(name, lambda value: value)(value) for name, value in fields.items()}
+    deadline = time.monotonic() + LIMIT_S
     while time.monotonic() < deadline:
-        for answer in answers.take(N=1):
-            return fields_of(answer)
-        time.sleep(0.005)
+        # A participant that began while the other side had no socket yet is announced to it only half a minute later.
+        participant = DomainParticipant(domain)
+        answers = reader(participant, "rr" + name + "Reply", response)
+        requests = writer(participant, "rq" + name + "Request", request)
+        are_matched = lambda: requests.get_matched_subscriptions() and answers.get_matched_publications()
+        if not wait_until(are_matched, DISCOVERY_S):
+            print(f"{name}: not found within {DISCOVERY_S} s", file=sys.stderr)
+            continue
+        # The other side may know of this one a little later than this one of it: an answer before that is lost.
+        time.sleep(0.1)
+        requests.write(request(**fields))
+        found = []
+        if wait_until(lambda: found.extend(answers.take(N=1)) or found, ANSWER_S):
+            return fields_of(found[0])
+        print(f"{name}: no answer within {ANSWER_S} s", file=sys.stderr)
     return None
+
+
+def wait_until(is_so, limit_s=LIMIT_S):
+    deadline = time.monotonic() + limit_s
+    while not is_so() and time.monotonic() < deadline:
+        time.sleep(0.005)
+    return is_so()
 
 
 def fields_of(message):
     if hasattr(message, "__dataclass_fields__"):
         return {name: fields_of(getattr(message, name)) for name in message.__dataclass_fields__}
+    if isinstance(message, (list, bytes)):
+        return [fields_of(part) for part in message]
     return message
 
 

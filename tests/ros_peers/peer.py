@@ -6,8 +6,9 @@ call TYPE NAME FIELDS        calls a service
 parameters NODE NAMES        values; set NODE NAME VALUE sets one; all parameters NODE: the values of all that it lists
 bond ID                      begins to keep a bond as nav2's lifecycle manager does; bonded: whether the other side is alive
 diagnostics                  the last status of each name
-listen TYPE NAME             begins to hear a topic, and what it said last where it keeps that; heard NAME: how many messages came, and the last of them
+listen TYPE NAME             begins to hear a topic, and what it said last where it keeps that; heard NAME [LAST]: how many messages came, and the last of them
 say TYPE NAME FIELDS         publishes one message to whoever hears the topic
+serve_map PGM RESOLUTION X Y publishes a picture as nav2's map server does
 follow                       begins to keep a map by /map and its changes; followed: how many came, and whether changes bring it nearer to the next map
 qos NODE TOPIC               reliability and durability that a node publishes or hears a topic with
 correct                      publishes map → odom for a second, as another node would
@@ -23,6 +24,7 @@ import time
 import rclpy
 from cyclone_types import LATCHED as LATCHED_BY_CYCLONE
 from cyclone_types import (
+    LIMIT_S,
     SERVICES,
     BondStatus,
     Header,
@@ -31,6 +33,7 @@ from cyclone_types import (
     reader,
     stamp,
     transform,
+    wait_until,
     writer,
 )
 from cyclone_types import OccupancyGrid as GridByCyclone
@@ -43,10 +46,11 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-LIMIT_S = 20
 QUIET_S = 1.0
 HEARTBEAT_S, PATIENCE_S = 0.1, 4.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
+
+LINES = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
 
 born = time.monotonic()
 rclpy.init()
@@ -63,13 +67,6 @@ def take_diagnostics(message):
 
 
 node.create_subscription(DiagnosticArray, "/diagnostics", take_diagnostics, 10)
-
-
-def wait_until(is_so, limit_s=LIMIT_S):
-    deadline = time.monotonic() + limit_s
-    while not is_so() and time.monotonic() < deadline:
-        time.sleep(0.005)
-    return is_so()
 
 
 def wait(future):
@@ -134,7 +131,7 @@ def plain(message):
 
 def call(kind, name, fields):
     if kind in SERVICES:
-        return call_by_cyclone(DomainParticipant(int(os.environ["ROS_DOMAIN_ID"])), kind, name, fields, LIMIT_S)
+        return call_by_cyclone(int(os.environ["ROS_DOMAIN_ID"]), kind, name, fields)
     package, kind = kind.split("/")
     kind = getattr(importlib.import_module(package + ".srv"), kind)
     client = node.create_client(kind, name)
@@ -209,12 +206,12 @@ def kind_of(name):
 
 def listen(kind, name):
     topics[name] = []
-    node.create_subscription(kind_of(kind), name, topics[name].append, LATCHED if name == "/rosout" else 10)
+    node.create_subscription(kind_of(kind), name, topics[name].append, LINES if name == "/rosout" else 10)
     return True
 
 
-def heard(name):
-    return {"count": len(topics[name]), "last": [plain(message) for message in topics[name][-20:]]}
+def heard(name, last=20):
+    return {"count": len(topics[name]), "last": [plain(message) for message in topics[name][-last:]]}
 
 
 def say(kind, name, fields):
@@ -285,7 +282,24 @@ class FollowedMap:
         return {"maps": self.maps, "changes": self.changes, "nearer": self.nearer, "quiet_s": time.monotonic() - self.last}
 
 
+def serve_map(picture, resolution, x, y):
+    picture = open(picture, "rb").read()
+    width, height = (int(word) for word in picture.split(None, 3)[1:3])
+    pixels = picture[-width * height :]
+    grid = OccupancyGrid()
+    grid.header.frame_id = "map"
+    grid.info.width, grid.info.height, grid.info.resolution = width, height, resolution
+    grid.info.origin.position.x, grid.info.origin.position.y, grid.info.origin.orientation.w = x, y, 1.0
+    value = {0: 100, 254: 0}
+    rows = [pixels[row * width : (row + 1) * width] for row in reversed(range(height))]
+    grid.data = [value.get(pixel, -1) for row in rows for pixel in row]
+    served.append(node.create_publisher(OccupancyGrid, "/map", LATCHED))
+    served[-1].publish(grid)
+    return [width, height]
+
+
 bond = followed = None
+served = []
 
 
 def follow():
@@ -316,6 +330,7 @@ COMMANDS = {
     "qos": qos,
     "correct": correct,
     "seen": seen,
+    "serve_map": serve_map,
     "follow": follow,
     "followed": lambda: followed.state(),
     "bond": begin_bond,

@@ -1,8 +1,8 @@
 """A robot in the graph: plays the scans of a CARMEN log on /scan and its odometry on /tf, and notes what comes back on /tf and /pose.
 
-robot.py LOG RATE NAMESPACE OUT [WHEELS]
+robot.py LOG RATE NAMESPACE OUT [WHEELS [ROUNDS]]
 WHEELS: its odometry goes so much farther than the log's, and begins anew at zero in the middle of the drive; and the time of the graph is
-that of the log, by /clock.
+that of the log, by /clock. ROUNDS: the log is played so often, and time goes back in between, as with `ros2 bag play --loop --clock`.
 A line of standard output says `playing`, and `done` when all was sent and the last answers have come. OUT gets what was noted, as JSON.
 """
 import gc
@@ -25,6 +25,7 @@ from sensor_msgs.msg import LaserScan
 gc.disable()
 log, rate, namespace, out = sys.argv[1:5]
 rate, wheels = float(rate), float(sys.argv[5]) if len(sys.argv) > 5 else None
+rounds = int(sys.argv[6]) if len(sys.argv) > 6 else 1
 
 
 class Wheels:
@@ -82,7 +83,15 @@ while not moving.get_matched_subscriptions():
     assert time.monotonic() < deadline, "nobody hears /tf"
     time.sleep(0.01)
 clock = node.create_publisher(Clock, "/clock", qos_profile_sensor_data)
-odometry = wheels and Wheels(sum(1 for _ in scans(log)))
+count = sum(1 for _ in scans(log))
+if wheels:
+    while clock.get_subscription_count() == 0:
+        assert time.monotonic() < deadline, "nobody hears /clock"
+        look()
+        time.sleep(0.01)
+    # A simulation says the time before its first scan.
+    tick(next(scans(log))[0])
+    time.sleep(0.1)
 print("playing", flush=True)
 ticked = 0.0
 
@@ -96,16 +105,22 @@ def wait(now_ns):
     time.sleep(0.0005)
 
 
-for stamp_ns, start, step, ranges, laser, robot in paced(log, rate, wait):
-    if not noted["sent"]:
-        fixed.write(TFMessage([transform(stamp_ns, "base_footprint", "laser", *mounting(laser, robot))]))
-    robot = odometry.pose_at(robot) if odometry else robot
-    message = laser_scan(stamp_ns, start, step, ranges)
-    moving.write(TFMessage([transform(stamp_ns, "odom", "base_footprint", *robot)]))
-    noted["sent"].append([stamp_ns, *robot, time.monotonic_ns()])
-    publisher.publish(message)
+def play():
+    odometry = wheels and Wheels(count)
+    for stamp_ns, start, step, ranges, laser, robot in paced(log, rate, wait):
+        if not noted["sent"]:
+            fixed.write(TFMessage([transform(stamp_ns, "base_footprint", "laser", *mounting(laser, robot))]))
+        robot = odometry.pose_at(robot) if odometry else robot
+        message = laser_scan(stamp_ns, start, step, ranges)
+        moving.write(TFMessage([transform(stamp_ns, "odom", "base_footprint", *robot)]))
+        noted["sent"].append([stamp_ns, *robot, time.monotonic_ns()])
+        publisher.publish(message)
+
+
+for _ in range(rounds):
+    play()
 until = time.monotonic() + 3
-while time.monotonic() < until and (not noted["poses"] or noted["poses"][-1][0] < noted["sent"][-1][0]):
+while time.monotonic() < until and (not noted["poses"] or noted["poses"][-1][0] != noted["sent"][-1][0]):
     look()
     time.sleep(0.001)
 until = time.monotonic() + 0.3

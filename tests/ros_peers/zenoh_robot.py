@@ -171,8 +171,16 @@ state, has_caller = call("flockslam/get_state", "lifecycle_msgs/srv/GetState", G
 asked = GetParameters.Request(names=["odom_frame", "resolution"])
 values, _ = call("flockslam/get_parameters", "rcl_interfaces/srv/GetParameters", GetParameters, asked)
 whole, _ = call("slam_toolbox/dynamic_map", "nav_msgs/srv/GetMap", GetMap, GetMap.Request())
-tokens = [token.split("/") for token in announced() if "/flockslam" in token]
-own = [token for token in tokens if token[8] == "flockslam"]
+
+
+def announced_by_the_node():
+    tokens = [token.split("/") for token in announced() if "/flockslam" in token]
+    return [token for token in tokens if token[8] == "flockslam"]
+
+
+# An answer may lack some of it while the router is busy.
+wait_until(lambda: len(announced_by_the_node()) > 20)
+own = announced_by_the_node()
 hashes = []
 for token in own:
     if token[5] != "NN":

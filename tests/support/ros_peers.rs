@@ -127,6 +127,11 @@ impl Graph {
         self.play_with(log, rate, "/", &[&wheels.to_string()])
     }
 
+    /// As [`Self::play`], with the time of the log by `/clock`, which goes back before each further round.
+    pub fn play_again(&self, log: &Path, rate: f64, rounds: u32) -> Value {
+        self.play_with(log, rate, "/", &["1", &rounds.to_string()])
+    }
+
     fn play_with(&self, log: &Path, rate: f64, namespace: &str, more: &[&str]) -> Value {
         let out = log.with_extension("noted.json");
         let out_text = out.display().to_string();

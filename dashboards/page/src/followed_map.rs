@@ -6,7 +6,7 @@ use flockslam_bus::RuntimeDir;
 use flockslam_evidence::{Submap, TileKey};
 use flockslam_geometry::Pose;
 use flockslam_map_fusion::FusedMap;
-use flockslam_results::{self as results, LivePoses, SubmapStore};
+use flockslam_results::{self as results, LivePoses, SetMode, SubmapStore};
 use std::collections::BTreeMap;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -21,7 +21,11 @@ pub type Version = (u64, i64, i64);
 pub struct FollowedMap {
     store: SubmapStore,
     results: PathBuf,
+    cell_size_m: f64,
     optimises: bool,
+    /// The set localizes: its map is the known one.
+    localizes: bool,
+    mode_file: Option<Version>,
     /// Submaps that are stored.
     stored: u32,
     origins: Vec<(u32, Pose)>,
@@ -48,7 +52,10 @@ impl FollowedMap {
         let mut followed = Self {
             store: SubmapStore::new(&runtime.submaps()),
             results: runtime.results(),
+            cell_size_m,
             optimises,
+            localizes: false,
+            mode_file: None,
             stored: 0,
             origins: Vec::new(),
             submap_poses: BTreeMap::new(),
@@ -56,18 +63,37 @@ impl FollowedMap {
             versions: BTreeMap::new(),
             picture: FusedPicture::default(),
         };
-        if let Some(known) = known_submap(&runtime.results(), cell_size_m) {
-            followed.submap_poses.insert(KNOWN, Pose::IDENTITY);
-            if let Err(far) = followed.picture.place(KNOWN, known.encode(), Pose::IDENTITY) {
+        followed.mode_file = version_of(&SetMode::file(&followed.results));
+        followed.take_mode(true);
+        followed
+    }
+
+    /// Shows the known map while the set localizes in one, otherwise its submaps. A set that says nothing of its mode does so when
+    /// there `may_be` one.
+    fn take_mode(&mut self, may_be: bool) {
+        let localizes = SetMode::read(&self.results).map_or(may_be, |mode| mode.localizes);
+        let known = localizes.then(|| known_submap(&self.results, self.cell_size_m)).flatten();
+        self.localizes = known.is_some();
+        self.submap_poses.clear();
+        self.poses_file = None;
+        if let Some(known) = known {
+            self.picture.remove(KNOWN);
+            self.submap_poses.insert(KNOWN, Pose::IDENTITY);
+            if let Err(far) = self.picture.place(KNOWN, known.encode(), Pose::IDENTITY) {
                 tracing::warn!(%far, "the known map is not in the picture");
             }
         }
-        followed
     }
 
     /// Looks at what stages have stored. What cannot be read now is read later.
     pub fn look(&mut self) -> Stored {
         let mut stored = Stored::default();
+        let mode = version_of(&SetMode::file(&self.results));
+        if mode != self.mode_file {
+            self.mode_file = mode;
+            self.take_mode(self.localizes);
+            stored.is_new = true;
+        }
         while let Ok(bytes) = std::fs::read(self.store.file(self.stored)) {
             if let Ok(submap) = Submap::decode(&bytes) {
                 self.origins.push((self.stored, submap.odom_from_submap));
@@ -76,7 +102,8 @@ impl FollowedMap {
             stored.is_new = true;
         }
         let version = version_of(&results::live_poses_file(&self.results));
-        if version != self.poses_file || (stored.is_new && !self.optimises) {
+        let is_new = version != self.poses_file || (stored.is_new && !self.optimises);
+        if is_new && !self.localizes {
             self.poses_file = version;
             let poses = results::read_live_poses(&self.results).unwrap_or_default();
             self.submap_poses = if self.optimises {

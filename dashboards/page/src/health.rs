@@ -14,6 +14,10 @@ pub struct Health {
     pub state: String,
     /// Whether the set rests.
     pub paused: bool,
+    /// What it does with its map.
+    pub mode: ModeHealth,
+    /// Where it believes to be in the known map, when it localizes.
+    pub localisation: Option<LocalisationHealth>,
     /// Seconds since the supervisor began.
     pub uptime_s: f64,
     /// How the map is saved, when it is.
@@ -24,6 +28,26 @@ pub struct Health {
     pub unattached: Option<Unattached>,
     /// The robot's flock, when it is part of one.
     pub flock: Option<FlockHealth>,
+}
+
+/// What a set does with its map, as its supervisor tells it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct ModeHealth {
+    /// `map` or `localize`.
+    pub name: String,
+    /// It is being changed.
+    pub changing: bool,
+    /// Why the last change was not possible.
+    pub problem: Option<String>,
+}
+
+/// What is believed of the robot's place in a known map.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct LocalisationHealth {
+    /// `unknown`, `ambiguous` or `localized`.
+    pub knowledge: String,
 }
 
 /// How it is with the flock, as the robot's sync-manager tells it.

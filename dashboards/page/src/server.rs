@@ -202,6 +202,8 @@ enum Wanted {
     Restart(String),
     /// That the set rests, or goes on.
     Pause(bool),
+    /// That the set localizes in its map as it is, or maps again.
+    Localize(bool),
     /// The map on disk.
     Save,
 }
@@ -275,6 +277,11 @@ async fn obey(shared: &Arc<Shared>, id: u64, token: Option<&str>, what: Wanted) 
         }),
         Wanted::Pause(rests) => asked.access.pause(rests).map(|()| {
             let text = if rests { "the set was paused" } else { "the set goes on" };
+            asked.note_order(None, format!("{text}, from the page"));
+            text.to_owned()
+        }),
+        Wanted::Localize(localizes) => asked.access.localize(localizes).map(|()| {
+            let text = if localizes { "the set localizes in its map" } else { "the map is made further" };
             asked.note_order(None, format!("{text}, from the page"));
             text.to_owned()
         }),

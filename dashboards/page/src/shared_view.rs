@@ -49,6 +49,12 @@ pub trait SetAccess: Send + Sync + 'static {
     /// What the set says to it.
     fn pause(&self, rests: bool) -> Result<(), String>;
 
+    /// Lets the set localize in its map as it is (`true`), or map again.
+    ///
+    /// # Errors
+    /// Why it cannot.
+    fn localize(&self, localizes: bool) -> Result<(), String>;
+
     /// Saves the map; where it was saved.
     ///
     /// # Errors

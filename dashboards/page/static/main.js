@@ -43,6 +43,7 @@ function greet({ head, controls: given }) {
   set(find('#robot'), head.robot);
   document.title = `${head.robot} – flockslam`;
   find('#pause').hidden = controls === 'off';
+  find('#mode').hidden = controls === 'off';
   find('#save').hidden = !head.can_save || controls === 'off';
   const notes = { open: '', token: 'Orders need the token.', off: 'This page only shows: no token is set for orders.' };
   set(find('#controls-note'), notes[controls]);
@@ -78,6 +79,10 @@ function showHealth(health) {
   else if (health.paused) chip('#link', 'warn', 'paused');
   else if (down.length) chip('#link', 'warn', `${down[0].stage} ${down[0].state}`);
   else chip('#link', 'good', 'live');
+  const localizes = health.mode.name === 'localize';
+  find('#mode').setAttribute('aria-pressed', String(localizes));
+  find('#mode').disabled = health.mode.changing;
+  set(find('#mode'), localizes ? 'Map on' : 'Localize');
   find('#pause').setAttribute('aria-pressed', String(health.paused));
   set(find('#pause'), health.paused ? 'Go on' : 'Pause');
   const saved = health.saved;
@@ -139,6 +144,7 @@ find('#zoom-out').addEventListener('click', () => camera.zoom(1 / 1.4));
 find('#fit').addEventListener('click', () => camera.fit());
 find('#follow').addEventListener('click', () => camera.follow());
 find('#panel-toggle').addEventListener('click', togglePanel);
+find('#mode').addEventListener('click', () => order({ localize: find('#mode').getAttribute('aria-pressed') !== 'true' }));
 find('#pause').addEventListener('click', () => order({ pause: find('#pause').getAttribute('aria-pressed') !== 'true' }));
 find('#save').addEventListener('click', () => order('save'));
 for (const box of document.querySelectorAll('[data-layer]')) {

@@ -15,6 +15,8 @@ const MAGIC: [u8; 4] = *b"FLSM";
 const VERSION: u8 = 2;
 /// Where the bytes begin that the checksum is of.
 const CHECKED_FROM: usize = 9;
+/// Bytes from there to the levels: three numbers of 32 bits, two of 64, the reference pose and the size of a cell.
+const HEAD_BYTES: usize = 3 * 4 + 2 * 8 + 4 * 8;
 /// Tiles that a submap may have: memory that foreign bytes can ask for is bounded by it (128 MiB).
 const TILES_MAX: u32 = 8192;
 /// The least bytes of a tile: those of its key.
@@ -68,9 +70,35 @@ impl Submap {
         encode_keys(&self.tiles, &mut out);
         encode_masks(&self.tiles, &mut out);
         let mut out = encode_cells(&self.tiles, &levels, out);
-        let checksum = crc32fast::hash(&out[CHECKED_FROM..]);
-        out[CHECKED_FROM - 4..CHECKED_FROM].copy_from_slice(&checksum.to_le_bytes());
+        seal(&mut out);
         out
+    }
+
+    /// The stored form of a submap of which `stored` is an earlier stored form: only the cells that are masked may have changed. The same
+    /// bytes as [`Self::encode`] gives, without coding the cells anew.
+    ///
+    /// # Errors
+    /// When `stored` is not a stored form of this submap.
+    pub fn encode_cleared(&self, stored: &[u8]) -> Result<Vec<u8>, SubmapBytesError> {
+        let mut input = checked(stored)?;
+        input.take::<HEAD_BYTES>()?;
+        decode_levels(&mut input)?;
+        decode_levels(&mut input)?;
+        let keys = decode_keys(&mut input, TILES_MAX as usize)?;
+        if !keys.iter().eq(self.tiles.iter().map(|tile| &tile.key)) {
+            return Err(SubmapBytesError::Malformed);
+        }
+        let mut out = stored[..stored.len() - input.0.len()].to_vec();
+        for _ in 0..input.u32()? {
+            input.u32()?;
+            for _ in 0..input.u64()?.count_ones() {
+                input.u64()?;
+            }
+        }
+        encode_masks(&self.tiles, &mut out);
+        out.extend(input.0);
+        seal(&mut out);
+        Ok(out)
     }
 
     /// Reads the stored form, which may be hostile: every length is checked before memory is allocated.
@@ -86,17 +114,7 @@ impl Submap {
     /// # Errors
     /// As [`Self::decode`], and when there are more tiles.
     pub fn decode_bounded(bytes: &[u8], tiles_max: usize) -> Result<Submap, SubmapBytesError> {
-        let mut input = Input(bytes);
-        if input.take::<4>()? != MAGIC {
-            return Err(SubmapBytesError::NotASubmap);
-        }
-        let [version] = input.take::<1>()?;
-        if version != VERSION {
-            return Err(SubmapBytesError::Version(version));
-        }
-        if input.u32()? != crc32fast::hash(input.0) {
-            return Err(SubmapBytesError::Damaged);
-        }
+        let mut input = checked(bytes)?;
         let (number, trajectory, insertions) = (input.u32()?, input.u32()?, input.u32()?);
         let (first, last) = (input.u64()?, input.u64()?);
         let odom_from_submap = Pose { x_m: input.f64()?, y_m: input.f64()?, heading_rad: input.f64()? };
@@ -112,6 +130,28 @@ impl Submap {
         decode_cells(input.0, &levels, &mut tiles)?;
         Ok(Submap { number, trajectory, insertions, first, last, odom_from_submap, cell_size_m, tiles })
     }
+}
+
+/// What follows the checksum, which must be right.
+fn checked(bytes: &[u8]) -> Result<Input<'_>, SubmapBytesError> {
+    let mut input = Input(bytes);
+    if input.take::<4>()? != MAGIC {
+        return Err(SubmapBytesError::NotASubmap);
+    }
+    let [version] = input.take::<1>()?;
+    if version != VERSION {
+        return Err(SubmapBytesError::Version(version));
+    }
+    if input.u32()? != crc32fast::hash(input.0) {
+        return Err(SubmapBytesError::Damaged);
+    }
+    Ok(input)
+}
+
+/// Writes the checksum.
+fn seal(out: &mut [u8]) {
+    let checksum = crc32fast::hash(&out[CHECKED_FROM..]);
+    out[CHECKED_FROM - 4..CHECKED_FROM].copy_from_slice(&checksum.to_le_bytes());
 }
 
 fn encode_levels(levels: &Levels, out: &mut Vec<u8>) {
@@ -312,6 +352,21 @@ pub(crate) mod tests {
             let read = Submap::decode(&bytes).unwrap();
             prop_assert_eq!(read.encode(), bytes);
             prop_assert_eq!(read, submap.quantised());
+        }
+
+        #[test]
+        fn masks_are_written_anew_without_the_cells(
+            submap in submap(), more in proptest::collection::vec((-90i32..90, -90i32..90), 0..20), unmasks in any::<bool>()
+        ) {
+            let stored = submap.encode();
+            let mut changed = Submap::decode(&stored).unwrap();
+            if unmasks {
+                changed.set_cleared(&crate::ClearedCells::default());
+            }
+            for (x, y) in more {
+                changed.clear(crate::CellIndex::new(x, y));
+            }
+            prop_assert_eq!(changed.encode_cleared(&stored), Ok(changed.encode()));
         }
 
         #[test]

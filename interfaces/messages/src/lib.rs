@@ -31,7 +31,10 @@ pub use marks::{ClearedCell, JudgedCell, MarksHeader, SectorHeader};
 pub use message::{Layout, Message};
 pub use moving_beams::{BeamRange, MovingBeamsHeader};
 pub use pose_estimate::{PoseEstimate, PoseFlags, Quality};
-pub use scan::{HEADING_ONLY, LARGE_SCAN_BEAMS, ScanBuffer, ScanHeader, ScanProblem, ScanSections, ScanView};
+pub use scan::{
+    HEADING_ONLY, LARGE_SCAN_BEAMS, STARTS_ELSEWHERE, ScanBuffer, ScanHeader, ScanProblem, ScanSections,
+    ScanView,
+};
 pub use scan_id::{ScanId, Times};
 pub use scan_tally::{ScanTally, TALLY_BINS, TALLY_SECTORS};
 pub use stage_inputs::{StageInputs, StageStart};

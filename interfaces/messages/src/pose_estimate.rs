@@ -86,4 +86,6 @@ impl PoseFlags {
     pub const OPEN: u32 = 64;
     /// The set localizes in a known map and has not found its place there: `map_from_odom` says nothing.
     pub const UNPLACED: u32 = 128;
+    /// The set localizes: the scan is no part of the map.
+    pub const LOCALIZING: u32 = 256;
 }

@@ -3,7 +3,7 @@
 
 use crate::message::message;
 use crate::{ScanId, Times};
-use flockslam_geometry::Pose;
+use flockslam_geometry::{Pose, Twist};
 use zerocopy::{FromBytes, IntoBytes};
 
 /// Scans with more beams than this travel on a service of their own, so that ordinary sets stay small.
@@ -11,6 +11,9 @@ pub const LARGE_SCAN_BEAMS: usize = 64 * 1024;
 
 /// Of the odometry of a scan only the heading is known.
 pub const HEADING_ONLY: u32 = 2;
+
+/// The robot may be anywhere at this scan: time has gone back before it, and a new trajectory begins.
+pub const STARTS_ELSEWHERE: u32 = 2;
 
 message! {
     /// The header of a scan. The numbers of its beams follow as a slice of `f32`, see [`ScanView`].
@@ -41,7 +44,8 @@ message! {
         pub sections: u32,
         /// 1 when the source asks that the scan be given a predicted pose only.
         pub withheld: u32,
-        /// 1 when the robot starts in `odom` at the pose of its odometry (an experiment) instead of at the origin.
+        /// 1 when the robot starts in `odom` at the pose of its odometry (an experiment) instead of at the origin;
+        /// [`STARTS_ELSEWHERE`] when nothing connects it with the scan before.
         pub starts_at_odometry: u32,
     }
 }
@@ -56,8 +60,12 @@ impl ScanSections {
     pub const INTENSITIES: u32 = 2;
     /// Seconds from the stamp to each beam.
     pub const TIMES: u32 = 4;
-    /// All known bits.
+    /// All sections with a number for each beam.
     pub const ALL: u32 = 7;
+    /// Behind all these, the robot's motion by odometry from the stamp to the last beam, in its frame at the stamp: ahead and to the left,
+    /// metres, and turned, radians.
+    pub const MOTION: u32 = 8;
+    const MOTION_NUMBERS: usize = 3;
 }
 
 /// Why a scan's header and numbers do not fit together.
@@ -112,10 +120,13 @@ impl<'a> ScanView<'a> {
     /// # Errors
     /// When the two do not fit together, or the header's poses and angles are not finite.
     pub fn new(header: &'a ScanHeader, numbers: &'a [f32]) -> Result<Self, ScanProblem> {
-        if header.sections & !ScanSections::ALL != 0 {
+        if header.sections & !(ScanSections::ALL | ScanSections::MOTION) != 0 {
             return Err(ScanProblem::UnknownSections(header.sections));
         }
-        let expected = header.beam_count as usize * (1 + header.sections.count_ones() as usize);
+        let lists = 1 + (header.sections & ScanSections::ALL).count_ones() as usize;
+        let has_motion = header.sections & ScanSections::MOTION != 0;
+        let motion = if has_motion { ScanSections::MOTION_NUMBERS } else { 0 };
+        let expected = header.beam_count as usize * lists + motion;
         if numbers.len() != expected {
             return Err(ScanProblem::WrongLength { expected, found: numbers.len() });
         }
@@ -212,6 +223,18 @@ impl<'a> ScanView<'a> {
         (self.header.has_odometry == 1).then_some(self.header.odometry)
     }
 
+    /// The robot's velocity during the scan by odometry, when it was known to the last beam.
+    pub fn odometry_twist(&self) -> Option<Twist> {
+        if self.header.sections & ScanSections::MOTION == 0 || !self.takes_time() {
+            return None;
+        }
+        self.odometry()?;
+        let [x_m, y_m, heading_rad] = *self.numbers.last_chunk()?;
+        let motion = Pose::new(f64::from(x_m), f64::from(y_m), f64::from(heading_rad));
+        let duration_s = self.time_s(self.len() - 1);
+        (motion.is_finite() && duration_s > 0.0).then(|| Twist::from_motion(motion, duration_s))
+    }
+
     /// How far the robot has turned by its gyroscope, radians from an arbitrary beginning, where odometry is not known.
     pub fn gyro_heading_rad(&self) -> Option<f64> {
         (self.header.has_odometry == HEADING_ONLY).then_some(self.header.odometry.heading_rad)
@@ -270,6 +293,21 @@ impl ScanBuffer {
         (numbers.1.is_empty() && scan.view().is_ok()).then_some(scan)
     }
 
+    /// Adds the robot's motion by odometry from the stamp to the last beam.
+    pub fn add_motion(&mut self, motion: Pose) {
+        debug_assert_eq!(self.header.sections & ScanSections::MOTION, 0, "a scan has one motion");
+        self.header.sections |= ScanSections::MOTION;
+        self.numbers.extend([motion.x_m as f32, motion.y_m as f32, motion.heading_rad as f32]);
+    }
+
+    /// Takes away what [`Self::add_motion`] has added.
+    pub fn drop_motion(&mut self) {
+        if self.header.sections & ScanSections::MOTION != 0 {
+            self.header.sections &= !ScanSections::MOTION;
+            self.numbers.truncate(self.numbers.len().saturating_sub(ScanSections::MOTION_NUMBERS));
+        }
+    }
+
     /// A view on it.
     ///
     /// # Errors
@@ -299,8 +337,16 @@ mod tests {
         let view = scan.view().unwrap();
         assert_eq!((view.angle_rad(0), view.time_s(0), view.time_s(1)), (0.25, 0.5, 0.625));
         assert_eq!((view.ranges(), view.intensities()), (&[1.0, 2.0][..], Some(&[0.0, 0.125][..])));
-        scan.header.sections = 8;
-        assert_eq!(scan.view().unwrap_err(), ScanProblem::UnknownSections(8));
+        assert_eq!(view.odometry_twist(), None);
+        scan.add_motion(Pose::new(0.25, 0.0, 0.0));
+        assert_eq!(scan.view().unwrap().odometry_twist(), None, "a motion of nothing that is known");
+        scan.header.has_odometry = 1;
+        let view = scan.view().unwrap();
+        assert_eq!((view.time_s(1), view.odometry_twist().map(|twist| twist.x_m_s)), (0.625, Some(0.4)));
+        scan.drop_motion();
+        assert_eq!(scan.view().unwrap().odometry_twist(), None);
+        scan.header.sections = 16;
+        assert_eq!(scan.view().unwrap_err(), ScanProblem::UnknownSections(16));
     }
 
     #[test]

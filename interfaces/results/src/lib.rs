@@ -6,6 +6,7 @@ mod lidar_status;
 mod localisation_status;
 mod results_error;
 mod run_results;
+mod set_mode;
 mod stored_map;
 mod submap_store;
 mod unattached;
@@ -19,6 +20,7 @@ pub use run_results::{
     TRUE_TRAJECTORY, live_poses_file, read_live_poses, read_summary, read_trajectory, write_live_poses,
     write_summary, write_trajectory,
 };
+pub use set_mode::{ModeWatch, SetMode};
 pub use stored_map::{
     FUSED_MAP, KNOWN_MAP, MapReader, MapShape, StoredMap, read_map, write_map, write_map_file, write_map_rows,
 };

@@ -70,6 +70,12 @@ pub struct Summary {
     /// What localisation did, when the set localized in a known map.
     #[serde(default)]
     pub localisation: Option<LocalisationSummary>,
+    /// The set localized at its end, otherwise it made a map.
+    #[serde(default)]
+    pub localizes: bool,
+    /// Scans that the set has localized with and that are no part of the map, in a run that has made one.
+    #[serde(default)]
+    pub scans_apart: u64,
     /// Searches for loop closures.
     pub closures_tried: u64,
     /// Closures that passed all checks.

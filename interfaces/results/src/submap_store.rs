@@ -29,6 +29,17 @@ impl SubmapStore {
         Ok(replace_file(&self.file(submap.number), &submap.encode(), Durability::Process)?)
     }
 
+    /// Stores which cells of a submap are masked; all else of it must be as it is stored.
+    ///
+    /// # Errors
+    /// When there is none of its number, its file is damaged, or the disk refuses.
+    pub fn save_cleared(&self, submap: &Submap) -> Result<(), ResultsError> {
+        let path = self.file(submap.number);
+        let bytes = fs::read(&path).map_err(|e| ResultsError::file(&path, e))?;
+        let bytes = submap.encode_cleared(&bytes).map_err(|e| ResultsError::file(&path, e))?;
+        Ok(replace_file(&path, &bytes, Durability::Process)?)
+    }
+
     /// The submap of this number.
     ///
     /// # Errors

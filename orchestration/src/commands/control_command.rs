@@ -1,14 +1,16 @@
-//! `flockslam down`, `status`, `restart`, `pause`, `resume`, `reset` and `scale`: orders to a running set.
+//! `flockslam down`, `status`, `restart`, `pause`, `resume`, `reset`, `relocalize`, `mode` and `scale`: orders to a running set.
 
 use super::{CommandError, say};
 use crate::arguments::{RobotArgs, ScaleArgs, StageOrderArgs, StatusArgs};
-use crate::localisation_arguments::RelocalizeArgs;
+use crate::localisation_arguments::{ModeArgs, RelocalizeArgs, WantedMode};
 use crate::supervisor::{Reply, Request, ask};
 use flockslam_bus::RuntimeDir;
 use std::time::{Duration, Instant};
 
 /// A set ends within this time after the order to stop.
 const DOWN_LIMIT: Duration = Duration::from_secs(10);
+/// A change of the mode is looked at so often.
+const MODE_LOOK: Duration = Duration::from_millis(50);
 
 /// Stops a set and waits for its end.
 ///
@@ -77,6 +79,24 @@ pub fn relocalize(args: &RelocalizeArgs) -> Result<(), CommandError> {
     // The heading is not known; what is within the radius is within three standard deviations.
     let hint = args.near.map(|[x_m, y_m, radius_m]| [x_m, y_m, 0.0, radius_m / 3.0, std::f64::consts::PI]);
     order(&choose(&args.robot)?, &Request::Relocalize(hint)).map(drop)
+}
+
+/// Lets a set localize in its map as it is, or map again, and waits until it does.
+///
+/// # Errors
+/// When there is no such set, or its mode cannot be changed.
+pub fn mode(args: &ModeArgs) -> Result<(), CommandError> {
+    let robot = choose(&args.robot)?;
+    order(&robot, &Request::Localize(args.mode == WantedMode::Localize))?;
+    loop {
+        let Reply::Status(status) = order(&robot, &Request::Status)? else {
+            return Err(CommandError::failed("the set answered something else"));
+        };
+        if let Some(outcome) = status.mode.outcome() {
+            return outcome.map_err(CommandError::failed);
+        }
+        std::thread::sleep(MODE_LOOK);
+    }
 }
 
 /// Changes the number of processes of a stage.

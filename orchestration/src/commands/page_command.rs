@@ -100,6 +100,10 @@ impl SetAccess for Supervisor {
         self.order(&Request::Pause(rests)).map(drop)
     }
 
+    fn localize(&self, localizes: bool) -> Result<(), String> {
+        self.order(&Request::Localize(localizes)).map(drop)
+    }
+
     fn save(&self) -> Result<String, String> {
         let save_dir = self.save_dir.as_deref().ok_or("no page.save_dir is set")?;
         let directory = free_name(save_dir, &self.robot);

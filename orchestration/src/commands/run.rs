@@ -354,6 +354,8 @@ fn report(
         trajectories: summary.trajectories,
         detached_scans: summary.detached_scans,
         detached: summary.detached.clone(),
+        mode: if summary.localizes { "localize" } else { "map" }.to_owned(),
+        scans_apart: summary.scans_apart,
         localisation: summary.localisation,
         loop_closures: LoopClosures {
             tried: summary.closures_tried,

@@ -3,6 +3,7 @@
 use super::CommandError;
 use super::attendants::start_page;
 use super::localisation_map;
+use super::mode_order::ModeChange;
 use super::run::{Finished, count_interrupts, points, prepare_directory, write_outputs};
 use crate::arguments::UpArgs;
 use crate::configuration::Configuration;
@@ -12,9 +13,10 @@ use crate::state_directory::spill_directory;
 use crate::store::{Findings, MapHead, MapKeeper, Mirror, SavedMap, StoreError};
 use crate::supervisor::{
     ControlSocket, MetricsService, Order, ProcessSet, Reply, Request, ServiceManager, SetDescription,
-    SetError, SetEvent, SetFile, SideProcess, known_stage,
+    SetError, SetEvent, SetFile, SideProcess, is_of_graph, known_stage,
 };
 use flockslam_bus::RuntimeDir;
+use flockslam_results::SetMode;
 use flockslam_stage::{MemoryUse, Mode};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -66,16 +68,24 @@ struct LiveSet {
     ros: Option<SideProcess>,
     set: ProcessSet,
     keeper: Option<MapKeeper>,
+    mode: ModeChange,
     head: MapHead,
 }
 
 impl LiveSet {
     fn start(args: &UpArgs, description: &SetDescription) -> Result<Self, CommandError> {
         let mut configuration = description.configuration(&args.assignments)?;
-        let ros_arguments = ros_arguments(args, description)?;
+        let mut ros_arguments = ros_arguments(args, description)?;
         let head = MapHead::of_this_build(&description.robot, configuration.mapper.cell_size_m);
         let known = args.localize.as_ref().or(description.localize.as_ref());
-        let known_map = known.map(|path| localisation_map::read(path)).transpose()?;
+        let known_map = match known {
+            Some(path) if is_of_graph(path) => {
+                let arguments = ros_arguments.as_mut().ok_or_else(no_graph)?;
+                arguments.extend(["-p", "use_map_topic:=true"].map(str::to_owned));
+                Some(localisation_map::awaited())
+            }
+            known => known.map(|path| localisation_map::read(path)).transpose()?,
+        };
         let map = args.map.as_ref().or(description.map.as_ref()).map(|directory| SavedMap::at(directory));
         if let (Some(_), Some(kept)) = (&known, &map) {
             let kept = kept.directory().display();
@@ -90,21 +100,34 @@ impl LiveSet {
             configuration.sync_manager.flock.key_file = map.directory().join("flock.key");
         }
         let taken_over = taken_over && localisation_map::fits_killed_set(&runtime, known_map.as_ref())?;
-        let first_sequence = match &map {
+        let extendable = known.map(|path| localisation_map::extendable(path, &head));
+        let begins_with = map.as_ref().or(extendable.as_ref().and_then(|saved| saved.as_ref().ok()));
+        let first_sequence = match begins_with {
             _ if taken_over => first_of_killed_set(&runtime, &configuration)?,
-            Some(map) if map.exists() => {
-                let findings = restore(map, &runtime, &head).map_err(CommandError::user)?;
-                map.set_damage_aside(&findings).map_err(CommandError::failed)?;
+            Some(saved) if saved.exists() => {
+                let findings = restore(saved, &runtime, &head).map_err(CommandError::user)?;
+                if map.is_some() {
+                    saved.set_damage_aside(&findings).map_err(CommandError::failed)?;
+                }
                 findings.next_sequence
             }
             _ => 0,
         };
         let mut options = configuration.stage_options(Mode::Live);
         options.first_sequence = first_sequence;
-        if let Some(map) = &known_map {
+        let begun = SetMode {
+            localizes: known_map.is_some(),
+            fixed: extendable.and_then(Result::err),
+            given: known_map.is_some(),
+            changed: false,
+        };
+        let left = SetMode::read(&runtime.results()).filter(|_| taken_over);
+        if let Some(map) = known_map.as_ref().filter(|_| !taken_over) {
             localisation_map::put(map, &runtime)?;
-            options.localizes = true;
         }
+        let mode = left.unwrap_or(begun);
+        mode.write(&runtime.results()).map_err(CommandError::failed)?;
+        options.localizes = mode.localizes;
         let task = description.source();
         let file = SetFile {
             version: crate::VERSION.to_owned(),
@@ -122,7 +145,7 @@ impl LiveSet {
         let page = start_page(&set)?;
         let ros = ros_arguments.map(|arguments| SideProcess::start("ros", set.runtime().path(), &arguments));
         let ros = ros.transpose().map_err(CommandError::failed)?;
-        Ok(Self { page, ros, set, keeper, head })
+        Ok(Self { page, ros, set, keeper, mode: ModeChange::default(), head })
     }
 
     /// Watches over the set until it shall stop; true when its source has ended and its results are stored.
@@ -134,6 +157,7 @@ impl LiveSet {
                 return Ok(true);
             }
             manager.alive();
+            self.mode.advance(&mut self.set, self.keeper.as_ref());
             self.page.iter_mut().chain(&mut self.ros).for_each(SideProcess::look_after);
             let unsaved = self.keeper.as_ref().is_some_and(|keeper| keeper.status().problem.is_some());
             self.set.metrics().set_not_durable(unsaved || self.set.not_durable().is_some());
@@ -154,6 +178,7 @@ impl LiveSet {
             Request::Status => {
                 let mut status = self.set.status();
                 status.saved = self.keeper.as_ref().map(MapKeeper::status);
+                self.mode.report(&mut status.mode);
                 return order.answer(Reply::Status(Box::new(status)));
             }
             Request::Down => Ok(()),
@@ -170,6 +195,10 @@ impl LiveSet {
             Request::Load(directory) => self.load(&directory),
             Request::Reset => self.reset(),
             Request::Relocalize(near) => self.set.relocalize(near),
+            Request::Localize(true) => {
+                self.mode.localize(&self.set, |map| mirror(&self.set, map, &self.head))
+            }
+            Request::Localize(false) => self.mode.map(&mut self.set),
         };
         order.answer(outcome.map_or_else(Reply::Refused, |()| Reply::Done));
     }
@@ -224,10 +253,25 @@ impl LiveSet {
     }
 
     /// Localizes in another map.
-    fn localize_in(&mut self, map: &Path) -> Result<(), String> {
-        let map = localisation_map::read(map).map_err(|error| error.to_string())?;
-        let begun: Result<(), CommandError> =
-            self.set.begin_anew(|runtime| localisation_map::put(&map, runtime).map(|()| 0));
+    fn localize_in(&mut self, path: &Path) -> Result<(), String> {
+        let map = localisation_map::read(path).map_err(|error| error.to_string())?;
+        if localisation_map::is_known(self.set.runtime(), &map) {
+            return Ok(());
+        }
+        let (saved, head) = (localisation_map::extendable(path, &self.head), &self.head);
+        let begun: Result<(), CommandError> = self.set.begin_anew(|runtime| {
+            localisation_map::put(&map, runtime)?;
+            let findings = saved.as_ref().ok().map(|saved| restore(saved, runtime, head));
+            let findings = findings.transpose().map_err(CommandError::user)?;
+            let mode = SetMode {
+                localizes: true,
+                fixed: saved.as_ref().err().cloned(),
+                given: true,
+                changed: false,
+            };
+            mode.write(&runtime.results()).map_err(CommandError::failed)?;
+            Ok(findings.map_or(0, |findings| findings.next_sequence))
+        });
         self.page.iter_mut().for_each(SideProcess::restart);
         begun.map_err(|error| error.to_string())
     }
@@ -246,6 +290,12 @@ impl LiveSet {
         }
         self.set.wipe_at_end(true);
     }
+}
+
+fn no_graph() -> CommandError {
+    CommandError::user(
+        "localize = \"ros\" needs the graph that publishes the map: add [ros] to the set, or --ros-args",
+    )
 }
 
 /// The arguments of the bridge to a ROS graph, when the set has one. A mistake is reported now, not by a process in the background.

@@ -65,6 +65,12 @@ pub struct Report {
     pub detached_scans: u64,
     /// These trajectories, the longest first, with the subdirectory of their own map.
     pub detached: Vec<DetachedRow>,
+    /// What the set did at its end: `map` or `localize`.
+    #[serde(default)]
+    pub mode: String,
+    /// Scans that the set only localized with before it made the map further: they are no part of the map.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub scans_apart: u64,
     /// What localisation did, when the set localized in a known map.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub localisation: Option<flockslam_results::LocalisationSummary>,
@@ -76,6 +82,10 @@ pub struct Report {
     pub map_area_m2: f64,
     /// Length of the final trajectory, metres.
     pub trajectory_length_m: f64,
+}
+
+fn is_zero(count: &u64) -> bool {
+    *count == 0
 }
 
 /// A stage's share of a run.

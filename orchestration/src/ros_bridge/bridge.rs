@@ -1,10 +1,12 @@
 //! The bridge at work: one loop that hears the graph, reads the bus, and says what is new.
 
+mod corrector;
+
 use super::BridgeError;
 use super::bond::{Bond, HEARTBEAT_PERIOD};
 use super::bridge_parameters::BridgeParameters;
 use super::bridge_publishers::{BridgePublishers, quality};
-use super::bridge_services::{SetOrders, offer};
+use super::bridge_services::{MapSource, SetOrders, offer};
 use super::diagnostics_thread::{Report, report_by};
 use super::graph_clock::GraphClock;
 use super::graph_ear::{Ear, Heard, listen};
@@ -12,7 +14,7 @@ use super::kept_state::KeptState;
 use super::lifecycle::NodeState;
 use super::localisation_relay::LocalisationRelay;
 use super::log_relay::LogRelay;
-use super::map_correction::{Correction, JUMP_M, JUMP_RAD, MapCorrection};
+use super::map_correction::MapCorrection;
 use super::map_thread::{self, HeardTopics, MapOrder, MapPlace, MapPublishers};
 use super::sensor_relay::SensorRelay;
 use super::set_diagnostics::BridgeReport;
@@ -51,6 +53,8 @@ const LOOK_IDLE: Duration = Duration::from_millis(50);
 const WATCHING: Duration = Duration::from_secs(2);
 /// Diagnostics follow one another after this.
 const DIAGNOSTICS_PERIOD: Duration = Duration::from_secs(1);
+/// … so much later where the pose of a scan is awaited.
+const REPORT_LATE_MAX: Duration = Duration::from_millis(500);
 /// Another node that was heard to publish map → odom within this still does, nanoseconds.
 const FOREIGN_NS: u64 = 5_000_000_000;
 /// Lines of the log that who comes late gets.
@@ -136,6 +140,8 @@ struct Bridge {
     last_pose: Option<Instant>,
     /// When another node was heard to publish map → odom, on the monotonic clock, nanoseconds.
     foreign_ns: Option<u64>,
+    /// How often the time of the graph has gone back.
+    times_back: u64,
     latency: LatencyHistogram,
     heartbeat_due: Instant,
     report_due: Instant,
@@ -154,15 +160,9 @@ impl Bridge {
         let name = identity.full_name();
         let bond_id = identity.name.clone();
         let mut node = Node::open(identity, environment, parameters.declared())?;
-        let latched = QualityOfService::Latched { depth: 1 };
-        let map_publishers = MapPublishers {
-            map: node.publisher("map", latched)?,
-            metadata: node.publisher("map_metadata", latched)?,
-            changes: node.publisher("map_updates", QualityOfService::Reliable { depth: 10 })?,
-            graph: node
-                .publisher("slam_toolbox/graph_visualization", QualityOfService::Reliable { depth: 1 })?,
-        };
-        let heard_names = [map_publishers.changes.topic(), map_publishers.graph.topic()].map(str::to_owned);
+        let source = MapSource::of(set.localizes, parameters.use_map_topic);
+        let map_publishers = MapPublishers::open(&mut node, source != MapSource::Graph)?;
+        let heard_names = map_publishers.heard_names();
         let map_place = MapPlace {
             set_dir: set.runtime.path().to_owned(),
             capacity: set.capacity,
@@ -180,12 +180,12 @@ impl Bridge {
         let lines = node.publisher("/rosout", QualityOfService::Latched { depth: LINES_KEPT })?;
         let log = LogRelay::at_the_end(set.runtime.path(), &bond_id);
         let reports = report_by(diagnostics, lines, log, robot.clone(), set.runtime.control_socket())?;
-        offer(&mut node, SetOrders::new(&set.runtime.control_socket(), map.clone(), &parameters.map_frame))?;
+        offer(&mut node, SetOrders::new(&set.runtime, map.clone(), &parameters.map_frame), source)?;
         let dropped = Arc::new(AtomicU64::new(0));
         let (sender, heard) = sync_channel(HEARD_MAX);
         listen(&mut node, &parameters, &Ear::new(sender, Arc::clone(&dropped)))?;
         let bus = Bus::join(&set.runtime, "ros", set.capacity)?;
-        let localisation = LocalisationRelay::open(&mut node, &bus, &set.runtime.status(), set.localizes)?;
+        let localisation = LocalisationRelay::open(&mut node, &bus, &set.runtime, set.localizes)?;
         let fresh = match (parameters.use_lifecycle_manager, parameters.autostart) {
             (false, true) => NodeState::Active,
             _ => NodeState::Unconfigured,
@@ -221,6 +221,7 @@ impl Bridge {
             tracks_heard: false,
             last_pose: None,
             foreign_ns: None,
+            times_back: 0,
             latency: LatencyHistogram::default(),
             heartbeat_due: Instant::now(),
             report_due: Instant::now(),
@@ -269,11 +270,21 @@ impl Bridge {
     fn hear(&mut self, heard: Heard) {
         match heard {
             Heard::Scan(topic, scan, at) => {
-                if self.is_active() {
-                    self.relay.take_scan(&topic, *scan, at, self.clock.now_ns());
+                let stamp_ns = scan.header.stamp.ns();
+                if !self.is_active() || self.clock.is_of_before(stamp_ns) {
+                    return;
                 }
+                // A simulation says so itself.
+                if self.relay.goes_back(&topic, stamp_ns) && !self.clock.is_simulated() {
+                    self.begin_time_anew(&format!("the stamps of {topic} have gone back"));
+                }
+                self.relay.take_scan(&topic, *scan, at, self.clock.now_ns());
             }
             Heard::Transforms(message, is_static) => {
+                let stamp_ns = message.transforms.first().map(|transform| transform.header.stamp.ns());
+                if !is_static && stamp_ns.is_some_and(|stamp_ns| self.clock.is_of_before(stamp_ns)) {
+                    return;
+                }
                 if self.relay.take_transforms(message, is_static).is_some() {
                     self.hear_foreign();
                 }
@@ -289,12 +300,9 @@ impl Bridge {
                 }
             }
             Heard::Clock(now_ns) => {
-                if self.clock.hear(now_ns) {
-                    tracing::warn!(
-                        "the time of /clock has gone back: transforms and what waits are forgotten"
-                    );
-                    self.relay.clear();
-                    self.correction.clear();
+                if let Some(back_ns) = self.clock.hear(now_ns) {
+                    let back_s = back_ns as f64 * 1e-9;
+                    self.begin_time_anew(&format!("the time of /clock has gone back by {back_s:.1} s"));
                 }
             }
             Heard::InitialPose(hint) => {
@@ -310,15 +318,6 @@ impl Bridge {
                 let available_transitions = self.kept.state.available();
                 call.answer.send(GetAvailableTransitionsResponse { available_transitions });
             }
-        }
-    }
-
-    fn hear_foreign(&mut self) {
-        let (map, odom) = (&self.parameters.map_frame, &self.parameters.odom_frame);
-        if self.foreign_ns.replace(monotonic_ns()).is_none() {
-            tracing::error!(
-                "another node publishes {map} → {odom} on /tf: this one does not while it is heard"
-            );
         }
     }
 
@@ -390,66 +389,6 @@ impl Bridge {
         }
     }
 
-    fn take_pose(&mut self, estimate: &PoseEstimate) {
-        let Some(now_ns) = self.clock.now_ns() else { return };
-        self.correction.rate_max_m_s = self.parameters.live.max_correction_rate_m_s.get();
-        let scan_ns = estimate.times.sensor_ns;
-        if self.parameters.publish_odom_transform {
-            let (odom, base) = (&self.parameters.odom_frame, &self.parameters.base_frame);
-            self.publishers.send_transform(scan_ns, odom, base, estimate.odom_from_base);
-            let correction = self.correction.set(scan_ns, estimate.map_from_odom, now_ns, self.ahead_ns());
-            self.send_correction(&correction);
-        } else {
-            self.correction.push(scan_ns, estimate.map_from_base(), now_ns);
-        }
-    }
-
-    fn ahead_ns(&self) -> i64 {
-        (self.parameters.live.transform_timeout_s.get() * 1e9) as i64
-    }
-
-    fn correct(&mut self) {
-        let Some(now_ns) = self.clock.now_ns().filter(|_| self.is_active()) else { return };
-        let ahead_ns = self.ahead_ns();
-        let without = self.correction.without_odometry;
-        while let Some(correction) = self.correction.next(self.relay.transforms(), now_ns, ahead_ns) {
-            self.send_correction(&correction);
-        }
-        if self.correction.without_odometry > without {
-            self.relay.say_without_odometry(now_ns);
-        }
-        let period_ns = (self.parameters.live.transform_publish_period_s.get() * 1e9) as i64;
-        if let Some(correction) =
-            self.correction.repeated(self.relay.transforms(), now_ns, ahead_ns, period_ns)
-        {
-            self.send_correction(&correction);
-        }
-    }
-
-    fn send_correction(&mut self, correction: &Correction) {
-        if self.hears_foreign() {
-            return;
-        }
-        if correction.jump.0 > JUMP_M || correction.jump.1 > JUMP_RAD {
-            // It stands before its transform.
-            let _ = self.reports.send(Report::Jump(*correction, correction.stamp_ns));
-        }
-        let (map, odom) = (&self.parameters.map_frame, &self.parameters.odom_frame);
-        self.publishers.send_transform(correction.stamp_ns, map, odom, correction.map_from_odom);
-        if let Some(heard) = correction.scan_ns.and_then(|scan_ns| self.relay.came(scan_ns)) {
-            self.latency.record(heard.elapsed().as_nanos() as u64);
-        }
-    }
-
-    fn hears_foreign(&mut self) -> bool {
-        let is_past = |heard_ns: u64| monotonic_ns().saturating_sub(heard_ns) > FOREIGN_NS;
-        if self.foreign_ns.is_some_and(is_past) {
-            self.foreign_ns = None;
-            tracing::info!("no other node corrects odometry any more: this one does again");
-        }
-        self.foreign_ns.is_some()
-    }
-
     fn beat(&mut self) {
         if self.heartbeat_due > Instant::now() {
             return;
@@ -467,7 +406,10 @@ impl Bridge {
     }
 
     fn report(&mut self) {
-        if self.report_due > Instant::now() {
+        let late = Instant::now().saturating_duration_since(self.report_due);
+        // Scans come at even times: one in ten would wait for it each time.
+        let is_awaited = self.relay.awaited_for().is_some_and(|since| since < AWAITING);
+        if self.report_due > Instant::now() || (is_awaited && late < REPORT_LATE_MAX) {
             return;
         }
         self.report_due = Instant::now() + DIAGNOSTICS_PERIOD;
@@ -481,6 +423,7 @@ impl Bridge {
             ("scans malformed", counts.malformed),
             ("scans not taken", counts.untaken),
             ("scans apart from the clock", counts.apart),
+            ("times gone back", self.times_back),
             ("poses without odometry", self.correction.without_odometry),
             ("messages dropped", self.dropped.load(Ordering::Relaxed)),
             ("messages undecodable", self.node.undecodable()),

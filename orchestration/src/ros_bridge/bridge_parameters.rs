@@ -23,6 +23,8 @@ pub struct BridgeParameters {
     pub odom_topic: String,
     /// Topic of an IMU; empty for none.
     pub imu_topic: String,
+    /// A set that localizes does so in the map of another node, and publishes none.
+    pub use_map_topic: bool,
     /// Side of a cell of the map, metres.
     pub resolution_m: f64,
     /// The bridge publishes odom → robot itself: for robots without odometry.
@@ -80,6 +82,7 @@ impl Default for BridgeParameters {
             scan_topics: vec!["scan".to_owned()],
             odom_topic: String::new(),
             imu_topic: String::new(),
+            use_map_topic: false,
             resolution_m: 0.05,
             publish_odom_transform: false,
             use_lifecycle_manager: false,
@@ -118,6 +121,7 @@ impl BridgeParameters {
             "scan_topics" => self.scan_topics = texts(value)?,
             "odom_topic" => self.odom_topic = text(value)?,
             "imu_topic" => self.imu_topic = text(value)?,
+            "use_map_topic" => self.use_map_topic = truth(value)?,
             "resolution" => self.resolution_m = within(&value, [0.01, 1.0])?,
             "publish_odom_transform" => self.publish_odom_transform = truth(value)?,
             "use_lifecycle_manager" => self.use_lifecycle_manager = truth(value)?,
@@ -153,6 +157,7 @@ impl BridgeParameters {
             fixed("scan_topics", ParameterValue::Texts(self.scan_topics.clone())),
             text("odom_topic", &self.odom_topic),
             text("imu_topic", &self.imu_topic),
+            truth("use_map_topic", self.use_map_topic),
             truth("publish_odom_transform", self.publish_odom_transform),
             truth("use_lifecycle_manager", self.use_lifecycle_manager),
             truth("autostart", self.autostart),

@@ -2,11 +2,14 @@
 //! a thread of its own, one call after the other.
 
 use super::BridgeError;
+use super::graph_map::write_grid;
 use super::localisation_relay::order_near;
+use super::map_beginning::MapBeginning;
 use super::map_picture::MapPicture;
 use super::map_thread::MapOrder;
 use crate::outputs::{render_pgm, render_yaml};
-use crate::supervisor::{Reply, Request, ask};
+use crate::supervisor::{Reply, Request, SetStatus, StageState, ask};
+use flockslam_bus::RuntimeDir;
 use flockslam_geometry::Pose;
 use flockslam_journal::{Durability, replace_file};
 use flockslam_ros::messages::{
@@ -16,11 +19,16 @@ use flockslam_ros::messages::{
     SetBoolResponse, SetInitialPose, SetInitialPoseResponse, TogglePause, TogglePauseResponse,
     ToolboxSaveMap, ToolboxSaveMapResponse, Trigger, TriggerResponse,
 };
-use flockslam_ros::{Call, Node};
+use flockslam_ros::{Call, Node, QualityOfService};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Sender, SyncSender, channel, sync_channel};
 use std::time::Duration;
 
+/// So often a map of another node is brought to the set, after a pause each.
+const LOADS_MAX: u32 = 20;
+const LOAD_PAUSE: Duration = Duration::from_millis(500);
+/// A change of the mode is looked at so often.
+const MODE_LOOK: Duration = Duration::from_millis(100);
 /// Calls that wait; more are not answered.
 const CALLS_MAX: usize = 16;
 /// The map is there within this, or there is none.
@@ -33,10 +41,39 @@ const NO_MAP: u8 = 1;
 /// `slam_toolbox/DeserializePoseGraph`: the file cannot be read.
 const NOT_READ: u8 = 3;
 
+/// … or the way to begin has no meaning.
+const NO_SUCH_BEGINNING: u8 = 2;
+
+/// Whose map it is that the set works in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MapSource {
+    /// The set makes it.
+    Set,
+    /// It was given to the set, which localizes: this node stands where nav2's map server stood.
+    Given,
+    /// Another node publishes it, and the set localizes in that.
+    Graph,
+}
+
+impl MapSource {
+    /// Of a set that localizes or not, whose node was asked to use the map of another.
+    pub fn of(localizes: bool, uses_map_topic: bool) -> Self {
+        if uses_map_topic && !localizes {
+            tracing::warn!("use_map_topic has no effect while the map is being made");
+        }
+        match (localizes, uses_map_topic) {
+            (false, _) => Self::Set,
+            (true, false) => Self::Given,
+            (true, true) => Self::Graph,
+        }
+    }
+}
+
 /// How a set is reached.
 #[derive(Clone)]
 pub struct SetOrders {
     socket: PathBuf,
+    results: PathBuf,
     map: Sender<MapOrder>,
     map_frame: String,
 }
@@ -44,9 +81,10 @@ pub struct SetOrders {
 type Task = Box<dyn FnOnce(&SetOrders) + Send>;
 
 impl SetOrders {
-    /// Of the set with this control socket, the thread that has its map, and the frame of that.
-    pub fn new(socket: &Path, map: Sender<MapOrder>, map_frame: &str) -> Self {
-        Self { socket: socket.to_owned(), map, map_frame: map_frame.to_owned() }
+    /// Of the set in this directory, the thread that has its map, and the frame of that.
+    pub fn new(set: &RuntimeDir, map: Sender<MapOrder>, map_frame: &str) -> Self {
+        let (socket, results) = (set.control_socket(), set.results());
+        Self { socket, results, map, map_frame: map_frame.to_owned() }
     }
 
     fn order(&self, request: &Request) -> Result<Reply, String> {
@@ -63,10 +101,21 @@ impl SetOrders {
         })
     }
 
-    fn is_paused(&self) -> Result<bool, String> {
+    fn status(&self) -> Result<Box<SetStatus>, String> {
         match self.order(&Request::Status)? {
-            Reply::Status(status) => Ok(status.paused),
+            Reply::Status(status) => Ok(status),
             _ => Err("the set answered something else".to_owned()),
+        }
+    }
+
+    /// Lets the set localize in its map as it is, or map again, and waits until it does.
+    fn changed_mode(&self, localizes: bool) -> Result<(), String> {
+        self.done(&Request::Localize(localizes))?;
+        loop {
+            if let Some(outcome) = self.status()?.mode.outcome() {
+                return outcome;
+            }
+            std::thread::sleep(MODE_LOOK);
         }
     }
 
@@ -99,6 +148,47 @@ impl SetOrders {
         Ok(true)
     }
 
+    /// Lets a set that localizes in another map from now on look for the robot where a hint says.
+    fn look_near(&self, hint: [f64; 5]) {
+        for _ in 0..LOADS_MAX {
+            // Its stages are started anew.
+            if self
+                .status()
+                .is_ok_and(|status| status.stages.iter().all(|stage| stage.state == StageState::Running))
+            {
+                let _ = self.done(&Request::Relocalize(Some(hint)));
+                return;
+            }
+            std::thread::sleep(LOAD_PAUSE);
+        }
+        tracing::warn!("the pose of a call from the graph was not used: the stages of the set do not get up");
+    }
+
+    /// Lets the set localize in a map that another node has published. Where it does already, nothing changes.
+    fn localize_in(&self, grid: &OccupancyGrid) {
+        let load = || {
+            let map = write_grid(&self.results, grid)?;
+            // The set may be starting just now.
+            for _ in 0..LOADS_MAX {
+                match ask(&self.socket, &Request::Load(map.clone())) {
+                    Ok(Reply::Refused(reason)) => return Err(reason),
+                    Ok(_) => return Ok(()),
+                    Err(error) => tracing::debug!(%error, "the set cannot be reached"),
+                }
+                std::thread::sleep(LOAD_PAUSE);
+            }
+            Err("the set cannot be reached".to_owned())
+        };
+        match load() {
+            Ok(()) => tracing::info!(
+                width = grid.info.width,
+                height = grid.info.height,
+                "localizes in the map of another node"
+            ),
+            Err(error) => tracing::error!(error, "the map of another node is not used"),
+        }
+    }
+
     fn saved(&self, name: &str) -> Result<bool, String> {
         self.save_picture(name).inspect_err(|error| tracing::warn!(error, "the map is not saved"))
     }
@@ -114,7 +204,7 @@ fn absolute(path: &str) -> PathBuf {
 ///
 /// # Errors
 /// When DDS or the system refuses.
-pub fn offer(node: &mut Node, orders: SetOrders) -> Result<(), BridgeError> {
+pub fn offer(node: &mut Node, orders: SetOrders, source: MapSource) -> Result<(), BridgeError> {
     let (tasks, waiting) = sync_channel::<Task>(CALLS_MAX);
     std::thread::Builder::new().name("calls".to_owned()).spawn(move || {
         while let Ok(task) = waiting.recv() {
@@ -125,10 +215,15 @@ pub fn offer(node: &mut Node, orders: SetOrders) -> Result<(), BridgeError> {
     services.offer_flow()?;
     services.offer_maps()?;
     services.offer_localisation()?;
-    if services.node.answers_at_any_length() {
-        services.offer_map()?;
+    match source {
+        MapSource::Set => services.offer_whole_map("slam_toolbox/dynamic_map"),
+        MapSource::Given => {
+            services.offer_loading("map_server/load_map")?;
+            services.offer_whole_map("map_server/map")?;
+            services.offer_whole_map("slam_toolbox/dynamic_map")
+        }
+        MapSource::Graph => services.hear_map(),
     }
-    Ok(())
 }
 
 struct Services<'n> {
@@ -156,7 +251,10 @@ impl Services<'_> {
 
     fn offer_flow(&mut self) -> Result<(), BridgeError> {
         self.offer::<TogglePause>("slam_toolbox/pause_new_measurements", |orders, _| {
-            let toggled = orders.is_paused().and_then(|paused| orders.done(&Request::Pause(!paused)));
+            let toggled = orders
+                .status()
+                .map(|status| status.paused)
+                .and_then(|paused| orders.done(&Request::Pause(!paused)));
             TogglePauseResponse { status: toggled.is_ok() }
         })?;
         // No scan waits here for longer than its pose takes.
@@ -169,6 +267,10 @@ impl Services<'_> {
         })?;
         self.offer::<SetBool>("flockslam/pause", |orders, request| {
             let done = orders.done(&Request::Pause(request.data));
+            SetBoolResponse { success: done.is_ok(), message: done.err().unwrap_or_default() }
+        })?;
+        self.offer::<SetBool>("flockslam/localize", |orders, request| {
+            let done = orders.changed_mode(request.data);
             SetBoolResponse { success: done.is_ok(), message: done.err().unwrap_or_default() }
         })?;
         self.offer::<Trigger>("flockslam/reset", |orders, _| {
@@ -194,11 +296,27 @@ impl Services<'_> {
             SerializePoseGraphResponse { result: if done.is_ok() { 0 } else { FAILURE } }
         })?;
         self.offer::<DeserializePoseGraph>("slam_toolbox/deserialize_map", |orders, request| {
+            // The mode may have been changed since the start.
+            let localizes = orders.status().is_ok_and(|status| status.mode.name == "localize");
+            let begin = match MapBeginning::of(request.match_type, request.initial_pose, localizes) {
+                Ok(begin) => begin,
+                Err(reason) => {
+                    tracing::warn!(reason, "a call from the graph was refused");
+                    return DeserializePoseGraphResponse { result: NO_SUCH_BEGINNING };
+                }
+            };
             let done = orders.done(&Request::Load(absolute(&request.filename)));
+            if let (Ok(()), MapBeginning::Near(hint)) = (&done, begin) {
+                orders.look_near(hint);
+            }
             DeserializePoseGraphResponse { result: if done.is_ok() { 0 } else { NOT_READ } }
         })?;
+        self.offer_loading("flockslam/load_map")
+    }
+
+    fn offer_loading(&mut self, name: &str) -> Result<(), BridgeError> {
         // An answer with the map would not arrive (docs/ros2.md): it comes on its topic.
-        self.offer::<LoadMap>("flockslam/load_map", |orders, request| {
+        self.offer::<LoadMap>(name, |orders, request| {
             let done = orders.done(&Request::Load(absolute(&request.map_url)));
             let result = if done.is_ok() { 0 } else { NO_MAP };
             LoadMapResponse { map: OccupancyGrid::default(), result }
@@ -223,9 +341,25 @@ impl Services<'_> {
         })
     }
 
+    /// Hears the map that another node publishes.
+    fn hear_map(&mut self) -> Result<(), BridgeError> {
+        let tasks = self.tasks.clone();
+        let latched = QualityOfService::Latched { depth: 1 };
+        self.node.subscribe("map", latched, move |grid: OccupancyGrid| {
+            let task: Task = Box::new(move |orders| orders.localize_in(&grid));
+            if tasks.try_send(task).is_err() {
+                tracing::error!("too many calls from the graph: a map of another node is not used");
+            }
+        })?;
+        Ok(())
+    }
+
     /// The whole map, where an answer may be as long.
-    fn offer_map(&mut self) -> Result<(), BridgeError> {
-        self.offer::<GetMap>("slam_toolbox/dynamic_map", |orders, _| {
+    fn offer_whole_map(&mut self, name: &str) -> Result<(), BridgeError> {
+        if !self.node.answers_at_any_length() {
+            return Ok(());
+        }
+        self.offer::<GetMap>(name, |orders, _| {
             let frame = orders.map_frame.clone();
             let map = orders.map(move |map| map.map(|(map, stamp_ns)| map.message(stamp_ns, &frame)));
             GetMapResponse { map: map.flatten().unwrap_or_default() }

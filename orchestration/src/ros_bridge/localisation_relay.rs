@@ -1,27 +1,28 @@
 //! What a localising set says to the graph and hears of it, by the names of AMCL: hints in; the pose and the hypotheses out.
 
 use super::BridgeError;
-use flockslam_bus::{Bus, Publisher as BusPublisher};
+use flockslam_bus::{Bus, Publisher as BusPublisher, RuntimeDir};
 use flockslam_geometry::Pose;
 use flockslam_messages::{LocalisationOrder, PoseEstimate, PoseFlags};
 use flockslam_page::{Version, version_of};
-use flockslam_results::LocalisationStatus;
+use flockslam_results::{LocalisationStatus, ModeWatch};
 use flockslam_ros::messages::{
     Header, Particle, ParticleCloud, Pose as RosPose, PoseWithCovariance, PoseWithCovarianceStamped,
 };
 use flockslam_ros::{Node, Publisher, QualityOfService};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 /// What is believed is looked at so often.
 const LOOK: Duration = Duration::from_millis(200);
 /// A hint without a covariance means this: metres and radians, as RViz sends it.
-const USUAL_SIGMA: (f64, f64) = (0.5, std::f64::consts::PI / 12.0);
+pub const USUAL_SIGMA: (f64, f64) = (0.5, std::f64::consts::PI / 12.0);
 
-/// The part of the bridge for a set that localizes in a known map; of another set it only says that hints have no effect.
+/// The part of the bridge for a set that localizes in a known map; while it makes one it only says that hints have no effect.
 pub struct LocalisationRelay {
     orders: BusPublisher<LocalisationOrder>,
-    said: Option<Topics>,
+    said: Topics,
+    mode: ModeWatch,
     status_dir: PathBuf,
     status: LocalisationStatus,
     version: Option<Version>,
@@ -35,23 +36,25 @@ struct Topics {
 }
 
 impl LocalisationRelay {
-    /// Opens the topics, when the set localizes.
+    /// Opens the topics. Nothing comes on them while the set makes a map.
     ///
     /// # Errors
     /// When the graph or the bus refuses.
-    pub fn open(node: &mut Node, bus: &Bus, status_dir: &Path, localizes: bool) -> Result<Self, BridgeError> {
-        let said = localizes
-            .then(|| -> Result<Topics, BridgeError> {
-                Ok(Topics {
-                    pose: node.publisher("amcl_pose", QualityOfService::Latched { depth: 1 })?,
-                    particles: node.publisher("particle_cloud", QualityOfService::Sensor { depth: 1 })?,
-                })
-            })
-            .transpose()?;
+    pub fn open(
+        node: &mut Node,
+        bus: &Bus,
+        runtime: &RuntimeDir,
+        localizes: bool,
+    ) -> Result<Self, BridgeError> {
+        let said = Topics {
+            pose: node.publisher("amcl_pose", QualityOfService::Latched { depth: 1 })?,
+            particles: node.publisher("particle_cloud", QualityOfService::Sensor { depth: 1 })?,
+        };
         Ok(Self {
             orders: bus.publisher()?,
             said,
-            status_dir: status_dir.to_owned(),
+            mode: ModeWatch::of(&runtime.results(), localizes),
+            status_dir: runtime.status(),
             status: LocalisationStatus::default(),
             version: None,
             look_due: Instant::now(),
@@ -64,7 +67,7 @@ impl LocalisationRelay {
     /// # Errors
     /// When the bus refuses.
     pub fn take_hint(&mut self, hint: &PoseWithCovariance) -> Result<(), BridgeError> {
-        if self.said.is_none() {
+        if !self.mode.localizes() {
             if !std::mem::replace(&mut self.has_warned, true) {
                 tracing::warn!("/initialpose has no effect while the map is being made");
             }
@@ -81,8 +84,8 @@ impl LocalisationRelay {
 
     /// Sends the pose of a scan, while the robot is localized.
     pub fn send_pose(&self, estimate: &PoseEstimate, map_frame: &str) {
-        let (Some(said), Some(covariance)) = (&self.said, self.status.covariance) else { return };
-        if !self.places(estimate) {
+        let (said, Some(covariance)) = (&self.said, self.status.covariance) else { return };
+        if !self.places(estimate) || !estimate.has(PoseFlags::LOCALIZING) {
             return;
         }
         let Pose { x_m, y_m, heading_rad } = estimate.map_from_base();
@@ -97,7 +100,10 @@ impl LocalisationRelay {
 
     /// Looks at what is believed, and sends it when it is new.
     pub fn tick(&mut self, map_frame: &str) {
-        let Some(said) = self.said.as_ref().filter(|_| self.look_due <= Instant::now()) else { return };
+        if self.look_due > Instant::now() || !self.mode.localizes() {
+            return;
+        }
+        let said = &self.said;
         self.look_due = Instant::now() + LOOK;
         let version = version_of(&LocalisationStatus::file(&self.status_dir));
         if version == self.version {

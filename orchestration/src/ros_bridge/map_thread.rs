@@ -9,8 +9,9 @@ use flockslam_bus::{Bus, Capacity, RuntimeDir, Subscriber};
 use flockslam_geometry::Pose;
 use flockslam_messages::{Commit, Control, ControlKind, PoseEstimate, Stage, TileMessage};
 use flockslam_page::{FollowedMap, Version, version_of};
-use flockslam_ros::Publisher;
+use flockslam_results::SetMode;
 use flockslam_ros::messages::{MapMetaData, MarkerArray, OccupancyGrid, OccupancyGridUpdate};
+use flockslam_ros::{Node, Publisher, QualityOfService, RosError};
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
@@ -57,7 +58,7 @@ pub struct MapPlace {
     pub capacity: Capacity,
     /// Its sync-manager says where submaps lie.
     pub optimises: bool,
-    /// The set localizes: the map is the known one, and nothing of what it sees now.
+    /// The set localizes at first: the map is the known one, and nothing of what it sees now.
     pub localizes: bool,
     /// Side of a cell of the set's map, metres …
     pub cell_size_m: f64,
@@ -71,14 +72,42 @@ pub struct MapPlace {
 
 /// Publishers of the map.
 pub struct MapPublishers {
-    /// The map.
-    pub map: Publisher<OccupancyGrid>,
-    /// Its size and place.
-    pub metadata: Publisher<MapMetaData>,
-    /// What has changed of it.
-    pub changes: Publisher<OccupancyGridUpdate>,
+    /// Those of the map itself; `None` where it is that of another node, which publishes it.
+    own: Option<OwnMapPublishers>,
     /// The graph.
-    pub graph: Publisher<MarkerArray>,
+    graph: Publisher<MarkerArray>,
+}
+
+struct OwnMapPublishers {
+    map: Publisher<OccupancyGrid>,
+    metadata: Publisher<MapMetaData>,
+    changes: Publisher<OccupancyGridUpdate>,
+}
+
+impl MapPublishers {
+    /// Opens the topics, those of the map itself where it `is_own`.
+    ///
+    /// # Errors
+    /// When the graph refuses.
+    pub fn open(node: &mut Node, is_own: bool) -> Result<Self, RosError> {
+        let latched = QualityOfService::Latched { depth: 1 };
+        let own = is_own.then(|| -> Result<_, RosError> {
+            Ok(OwnMapPublishers {
+                map: node.publisher("map", latched)?,
+                metadata: node.publisher("map_metadata", latched)?,
+                changes: node.publisher("map_updates", QualityOfService::Reliable { depth: 10 })?,
+            })
+        });
+        let own = own.transpose()?;
+        let reliable = QualityOfService::Reliable { depth: 1 };
+        Ok(Self { own, graph: node.publisher("slam_toolbox/graph_visualization", reliable)? })
+    }
+
+    /// Topics that are made only for who hears them: changes of the map, the graph. One that is not published has no name.
+    pub fn heard_names(&self) -> [String; 2] {
+        let changes = self.own.as_ref().map_or("", |own| own.changes.topic());
+        [changes, self.graph.topic()].map(str::to_owned)
+    }
 }
 
 /// Starts the thread; it ends with the sender of orders.
@@ -112,7 +141,9 @@ struct MapKeeper<'p> {
     heard: HeardTopics,
     graph: GraphMarkers,
     graph_sent: Instant,
-    /// The set's file: it is written anew when the set begins another map.
+    /// Whether it localizes now.
+    localizes: bool,
+    /// The set's file: it is written anew when the set begins another map, and when its mode changes.
     set_file: Option<Version>,
     /// Something has changed since the map was painted.
     is_stale: bool,
@@ -177,6 +208,7 @@ impl<'p> MapKeeper<'p> {
             heard: HeardTopics::default(),
             graph: GraphMarkers::default(),
             graph_sent: Instant::now(),
+            localizes: SetMode::read(&runtime.results()).map_or(place.localizes, |mode| mode.localizes),
             set_file: version_of(&runtime.configuration()),
             is_stale: false,
             painted: None,
@@ -219,6 +251,8 @@ impl<'p> MapKeeper<'p> {
         let present = version_of(&self.runtime.configuration());
         if present != self.set_file {
             self.set_file = present;
+            let mode = SetMode::read(&self.runtime.results());
+            self.localizes = mode.map_or(self.place.localizes, |mode| mode.localizes);
             self.followed = FollowedMap::new(&self.runtime, self.place.optimises, self.place.cell_size_m);
             self.painter.clear();
             (self.painted, self.published, self.changed) = (None, None, None);
@@ -227,7 +261,7 @@ impl<'p> MapKeeper<'p> {
             self.ask_for_tiles()?;
         }
         while let Some(tile) = self.tiles.receive()? {
-            if !self.place.localizes {
+            if !self.localizes {
                 self.painter.take(&tile);
                 self.is_stale = true;
             }
@@ -271,15 +305,18 @@ impl<'p> MapKeeper<'p> {
         else {
             return;
         };
-        let message = painted.message(self.stamp_ns, &self.place.map_frame);
-        self.publishers.metadata.send(message.info.clone());
-        self.publishers.map.send(message);
+        if let Some(own) = &self.publishers.own {
+            let message = painted.message(self.stamp_ns, &self.place.map_frame);
+            own.metadata.send(message.info.clone());
+            own.map.send(message);
+        }
         self.published = Some(painted.clone());
     }
 
     /// Publishes what has changed since the map was published, for who hears that.
     fn publish_change(&mut self) {
-        if !(self.is_active && self.heard.changes && self.is_stale && self.change_due <= Instant::now()) {
+        let Some(own) = self.publishers.own.as_ref().filter(|_| self.heard.changes) else { return };
+        if !(self.is_active && self.is_stale && self.change_due <= Instant::now()) {
             return;
         }
         self.change_due = Instant::now() + CHANGE_PERIOD;
@@ -287,7 +324,7 @@ impl<'p> MapKeeper<'p> {
         let before = self.changed.as_ref().or(self.published.as_ref());
         let (Some(before), Some(painted)) = (before, &self.painted) else { return };
         if let Some(change) = map_change(before, painted, self.stamp_ns, &self.place.map_frame) {
-            self.publishers.changes.send(change);
+            own.changes.send(change);
             self.changed = Some(painted.clone());
         } else if before != painted {
             // Another size: the whole map comes when it is due.

@@ -3,7 +3,9 @@
 use super::sensor_messages::{imu_of, odometry_of, scan_of, transforms_of};
 use flockslam_ros::messages::{Imu, LaserScan, Odometry, TFMessage};
 use flockslam_sensor_stream::{FramedScan, ImuReading, LidarScan, OdometryReading, Producer, SensorFrame};
-use flockslam_transforms::{Isometry3, LookupError, Mounting, StampedTransform, TransformBuffer, frame_name};
+use flockslam_transforms::{
+    Isometry3, LookupError, Mounting, StampedTransform, TimeWatch, TransformBuffer, frame_name,
+};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -18,6 +20,8 @@ const NAMES_MAX: usize = 256;
 const PATIENCE: Duration = Duration::from_millis(50);
 /// A scan whose stamp is farther from the clock of the graph is said to be, nanoseconds.
 const APART_NS: i64 = 10_000_000_000;
+/// The clock of a simulation follows scans that show that time has gone back within this.
+const CLOCK_WAIT: Duration = Duration::from_secs(1);
 /// A scan without a pose after this is not waited for any more.
 const POSE_WAIT: Duration = Duration::from_millis(500);
 
@@ -40,6 +44,10 @@ pub struct SensorRelay {
     /// Frames for whose place was waited in vain.
     placeless: BTreeSet<String>,
     said: BTreeSet<String>,
+    /// The time of the scans of each topic.
+    times: BTreeMap<String, TimeWatch>,
+    /// When that of one went back.
+    went_back: Option<Instant>,
     /// What became of scans.
     pub counts: RelayCounts,
 }
@@ -84,13 +92,15 @@ impl SensorRelay {
             odom_frame: frame_name(odom_frame).to_owned(),
             base_frame: frame_name(base_frame).to_owned(),
             has_odometry_topic,
-            transforms: TransformBuffer::default(),
+            transforms: TransformBuffer::live(),
             odometry_until_ns: i64::MIN,
             waiting: VecDeque::new(),
             places: BTreeMap::new(),
             on_the_way: VecDeque::new(),
             placeless: BTreeSet::new(),
             said: BTreeSet::new(),
+            times: BTreeMap::new(),
+            went_back: None,
             counts: RelayCounts::default(),
         }
     }
@@ -98,6 +108,16 @@ impl SensorRelay {
     /// The transforms of the graph.
     pub fn transforms(&self) -> &TransformBuffer {
         &self.transforms
+    }
+
+    /// Whether the time of the scans of a topic goes back to this stamp.
+    pub fn goes_back(&mut self, topic: &str, stamp_ns: i64) -> bool {
+        let goes_back = match self.times.get_mut(topic) {
+            Some(time) => time.goes_back(stamp_ns),
+            None => self.times.entry(topic.to_owned()).or_default().goes_back(stamp_ns),
+        };
+        self.went_back = goes_back.then(Instant::now).or(self.went_back);
+        goes_back
     }
 
     /// Takes a scan; `now_ns` by the clock of the graph.
@@ -117,7 +137,10 @@ impl SensorRelay {
         }
         let stamp_ns = scan.scan.header.times.sensor_ns;
         let gap_ns = now_ns.map_or(0, |now_ns| stamp_ns.saturating_sub(now_ns));
-        if gap_ns.saturating_abs() > APART_NS {
+        // The clock may follow a scan that shows that time has gone back.
+        let is_open = self.times.get(topic).is_some_and(TimeWatch::is_behind)
+            || self.went_back.is_some_and(|at| at.elapsed() < CLOCK_WAIT);
+        if gap_ns.saturating_abs() > APART_NS && !is_open {
             self.counts.apart += 1;
             let which = if gap_ns < 0 { "behind" } else { "ahead of" };
             let gap_s = gap_ns.unsigned_abs() as f64 * 1e-9;
@@ -189,11 +212,12 @@ impl SensorRelay {
         self.on_the_way.drain(..=at).next_back().map(|(_, heard)| heard)
     }
 
-    /// Forgets transforms and what waits: time has gone back.
+    /// Forgets transforms that do not hold at all times, and what waits: time has gone back.
     pub fn clear(&mut self) {
-        self.transforms = TransformBuffer::default();
+        self.transforms.forget_moving();
         self.waiting.clear();
         self.on_the_way.clear();
+        self.times.clear();
         self.odometry_until_ns = i64::MIN;
     }
 

@@ -68,7 +68,11 @@ fn whole(robot: &str, set: &SetStatus) -> DiagnosticStatus {
     let name = "flockslam: set".to_owned();
     let problem =
         set.not_durable.clone().or_else(|| set.saved.as_ref().and_then(|saved| saved.problem.clone()));
-    let figures = [("uptime_s", format!("{:.0}", set.uptime_s)), ("paused", set.paused.to_string())];
+    let figures = [
+        ("uptime_s", format!("{:.0}", set.uptime_s)),
+        ("paused", set.paused.to_string()),
+        ("mode", set.mode.name.clone()),
+    ];
     let (level, message) = match (set.state, &problem) {
         (SetState::Degraded, _) => (DiagnosticStatus::ERROR, "a stage does not get up"),
         (_, Some(problem)) => (DiagnosticStatus::WARN, problem.as_str()),
@@ -99,7 +103,7 @@ pub fn status(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::supervisor::StageStatus;
+    use crate::supervisor::{ModeStatus, StageStatus};
 
     fn set(state: StageState) -> SetStatus {
         let stage = StageStatus {
@@ -122,6 +126,7 @@ mod tests {
             not_durable: None,
             unattached: None,
             localisation: None,
+            mode: ModeStatus::default(),
             flock: None,
             lidars: Vec::new(),
             lidar_lines: Vec::new(),

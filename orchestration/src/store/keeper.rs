@@ -42,6 +42,12 @@ impl MapKeeper {
         self.orders.send(done).is_ok() && waits.recv_timeout(limit).is_ok() && self.status().durable
     }
 
+    /// Saves before its period has passed; nobody waits for it.
+    pub fn save_soon(&self) {
+        // Without the thread nothing is saved, and the status says so.
+        let _ = self.orders.send(channel().0);
+    }
+
     /// How it went so far.
     pub fn status(&self) -> SaveStatus {
         let state = self.state.lock().expect("the keeper does not panic");

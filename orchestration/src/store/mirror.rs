@@ -2,9 +2,10 @@
 
 use super::{MapHead, SavedMap, StoreError};
 use flockslam_journal::{Durability, RecordReader, RecordWriter, replace_file};
+use flockslam_messages::PoseFlags;
 use flockslam_results::SubmapStore;
 use flockslam_results::flock_files::records_file;
-use flockslam_stage::journal_file;
+use flockslam_stage::{journal_file, pose_of};
 use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -17,16 +18,52 @@ pub struct Mirror {
     submaps: SubmapStore,
     map: SavedMap,
     head: MapHead,
-    open: Option<Open>,
+    open: Option<OpenJournal>,
     open_records: Option<Open>,
     /// By number: which file of the set is saved.
     saved: Vec<FileStamp>,
 }
 
-/// Both ends of the journal, at the same place.
+/// Both ends of a file of records, at the same place.
 struct Open {
     from: RecordReader,
     to: RecordWriter,
+}
+
+/// The journal, read ahead: scans that a set only localizes with are saved once it makes its map further.
+struct OpenJournal {
+    open: Open,
+    ahead: RecordReader,
+    /// The last scan of the map ends here.
+    map_bytes: u64,
+    /// Submaps below this number are of the map; all when `None`.
+    submaps: Option<u32>,
+    /// That of the last accepted scan of the map.
+    last_submap: u32,
+}
+
+impl OpenJournal {
+    fn at(original: &Path, copy: &Path) -> Result<Self, StoreError> {
+        let (open, ahead) = (Open::at(original, copy)?, RecordReader::open(original)?);
+        Ok(Self { open, ahead, map_bytes: 0, submaps: None, last_submap: 0 })
+    }
+
+    fn bring_up(&mut self) -> Result<(), StoreError> {
+        while let Some(record) = self.ahead.next_record()? {
+            let pose = pose_of(record.payload);
+            if pose.is_some_and(|pose| pose.has(PoseFlags::LOCALIZING)) {
+                // The number of a scan may lag behind the submap that it enters, and is never ahead of it.
+                self.submaps = Some(self.last_submap + 1);
+                continue;
+            }
+            if let Some(pose) = pose.filter(|pose| pose.has(PoseFlags::INSERT)) {
+                self.last_submap = pose.submap;
+            }
+            (self.map_bytes, self.submaps) = (self.ahead.good_bytes(), None);
+        }
+        let end = self.map_bytes;
+        self.open.bring_up_to(end)
+    }
 }
 
 impl Open {
@@ -42,7 +79,13 @@ impl Open {
     }
 
     fn bring_up(&mut self) -> Result<(), StoreError> {
-        while let Some(record) = self.from.next_record()? {
+        self.bring_up_to(u64::MAX)
+    }
+
+    /// Copies the records that end at `end` or before.
+    fn bring_up_to(&mut self, end: u64) -> Result<(), StoreError> {
+        while self.from.good_bytes() < end {
+            let Some(record) = self.from.next_record()? else { break };
             self.to.append(record.kind, &[record.payload])?;
         }
         Ok(self.to.sync()?)
@@ -91,6 +134,8 @@ impl Mirror {
             (self.open, self.open_records) = (None, None);
         }
         outcome?;
+        let of_map = self.open.as_ref().and_then(|open| open.submaps).unwrap_or(u32::MAX);
+        let submaps = submaps.min(of_map);
         (0..submaps).try_for_each(|number| self.bring_up_submap(number))
     }
 
@@ -100,9 +145,9 @@ impl Mirror {
         }
         if self.open.is_none() {
             self.begin()?;
-            self.open = Some(Open::at(&self.journal, &journal_file(self.map.directory()))?);
+            self.open = Some(OpenJournal::at(&self.journal, &journal_file(self.map.directory()))?);
         }
-        self.open.iter_mut().try_for_each(Open::bring_up)
+        self.open.iter_mut().try_for_each(OpenJournal::bring_up)
     }
 
     fn bring_up_records(&mut self) -> Result<(), StoreError> {

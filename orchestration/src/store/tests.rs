@@ -28,10 +28,15 @@ impl Source {
 
     /// Journals scans, every second one accepted.
     fn drive(&mut self, scans: u64) {
+        self.drive_with(scans, 0, 0);
+    }
+
+    /// The same with these flags of each pose, and the submap that it enters.
+    fn drive_with(&mut self, scans: u64, more: u32, submap: u32) {
         let scan = ScanBuffer::from_ranges(&[1.0, 2.0, 3.0], -1.0, 1.0);
         for _ in 0..scans {
             let flags = if self.next.is_multiple_of(2) { PoseFlags::INSERT } else { 0 };
-            let mut pose = PoseEstimate { flags, ..PoseEstimate::default() };
+            let mut pose = PoseEstimate { flags: flags | more, submap, ..PoseEstimate::default() };
             pose.id.sequence = self.next;
             self.journal.append(&pose, scan.view().unwrap()).unwrap();
             self.next += 1;
@@ -222,4 +227,26 @@ fn records_of_the_flock_are_saved_and_restored_with_the_map() {
     let runtime = RuntimeDir::create(&format!("store-flock-{}", std::process::id())).unwrap();
     SavedMap::at(saved.path()).restore(&runtime, &MapHead::of_this_build("r1", 0.045)).unwrap();
     assert_eq!(RecordLog::read(&runtime.results()).unwrap(), [b"one", b"two"]);
+}
+
+#[test]
+fn what_a_set_only_localizes_with_is_saved_once_its_map_is_made_further() {
+    let (to, mut source) = saved();
+    let mut mirror = source.mirror(to.path());
+    source.drive_with(2, 0, 2);
+    source.drive_with(6, PoseFlags::LOCALIZING, 2);
+    source.close(2, 7, 8);
+    source.close(3, 9, 12);
+    mirror.bring_up().unwrap();
+    let found = SavedMap::at(to.path()).check().unwrap();
+    assert_eq!((found.poses, found.submaps, found.problems.len()), (9, 3, 0));
+    // Only one at a time writes the journal of a saved map.
+    drop(mirror);
+    let mut mirror = source.mirror(to.path());
+    mirror.bring_up().unwrap();
+    assert_eq!(SavedMap::at(to.path()).check().unwrap(), found);
+    source.drive_with(4, 0, 4);
+    mirror.bring_up().unwrap();
+    let found = SavedMap::at(to.path()).check().unwrap();
+    assert_eq!((found.poses, found.submaps, found.problems.len()), (19, 4, 0));
 }

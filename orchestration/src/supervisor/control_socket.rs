@@ -41,6 +41,8 @@ pub enum Request {
     Reset,
     /// Look for the robot in the known map anew: everywhere, or near x, y, heading with two standard deviations, in metres and radians.
     Relocalize(Option<[f64; 5]>),
+    /// Localize in the map as it is (`true`), or make a map again.
+    Localize(bool),
 }
 
 /// What a set answers.

@@ -330,6 +330,7 @@ impl ProcessSet {
             not_durable: self.not_durable.clone(),
             unattached: Unattached::read(&status_dir),
             localisation: LocalisationStatus::read(&status_dir).filter(|_| self.set.options.localizes),
+            mode: self.mode_status(),
             flock: FlockStatus::read(&status_dir),
             lidars: LidarStatus::read(&status_dir),
             lidar_lines: read_lidar_lines(&status_dir),

@@ -43,7 +43,8 @@ pub struct SetDescription {
     pub robot: String,
     /// Where the map is kept on disk: continued from there, and saved there.
     pub map: Option<PathBuf>,
-    /// A map to localize in, instead of making one: a saved map, the outputs of a run, or a nav2 map.yaml.
+    /// A map to localize in, instead of making one: a saved map, the outputs of a run, a nav2 map.yaml, or `ros` for that which another
+    /// node of the graph publishes.
     pub localize: Option<PathBuf>,
     /// The map is saved so often, seconds.
     #[serde(default = "save_every_s")]
@@ -207,6 +208,11 @@ fn rate() -> f64 {
     1.0
 }
 
+/// Whether a set localizes in the map that another node of the ROS graph publishes: `localize = "ros"`.
+pub fn is_of_graph(localize: &Path) -> bool {
+    localize == Path::new("ros")
+}
+
 impl SetDescription {
     /// Reads a description.
     ///
@@ -219,7 +225,7 @@ impl SetDescription {
         let base = base.parent().unwrap_or(Path::new("/")).to_owned();
         let beside = |path: &mut PathBuf| *path = base.join(&*path);
         description.map.iter_mut().for_each(beside);
-        description.localize.iter_mut().for_each(beside);
+        description.localize.iter_mut().filter(|map| !is_of_graph(map)).for_each(beside);
         description.config.iter_mut().for_each(beside);
         match &mut description.source {
             SourceDescription::Log { path, .. } => beside(path),

@@ -32,6 +32,9 @@ pub struct SetStatus {
     /// Where it believes to be in the known map, when it localizes.
     #[serde(default)]
     pub localisation: Option<LocalisationStatus>,
+    /// What it does with its map.
+    #[serde(default)]
+    pub mode: ModeStatus,
     /// What its sync-manager tells of its flock, when it is part of one.
     #[serde(default)]
     pub flock: Option<FlockStatus>,
@@ -53,6 +56,24 @@ pub enum SetState {
     Running,
     /// A stage does not get up, and the set goes on without it.
     Degraded,
+}
+
+/// What a set does with its map.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ModeStatus {
+    /// `map` or `localize`.
+    pub name: String,
+    /// It is being changed.
+    pub changing: bool,
+    /// Why the last change was not possible.
+    pub problem: Option<String>,
+}
+
+impl ModeStatus {
+    /// How the last change of the mode came out; none while it is being changed.
+    pub fn outcome(self) -> Option<Result<(), String>> {
+        (!self.changing).then(|| self.problem.map_or(Ok(()), Err))
+    }
 }
 
 /// How the map of a set is saved.
@@ -173,6 +194,12 @@ impl fmt::Display for SetStatus {
         }
         if let Some(unattached) = &self.unattached {
             writeln!(f, "  {unattached}")?;
+        }
+        if self.mode.changing {
+            writeln!(f, "  the mode is being changed: the map as it is now is worked out")?;
+        }
+        if let Some(problem) = &self.mode.problem {
+            writeln!(f, "  the mode is not changed: {problem}")?;
         }
         if let Some(localisation) = &self.localisation {
             writeln!(f, "  {localisation}")?;

@@ -11,6 +11,11 @@ const MOVED: (f64, f64) = (0.02, 0.02);
 /// Valid ranges that must be the same for a scan to be a repetition.
 const SAME_MIN: usize = 10;
 
+/// Whether a stamp may follow another one, nanoseconds: it is not far behind.
+pub fn follows(stamp_ns: i64, before_ns: i64) -> bool {
+    before_ns.saturating_sub(stamp_ns) <= REVERSED_NS
+}
+
 /// Compares each scan with the one before it: time must go on, and a moving robot must see something else.
 #[derive(Debug, Default)]
 pub struct Continuity {
@@ -18,6 +23,8 @@ pub struct Continuity {
     last_ns: Option<i64>,
     /// Stamp of the last scan, when it was refused for its stamp.
     refused_ns: Option<i64>,
+    /// By how much time has gone back at the last scan, nanoseconds; 0 where it has not.
+    back_ns: i64,
     ranges: Vec<f32>,
     odometry: Option<Pose>,
 }
@@ -36,7 +43,9 @@ impl Continuity {
             return Some(Rejection::TimeReversed);
         }
         self.refused_ns = None;
-        self.last_ns = Some(stamp_ns);
+        let before_ns = self.last_ns.replace(stamp_ns);
+        let back_ns = before_ns.map_or(0, |before_ns| before_ns.saturating_sub(stamp_ns));
+        self.back_ns = if back_ns > REVERSED_NS { back_ns } else { 0 };
         if self.is_frozen(view) {
             return Some(Rejection::Frozen);
         }
@@ -44,11 +53,16 @@ impl Continuity {
         None
     }
 
+    /// By how much time has gone back at the last scan that was not refused for its stamp, nanoseconds; `None` where it has not.
+    pub fn back_ns(&self) -> Option<i64> {
+        (self.back_ns > 0).then_some(self.back_ns)
+    }
+
     fn is_old(&self, stamp_ns: i64) -> bool {
-        let behind = self.last_ns.is_some_and(|last_ns| last_ns.saturating_sub(stamp_ns) > REVERSED_NS);
-        let follows =
+        let is_behind = self.last_ns.is_some_and(|last_ns| !follows(stamp_ns, last_ns));
+        let goes_on =
             self.refused_ns.is_some_and(|refused_ns| stamp_ns.abs_diff(refused_ns) < REVERSED_NS as u64);
-        behind && !follows
+        is_behind && !goes_on
     }
 
     fn is_frozen(&self, view: ScanView<'_>) -> bool {
@@ -94,6 +108,12 @@ mod tests {
         assert_eq!(judged(&late), [None, None, Some(Rejection::TimeReversed), None]);
         let put_back = [scan(10.0, 0.0, 1.0), scan(3.0, 0.1, 1.1), scan(3.1, 0.2, 1.2), scan(3.2, 0.3, 1.3)];
         assert_eq!(judged(&put_back), [None, Some(Rejection::TimeReversed), None, None]);
+        let mut continuity = Continuity::default();
+        let back_ns = put_back.each_ref().map(|scan| {
+            continuity.refuses(scan);
+            continuity.back_ns()
+        });
+        assert_eq!(back_ns, [None, None, Some(6_900_000_000), None]);
     }
 
     #[test]

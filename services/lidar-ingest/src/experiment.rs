@@ -55,6 +55,10 @@ impl Experiment {
         if !self.settings.odometry {
             (scan.header.has_odometry, scan.header.odometry) = (0, Pose::IDENTITY);
         }
+        if !self.settings.odometry || self.settings.odometry_noise != [0.0, 0.0] {
+            // It would tell what the experiment hides.
+            scan.drop_motion();
+        }
         if scan.header.has_odometry == 1 {
             scan.header.odometry = self.change_odometry(scan.header.odometry);
         }

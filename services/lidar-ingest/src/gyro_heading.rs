@@ -1,7 +1,7 @@
 //! How far a robot has turned, from the rates that an IMU measures.
 
 use flockslam_sensor_stream::ImuReading;
-use flockslam_transforms::{Isometry3, LookupError, StampedTransform, TransformBuffer};
+use flockslam_transforms::{Isometry3, LookupError, StampedTransform, TimeWatch, TransformBuffer};
 use nalgebra::{UnitQuaternion, Vector3};
 use std::collections::VecDeque;
 
@@ -18,6 +18,7 @@ pub struct GyroHeading {
     /// Stamp, rate and heading after the last measurement.
     last: Option<(i64, f64, f64)>,
     headings: TransformBuffer,
+    time: TimeWatch,
 }
 
 impl GyroHeading {
@@ -30,6 +31,9 @@ impl GyroHeading {
     pub fn integrate(&mut self, base_from_imu: impl Fn(&ImuReading) -> UnitQuaternion<f64>) {
         while let Some(reading) = self.waiting.pop_front() {
             let rate_rad_s = (base_from_imu(&reading) * reading.turn_rad_s).z;
+            if self.time.goes_back(reading.stamp_ns) {
+                (self.last, self.headings) = (None, TransformBuffer::default());
+            }
             let heading_rad = match self.last {
                 None => 0.0,
                 // Of measurements that come out of order the later ones count.
@@ -105,5 +109,16 @@ mod tests {
         gyro.integrate(|_| on_its_side);
         assert_eq!(gyro.heading_rad(100 * MS), Err(LookupError::Missing));
         assert!((gyro.heading_rad(1000 * MS).unwrap() - 0.1).abs() < 1e-9);
+    }
+
+    #[test]
+    fn after_time_has_gone_back_turns_are_measured_again() {
+        let (mut gyro, on_its_side) = heading();
+        for stamp_ms in [9000, 9100, 100, 200, 300] {
+            gyro.push(reading(stamp_ms, 1.0));
+        }
+        gyro.integrate(|_| on_its_side);
+        assert!((gyro.heading_rad(300 * MS).unwrap() - 0.1).abs() < 1e-9);
+        assert_eq!(gyro.heading_rad(9000 * MS), Err(LookupError::NotYet));
     }
 }

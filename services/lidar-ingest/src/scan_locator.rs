@@ -3,16 +3,18 @@
 //! Both come from messages of their own, which may be recorded later than the scan and out of order: scans wait for them, for a time
 //! that is counted in the recording.
 
+mod robot_motion;
+
 use crate::cloud_slice::slice;
 use crate::gyro_heading::GyroHeading;
 use crate::lidar_order::LidarOrder;
 use crate::settings::Settings;
-use flockslam_geometry::{Pose, Twist, wrap_angle};
-use flockslam_messages::{HEADING_ONLY, ScanBuffer};
+use flockslam_geometry::{Pose, Twist};
+use flockslam_messages::ScanBuffer;
 use flockslam_recordings::FramedCloud;
 use flockslam_sensor_stream::{FramedScan, ImuReading, OdometryReading};
 use flockslam_transforms::{
-    Isometry3, LookupError, Mounting, MountingError, StampedTransform, TransformBuffer, frame_name, planar,
+    Isometry3, LookupError, Mounting, MountingError, StampedTransform, TransformBuffer, frame_name,
 };
 use std::collections::{BTreeMap, VecDeque};
 
@@ -156,7 +158,8 @@ impl ScanLocator {
     /// As [`ScanLocator::new`], of sensors that speak now: what is recorded at a time is heard at it, by the clock, and nothing is
     /// waited for any longer than a moment.
     pub fn live(settings: &Settings, gyro_leads: bool) -> Self {
-        Self { live: Some(Live::default()), ..Self::new(settings, 0, gyro_leads) }
+        let (transforms, odometry) = (TransformBuffer::live(), TransformBuffer::live());
+        Self { live: Some(Live::default()), transforms, odometry, ..Self::new(settings, 0, gyro_leads) }
     }
 
     /// From now on there are so many lidars.
@@ -271,7 +274,10 @@ impl ScanLocator {
         let odometry_ns = stamp_ns.saturating_add(self.offset_ns(lidar));
         let odometry = self.odometry_at(&frames, odometry_ns);
         let heading_rad = self.heading_at(&frames, odometry_ns);
-        let may_come = odometry == Err(LookupError::NotYet) || heading_rad == Err(LookupError::NotYet);
+        let moved = odometry.ok().map(|odometry| self.moved_during(&frames, odometry, odometry_ns));
+        let is_open = moved == Some(Err(LookupError::NotYet)) && self.live.is_none();
+        let may_come =
+            odometry == Err(LookupError::NotYet) || heading_rad == Err(LookupError::NotYet) || is_open;
         let (waits, wait_ns) = match &self.live {
             None => (may_come || self.lidars > 1, WAIT_NS),
             Some(live) => {
@@ -304,7 +310,12 @@ impl ScanLocator {
             Sighting::Cloud(cloud) => slice(&cloud, &place, self.settings.cloud_heights_m),
         };
         scan.header.id.lidar = lidar;
-        self.add_motion(&mut scan, odometry, heading_rad.ok());
+        self.add_odometry(&mut scan, odometry, heading_rad.ok());
+        if let Some(Ok(motion)) =
+            moved.filter(|_| !self.gyro_leads && known.is_some_and(|pose| pose.is_finite()))
+        {
+            scan.add_motion(motion);
+        }
         Ok(Some(scan))
     }
 
@@ -384,85 +395,6 @@ impl ScanLocator {
             header.angle_increment_rad = -header.angle_increment_rad;
         }
         Ok(scan)
-    }
-
-    fn integrate_gyro(&mut self, frames: &Frames) {
-        let transforms = &self.transforms;
-        self.gyro.integrate(|reading| {
-            let base_from_imu = transforms.lookup(&frames.base, &reading.frame, reading.stamp_ns);
-            base_from_imu.map(|transform| transform.rotation).unwrap_or_default()
-        });
-    }
-
-    /// The heading by the gyro at a time, where it is asked for.
-    fn heading_at(&self, frames: &Frames, at_ns: i64) -> Result<f64, LookupError> {
-        let has_odometry = self.odometry_frames.is_some() || frames.odom.is_some();
-        if has_odometry && !self.gyro_leads {
-            Err(LookupError::Unlinked)
-        } else {
-            self.gyro.heading_rad(at_ns)
-        }
-    }
-
-    /// `odom_from_base` at a time.
-    fn odometry_at(&self, frames: &Frames, at_ns: i64) -> Result<Pose, LookupError> {
-        if let Some((parent, child)) = &self.odometry_frames {
-            let moved = self.odometry.lookup(parent, child, at_ns)?;
-            let base = self.transforms.lookup(child, &frames.base, at_ns);
-            return Ok(planar(&(moved * base.unwrap_or_default())));
-        }
-        let odom = frames.odom.as_deref().ok_or(LookupError::Unlinked)?;
-        self.transforms.lookup(odom, &frames.base, at_ns).map(|moved| planar(&moved))
-    }
-
-    /// The newest odometry, where it is not much older than a scan.
-    fn last_odometry(&self, frames: &Frames, stamp_ns: i64) -> Option<Pose> {
-        let known_until_ns = match (&self.odometry_frames, &frames.odom) {
-            (Some((parent, child)), _) => self.odometry.known_until_ns(parent, child),
-            (None, Some(odom)) => self.transforms.known_until_ns(odom, &frames.base),
-            (None, None) => None,
-        }?;
-        let age_ns = stamp_ns.saturating_sub(known_until_ns);
-        let is_near = (0..=ODOMETRY_AGE_NS).contains(&age_ns);
-        let last = is_near.then(|| self.odometry_at(frames, known_until_ns).ok()).flatten()?;
-        Some(match &self.live {
-            None => last,
-            Some(live) => {
-                last * self.twist(live, frames, known_until_ns, last).motion_after(age_ns as f64 * 1e-9)
-            }
-        })
-    }
-
-    /// How fast the robot moved last: as odometry says, else by its last poses.
-    fn twist(&self, live: &Live, frames: &Frames, until_ns: i64, last: Pose) -> Twist {
-        let by_poses = || {
-            let before = self.odometry_at(frames, until_ns - ODOMETRY_AGE_NS).ok()?;
-            Some(Twist::from_motion(before.to(last), ODOMETRY_AGE_NS as f64 * 1e-9))
-        };
-        live.twist.or_else(by_poses).unwrap_or_default()
-    }
-
-    /// Gives a scan the pose by odometry, with the gyro's turns where these lead; the gyro's heading alone where there is no odometry.
-    fn add_motion(&mut self, scan: &mut ScanBuffer, odometry: Option<Pose>, heading_rad: Option<f64>) {
-        let odometry = odometry.filter(|pose| pose.is_finite());
-        let header = &mut scan.header;
-        match (odometry, heading_rad) {
-            (Some(odometry), heading_rad) if self.gyro_leads => {
-                let fused = self.fused.map_or(odometry, |(before, heading_before_rad, fused)| {
-                    let motion = before.to(odometry);
-                    let turned_rad =
-                        heading_rad.zip(heading_before_rad).map(|(now, before)| wrap_angle(now - before));
-                    fused * Pose { heading_rad: turned_rad.unwrap_or(motion.heading_rad), ..motion }
-                });
-                self.fused = Some((odometry, heading_rad, fused));
-                (header.odometry, header.has_odometry) = (fused, 1);
-            }
-            (Some(odometry), _) => (header.odometry, header.has_odometry) = (odometry, 1),
-            (None, Some(heading_rad)) => {
-                (header.odometry, header.has_odometry) = (Pose::new(0.0, 0.0, heading_rad), HEADING_ONLY);
-            }
-            (None, None) => {}
-        }
     }
 }
 

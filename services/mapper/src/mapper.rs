@@ -6,7 +6,7 @@ use crate::tile_share::TileShare;
 use crate::window::Window;
 use flockslam_evidence::{CellIndex, Submap, Tile, TileKey, floor};
 use flockslam_geometry::{Point, Pose};
-use flockslam_messages::{ClearedCell, Deskew, PoseEstimate, ScanView};
+use flockslam_messages::{ClearedCell, Deskew, PoseEstimate, PoseFlags, ScanView};
 use flockslam_ray_insertion::SensorModel;
 use std::collections::VecDeque;
 
@@ -43,6 +43,10 @@ pub struct Mapper {
     /// The closed submaps of a bounded window: needed to remove them later.
     closed: VecDeque<Submap>,
     left_cleared: Vec<Submap>,
+    /// Submaps below this number stay as they are stored: the set has localized in the map that they are of.
+    fixed_below: u32,
+    /// The set localizes: what it sees is no part of the map.
+    localizes: bool,
     active: Option<ActiveSubmap>,
     number: u32,
     trajectory: u32,
@@ -93,6 +97,8 @@ impl Mapper {
             window: Window::new(&settings, share),
             closed: VecDeque::new(),
             left_cleared: Vec::new(),
+            fixed_below: 0,
+            localizes: false,
             active: None,
             number: 0,
             trajectory: 0,
@@ -131,6 +137,9 @@ impl Mapper {
             closed.extend(self.close_active());
             self.enter_trajectory(pose.trajectory);
         }
+        if pose.has(PoseFlags::LOCALIZING) != self.localizes {
+            closed.extend(self.change_mode());
+        }
         for cell in cleared {
             self.clear(CellIndex::new(cell.x, cell.y));
         }
@@ -161,6 +170,32 @@ impl Mapper {
         }
     }
 
+    /// Cuts the active submap where the set begins to localize, or to map again: what it sees while it localizes stays in submaps of its
+    /// own. Those of the map are stored as they are now, and not again.
+    fn change_mode(&mut self) -> Option<Submap> {
+        self.localizes = !self.localizes;
+        let closed = self.close_active();
+        if self.localizes {
+            self.keep_cleared();
+            self.fixed_below = self.number;
+        }
+        closed
+    }
+
+    /// The set has localized at the scan with this sequence: submaps up to the one that holds it stay as they are stored. For a mapper
+    /// that continues.
+    pub fn has_localized(&mut self, sequence: u64) {
+        let before = self.closed.iter().rev().find(|submap| submap.first <= sequence);
+        self.fixed_below = self.fixed_below.max(before.map_or(0, |submap| submap.number + 1));
+    }
+
+    /// Hands over those closed submaps in the window whose stored form is to be replaced.
+    fn keep_cleared(&mut self) {
+        let fixed_below = self.fixed_below;
+        let is_new = |submap: &&Submap| submap.has_cleared() && submap.number >= fixed_below;
+        self.left_cleared.extend(self.closed.iter().filter(is_new).cloned());
+    }
+
     /// Closed submaps that have left the window, or been in it when the map was closed, with cells cleared since they were
     /// closed: their stored form is to be replaced.
     pub fn take_cleared(&mut self) -> Vec<Submap> {
@@ -170,7 +205,7 @@ impl Mapper {
     /// Closes the active submap, at the end of a log; `None` when it is empty.
     pub fn close(&mut self) -> Option<Submap> {
         let closed = self.close_active();
-        self.left_cleared.extend(self.closed.iter().filter(|submap| submap.has_cleared()).cloned());
+        self.keep_cleared();
         closed
     }
 
@@ -292,7 +327,8 @@ impl Mapper {
         }
         self.trajectory = trajectory;
         self.window.clear_all();
-        self.left_cleared.extend(self.closed.drain(..).filter(Submap::has_cleared));
+        self.keep_cleared();
+        self.closed.clear();
     }
 
     /// Keeps a closed submap while it is in the window, and lets the oldest leave a bounded one.
@@ -302,7 +338,7 @@ impl Mapper {
         while self.closed.len() > size {
             if let Some(oldest) = self.closed.pop_front() {
                 self.window.withdraw_submap(&oldest);
-                if oldest.has_cleared() {
+                if oldest.has_cleared() && oldest.number >= self.fixed_below {
                     self.left_cleared.push(oldest);
                 }
             }

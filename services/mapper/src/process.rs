@@ -158,6 +158,9 @@ impl MapperProcess {
         while let Some(record) = self.journal.read_before(before)?.filter(|_| !failpoint("no-replay")) {
             context.alive();
             self.join.expected = self.join.expected.max(record.pose.id.sequence + 1);
+            if record.pose.has(PoseFlags::LOCALIZING) && record.pose.id.sequence < self.applied {
+                self.logic.has_localized(record.pose.id.sequence);
+            }
             let Some(scan) = record.scan.filter(|_| record.pose.id.sequence >= self.applied) else {
                 continue;
             };

@@ -4,16 +4,18 @@
 //! [`ScanPoints`], [`MoverMask`], [`Fitted`], [`Judgement`].
 
 use crate::motion::{Motion, Prediction};
-use crate::settings::Settings;
+use crate::settings::{Settings, Strategy};
 use fitting::{Fitted, Fitter, Solvers};
 use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::{Covariance, Pose};
 use flockslam_messages::{
-    BeamRange, Commit, Correction, FlockRobots, PoseEstimate, PoseFlags, Quality, ScanView, Verdict,
+    BeamRange, Commit, Correction, FlockRobots, PoseEstimate, PoseFlags, Quality, STARTS_ELSEWHERE, ScanView,
+    Verdict,
 };
 use flockslam_registration::GridField;
 use judging::Judgement;
 use matcher_state::{Confidence, MapState};
+use open_place::fused_covariance;
 use points::{MoverMask, ScanPoints};
 use std::ops::Deref;
 use surroundings::Surroundings;
@@ -46,6 +48,7 @@ mod matcher_state;
 mod movers;
 mod open_place;
 mod points;
+mod slip_watch;
 mod surroundings;
 
 /// Fits scans to the grid. A pure function of its calls.
@@ -107,13 +110,19 @@ impl ScanMatcher {
         grid: &TileGrid<H>,
     ) -> PoseEstimate {
         self.buffers.mask.clear();
+        self.begin_where(scan);
         let prediction = self.predict(scan);
+        let prediction = self.watched(scan, prediction);
         let need = self.need(scan, verdict, &prediction);
         let predicted = self.predicted(scan, verdict, &prediction, need);
         if need == Need::None {
             return self.followed(scan, predicted);
         }
         let points = self.points(scan, &prediction);
+        if points.len() < POINTS_MIN && self.confidence.is_in_the_open() && !self.map.begins_elsewhere {
+            self.buffers.points = points;
+            return self.among_few_things(scan, predicted, &prediction);
+        }
         if points.len() < POINTS_MIN || grid.is_empty() || self.map.begins_elsewhere {
             return self.unmatched(scan, predicted, points, grid.is_empty());
         }
@@ -166,8 +175,21 @@ impl ScanMatcher {
         (self.confidence.mean_score, self.confidence.last_score) = (0.0, 0.0);
     }
 
+    /// Where nothing connects a scan with the one before, a new trajectory begins, which a closure may attach.
+    fn begin_where(&mut self, scan: ScanView<'_>) {
+        if scan.header().starts_at_odometry != STARTS_ELSEWHERE {
+            return;
+        }
+        self.motion.break_off();
+        self.confidence.begin_anew();
+        self.surroundings.clear();
+        self.map.trajectory += 1;
+        (self.map.detached, self.map.begins_elsewhere, self.map.inserted) = (true, true, None);
+    }
+
     /// The pose of a scan by odometry alone, for when no grid can be matched.
     pub fn follow_odometry(&mut self, scan: ScanView<'_>) -> PoseEstimate {
+        self.begin_where(scan);
         let header = scan.header();
         let verdict = Verdict { id: header.id, times: header.times, ..Verdict::default() };
         let prediction = self.predict(scan);
@@ -181,6 +203,15 @@ impl ScanMatcher {
         // Without a search odometry alone gives the start of the fit.
         let steady = prediction.steady.filter(|_| self.settings.rescue.below != 0.0);
         Prediction { steady, ..prediction }
+    }
+
+    /// The prediction, unless in the open the scans since say that wheels have slipped.
+    fn watched(&mut self, scan: ScanView<'_>, prediction: Prediction) -> Prediction {
+        if self.confidence.is_in_the_open() && self.settings.strategy == Strategy::GaussNewton {
+            return self.surroundings.watched(scan, prediction);
+        }
+        self.surroundings.unwatched();
+        prediction
     }
 
     fn need(&self, scan: ScanView<'_>, verdict: &Verdict, prediction: &Prediction) -> Need {
@@ -199,6 +230,7 @@ impl ScanMatcher {
         !self.confidence.has_started()
             || prediction.steady.is_some()
             || slips
+            || self.surroundings.are_undecided()
             || last_score < self.settings.rescue.below * mean_score
             || prediction.covariance.xx.max(prediction.covariance.yy) > variance
     }
@@ -256,6 +288,25 @@ impl ScanMatcher {
         self.map.begins_elsewhere = false;
         let quality = if self.map.detached { Quality::Degraded } else { Quality::Tracking } as u32;
         self.inserted(scan, PoseEstimate { quality, ..predicted })
+    }
+
+    /// A scan in the open that has too few points for a grid: a tree or two may hold it beside odometry. It does not enter the grid.
+    fn among_few_things(
+        &mut self,
+        scan: ScanView<'_>,
+        predicted: PoseEstimate,
+        prediction: &Prediction,
+    ) -> PoseEstimate {
+        let quality = Quality::Degraded as u32;
+        let mask = std::mem::take(&mut self.buffers.mask);
+        let held = self.surroundings.fit(scan, &mask, prediction);
+        let held = held.map_or((prediction.pose, prediction.covariance), |held| {
+            (held.pose, fused_covariance(prediction.covariance, held.information))
+        });
+        let (odom_from_base, covariance) = held;
+        self.surroundings.add_apart(scan, &mask, odom_from_base, predicted.twist);
+        self.buffers.mask = mask;
+        self.followed(scan, PoseEstimate { odom_from_base, covariance, quality, ..predicted })
     }
 
     fn fit<H: Deref<Target = Tile>>(
@@ -336,6 +387,7 @@ impl ScanMatcher {
     /// The robot has moved to here.
     fn followed(&mut self, scan: ScanView<'_>, estimate: PoseEstimate) -> PoseEstimate {
         self.motion.advance(scan, &estimate);
+        self.surroundings.placed(scan, estimate.odom_from_base);
         estimate
     }
 

@@ -6,6 +6,7 @@ use crate::wheel_scale::WheelScale;
 use flockslam_geometry::{Covariance, Pose, Twist, wrap_angle};
 use flockslam_messages::{PoseEstimate, PoseFlags, Quality, ScanView};
 use flockslam_odometry_noise::OdometryNoise;
+use flockslam_registration::TwistSigma;
 use nalgebra::{Matrix3, Vector3};
 
 /// Seconds between scans, assumed before two stamps are known and for steps that are not positive.
@@ -40,6 +41,11 @@ const SHARE_MAX: f64 = 0.8;
 
 /// A change of the turn between scans that may be noise of odometry, radians a second.
 const TURN_NOISE_RAD_S: f64 = 0.1;
+
+/// A velocity that odometry measured during a scan: what is off at rest, standard deviations in m/s and rad/s, and the share of the
+/// velocity that is: stamps of odometry jitter, and its scale is not quite known.
+const MEASURED_NOISE: (f64, f64) = (0.01, 0.01);
+const MEASURED_SHARE: f64 = 0.02;
 
 /// Share of the velocity that remains after each rejected scan.
 const KEPT_WHEN_LOST: f64 = 0.5;
@@ -94,6 +100,8 @@ pub(crate) struct Prediction {
     pub(crate) pose: Pose,
     /// Velocity since the scan before, in the robot's own frame.
     pub(crate) twist: Twist,
+    /// How sure the velocity is where odometry measured it during the scan.
+    pub(crate) measured: Option<TwistSigma>,
     /// Scans are missing between this one and the one before: the robot may have gone anywhere near.
     pub(crate) after_gap: bool,
     pub(crate) covariance: Covariance,
@@ -191,6 +199,15 @@ impl Motion {
         *self = Self { pose, covariance, odometry, stamp_ns: Some(stamp_ns), ..Self::new() };
     }
 
+    /// Nothing connects the next scan with the last one. What was learned of the robot's odometry holds.
+    pub(crate) fn break_off(&mut self) {
+        self.noise.break_off();
+        self.is_lost = false;
+        (self.covariance, self.velocity) = (Covariance::default(), Twist::default());
+        (self.odometry, self.gyro_rad, self.stamp_ns, self.odometry_turn_rad_s) = (None, None, None, None);
+        self.to_middle = (Pose::IDENTITY, 0.0);
+    }
+
     /// The pose at this scan as it follows from the one before. Odometry is a motion in the robot's own frame, so
     /// composing it turns it into the corrected heading.
     pub(crate) fn predict(&self, scan: ScanView<'_>) -> Prediction {
@@ -203,6 +220,7 @@ impl Motion {
             return Prediction {
                 pose: start,
                 twist,
+                measured: None,
                 after_gap: false,
                 covariance,
                 step,
@@ -218,7 +236,12 @@ impl Motion {
             (Some(before), Some(now)) => {
                 let said = before.to(now);
                 let motion = Pose { x_m: self.scale.factor() * said.x_m, ..said };
-                (motion, if is_brief { self.velocity } else { self.twist_after(scan, motion, step_s) })
+                let twist = match self.measured(scan) {
+                    Some(twist) => twist,
+                    None if is_brief => self.velocity,
+                    None => self.twist_after(scan, motion, step_s),
+                };
+                (motion, twist)
             }
             _ => match self.turned_rad(scan) {
                 Some(turned_rad) => {
@@ -244,7 +267,34 @@ impl Motion {
         let step = Covariance { xx: position, yy: position, tt: heading, ..Covariance::default() };
         let after_gap = self.elapsed_s(scan).is_some_and(|elapsed_s| elapsed_s > PERIOD_MAX_S);
         let pose = self.pose * motion;
-        Prediction { pose, twist, after_gap, covariance, step, steady, coasting }
+        let measured = self.measured(scan).map(|_| self.measured_sigma(twist));
+        Prediction { pose, twist, measured, after_gap, covariance, step, steady, coasting }
+    }
+
+    /// The velocity during a scan as odometry measured it, unless it may have jumped.
+    fn measured(&self, scan: ScanView<'_>) -> Option<Twist> {
+        let said = scan.odometry_twist()?;
+        let twist = Twist {
+            x_m_s: self.scale.factor() * said.x_m_s,
+            turn_rad_s: self.turn_scale.factor() * said.turn_rad_s,
+            ..said
+        };
+        let duration_s = scan.time_s(scan.len() - 1);
+        let [measured, steady] = [twist, self.velocity].map(|twist| twist.motion_after(duration_s));
+        let jumps = measured.distance_m(steady) > SURPRISE.0 || measured.turn_rad(steady) > SURPRISE.1;
+        (!jumps).then_some(twist)
+    }
+
+    /// How sure a velocity is that odometry measured during a scan.
+    fn measured_sigma(&self, twist: Twist) -> TwistSigma {
+        let (noise_m_s, noise_rad_s) = MEASURED_NOISE;
+        let speed_m_s = noise_m_s.hypot(MEASURED_SHARE * twist.x_m_s);
+        let share = MEASURED_SHARE.max(self.turn_scale.sigma());
+        TwistSigma {
+            x_m_s: speed_m_s,
+            y_m_s: speed_m_s,
+            turn_rad_s: noise_rad_s.hypot(share * twist.turn_rad_s),
+        }
     }
 
     /// The velocity during a scan that comes after this motion by odometry. A turn that has become faster goes on becoming so; what may be

@@ -10,6 +10,7 @@ use flockslam_messages::{
     DropReason, FlockRobots, KeepReason, MovingBeamsHeader, PoseEstimate, PoseFlags, Stage, StageStart,
     Verdict,
 };
+use flockslam_results::ModeWatch;
 use flockslam_stage::{
     Actor, Deadline, GridReader, InputLog, Join, JournalReader, JournalWriter, LeaderLock, Mode, Notifiers,
     StageContext, StageError, run, step_aside,
@@ -96,6 +97,8 @@ struct Matcher {
     trajectory_began: u64,
     /// The others are woken once in so many poses that they only have to count.
     quiet_scans: u64,
+    /// Whether the set localizes now.
+    mode: ModeWatch,
     /// The set localizes and has not found its place.
     is_unplaced: bool,
     metrics: PoseMetrics,
@@ -127,6 +130,7 @@ impl Matcher {
             trajectory: 0,
             trajectory_began: 0,
             quiet_scans: (context.capacity.window as u64 / 8).max(1),
+            mode: ModeWatch::of(&context.result_dir, context.localizes),
             is_unplaced: context.localizes,
             metrics: PoseMetrics::new(&context.metrics),
         })
@@ -165,9 +169,10 @@ impl Matcher {
             return Ok(());
         }
         let Some(last) = self.last else { return Ok(()) };
-        self.is_unplaced &= last.has(PoseFlags::UNPLACED);
         let next = last.id.sequence + 1;
         let is_of_this_session = next > context.first_sequence;
+        // A map that was made until now has its robot in it.
+        self.is_unplaced = self.mode.localizes() && (last.has(PoseFlags::UNPLACED) || !is_of_this_session);
         if is_of_this_session {
             self.logic.resume(&last);
             self.inputs.resumed(StageStart::Resumed, last.id);
@@ -201,7 +206,7 @@ impl Matcher {
         self.corrections.drain()?;
         while let Some(correction) = self.corrections.next_due(context.mode, self.active_submap()) {
             self.logic.corrected(&correction);
-            self.is_unplaced = context.localizes && correction.attached == 0;
+            self.is_unplaced = correction.attached == 0;
         }
         while let Some(robots) = self.companions.receive()? {
             self.logic.companions_are(&robots);
@@ -279,7 +284,9 @@ impl Matcher {
             return self.join.finished(header.id.sequence + 1);
         };
         let mut pose = self.logic.handle(scan, verdict, self.grid.grid());
-        pose.flags |= if self.is_unplaced { PoseFlags::UNPLACED } else { 0 };
+        if self.mode.localizes() {
+            pose.flags |= PoseFlags::LOCALIZING | if self.is_unplaced { PoseFlags::UNPLACED } else { 0 };
+        }
         let (correction, companions) = (self.corrections.last.unwrap_or_default(), self.companions_known);
         self.inputs.handled(pose.id, &self.grid, |inputs| {
             (inputs.keep, inputs.reason) = (verdict.keep, verdict.reason);

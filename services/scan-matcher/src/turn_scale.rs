@@ -31,6 +31,11 @@ impl TurnScale {
         1.0 + self.correction
     }
 
+    /// Standard deviation of the factor.
+    pub(crate) fn sigma(&self) -> f64 {
+        self.information.sqrt().recip()
+    }
+
     /// The robot has turned by `fitted_rad` where odometry says `odometry_rad`.
     pub(crate) fn learn(&mut self, odometry_rad: f64, fitted_rad: f64) {
         let missed_rad = fitted_rad - self.factor() * odometry_rad;

@@ -19,4 +19,4 @@ pub use back_end::BackEnd;
 pub use localizing::LocalizingManager;
 pub use manager::SyncManager;
 pub use settings::Settings;
-pub use solution::{ClosureCounts, DetachedPart, FrozenScan, PlacedScan, Solution};
+pub use solution::{ClosureCounts, DetachedPart, FrozenScan, MAP_ANCHOR, PlacedScan, Solution};

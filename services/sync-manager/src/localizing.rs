@@ -2,7 +2,7 @@
 
 use crate::filled_trajectory::{Between, filled};
 use crate::pose_record::PoseRecord;
-use crate::solution::{ClosureCounts, DetachedPart, FrozenScan, PlacedScan, Solution};
+use crate::solution::{ClosureCounts, DetachedPart, FrozenScan, MAP_ANCHOR, PlacedScan, Solution};
 use flockslam_geometry::Pose;
 use flockslam_localisation::{Belief, Hint, Knowledge, Localizer, Measurement, Surroundings};
 use flockslam_loop_closure::scans::ScanStore;
@@ -104,6 +104,7 @@ impl LocalizingManager {
     /// Takes the published pose of a scan. Every scan's, in order of arrival.
     pub fn pose(&mut self, pose: &PoseEstimate) {
         self.run = pose.id.run;
+        self.revision = self.revision.max(pose.corrections);
         if let Some(last) = self.records.last() {
             let step_m = last.odom.distance_m(&pose.odom_from_base.into());
             self.travel_m += if last.trajectory == pose.trajectory { step_m } else { 0.0 };
@@ -117,7 +118,8 @@ impl LocalizingManager {
         } else {
             &mut self.summary.unlocalized_scans
         };
-        *count += 1;
+        // Scans that the map was made of are no matter of localisation.
+        *count += u64::from(pose.has(PoseFlags::LOCALIZING));
         if self.records.len() > RECORDS_MAX {
             self.freeze();
         }
@@ -126,28 +128,33 @@ impl LocalizingManager {
     /// Takes a pose that a predecessor of this process has heard. Where it was placed in the map, that is taken for a measurement: the
     /// scans are not looked at again.
     pub fn published(&mut self, pose: &PoseEstimate) {
-        let is_placed = !pose.has(PoseFlags::UNPLACED) && pose.has(PoseFlags::MATCHED);
-        let begins = self.is_localized != is_placed;
+        let is_placed = !pose.has(PoseFlags::UNPLACED);
+        let begins = is_placed && !self.is_localized;
         self.is_localized = is_placed;
         self.pose(pose);
+        if begins {
+            self.summary.found += 1;
+            self.summary.found_after_m.get_or_insert(self.travel_m);
+        }
+        if begins || !is_placed {
+            self.last_view = None;
+        }
+        self.corrected = Some((pose.map_from_odom, is_placed));
         let Some(record) = self.records.len().checked_sub(1) else { return };
         let PoseRecord { odom, trajectory, .. } = self.records[record];
-        let is_due = begins || self.last_view.is_none_or(|(last, _)| last.distance_m(&odom) >= VIEW_M);
-        if !is_placed || !is_due {
+        let is_due = self.last_view.is_none_or(|(last, _)| last.distance_m(&odom) >= VIEW_M);
+        // The pose of a scan that was not matched is a prediction.
+        if !is_placed || !pose.has(PoseFlags::MATCHED) || !is_due {
             return;
         }
+        let follows = self.last_view.is_some();
         let (position, heading) = (PUBLISHED_SIGMA.0.powi(-2), PUBLISHED_SIGMA.1.powi(-2));
         let measured = Measurement {
             map_from_base: pose.map_from_base().into(),
             information: [position, 0.0, 0.0, position, 0.0, heading],
         };
-        self.views.push(View { record, measured, follows: !begins });
+        self.views.push(View { record, measured, follows });
         self.last_view = Some((odom, trajectory));
-        if begins {
-            self.summary.found += 1;
-            self.summary.found_after_m.get_or_insert(self.travel_m);
-        }
-        self.corrected = Some((pose.map_from_odom, true));
         if self.views.len() > VIEWS_MAX {
             self.freeze();
         }
@@ -250,7 +257,7 @@ impl LocalizingManager {
         let frozen = |(record, pose): (&PoseRecord, &Placement)| FrozenScan {
             id: record.id,
             stamp_ns: record.stamp_ns,
-            anchor: 0,
+            anchor: MAP_ANCHOR,
             anchor_from_base: pose.pose(),
         };
         self.frozen.extend(self.records[..end].iter().zip(&filled).map(frozen));
@@ -317,7 +324,7 @@ impl LocalizingManager {
         let detached = DetachedPart { travel_m: travel_m.sum(), scans: apart, ..DetachedPart::default() };
         Solution {
             trajectory: self.records.iter().zip(&poses).map(placed).collect(),
-            anchors: vec![(0, Pose::IDENTITY)],
+            anchors: Vec::new(),
             submaps: Vec::new(),
             closures: ClosureCounts {
                 searches: self.localizer.searches(),

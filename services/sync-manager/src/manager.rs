@@ -25,6 +25,7 @@ use flockslam_pose_graph::Edge;
 use flockslam_pose_graph::{RobustSettings, solve};
 use flockslam_registration::cloud::Placement;
 use freeze::FrozenSubmap;
+use map_entries::Entries;
 use std::collections::{BTreeMap, BTreeSet};
 use unpublished::Unpublished;
 
@@ -33,6 +34,7 @@ mod driven;
 mod final_passes;
 mod final_solution;
 mod freeze;
+mod map_entries;
 mod shown;
 mod unpublished;
 
@@ -130,6 +132,8 @@ pub struct SyncManager {
     ruled_out: BTreeSet<u64>,
     /// Closures were found that the solution does not know.
     unsolved: bool,
+    /// Stretches that the set has only localized in.
+    entries: Entries,
     /// Findings that are not published to the flock yet, when there is one.
     unpublished: Option<Unpublished>,
     /// Credit of work for solving, and the work of the last solution.
@@ -163,15 +167,21 @@ impl SyncManager {
             gone_scans: 0,
             ruled_out: BTreeSet::new(),
             unsolved: false,
+            entries: Entries::default(),
             unpublished: None,
             solving_credit: 0,
             solving_cost: 0,
         }
     }
 
-    /// Takes the published pose of a scan. Every scan's, in order of arrival.
+    /// Takes the published pose of a scan. Every scan's, in order of arrival. Scans that the set localizes with are no part of the map.
     pub fn pose(&mut self, pose: &PoseEstimate) {
+        if pose.has(PoseFlags::LOCALIZING) {
+            return self.entries.localize();
+        }
+        self.revision = self.revision.max(pose.corrections);
         let mut record = PoseRecord::new(pose);
+        record.trajectory = self.entries.number(record.trajectory);
         // Numbers of trajectories only rise. A restarted front end may publish an earlier one.
         record.trajectory = self.records.last().map_or(0, |last| last.trajectory).max(record.trajectory);
         self.driven.count(&record);
@@ -200,6 +210,7 @@ impl SyncManager {
             let sigmas = (pose.covariance.position_std_m(), pose.covariance.tt.max(0.0).sqrt());
             let new = NewNode { sequence, scan, odom, trajectory, odometry, continues, is_open, sigmas };
             self.odometry.extend(new, &self.scans);
+            self.enter(pose);
         }
         if let Some(node) = self.odometry.nodes().len().checked_sub(1) {
             self.kept.push(Kept { record, scan, node, is_node });
@@ -240,7 +251,7 @@ impl SyncManager {
             submap: notice.number,
             revision: self.revision,
             closures: self.is_inlier.iter().filter(|&&is_inlier| is_inlier).count() as u32,
-            trajectory: connectivity.newest(),
+            trajectory: self.entries.number_of_front_end(connectivity.newest()),
             attached: u32::from(connectivity.is_attached(connectivity.newest())),
         }
     }
@@ -253,10 +264,11 @@ impl SyncManager {
         }
     }
 
-    /// The constraints by odometry between trajectories that no closure has ruled out.
+    /// The constraints by odometry or localisation between trajectories that no closure has ruled out.
     fn joints(&self, known: usize) -> impl Iterator<Item = Edge> {
         let nodes = self.odometry.nodes();
-        self.odometry.joints(known).filter(|joint| !self.ruled_out.contains(&nodes[joint.to].sequence))
+        let joints = self.odometry.joints(known).chain(self.entry_edges(known));
+        joints.filter(|joint| !self.ruled_out.contains(&nodes[joint.to].sequence))
     }
 
     /// How inlier closures connect the trajectories of the first `known` nodes.
@@ -288,6 +300,7 @@ impl SyncManager {
         let mut submaps: BTreeMap<u32, Pose> =
             self.frozen_poses().map(|(number, at)| (number, at.pose())).collect();
         submaps.extend(nodes.chunk_by(|a, b| a.0 == b.0).map(place));
+        submaps.retain(|number, _| self.is_of_map(*number));
         placed(submaps)
     }
 
@@ -342,9 +355,12 @@ impl SyncManager {
     fn follow_odometry(&mut self, known: usize) {
         let nodes = self.odometry.nodes();
         for i in self.poses.len()..known {
-            let pose = match i.checked_sub(1) {
-                None => nodes[0].local_pose,
-                Some(last) => self.poses[last].compose(nodes[last].local_pose.to(nodes[i].local_pose)),
+            let pose = match (self.entered(i), i.checked_sub(1)) {
+                (Some(entered), _) => entered,
+                (None, None) => nodes[0].local_pose,
+                (None, Some(last)) => {
+                    self.poses[last].compose(nodes[last].local_pose.to(nodes[i].local_pose))
+                }
             };
             self.poses.push(pose);
         }
@@ -399,10 +415,12 @@ impl SyncManager {
             self.closures.iter().zip(&eligible).filter(|(_, eligible)| **eligible).map(|(c, _)| c.edge),
         );
         let closures_end = edges.len();
+        edges.extend(self.entry_edges(known));
+        let entries_end = edges.len();
         edges.extend(self.odometry.joints(known));
         let settings =
             RobustSettings { chi_squared_max: CHI_SQUARED_MAX, growth: 1.6, rounds: 25, warm_up: 6 };
-        let mut poses = connectivity::start(&self.odometry.nodes()[..known], &edges[trusted..closures_end]);
+        let mut poses = connectivity::start(&self.odometry.nodes()[..known], &edges[trusted..entries_end]);
         let solved = solve(known, &edges, trusted, &settings, &mut poses);
         (self.poses, self.solving_cost) = (poses, solved.work);
         let nodes = self.odometry.nodes();

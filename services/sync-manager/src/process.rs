@@ -4,7 +4,7 @@
 //! Of several processes one is active. The others read the same inputs and compute the same results without publishing them, so that one of them
 //! goes on when it dies: recovering its state would take as long as all its searches.
 
-use crate::{BackEnd, ClosureCounts, LocalizingManager, Settings, SyncManager};
+use crate::{BackEnd, ClosureCounts, Settings};
 use clear_at_end::clear_at_end;
 use detached::write_detached;
 use flock_outbox::Outbox;
@@ -24,6 +24,7 @@ use flockslam_stage::{
 };
 use fuser::Fuser;
 use metrics::CorrectionMetrics;
+use mode_turn::{LocalStretches, back_end, localizes};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use trajectories::Trajectories;
@@ -34,6 +35,7 @@ mod flock_outbox;
 mod fuser;
 mod localized;
 mod metrics;
+mod mode_turn;
 mod trajectories;
 
 /// Runs the stage until it is asked to stop.
@@ -101,6 +103,8 @@ struct SyncProcess {
     summary: Summary,
     /// The state of a predecessor is recovered.
     recovered: bool,
+    /// Scans that the set has localized with, while a map is made.
+    local: LocalStretches,
     metrics: CorrectionMetrics,
     /// What nothing connects with the map, as said last.
     unattached: Unattached,
@@ -121,7 +125,7 @@ impl SyncProcess {
             is_watched: context.mode == Mode::Live,
             result_dir: context.result_dir.clone(),
             fuser: Fuser::new(SubmapStore::new(&context.submap_dir), &settings),
-            logic: back_end(context, &settings)?,
+            logic: back_end(context, &settings, localizes(context))?,
             lock,
             is_active,
             correction: None,
@@ -147,14 +151,12 @@ impl SyncProcess {
             pose: None,
             summary: Summary::default(),
             recovered: false,
+            local: LocalStretches::default(),
             metrics: CorrectionMetrics::new(&context.metrics),
             unattached: Unattached::default(),
             localisation: None,
         };
         process.join.speak(is_active);
-        if let (Some(mapping), false) = (process.logic.mapping(), process.settings.flock.name.is_empty()) {
-            mapping.publish_to_flock();
-        }
         if process.is_active {
             process.speak(context)?;
         }
@@ -165,10 +167,7 @@ impl SyncProcess {
     /// Recovers the state of a predecessor: the journal has every pose and every accepted scan.
     fn recover(&mut self, context: &mut StageContext) -> Result<(), StageError> {
         self.catch_up(u64::MAX, context)?;
-        self.recovered = true;
-        if let Some(localizing) = self.logic.localizing() {
-            localizing.resume();
-        }
+        self.go_on(context)?;
         self.join.finished(self.join.expected)
     }
 
@@ -213,7 +212,7 @@ impl SyncProcess {
                 self.conclude(&notice, context)?;
             }
             let scan = record.scan.as_ref().and_then(|scan| scan.view().ok());
-            self.take_in(&record.pose, scan, &[])?;
+            self.take_in(&record.pose, scan, &[], context)?;
             self.join.expected = record.pose.id.sequence + 1;
         }
         Ok(())
@@ -224,15 +223,27 @@ impl SyncProcess {
         pose: &PoseEstimate,
         scan: Option<ScanView<'_>>,
         moving: &[BeamRange],
+        context: &StageContext,
     ) -> Result<(), StageError> {
         self.pose = Some(*pose);
+        let is_local = pose.has(PoseFlags::LOCALIZING);
+        if self.logic.localizing().is_some() && pose.id.sequence < context.first_sequence {
+            // It was driven in another session: where the robot is now does not follow from it.
+            return Ok(());
+        }
         self.trajectories.published(pose);
         self.summary.count(pose);
-        if let Some(localizing) = self.logic.localizing().filter(|_| !self.recovered) {
+        if let Some(localizing) = self.logic.localizing().filter(|_| !self.recovered || !is_local) {
             localizing.published(pose);
             return Ok(());
         }
         self.logic.pose(pose);
+        if let Some(mapping) = self.logic.mapping().filter(|_| is_local) {
+            self.local.add(pose.id.sequence);
+            self.trajectories.frozen(&[mapping.localized(pose)]);
+            return Ok(());
+        }
+        self.local.end();
         if let Some(scan) = scan.filter(|_| self.optimises && pose.has(PoseFlags::MATCHED)) {
             self.logic.node(scan, pose, moving);
         }
@@ -242,6 +253,11 @@ impl SyncProcess {
     /// Hands a closed submap to the logic and publishes the correction.
     fn conclude(&mut self, notice: &SubmapClosed, context: &StageContext) -> Result<(), StageError> {
         let started_ns = context.now_ns();
+        if let Some(mapping) = self.logic.mapping().filter(|_| self.local.holds(notice.last.sequence)) {
+            mapping.leave_out(notice.number);
+            self.next_submap = notice.number + 1;
+            return Ok(());
+        }
         let correction = self.logic.submap_closed(notice);
         let took_ns = context.now_ns().saturating_sub(started_ns);
         self.next_submap = notice.number + 1;
@@ -264,9 +280,9 @@ impl SyncProcess {
         Ok(())
     }
 
-    /// Gives the front end a correction.
+    /// Gives the front end a correction. What a predecessor of a live set has given already is over.
     fn correct(&mut self, correction: &Correction) -> Result<(), StageError> {
-        if self.is_active {
+        if self.is_active && (self.recovered || !self.is_watched) {
             self.corrections.send(correction)?;
             self.matcher.ring();
         }
@@ -348,7 +364,8 @@ impl SyncProcess {
         // They were sent before their pose, so they have arrived.
         self.moving_beams.drain()?;
         let moving = self.moving_beams.take(sequence).map_or_else(Vec::new, |(_, beams)| beams);
-        self.take_in(pose, scan, &moving)?;
+        self.turn_to(pose, context)?;
+        self.take_in(pose, scan, &moving, context)?;
         self.localized(context)?;
         if self.is_active {
             context.handled(sequence, started_ns, pose.times.monotonic_ns);
@@ -389,6 +406,7 @@ impl SyncProcess {
         }
         self.fuser.write_map(directory)?;
         self.summary.detached = write_detached(&solution, &scans, &self.store, context)?;
+        self.summary.scans_apart = self.local.scans();
         self.summary.submaps = self.fuser.known(&solution.submaps);
         self.fuser.report(&mut self.summary);
         self.summary.trajectories = solution.closures.trajectories;
@@ -402,15 +420,6 @@ impl SyncProcess {
         }
         self.finished.say(self.summary.scans)
     }
-}
-
-/// The back end of a set: one that makes a map, or one that localizes.
-fn back_end(context: &StageContext, settings: &Settings) -> Result<BackEnd, StageError> {
-    if !context.localizes {
-        return Ok(BackEnd::Mapping(Box::new(SyncManager::new(settings.clone()))));
-    }
-    let surroundings = localized::load(&context.result_dir)?;
-    Ok(BackEnd::Localizing(Box::new(LocalizingManager::new(surroundings))))
 }
 
 fn rows(submaps: &[PlacedSubmap]) -> Vec<SubmapRow> {

@@ -32,6 +32,9 @@ pub struct DetachedPart {
     pub submaps: Vec<PlacedSubmap>,
 }
 
+/// The anchor of scans that have their final poses in the map frame: no node has this sequence.
+pub const MAP_ANCHOR: u64 = u64::MAX;
+
 /// A scan whose pose relative to a node will not be measured again.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrozenScan {
@@ -39,25 +42,20 @@ pub struct FrozenScan {
     pub id: ScanId,
     /// Its sensor stamp, nanoseconds.
     pub stamp_ns: i64,
-    /// Sequence of the node.
+    /// Sequence of the node, or [`MAP_ANCHOR`].
     pub anchor: u64,
     /// The robot's pose, seen from the node.
     pub anchor_from_base: Pose,
 }
 
 impl Solution {
-    /// The final pose of a scan that is frozen.
-    ///
-    /// # Panics
-    /// When its anchor is not a node of the solution: nodes that scans are frozen at stay.
-    pub fn frozen(&self, scan: &FrozenScan) -> PlacedScan {
-        let anchor = self.anchors.binary_search_by_key(&scan.anchor, |anchor| anchor.0);
-        let map_from_anchor = self.anchors[anchor.expect("anchors stay")].1;
-        PlacedScan {
-            id: scan.id,
-            stamp_ns: scan.stamp_ns,
-            map_from_base: map_from_anchor * scan.anchor_from_base,
+    /// The pose of an anchor of frozen scans; none where it is not a node of the solution.
+    pub fn anchor(&self, anchor: u64) -> Option<Pose> {
+        if anchor == MAP_ANCHOR {
+            return Some(Pose::IDENTITY);
         }
+        let place = self.anchors.binary_search_by_key(&anchor, |anchor| anchor.0).ok()?;
+        Some(self.anchors[place].1)
     }
 }
 

@@ -13,23 +13,46 @@ const SIGMA_M: f64 = 0.15;
 const UNKNOWN: u8 = 40;
 /// No point is farther from the origin of its cloud, metres.
 pub(crate) const REACH_M: f64 = 15.0;
-/// Stretches of a row where the robot may stand are joined when fewer cells are between them.
-const GAP: usize = 8;
+/// A block has so many cells along each side.
+pub(crate) const BLOCK: usize = 4;
+/// Cells of a block.
+pub(crate) const CELLS: usize = BLOCK * BLOCK;
+/// So many points of a block are summed up before its bound is looked at again.
+const EXACT_AT_ONCE: usize = 8;
+/// So many blocks side by side are summed up at once.
+pub(crate) const LANES: usize = 32;
 
 /// Likelihood of points over the known map (Thrun et al. 2005, 6.4, with free space apart from unknown).
 ///
 /// Around the map lie as many unknown cells as a point can be away from the robot, so that every place can be summed without a look at
-/// the border.
+/// the border. Cells are taken together in blocks of 4 × 4, of which a bound is known: no cell of a block sums up to more.
 pub struct PlaceField {
     cell_m: f64,
     origin: Point,
     /// Unknown cells on each side.
     border: usize,
-    /// A row takes so many entries.
+    /// A row of cells takes so many entries.
     stride: usize,
     values: Vec<u8>,
-    /// By row: where the robot may stand, ranges of columns.
-    passable: Vec<Vec<Range<usize>>>,
+    /// The greatest value of the block that begins at each cell, in a plane for each column and row within a block at which it may begin.
+    bounds: Vec<u8>,
+    /// Entries of a plane, and of a row in it.
+    plane: usize,
+    bound_stride: usize,
+    /// Rows of cells.
+    height: usize,
+    /// Of each block with a cell where the robot may stand a bit for each of those, row by row; of all others 0.
+    passable: Vec<u16>,
+    /// Blocks in a row, without the border.
+    blocks: usize,
+}
+
+/// Blocks side by side: a row, and the first of at most [`LANES`] columns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Stretch {
+    pub(crate) row: usize,
+    pub(crate) column: usize,
+    pub(crate) count: usize,
 }
 
 impl PlaceField {
@@ -40,27 +63,24 @@ impl PlaceField {
         // Rounding may put a point a cell farther.
         let border = (REACH_M / cell_m).ceil() as usize + 1;
         let (width, height) = (map.width().div_ceil(cells), map.height().div_ceil(cells));
-        let stride = width + 2 * border;
-        let mut field = Self {
-            cell_m,
-            origin: map.origin(),
-            border,
-            stride,
-            values: vec![UNKNOWN; stride * (height + 2 * border)],
-            passable: Vec::with_capacity(height),
-        };
-        for row in 0..height {
-            let mut free = Vec::new();
-            for column in 0..width {
-                let (value, is_free) = cell_of(map, cells, column, row);
-                field.values[(row + border) * stride + column + border] = value;
-                if is_free {
-                    extend(&mut free, column);
-                }
+        let (blocks, block_rows) = (width.div_ceil(BLOCK), height.div_ceil(BLOCK));
+        // Whole blocks, and as many beside the last one as are summed up with it.
+        let stride = (blocks + LANES) * BLOCK + 2 * border;
+        let rows = block_rows * BLOCK + 2 * border;
+        let mut values = vec![UNKNOWN; stride * rows];
+        let mut passable = vec![0; blocks * block_rows];
+        for (row, column) in (0..height).flat_map(|row| (0..width).map(move |column| (row, column))) {
+            let (value, is_free) = cell_of(map, cells, column, row);
+            values[(row + border) * stride + column + border] = value;
+            if is_free {
+                passable[row / BLOCK * blocks + column / BLOCK] |= bit(column % BLOCK, row % BLOCK);
             }
-            field.passable.push(free);
         }
-        field
+        let bound_stride = stride.div_ceil(BLOCK);
+        let plane = bound_stride * rows.div_ceil(BLOCK);
+        let bounds = bounds(&values, stride, bound_stride, plane);
+        let origin = map.origin();
+        Self { cell_m, origin, border, stride, values, bounds, plane, bound_stride, height, passable, blocks }
     }
 
     /// Side of a cell, metres.
@@ -68,14 +88,29 @@ impl PlaceField {
         self.cell_m
     }
 
-    /// Number of rows.
-    pub(crate) fn height(&self) -> usize {
-        self.passable.len()
+    /// Number of rows of blocks.
+    pub(crate) fn block_rows(&self) -> usize {
+        self.height.div_ceil(BLOCK)
     }
 
-    /// Where the robot may stand in a row: ranges of columns.
-    pub(crate) fn passable(&self, row: usize) -> &[Range<usize>] {
-        &self.passable[row]
+    /// Blocks where the robot may stand, within rows and columns of blocks, in order.
+    pub(crate) fn stretches(&self, rows: Range<usize>, columns: Range<usize>) -> Vec<Stretch> {
+        let columns = columns.start..columns.end.min(self.blocks);
+        let mut found: Vec<Stretch> = Vec::new();
+        for row in rows.start..rows.end.min(self.block_rows()) {
+            for column in columns.clone().filter(|column| self.passable(row, *column) != 0) {
+                match found.last_mut().filter(|last| last.row == row && column < last.column + LANES) {
+                    Some(last) => last.count = column - last.column + 1,
+                    None => found.push(Stretch { row, column, count: 1 }),
+                }
+            }
+        }
+        found
+    }
+
+    /// Where the robot may stand in a block: a bit for each cell.
+    pub(crate) fn passable(&self, row: usize, column: usize) -> u16 {
+        self.passable[row * self.blocks + column]
     }
 
     /// Middle of a cell in the map frame, metres.
@@ -84,19 +119,79 @@ impl PlaceField {
         (along(self.origin.x_m, column), along(self.origin.y_m, row))
     }
 
-    /// Columns and rows from the middle of a cell to a point beside it, metres.
-    pub(crate) fn steps(&self, x_m: f64, y_m: f64) -> (i32, i32) {
-        let steps = |v: f64| (v / self.cell_m).round() as i32;
-        (steps(x_m), steps(y_m))
+    /// The block that holds a place, of a map without bounds.
+    pub(crate) fn block_at(&self, x_m: f64, y_m: f64) -> (f64, f64) {
+        let along = |v: f64, origin: f64| ((v - origin) / (self.cell_m * BLOCK as f64)).floor();
+        (along(x_m, self.origin.x_m), along(y_m, self.origin.y_m))
     }
 
-    /// The values of the cells that lie `steps` beside these columns of a row.
-    #[inline]
-    pub(crate) fn beside(&self, columns: &Range<usize>, row: usize, steps: (i32, i32)) -> &[u8] {
-        let shifted = |cell: usize, step: i32| (cell + self.border).wrapping_add_signed(step as isize);
-        let start = shifted(row, steps.1) * self.stride + shifted(columns.start, steps.0);
-        &self.values[start..start + columns.len()]
+    /// Where the value of a point beside the robot lies, from that of the robot's cell on, and its bound from that of the block: `x_m` and
+    /// `y_m` from the middle of the cell.
+    pub(crate) fn offsets(&self, x_m: f64, y_m: f64) -> (usize, usize) {
+        let step = |v: f64| self.border.wrapping_add_signed((v / self.cell_m).round() as isize);
+        let (column, row) = (step(x_m), step(y_m));
+        let plane = (row % BLOCK * BLOCK + column % BLOCK) * self.plane;
+        (row * self.stride + column, plane + row / BLOCK * self.bound_stride + column / BLOCK)
     }
+
+    /// Bounds of the sums of all points for the blocks of a stretch.
+    pub(crate) fn bounds(&self, stretch: Stretch, offsets: &[(usize, usize)]) -> [u16; LANES] {
+        let from = &self.bounds[stretch.row * self.bound_stride + stretch.column..];
+        let mut sums = [0; LANES];
+        for (_, offset) in offsets {
+            let bounds: &[u8; LANES] = from[*offset..].first_chunk().expect("the border is wide enough");
+            sums.iter_mut().zip(bounds).for_each(|(sum, bound): (&mut u16, _)| *sum += u16::from(*bound));
+        }
+        sums
+    }
+
+    /// The sums of all points for the cells of a block, row by row; `None` when none is at least this. `bound` is that of the block.
+    pub(crate) fn sums(
+        &self,
+        (row, column): (usize, usize),
+        offsets: &[(usize, usize)],
+        bound: u16,
+        least: u16,
+    ) -> Option<[u16; CELLS]> {
+        let values = |k: usize| &self.values[(row * BLOCK + k) * self.stride + column * BLOCK..];
+        let (rows, bounds) = ([0, 1, 2, 3].map(values), &self.bounds[row * self.bound_stride + column..]);
+        let (mut sums, mut rest) = ([0; CELLS], bound);
+        // What is exact replaces what is bounded, until that is too low.
+        for offsets in offsets.chunks(EXACT_AT_ONCE) {
+            for (exact, bounded) in offsets {
+                for (sums, values) in sums.chunks_exact_mut(BLOCK).zip(rows) {
+                    let values: &[u8; BLOCK] =
+                        values[*exact..].first_chunk().expect("the border is wide enough");
+                    sums.iter_mut().zip(values).for_each(|(sum, v): (&mut u16, _)| *sum += u16::from(*v));
+                }
+                rest -= u16::from(bounds[*bounded]);
+            }
+            if sums.iter().max().is_none_or(|most| most + rest < least) {
+                return None;
+            }
+        }
+        Some(sums)
+    }
+}
+
+/// The bit of a cell of a block.
+pub(crate) fn bit(column: usize, row: usize) -> u16 {
+    1 << (row * BLOCK + column)
+}
+
+/// The greatest value of the block that begins at each cell, plane by plane.
+fn bounds(values: &[u8], stride: usize, bound_stride: usize, plane: usize) -> Vec<u8> {
+    let mut bounds = vec![u8::MAX; BLOCK * BLOCK * plane];
+    let rows = values.len() / stride;
+    let greatest = |row: usize, column: usize| {
+        let in_row = |row: usize| &values[row * stride + column..row * stride + (column + BLOCK).min(stride)];
+        (row..(row + BLOCK).min(rows)).flat_map(in_row).copied().max().unwrap_or(0)
+    };
+    for (row, column) in (0..rows).flat_map(|row| (0..stride).map(move |column| (row, column))) {
+        let of_plane = (row % BLOCK * BLOCK + column % BLOCK) * plane;
+        bounds[of_plane + row / BLOCK * bound_stride + column / BLOCK] = greatest(row, column);
+    }
+    bounds
 }
 
 /// The value of a cell, made of `cells` × `cells` of the map, and whether some of it is free.
@@ -111,14 +206,6 @@ fn cell_of(map: &KnownMap, cells: usize, column: usize, row: usize) -> (u8, bool
     let d = distance_m / SIGMA_M;
     let value = if d < 3.0 { (255.0 * libm::exp(-0.5 * d * d)).round() as u8 } else { 0 };
     (if is_known { value } else { value.max(UNKNOWN) }, is_free)
-}
-
-/// Adds a column to ranges that end before it.
-fn extend(ranges: &mut Vec<Range<usize>>, column: usize) {
-    match ranges.last_mut().filter(|last| column <= last.end + GAP) {
-        Some(last) => last.end = column + 1,
-        None => ranges.push(column..column + 1),
-    }
 }
 
 #[cfg(test)]
@@ -137,16 +224,21 @@ mod tests {
             map.push_row((0..40).map(state));
         }
         let field = PlaceField::new(&map.measured());
-        assert_eq!(field.height(), 10);
-        assert_eq!((field.passable(5).len(), field.passable(5)[0].clone()), (1, 1..8));
+        assert_eq!(field.block_rows(), 3);
+        // Columns from 1 to 7 are free where rows are below 2, and columns from 1 to 7 with half of them above.
+        assert_eq!(field.passable(0, 0), 0b1110_1110_1110_1110);
+        assert_eq!(field.stretches(0..9, 1..2), [0, 1, 2].map(|row| Stretch { row, column: 1, count: 1 }));
         let middle = field.middle(3, 2);
         assert!((middle.0 - 1.7).abs() < 1e-9 && (middle.1 - 2.5).abs() < 1e-9);
-        let beside =
-            |column, row, x_m, y_m| field.beside(&(column..column + 1), row, field.steps(x_m, y_m))[0];
+        let beside = |column: usize, row: usize, x_m, y_m| {
+            let block = (row / BLOCK, column / BLOCK);
+            let sums = field.sums(block, &[field.offsets(x_m, y_m)], 255, 0).unwrap();
+            sums[row % BLOCK * BLOCK + column % BLOCK]
+        };
         assert_eq!(beside(2, 5, 1.2, 0.0), 255);
         assert_eq!(beside(2, 5, 0.2, 0.1), 0);
-        assert_eq!(beside(2, 5, -0.4, 0.0), UNKNOWN);
-        assert_eq!(beside(9, 9, 14.9, 14.9), UNKNOWN);
-        assert_eq!(beside(0, 0, -15.0, -15.0), UNKNOWN);
+        assert_eq!(beside(2, 5, -0.4, 0.0), u16::from(UNKNOWN));
+        assert_eq!(beside(9, 9, 14.9, 14.9), u16::from(UNKNOWN));
+        assert_eq!(beside(0, 0, -15.0, -15.0), u16::from(UNKNOWN));
     }
 }

@@ -1,10 +1,10 @@
 //! Where a cloud of points fits in the whole known map, at any heading: every place is looked at.
 
 use crate::PlaceField;
-use crate::place_field::REACH_M;
+use crate::place_field::{BLOCK, CELLS, REACH_M, Stretch, bit};
 use flockslam_registration::cloud::Placement;
+use std::cmp::Reverse;
 use std::f64::consts::{PI, TAU};
-use std::ops::Range;
 
 /// Step of headings, radians: half of it moves the farthest point by a cell.
 const STEP_RAD: f64 = 0.025;
@@ -14,6 +14,11 @@ const POINTS: usize = 96;
 const APART: (f64, f64) = (0.6, 0.25);
 /// Places that a search gives at most.
 const PLACES_MAX: usize = 48;
+/// Points are taken in steps of so many: a prime that is no divisor of their number.
+const MIXING: usize = 101;
+/// So many blocks, each the one with the greatest bound at its heading, are summed up before all others: a good place that is known makes
+/// most other bounds too low.
+const PROBES: usize = 12;
 /// Cells with enough score that are remembered before those are dropped that no longer count.
 const REMEMBERED: usize = 1 << 16;
 
@@ -69,13 +74,22 @@ struct Scored {
 /// Searches the map for clouds. Keeps its buffers.
 #[derive(Default)]
 pub struct PlaceSearch {
-    sums: Vec<u16>,
     scored: Vec<Scored>,
+    offsets: Vec<(usize, usize)>,
+}
+
+/// A cloud that is looked for.
+struct Sought<'a> {
+    field: &'a PlaceField,
+    points: Vec<(f64, f64)>,
+    headings: Vec<f64>,
+    stretches: Vec<Stretch>,
+    near: Option<Near>,
 }
 
 impl PlaceSearch {
     /// Looks for `points` (metres, in the cloud's own frame): at each heading the values of all of them are summed up for each cell where
-    /// the robot may stand (Olson 2009, without levels: a sum for many cells at once costs less than bounds for a few).
+    /// the robot may stand (Olson 2009). Blocks whose bound is too low are left out, and none that matters.
     pub fn find(&mut self, field: &PlaceField, points: &[(f64, f64)], quest: &Quest) -> Places {
         let near = points.iter().filter(|p| p.0 * p.0 + p.1 * p.1 <= REACH_M * REACH_M);
         let near: Vec<(f64, f64)> = near.copied().collect();
@@ -84,17 +98,19 @@ impl PlaceSearch {
         if few.is_empty() {
             return Places { found: Vec::new(), others_max: 1.0 };
         }
-        let full = 255.0 * few.len() as f64;
-        let headings = headings(quest.near);
-        let mut least = (quest.score_min * full).ceil().max(1.0) as u16;
+        // Neighbours in the cloud lie on one wall. In this order the first points already say much of the sum of all.
+        let points: Vec<(f64, f64)> = (0..few.len()).map(|i| few[i * MIXING % few.len()]).collect();
+        let full = 255.0 * points.len() as f64;
+        let (headings, stretches) = (headings(quest.near), stretches(field, quest.near));
+        let sought = Sought { field, points, headings, stretches, near: quest.near };
+        let bounds = self.bound(&sought);
+        let enough = |best: u16| (quest.share_min * f64::from(best)).ceil() as u16;
+        let mut least =
+            ((quest.score_min * full).ceil().max(1.0) as u16).max(enough(self.probe(&sought, &bounds)));
         self.scored.clear();
-        let mut steps = Vec::with_capacity(few.len());
-        for (number, heading) in headings.iter().enumerate() {
-            let turned = Placement::new(0.0, 0.0, *heading);
-            steps.clear();
-            steps.extend(few.iter().map(|&(x, y)| turned.rotate(x, y)).map(|(x, y)| field.steps(x, y)));
-            let best = self.sum_up(field, &steps, number as u16, quest.near, least);
-            least = least.max((quest.share_min * f64::from(best)).ceil() as u16);
+        for number in 0..sought.headings.len() {
+            let best = self.look(&sought, &bounds, number, least);
+            least = least.max(enough(best));
             if self.scored.len() > REMEMBERED {
                 self.scored.retain(|scored| scored.sum >= least);
             }
@@ -103,43 +119,59 @@ impl PlaceSearch {
             }
         }
         self.scored.retain(|scored| scored.sum >= least);
-        // The best first; a stable sort keeps the order of headings, rows and columns among equals.
-        self.scored.sort_by_key(|scored| std::cmp::Reverse(scored.sum));
-        self.places(field, &headings, full, least)
+        // The best first, and in order of headings, rows and columns among equals.
+        self.scored.sort_by_key(|scored| (Reverse(scored.sum), scored.heading, scored.row, scored.column));
+        self.places(field, &sought.headings, full, least)
     }
 
-    /// Sums up the values of points that are so many steps from the robot for each cell, remembers those with enough, and gives the best.
-    fn sum_up(
-        &mut self,
-        field: &PlaceField,
-        steps: &[(i32, i32)],
-        heading: u16,
-        near: Option<Near>,
-        least: u16,
-    ) -> u16 {
+    /// Bounds of the mean value of a point in each block at each heading.
+    fn bound(&mut self, sought: &Sought<'_>) -> Vec<u8> {
+        let points = sought.points.len() as u16;
+        let mut bounds = Vec::with_capacity(sought.headings.len() * sought.blocks());
+        for number in 0..sought.headings.len() {
+            self.turn(sought, number);
+            for stretch in &sought.stretches {
+                let sums = sought.field.bounds(*stretch, &self.offsets);
+                bounds.extend(sums[..stretch.count].iter().map(|sum| sum.div_ceil(points) as u8));
+            }
+        }
+        bounds
+    }
+
+    /// The greatest sum in those blocks whose bounds are the greatest, each of another heading.
+    fn probe(&mut self, sought: &Sought<'_>, bounds: &[u8]) -> u16 {
+        let top = |number: usize| {
+            // The first of those with the greatest bound.
+            let top = sought.bounded(bounds, number).max_by_key(|(bound, block)| (*bound, Reverse(*block)));
+            top.map(|top| (top, number))
+        };
+        let mut tops: Vec<_> = (0..sought.headings.len()).filter_map(top).collect();
+        tops.sort_by_key(|((bound, _), number)| (Reverse(*bound), *number));
         let mut best = 0;
-        for row in 0..field.height() {
-            for columns in field.passable(row) {
-                let Some(columns) = within(field, near, columns, row) else { continue };
-                self.sums.clear();
-                self.sums.resize(columns.len(), 0);
-                for step in steps {
-                    let values = field.beside(&columns, row, *step);
-                    self.sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += u16::from(*value));
-                }
-                let most = self.sums.iter().copied().max().unwrap_or(0);
-                best = best.max(most);
-                if most < least {
-                    continue;
-                }
-                let row = row as u32;
-                let enough = self.sums.iter().enumerate().filter(|(_, sum)| **sum >= least);
-                self.scored.extend(enough.map(|(i, sum)| Scored {
-                    sum: *sum,
-                    heading,
-                    row,
-                    column: (columns.start + i) as u32,
-                }));
+        for ((bound, block), number) in tops.into_iter().take(PROBES) {
+            self.turn(sought, number);
+            let sums = sought.sums(&self.offsets, block, bound, best).map(|(_, sum)| sum);
+            best = sums.max().unwrap_or(best);
+        }
+        best
+    }
+
+    /// Turns the points by a heading.
+    fn turn(&mut self, sought: &Sought<'_>, number: usize) {
+        let turned = Placement::new(0.0, 0.0, sought.headings[number]);
+        let offsets = sought.points.iter().map(|&(x_m, y_m)| turned.rotate(x_m, y_m));
+        self.offsets.clear();
+        self.offsets.extend(offsets.map(|(x_m, y_m)| sought.field.offsets(x_m, y_m)));
+    }
+
+    /// Remembers all cells that sum up to enough at a heading, and gives the greatest sum.
+    fn look(&mut self, sought: &Sought<'_>, bounds: &[u8], number: usize, least: u16) -> u16 {
+        self.turn(sought, number);
+        let mut best = 0;
+        for (bound, block) in sought.bounded(bounds, number).filter(|(bound, _)| *bound >= least) {
+            for (cell, sum) in sought.sums(&self.offsets, block, bound, least) {
+                best = best.max(sum);
+                self.scored.push(Scored::new(sum, number, block, cell));
             }
         }
         best
@@ -148,7 +180,7 @@ impl PlaceSearch {
     /// Forgets the worse half of what is remembered; gives the least score of the rest.
     fn keep_half(&mut self) -> u16 {
         let half = REMEMBERED / 2;
-        let (_, middle, _) = self.scored.select_nth_unstable_by_key(half, |s| std::cmp::Reverse(s.sum));
+        let (_, middle, _) = self.scored.select_nth_unstable_by_key(half, |s| Reverse(s.sum));
         let least = middle.sum.saturating_add(1);
         self.scored.retain(|scored| scored.sum >= least);
         // The order of what is left must not depend on how it was selected.
@@ -184,27 +216,152 @@ fn headings(near: Option<Near>) -> Vec<f64> {
     (-steps..=last).map(|i| middle + f64::from(i) * step).collect()
 }
 
-/// The part of these columns of a row that is near.
-fn within(
-    field: &PlaceField,
-    near: Option<Near>,
-    columns: &Range<usize>,
-    row: usize,
-) -> Option<Range<usize>> {
-    let Some(near) = near else { return Some(columns.clone()) };
-    let (first_m, y_m) = field.middle(columns.start, row);
-    let half = near.reach_m * near.reach_m - (y_m - near.pose.y_m) * (y_m - near.pose.y_m);
-    if half < 0.0 {
-        return None;
+/// Blocks that are looked at.
+fn stretches(field: &PlaceField, near: Option<Near>) -> Vec<Stretch> {
+    let Some(Near { pose, reach_m, .. }) = near else { return field.stretches(0..usize::MAX, 0..usize::MAX) };
+    let (first, last) = (
+        field.block_at(pose.x_m - reach_m, pose.y_m - reach_m),
+        field.block_at(pose.x_m + reach_m, pose.y_m + reach_m),
+    );
+    // Negative numbers become 0; the field ends by itself on the other side.
+    let range = |first: f64, last: f64| first as usize..(last + 1.0) as usize;
+    field.stretches(range(first.1, last.1), range(first.0, last.0))
+}
+
+impl Scored {
+    fn new(sum: u16, heading: usize, block: (usize, usize), cell: usize) -> Self {
+        let row = (block.0 * BLOCK + cell / BLOCK) as u32;
+        let column = (block.1 * BLOCK + cell % BLOCK) as u32;
+        Self { sum, heading: heading as u16, row, column }
     }
-    let cell = |x_m: f64| ((x_m - first_m) / field.cell_m()).clamp(-1.0, columns.len() as f64);
-    let start = columns.start + cell(near.pose.x_m - half.sqrt()).ceil().max(0.0) as usize;
-    let end = columns.start + (cell(near.pose.x_m + half.sqrt()).floor() + 1.0) as usize;
-    let part = start..end.min(columns.end);
-    (!part.is_empty()).then_some(part)
+}
+
+impl Sought<'_> {
+    /// Number of blocks that are looked at.
+    fn blocks(&self) -> usize {
+        self.stretches.iter().map(|stretch| stretch.count).sum()
+    }
+
+    /// The blocks, row and column, each behind the bound of its sums at a heading.
+    fn bounded(&self, bounds: &[u8], number: usize) -> impl Iterator<Item = (u16, (usize, usize))> {
+        let blocks =
+            self.stretches.iter().flat_map(|s| (s.column..s.column + s.count).map(|column| (s.row, column)));
+        let points = self.points.len() as u16;
+        bounds[number * self.blocks()..].iter().map(move |bound| u16::from(*bound) * points).zip(blocks)
+    }
+
+    /// Cells of a block where the robot may stand and that sum up to enough, each with its sum.
+    fn sums(
+        &self,
+        offsets: &[(usize, usize)],
+        block: (usize, usize),
+        bound: u16,
+        least: u16,
+    ) -> impl Iterator<Item = (usize, u16)> + use<> {
+        let sums = self.field.sums(block, offsets, bound, least);
+        let standing = if sums.is_some() { self.standing(block.0, block.1) } else { 0 };
+        let is_enough = move |(cell, sum): &(usize, u16)| *sum >= least && standing >> cell & 1 == 1;
+        sums.into_iter().flatten().enumerate().filter(is_enough)
+    }
+
+    /// Cells of a block where the robot may stand, and is looked for: a bit for each.
+    fn standing(&self, row: usize, column: usize) -> u16 {
+        let passable = self.field.passable(row, column);
+        let Some(Near { pose, reach_m, .. }) = self.near else { return passable };
+        let is_near = |i: &usize| {
+            let (x_m, y_m) = self.field.middle(column * BLOCK + i % BLOCK, row * BLOCK + i / BLOCK);
+            let (dx, dy) = (x_m - pose.x_m, y_m - pose.y_m);
+            dx * dx + dy * dy <= reach_m * reach_m
+        };
+        let near = (0..CELLS).filter(is_near).fold(0, |bits, i| bits | bit(i % BLOCK, i / BLOCK));
+        passable & near
+    }
 }
 
 /// Whether two poses are the same place.
 pub(crate) fn is_same(a: &Placement, b: &Placement) -> bool {
     a.distance_m(b) < APART.0 && a.turn_rad(b) < APART.1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::KnownMap;
+    use flockslam_evidence::CellState;
+    use flockslam_geometry::Point;
+    use proptest::prelude::*;
+
+    /// A map of rooms of all sizes, some of it unknown, from numbers.
+    fn map(width: usize, height: usize, numbers: &[u8]) -> KnownMap {
+        let mut map = KnownMap::of_width(width, 0.1, Point::new(-3.0, 2.0));
+        let number = |i: usize| usize::from(numbers[i % numbers.len()]);
+        for row in 0..height {
+            let state = |column: usize| {
+                let (i, k) = (column / (8 + number(row / 16) % 16), row / (8 + number(column / 16) % 16));
+                match (number(7 * i + k), column % 16, row % 16) {
+                    (0..20, _, _) => CellState::Unknown,
+                    (20..120, 0, _) | (120..200, _, 0) => CellState::Occupied,
+                    _ => CellState::Free,
+                }
+            };
+            map.push_row((0..width).map(state));
+        }
+        map.measured()
+    }
+
+    /// The same without bounds: all cells are summed up at all headings.
+    fn exhaustive(field: &PlaceField, points: &[(f64, f64)], quest: &Quest) -> Places {
+        let headings = headings(quest.near);
+        let sought = Sought {
+            field,
+            points: points.to_vec(),
+            headings: headings.clone(),
+            stretches: field.stretches(0..usize::MAX, 0..usize::MAX),
+            near: quest.near,
+        };
+        let mut search = PlaceSearch::default();
+        let (mut all, mut best) = (Vec::new(), 0);
+        for heading in 0..headings.len() {
+            search.turn(&sought, heading);
+            for block in blocks(&sought.stretches) {
+                for (cell, sum) in sought.sums(&search.offsets, block, 255 * points.len() as u16, 0) {
+                    best = best.max(sum);
+                    all.push(Scored::new(sum, heading, block, cell));
+                }
+            }
+        }
+        let full = 255.0 * points.len() as f64;
+        let least =
+            (quest.score_min * full).ceil().max(1.0).max((quest.share_min * f64::from(best)).ceil()) as u16;
+        all.retain(|scored| scored.sum >= least);
+        all.sort_by_key(|scored| (Reverse(scored.sum), scored.heading, scored.row, scored.column));
+        search.scored = all;
+        search.places(field, &headings, full, least)
+    }
+
+    fn blocks(stretches: &[Stretch]) -> impl Iterator<Item = (usize, usize)> {
+        stretches.iter().flat_map(|s| (0..s.count).map(move |i| (s.row, s.column + i)))
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 24, rng_seed: proptest::test_runner::RngSeed::Fixed(7), ..ProptestConfig::default() })]
+
+        #[test]
+        fn bounds_leave_out_nothing_that_is_found_without_them(
+            size in (20usize..150, 20usize..90),
+            numbers in prop::collection::vec(any::<u8>(), 8..64),
+            points in prop::collection::vec((-9.0..9.0f64, -9.0..9.0f64), 4..40),
+            (score_min, share_min) in (0.0..0.5f64, 0.6..0.95f64),
+            near in prop::option::of((-4.0..12.0f64, 0.0..10.0f64, -4.0..4.0f64, 0.3..6.0f64, 0.1..4.0f64)),
+        ) {
+            let field = PlaceField::new(&map(size.0, size.1, &numbers));
+            let near = near.map(|(x, y, heading, reach_m, turn_rad)| Near {
+                pose: Placement::new(x, y, heading),
+                reach_m,
+                turn_rad,
+            });
+            let quest = Quest { score_min, share_min, near };
+            prop_assert_eq!(PlaceSearch::default().find(&field, &points, &quest), exhaustive(&field, &points, &quest));
+        }
+    }
 }

@@ -1,8 +1,47 @@
 //! The area that a submap covers in the fused map.
 
 use crate::resampling::Resampling;
-use flockslam_evidence::{CellIndex, Submap, TileKey};
+use flockslam_evidence::{CellIndex, Submap, SubmapTile, TILE_SIDE, TileKey};
 use flockslam_geometry::Pose;
+
+/// Where a submap has evidence, cleared or not: this never changes once it is closed.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct KnownCells {
+    odom_from_submap: Pose,
+    cell_size_m: f64,
+    /// One bit for each cell, row by row.
+    tiles: Vec<(TileKey, [u64; TILE_SIDE])>,
+}
+
+impl KnownCells {
+    pub(crate) fn of(submap: &Submap) -> Self {
+        let known = |tile: &SubmapTile| {
+            let mut rows = [0; TILE_SIDE];
+            for (row, cells) in rows.iter_mut().zip(tile.cells.as_chunks::<TILE_SIDE>().0) {
+                let bits = cells.iter().enumerate().map(|(x, cell)| u64::from(!cell.is_unknown()) << x);
+                *row = bits.sum();
+            }
+            (tile.key, rows)
+        };
+        Self {
+            odom_from_submap: submap.odom_from_submap,
+            cell_size_m: submap.cell_size_m,
+            tiles: submap.tiles.iter().map(known).collect(),
+        }
+    }
+
+    /// The same as [`Footprint::of`] the submap.
+    pub(crate) fn footprint(&self, map_from_odom: Pose, cell_size_m: f64) -> Footprint {
+        let map_from_submap = map_from_odom * self.odom_from_submap;
+        let resampling =
+            Resampling::of_lattice(self.odom_from_submap, self.cell_size_m, map_from_submap, cell_size_m);
+        let mut parts = Vec::new();
+        for (key, known) in &self.tiles {
+            resampling.for_each_known(*key, known, |key, blocks| parts.push((key, blocks)));
+        }
+        Footprint::new(parts)
+    }
+}
 
 /// Blocks of 8 × 8 cells of the fused map in which a submap has evidence.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

@@ -2,6 +2,7 @@
 //! poses, and gives the next steps.
 
 use crate::coverage::Coverage;
+use crate::footprint::KnownCells;
 use crate::{Footprint, FusedMap};
 use flockslam_evidence::{CellIndex, ClearedCells, Submap, TILE_SIDE, TooFar};
 use flockslam_geometry::{Point, Pose};
@@ -55,6 +56,8 @@ struct Fused {
     /// The cells that were masked when it was brought in: others may be by now.
     cleared: ClearedCells,
     footprint: Footprint,
+    /// What a step needs of a submap while no evidence is summed: so it need not be read again.
+    known: Option<KnownCells>,
     /// Corners of the box around it, in odom.
     corners: [Point; 4],
     cell_size_m: f64,
@@ -143,6 +146,25 @@ impl Fusion {
         submaps_in_map.iter().filter(is_there).copied().map(Step::Place).collect()
     }
 
+    /// Does a step for which the submap is not needed; gives whether it was one.
+    pub fn take_known(&mut self, step: Step) -> bool {
+        let (Some(cell_size_m), Some(Fused { known: Some(known), .. })) =
+            (self.cell_size_m, self.fused.get(&step.number()))
+        else {
+            return false;
+        };
+        let Step::Place(PlacedSubmap { number, map_from_odom }) = step else {
+            self.forget(step.number());
+            return true;
+        };
+        let footprint = known.footprint(map_from_odom, cell_size_m);
+        if let Some(fused) = self.forget(number) {
+            self.coverage.add(number, &footprint);
+            self.fused.insert(number, Fused { map_from_odom, footprint, ..fused });
+        }
+        true
+    }
+
     /// Does a step with its submap. Cells of it may have been cleared since it was last handed in.
     ///
     /// # Errors
@@ -227,19 +249,26 @@ impl Fusion {
         };
         self.coverage.add(submap.number, &footprint);
         let (corners, cell_size_m) = (corners(submap), submap.cell_size_m);
-        self.fused.insert(submap.number, Fused { map_from_odom, cleared, footprint, corners, cell_size_m });
+        let known = (!self.sums).then(|| KnownCells::of(submap));
+        let fused = Fused { map_from_odom, cleared, footprint, known, corners, cell_size_m };
+        self.fused.insert(submap.number, fused);
         Ok(())
     }
 
     /// Takes a submap out as it came in. Should it not be the one that came in, the map begins anew: the next steps fill it.
     fn withdraw(&mut self, submap: &mut Submap) {
-        let Some(fused) = self.fused.remove(&submap.number) else { return };
-        self.coverage.remove(submap.number, &fused.footprint);
+        let Some(fused) = self.forget(submap.number) else { return };
         let Some(map) = &mut self.map else { return };
         submap.set_cleared(&fused.cleared);
         if map.withdraw(submap, fused.map_from_odom * submap.odom_from_submap).is_err() {
             self.start_over();
         }
+    }
+
+    fn forget(&mut self, number: u32) -> Option<Fused> {
+        let fused = self.fused.remove(&number)?;
+        self.coverage.remove(number, &fused.footprint);
+        Some(fused)
     }
 
     fn start_over(&mut self) {
@@ -302,7 +331,20 @@ mod tests {
 
     fn follow(fusion: &mut Fusion, submaps: &[Submap], submaps_in_map: &[PlacedSubmap], closed: u32) {
         for step in fusion.steps(submaps_in_map, closed) {
+            if fusion.take_known(step) {
+                check_footprint(fusion, submaps, step);
+                continue;
+            }
             fusion.take(step, submaps[step.number() as usize].clone()).unwrap();
+        }
+    }
+
+    /// What a submap that was not read again covers is what it covers when it is.
+    fn check_footprint(fusion: &Fusion, submaps: &[Submap], step: Step) {
+        if let Step::Place(PlacedSubmap { number, map_from_odom }) = step {
+            let submap = &submaps[number as usize];
+            let place = map_from_odom * submap.odom_from_submap;
+            assert_eq!(fusion.fused[&number].footprint, Footprint::of(submap, place, submap.cell_size_m));
         }
     }
 

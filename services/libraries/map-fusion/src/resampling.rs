@@ -7,6 +7,12 @@ use flockslam_geometry::{Point, Pose};
 const FRACTION: u32 = 32;
 const SIDE: i32 = TILE_SIDE as i32;
 
+/// The block of 8 × 8 cells that a cell of a tile is in, row by row.
+#[inline]
+fn block(cell: usize) -> usize {
+    cell >> 9 << 3 | cell >> 3 & 7
+}
+
 /// Maps cells of the fused map to cells of a submap, by the centre of the former.
 ///
 /// A linear function in whole numbers: what it gives for a cell does not depend on where the walk over the cells began, so each
@@ -36,7 +42,17 @@ pub struct Resampled<'a> {
 impl Resampling {
     /// For a submap with its reference pose at `map_from_submap`.
     pub fn new(submap: &Submap, map_from_submap: Pose, target_size_m: f64) -> Self {
-        let map_from_odom = map_from_submap * submap.odom_from_submap.inverse();
+        Self::of_lattice(submap.odom_from_submap, submap.cell_size_m, map_from_submap, target_size_m)
+    }
+
+    /// For a submap of cells of this side, metres, with its reference pose in odom and in the map.
+    pub(crate) fn of_lattice(
+        odom_from_submap: Pose,
+        source_size_m: f64,
+        map_from_submap: Pose,
+        target_size_m: f64,
+    ) -> Self {
+        let map_from_odom = map_from_submap * odom_from_submap.inverse();
         let odom_from_map = map_from_odom.inverse();
         let origin = CellIndex::new(
             floor(map_from_submap.x_m / target_size_m),
@@ -47,13 +63,13 @@ impl Resampling {
         // A float cast saturates: absurd poses give some cell, and are refused as too far from the others.
         let fixed = |cells: f64| (cells * (1u64 << FRACTION) as f64).round() as i64;
         let (sin, cos) = odom_from_map.heading_rad.sin_cos();
-        let ratio = target_size_m / submap.cell_size_m;
+        let ratio = target_size_m / source_size_m;
         Self {
             map_from_odom,
-            source_size_m: submap.cell_size_m,
+            source_size_m,
             target_size_m,
             origin,
-            start: (fixed(at.x_m / submap.cell_size_m), fixed(at.y_m / submap.cell_size_m)),
+            start: (fixed(at.x_m / source_size_m), fixed(at.y_m / source_size_m)),
             step: (fixed(cos * ratio), fixed(sin * ratio)),
         }
     }
@@ -74,13 +90,61 @@ impl Resampling {
         }
     }
 
+    /// Calls `visit` for each tile of the fused map that evidence of a tile falls into whose `known` cells are these, one bit each, row by
+    /// row: with its blocks, as [`Self::for_each`] gives them.
+    pub(crate) fn for_each_known(
+        &self,
+        tile: TileKey,
+        known: &[u64; TILE_SIDE],
+        mut visit: impl FnMut(TileKey, u64),
+    ) {
+        let (low, high) = self.target_bounds(tile);
+        for y in low.tile().y..=high.tile().y {
+            for x in low.tile().x..=high.tile().x {
+                let key = TileKey { x, y };
+                let mut blocks = 0;
+                self.walk(tile, key, (low, high), |target, source| {
+                    let is_known = known[source >> 6] >> (source & 63) & 1;
+                    blocks |= is_known << block(target);
+                });
+                if blocks != 0 {
+                    visit(key, blocks);
+                }
+            }
+        }
+    }
+
     fn gather(
         &self,
         tile: &SubmapTile,
         key: TileKey,
-        (low, high): (CellIndex, CellIndex),
+        bounds: (CellIndex, CellIndex),
         cells: &mut Vec<(u16, PackedCell)>,
     ) -> u64 {
+        let mut blocks = 0;
+        self.walk(tile.key, key, bounds, |target, source| {
+            let evidence = tile.cells[source];
+            if evidence.is_unknown() {
+                return;
+            }
+            blocks |= 1 << block(target);
+            if !tile.is_cleared(source) {
+                cells.push((target as u16, evidence));
+            }
+        });
+        blocks
+    }
+
+    /// Calls `visit` with the places of the cells of tile `key` of the fused map, in ascending order, and of the cells of a source tile
+    /// that they take their evidence from.
+    #[inline]
+    fn walk(
+        &self,
+        tile: TileKey,
+        key: TileKey,
+        (low, high): (CellIndex, CellIndex),
+        mut visit: impl FnMut(usize, usize),
+    ) {
         let corner = key.cell(0);
         let within = |low: i32, high: i32, corner: i32| {
             let last = i64::from(high) - i64::from(corner);
@@ -88,9 +152,7 @@ impl Resampling {
         };
         let (x0, x1) = within(low.x, high.x, corner.x);
         let (y0, y1) = within(low.y, high.y, corner.y);
-        let (left, bottom) =
-            (i64::from(tile.key.x) * i64::from(SIDE), i64::from(tile.key.y) * i64::from(SIDE));
-        let mut blocks = 0;
+        let (left, bottom) = (i64::from(tile.x) * i64::from(SIDE), i64::from(tile.y) * i64::from(SIDE));
         for y in y0..=y1 {
             let (mut u, mut v) =
                 self.source(i64::from(corner.x) + i64::from(x0), i64::from(corner.y) + i64::from(y));
@@ -101,18 +163,9 @@ impl Resampling {
                 if (column | row) as u64 >= TILE_SIDE as u64 {
                     continue;
                 }
-                let source = (row << 6 | column) as usize;
-                let evidence = tile.cells[source];
-                if evidence.is_unknown() {
-                    continue;
-                }
-                blocks |= 1 << ((y >> 3 << 3) | x >> 3);
-                if !tile.is_cleared(source) {
-                    cells.push(((y << 6 | x) as u16, evidence));
-                }
+                visit((y << 6 | x) as usize, (row << 6 | column) as usize);
             }
         }
-        blocks
     }
 
     /// The cell of the submap's lattice whose evidence falls into a target cell; `None` when that is absurdly far away.

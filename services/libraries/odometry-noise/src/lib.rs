@@ -143,6 +143,11 @@ impl OdometryNoise {
         }
     }
 
+    /// Nothing connects the next fit with those before. What was learned holds.
+    pub fn break_off(&mut self) {
+        self.remembered = [None; REMEMBERED];
+    }
+
     fn compare(&mut self, from: Measured, to: Measured, is_long: bool) {
         let (measured, said) = (from.pose.to(to.pose), from.odometry.to(to.odometry));
         let error = measured.to(said);

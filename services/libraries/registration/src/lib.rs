@@ -22,5 +22,5 @@ pub use field::{GridField, Sample, ScoreField, ScoreRead, bilinear, nearest};
 pub use gauss_newton::{Fit, GaussNewton, inflated_along, inflated_everywhere};
 pub use lattice::Correlative;
 pub use ndt::{Expected, Ndt, NdtSettings};
-pub use surface_map::{SURFACE_RANGE_MAX_M, SurfaceFit, SurfaceMap, SurfacePrior};
+pub use surface_map::{Explained, SURFACE_RANGE_MAX_M, SurfaceFit, SurfaceMap, SurfacePrior};
 pub use sweep::{MotionState, Sweep, TwistSigma};

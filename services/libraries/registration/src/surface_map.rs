@@ -31,6 +31,8 @@ const RANGE_SIGMA_M: f64 = 0.03;
 const EXTENT_M: f64 = 0.25;
 /// Squared standard deviations at which a point loses three quarters of its weight.
 const FAR_SQUARED: f64 = 9.0;
+/// Cost of a point that meets no surface.
+const UNKNOWN_COST: f64 = 0.5 * FAR_SQUARED / SHARED_ERROR;
 /// Points in the same cell share its error: the variance is this many times greater.
 const SHARED_ERROR: f64 = 2.0;
 /// Gauss–Newton steps at most, and the step from which on the fit has converged, metres and radians.
@@ -87,6 +89,17 @@ pub struct SurfaceFit {
     pub cost: f64,
     /// The same of the pose by its prediction.
     pub prior_cost: f64,
+}
+
+/// How well a pose explains a scan and a prediction.
+#[derive(Clone, Copy, Debug)]
+pub struct Explained {
+    /// Frame of the map from the frame of the points.
+    pub pose: Pose,
+    /// Negative logarithm of the likelihood of the points and of the pose, up to a constant.
+    pub cost: f64,
+    /// Sum of the weights of the points.
+    pub weights: f64,
 }
 
 /// Where a scan is expected: the pose, and the information of the prediction.
@@ -203,6 +216,18 @@ impl SurfaceMap {
         })
     }
 
+    /// As [`Self::fit`], but points that meet no surface are explained as well: badly.
+    pub fn explained(&self, points: &[Point], prior: &SurfacePrior) -> Explained {
+        match self.fit(points, prior) {
+            Some(fit) => Explained {
+                pose: fit.pose,
+                cost: fit.cost + fit.prior_cost,
+                weights: fit.inliers * points.len() as f64,
+            },
+            None => Explained { pose: prior.pose, cost: UNKNOWN_COST * points.len() as f64, weights: 0.0 },
+        }
+    }
+
     /// Number of points in the cell of (x, y) metres.
     pub fn count_at(&self, x_m: f64, y_m: f64) -> i32 {
         self.cells[index(units(x_m).div_euclid(CELL_UNITS), units(y_m).div_euclid(CELL_UNITS))].count
@@ -221,7 +246,7 @@ impl SurfaceMap {
         for point in points {
             let (rx, ry) = (cos * point.x_m - sin * point.y_m, sin * point.x_m + cos * point.y_m);
             let Some((mean, inverse)) = self.surface(pose.x_m + rx, pose.y_m + ry) else {
-                sums.cost += 0.5 * FAR_SQUARED / SHARED_ERROR;
+                sums.cost += UNKNOWN_COST;
                 continue;
             };
             let off = Vector2::new(pose.x_m + rx, pose.y_m + ry) - mean;
@@ -316,7 +341,7 @@ fn moved(pose: Pose, step: Vector3<f64>) -> Pose {
 #[inline]
 fn units(metres: f64) -> i32 {
     // Two thousand kilometres away all cells are one; nothing overflows.
-    (metres * UNITS_PER_M).floor().clamp(-1e9, 1e9) as i32
+    floor((metres * UNITS_PER_M).clamp(-1e9, 1e9))
 }
 
 #[inline]

@@ -2,6 +2,7 @@
 
 mod common_types;
 mod diagnostic_types;
+mod initial_pose;
 mod lifecycle_types;
 mod map_types;
 mod marker_types;
@@ -12,6 +13,7 @@ mod transform_types;
 
 pub use common_types::*;
 pub use diagnostic_types::*;
+pub use initial_pose::InitialPose;
 pub use lifecycle_types::*;
 pub use map_types::*;
 pub use marker_types::*;

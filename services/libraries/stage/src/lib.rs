@@ -36,7 +36,7 @@ pub use pause::Pause;
 pub use process_memory::MemoryUse;
 pub use progress::{Acknowledger, StreamEnd};
 pub use report::{ProcessReport, read_reports};
-pub use scan_journal::{JournalReader, JournalWriter, Journaled, journal_file};
+pub use scan_journal::{JournalReader, JournalWriter, Journaled, journal_file, pose_of};
 pub use shares::{Share, Shares};
 pub use stage_clock::Clock;
 pub use stage_error::StageError;

@@ -183,6 +183,11 @@ impl JournalReader {
     }
 }
 
+/// The pose in a record of the journal; `None` in one that another build wrote.
+pub fn pose_of(payload: &[u8]) -> Option<PoseEstimate> {
+    PoseEstimate::read_from_prefix(payload).ok().map(|(pose, _)| pose)
+}
+
 fn decode_scan(bytes: &[u8]) -> Option<ScanBuffer> {
     let (header, numbers) = ScanHeader::read_from_prefix(bytes).ok()?;
     if numbers.len() % 4 != 0 {

@@ -1,5 +1,6 @@
 //! Transforms between named frames over time, as tf2 keeps them.
 
+use crate::TimeWatch;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use std::collections::{BTreeMap, VecDeque};
 
@@ -44,6 +45,8 @@ pub enum LookupError {
 pub struct TransformBuffer {
     /// By child frame.
     links: BTreeMap<String, Link>,
+    /// What is said of a frame is forgotten when its time goes back.
+    follows_time: bool,
 }
 
 #[derive(Debug)]
@@ -53,6 +56,7 @@ struct Link {
     is_static: bool,
     /// In order of time; one where it is static.
     poses: VecDeque<(i64, Isometry3<f64>)>,
+    time: TimeWatch,
 }
 
 /// A pose in space from a position and the numbers x, y, z, w of a quaternion, which need not be of length 1; `None` when they are none.
@@ -71,6 +75,19 @@ pub fn frame_name(name: &str) -> &str {
 }
 
 impl TransformBuffer {
+    /// Of those who speak now: when the stamps of a frame go back and go on from there, its poses up to then are forgotten.
+    pub fn live() -> Self {
+        Self { follows_time: true, ..Self::default() }
+    }
+
+    /// Forgets the poses of frames that move: time has gone back. Which frames there are, and what holds at all times, is kept.
+    pub fn forget_moving(&mut self) {
+        for link in self.links.values_mut().filter(|link| !link.is_static) {
+            link.poses.clear();
+            link.time = TimeWatch::default();
+        }
+    }
+
     /// Takes a transform. Those of one frame may come in any order; of equal stamps the last counts. One with numbers that are not
     /// finite, or from a frame to itself, is left out.
     pub fn insert(&mut self, transform: &StampedTransform, is_static: bool) {
@@ -80,10 +97,18 @@ impl TransformBuffer {
         if parent == child || !finite {
             return;
         }
-        let fresh = || Link { parent: parent.to_owned(), is_static, poses: VecDeque::new() };
+        let fresh = || Link {
+            parent: parent.to_owned(),
+            is_static,
+            poses: VecDeque::new(),
+            time: TimeWatch::default(),
+        };
         let link = self.links.entry(child.to_owned()).or_insert_with(fresh);
         if link.parent != parent || link.is_static != is_static || is_static {
             *link = fresh();
+        }
+        if link.time.goes_back(transform.stamp_ns) && self.follows_time {
+            link.poses.clear();
         }
         let at = link.poses.partition_point(|(stamp_ns, _)| *stamp_ns < transform.stamp_ns);
         match link.poses.get_mut(at) {
@@ -165,6 +190,10 @@ impl TransformBuffer {
 
 impl Link {
     fn pose_at(&self, at_ns: i64) -> Result<Isometry3<f64>, LookupError> {
+        if self.poses.is_empty() {
+            // Its time has gone back, and nothing was said since.
+            return Err(LookupError::NotYet);
+        }
         let after = self.poses.partition_point(|(stamp_ns, _)| *stamp_ns < at_ns);
         let next = self.poses.get(after);
         if let Some((stamp_ns, pose)) = next
@@ -244,6 +273,25 @@ mod tests {
         assert_eq!(at(2_000_000_000), Err(LookupError::Missing));
         assert_eq!(at(6_000_000_000), Err(LookupError::NotYet));
         assert_eq!(buffer.known_until_ns("odom", "base_link"), Some(5_000_000_000));
+    }
+
+    #[test]
+    fn when_time_goes_back_what_was_said_of_a_frame_is_forgotten_by_who_follows_it() {
+        let second = 1_000_000_000;
+        for mut buffer in [TransformBuffer::live(), TransformBuffer::default()] {
+            buffer.insert(&transform(0, "base_link", "laser", 0.3, 0.0), true);
+            for (tenth, x_m) in [(200, 7.0), (201, 7.0), (0, 1.0), (1, 1.1), (2, 1.2)] {
+                buffer.insert(&transform(tenth * second / 10, "odom", "base_link", x_m, 0.0), false);
+            }
+            let until_ns = buffer.known_until_ns("odom", "base_link");
+            assert_eq!(until_ns, Some(if buffer.follows_time { second / 5 } else { 201 * second / 10 }));
+            assert!(
+                (buffer.lookup("odom", "base_link", second / 10).unwrap().translation.x - 1.1).abs() < 1e-12
+            );
+            buffer.forget_moving();
+            assert_eq!(buffer.lookup("odom", "laser", second), Err(LookupError::NotYet));
+            assert!(buffer.links("odom", "laser") && buffer.lookup("base_link", "laser", 0).is_ok());
+        }
     }
 
     #[test]

@@ -4,11 +4,11 @@ use super::feed::Fed;
 use super::lidar_names::LidarNames;
 use super::sensor_inlet::{Heard, SensorInlet};
 use crate::carmen::{Rejection, Tally};
-use crate::continuity::Continuity;
+use crate::continuity::{Continuity, follows};
 use crate::scan_locator::{ScanLocator, Sighting};
 use crate::settings::Settings;
 use flockslam_geometry::Pose;
-use flockslam_messages::ScanBuffer;
+use flockslam_messages::{STARTS_ELSEWHERE, ScanBuffer};
 use flockslam_sensor_stream::{LidarScan, SensorFrame, TransformsReading};
 use flockslam_stage::{Mode, StageContext, StageError};
 use flockslam_telemetry::monotonic_ns;
@@ -32,6 +32,10 @@ pub struct SensorFeed {
     /// The newest stamp so far: the time of a stream that is replayed.
     newest_stamp_ns: i64,
     by_lidar: BTreeMap<u32, LidarState>,
+    /// Stamp of the last scan of any lidar.
+    last_stamp_ns: Option<i64>,
+    /// How often the time of the scans has gone back.
+    times_back: u64,
     tally: Tally,
     producers: Producers,
     /// The last scans could not be placed, which was said.
@@ -77,6 +81,8 @@ impl SensorFeed {
             at_end: false,
             newest_stamp_ns: i64::MIN,
             by_lidar: BTreeMap::new(),
+            last_stamp_ns: None,
+            times_back: 0,
             tally: Tally::default(),
             producers: Producers::default(),
             said_unplaced: false,
@@ -99,7 +105,7 @@ impl SensorFeed {
     }
 
     /// Counts of its own, for the report.
-    pub fn counts(&self) -> [(&'static str, u64); 5] {
+    pub fn counts(&self) -> [(&'static str, u64); 6] {
         let (producers, guesses) = (&self.producers, self.locator.guesses());
         [
             ("producers_came", producers.came),
@@ -107,6 +113,7 @@ impl SensorFeed {
             ("frames_broken_off", producers.broken_off),
             ("odometry_carried_on", guesses.carried_on),
             ("odometry_missing", guesses.without),
+            ("times_gone_back", self.times_back),
         ]
     }
 
@@ -268,7 +275,20 @@ impl SensorFeed {
             return false;
         }
         let stamp_ns = scan.header.times.sensor_ns;
+        let back_ns = state.continuity.back_ns();
         let before_ns = state.last_stamp_ns.replace(stamp_ns);
+        let of_all_ns = self.last_stamp_ns.replace(stamp_ns);
+        // Scans of other lidars follow the first one that went back.
+        let is_first = back_ns.zip(of_all_ns).is_some_and(|(_, of_all_ns)| !follows(stamp_ns, of_all_ns));
+        if is_first && self.mode == Mode::Live {
+            self.times_back += 1;
+            scan.header.starts_at_odometry = STARTS_ELSEWHERE;
+            let back_s = back_ns.unwrap_or_default() as f64 * 1e-9;
+            tracing::warn!(
+                "{}: the time of its scans has gone back by {back_s:.1} s: a new trajectory begins",
+                self.name
+            );
+        }
         self.tally.steps_backward += u64::from(before_ns.is_some_and(|before_ns| stamp_ns <= before_ns));
         scan.header.id.sequence = self.tally.scans;
         self.tally.scans += 1;

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::settings::{LidarCalibration, LidarMounting};
+use flockslam_messages::HEADING_ONLY;
 use nalgebra::Vector3;
 
 const MS: i64 = 1_000_000;
@@ -46,6 +47,55 @@ fn odometry_is_interpolated_at_the_time_of_the_scan_whatever_comes_first() {
     assert_eq!((found.header.base_from_laser.x_m, found.header.has_odometry), (0.3, 1));
     assert!((found.header.odometry.x_m - 1.0).abs() < 1e-12);
     assert_eq!(locator.take(true), Ok(None));
+}
+
+/// A scan that takes a tenth of a second.
+fn slow_scan(at_ms: i64) -> Sighting {
+    let Sighting::Scan(mut scan) = scan(at_ms) else { unreachable!() };
+    let beams = scan.scan.header.beam_count;
+    scan.scan.header.time_increment_s = 0.1 / (beams - 1) as f32;
+    Sighting::Scan(scan)
+}
+
+/// How fast the robot went ahead while a scan was taken, by its odometry.
+fn speed_m_s(scan: &ScanBuffer) -> Option<f64> {
+    scan.view().unwrap().odometry_twist().map(|twist| twist.x_m_s)
+}
+
+#[test]
+fn a_scan_that_takes_time_waits_for_odometry_at_its_last_beam() {
+    let mut locator = locator_of(&[]);
+    let odometry =
+        |at_ms: i64, x_m: f64| OdometryReading { transform: transform(at_ms, "odom", "", x_m), twist: None };
+    locator.push_odometry(0, &odometry(0, 0.0));
+    locator.push_sighting(0, 0, scan(0));
+    locator.note_time(2000 * MS);
+    assert_eq!(speed_m_s(&locator.take(false).unwrap().unwrap()), None, "taken at once");
+    locator.push_sighting(2110 * MS, 0, slow_scan(2010));
+    locator.push_odometry(2111 * MS, &odometry(2000, 0.0));
+    locator.push_odometry(2112 * MS, &odometry(2050, 0.05));
+    assert_eq!(locator.take(false), Ok(None), "odometry at the last beam may come");
+    locator.push_odometry(2150 * MS, &odometry(2150, 0.17));
+    let found = locator.take(false).unwrap().unwrap();
+    // From 0.01 m at the first beam to 0.122 m at the last.
+    assert!((speed_m_s(&found).unwrap() - 1.12).abs() < 1e-3, "{found:?}");
+}
+
+#[test]
+fn live_odometry_that_reaches_over_half_of_a_scan_is_carried_on_to_its_end() {
+    for (known_ms, expected) in [(30, None), (90, Some(1.0))] {
+        let mut locator = live();
+        let odometry = |at_ms: i64| OdometryReading {
+            transform: transform(at_ms, "odom", "", 1e-3 * at_ms as f64),
+            twist: None,
+        };
+        locator.set_lidars(1);
+        locator.push_transforms(0, &[transform(0, "base_link", "laser", 0.3)], true);
+        (0..=known_ms).step_by(10).for_each(|at_ms| locator.push_odometry(at_ms * MS, &odometry(at_ms)));
+        locator.push_sighting(110 * MS, 0, slow_scan(10));
+        let found = locator.take(false).unwrap().unwrap();
+        assert_eq!(speed_m_s(&found).map(|speed| (speed * 1e4).round() * 1e-4), expected);
+    }
 }
 
 #[test]

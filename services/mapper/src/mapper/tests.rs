@@ -236,3 +236,35 @@ fn who_walks_by_leaves_no_trail_and_a_door_that_closes_is_there_at_the_third_vie
     room(&mut at_once, 2..4, |i, beam| beam / 5 == i as usize);
     assert!(standing(&at_once) > 0);
 }
+
+#[test]
+fn what_is_seen_while_the_set_localizes_leaves_the_submaps_of_the_map_as_they_are() {
+    let mut mapper = Mapper::new(Settings { window_m: 0.0, ..Settings::default() });
+    let mut submaps = drive(&mut mapper, 0..40);
+    let stale = window_of(&mapper).into_iter().find_map(|(key, tile)| {
+        tile.cells.iter().position(|cell| cell.occupied > 0).map(|offset| key.cell(offset))
+    });
+    let cleared = [ClearedCell { x: stale.unwrap().x, y: stale.unwrap().y }];
+    let ranges = [2.0; 100];
+    for sequence in 40..60 {
+        let mut at = pose(12.0, 0.0, 0.0);
+        at.flags |= PoseFlags::LOCALIZING;
+        let closed = mapper.insert(scan(sequence, &ranges).view().unwrap(), &at, &cleared).closed;
+        assert_eq!(closed.len(), usize::from(sequence == 40 && submaps.last().unwrap().last < 39));
+        submaps.extend(closed);
+    }
+    let of_map = submaps.len() as u32;
+    assert_eq!(submaps.last().unwrap().last, 39, "the submap is cut where the set begins to localize");
+    assert!(mapper.take_cleared().is_empty(), "nothing was cleared before");
+    let closed = mapper.insert(scan(60, &ranges).view().unwrap(), &pose(12.0, 0.0, 0.0), &[]).closed;
+    assert_eq!(closed.iter().map(|submap| (submap.first, submap.last)).collect::<Vec<_>>(), [(40, 59)]);
+    mapper.close();
+    assert!(mapper.take_cleared().iter().all(|submap| submap.number >= of_map));
+
+    let mut successor = Mapper::new(Settings { window_m: 0.0, ..Settings::default() });
+    submaps.iter().for_each(|submap| successor.resume(submap.clone(), submap.last));
+    successor.has_localized(45);
+    successor.insert(scan(61, &ranges).view().unwrap(), &pose(12.0, 0.0, 0.0), &cleared);
+    successor.close();
+    assert!(successor.take_cleared().iter().all(|submap| submap.number >= of_map));
+}

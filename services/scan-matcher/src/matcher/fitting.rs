@@ -241,7 +241,8 @@ impl<F: ScoreField> Fitter<'_, F> {
         if by_velocity.score > by_odometry.score + JUMPED
             && self.gain(&by_velocity, &by_odometry) >= SLIP_COST
         {
-            let prediction = Prediction { pose: steady.pose, twist: steady.twist, ..prediction };
+            let prediction =
+                Prediction { pose: steady.pose, twist: steady.twist, measured: None, ..prediction };
             let near = self.track(&points, prediction.pose, Some(by_velocity));
             return Settled { prediction, points, near: Some(near), rival: None };
         }
@@ -288,6 +289,9 @@ impl<F: ScoreField> Fitter<'_, F> {
     /// How far the velocity during the scan may be from the predicted one: a robot whose odometry goes on as before keeps its velocity.
     /// Without odometry nothing says that it does.
     fn twist_sigma(&self, prediction: &Prediction) -> TwistSigma {
+        if let Some(sigma) = prediction.measured {
+            return sigma;
+        }
         let Some(coasting) = prediction.coasting.filter(|_| self.scan.odometry().is_some()) else {
             return TWIST_SIGMA;
         };

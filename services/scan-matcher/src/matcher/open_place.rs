@@ -64,13 +64,12 @@ impl<F: ScoreField> Fitter<'_, F> {
     /// A scan at the pose that the surfaces around give.
     pub(super) fn held(&self, points: ScanPoints, prediction: Prediction, held: &SurfaceFit) -> Fitted {
         let of_scan = inverse(held.information, PRIOR_SIGMA);
-        let both = matrix(prediction.covariance).try_inverse().map(|prior| prior + held.information);
         Fitted {
             prediction,
             fit: Fit::at(self.field, &points.ends, held.pose),
             points,
             twist: prediction.twist,
-            covariance: both.map_or(of_scan, |both| inverse(both, PRIOR_SIGMA)),
+            covariance: fused_covariance(prediction.covariance, held.information),
             alone: Some((held.alone, of_scan)),
             is_rescued: false,
             is_fused: true,
@@ -93,6 +92,12 @@ impl<F: ScoreField> Fitter<'_, F> {
             ..fitted
         }
     }
+}
+
+/// The covariance of a pose that is predicted with a covariance, and held by surfaces with this information.
+pub(super) fn fused_covariance(predicted: Covariance, information: Matrix3<f64>) -> Covariance {
+    let prior = matrix(predicted).try_inverse().unwrap_or_else(Matrix3::zeros);
+    inverse(prior + information, PRIOR_SIGMA)
 }
 
 /// The covariance of an information matrix; directions that it does not determine get these standard deviations.

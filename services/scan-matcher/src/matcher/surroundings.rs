@@ -1,6 +1,7 @@
 //! The surfaces around the robot, to which scans are fitted where the grid does not hold them.
 
 use super::points::{MoverMask, ScanPoints};
+use super::slip_watch::SlipWatch;
 use crate::motion::{Prediction, SLIP_COST, matrix};
 use flockslam_geometry::{Covariance, Pose, Twist, wrap_angle};
 use flockslam_messages::ScanView;
@@ -23,6 +24,8 @@ const SIGMA_MIN: (f64, f64) = (1e-3, 3e-4);
 /// the usual share.
 const INLIERS_MIN: f64 = 0.15;
 const UNUSUAL: f64 = 3.0;
+/// Scans that do not enter the map are added this far apart, metres.
+const APART_M: f64 = 0.2;
 /// Fits after which the usual share is known.
 const START_FITS: u64 = 20;
 /// Weight of the newest fit in the usual share of inliers.
@@ -37,12 +40,17 @@ pub(super) struct Surroundings {
     usual: f64,
     variance: f64,
     fits: u64,
+    slip: SlipWatch,
+    /// Where the last scan was added.
+    added: Option<Pose>,
 }
 
 impl Surroundings {
     /// Forgets all scans.
     pub(super) fn clear(&mut self) {
         self.map.clear();
+        self.slip.clear();
+        self.added = None;
         (self.usual, self.variance, self.fits) = (0.0, 0.0, 0);
     }
 
@@ -51,8 +59,41 @@ impl Surroundings {
         self.fits >= START_FITS
     }
 
+    /// The prediction of a scan in the open, or where the robot is if its wheels have slipped, when that explains the last scans better.
+    pub(super) fn watched(&mut self, scan: ScanView<'_>, prediction: Prediction) -> Prediction {
+        let Some(step) = self.slip.step(scan) else { return prediction };
+        self.take(scan, prediction.twist, &MoverMask::default());
+        self.slip.decide(step, &self.points.ends, &self.map, prediction)
+    }
+
+    /// Whether it is open how the robot moved.
+    pub(super) fn are_undecided(&self) -> bool {
+        self.slip.is_undecided()
+    }
+
+    /// The robot was here at a scan.
+    pub(super) fn placed(&mut self, scan: ScanView<'_>, pose: Pose) {
+        self.slip.placed(scan, pose);
+    }
+
+    /// Nothing is to be asked of the wheels here.
+    pub(super) fn unwatched(&mut self) {
+        self.slip.clear();
+    }
+
+    /// A scan that does not enter the map was made at this pose: it is added if the robot has moved since the last one.
+    pub(super) fn add_apart(&mut self, scan: ScanView<'_>, mask: &MoverMask, pose: Pose, twist: Twist) {
+        if self.added.is_none_or(|added| added.distance_m(pose) >= APART_M) {
+            self.add(scan, mask, pose, twist);
+        }
+    }
+
     /// A scan was made at this pose.
     pub(super) fn add(&mut self, scan: ScanView<'_>, mask: &MoverMask, pose: Pose, twist: Twist) {
+        if self.slip.is_undecided() {
+            return;
+        }
+        self.added = Some(pose);
         self.take(scan, twist, mask);
         if !self.map.is_empty() && self.points.len() > 0 {
             let inliers = self.map.inliers_at(&self.points.ends, pose);
@@ -120,7 +161,7 @@ fn prior_cost(prior: &SurfacePrior, pose: Pose) -> f64 {
     0.5 * off.dot(&(prior.information * off))
 }
 
-fn prior(pose: Pose, covariance: Covariance) -> SurfacePrior {
+pub(super) fn prior(pose: Pose, covariance: Covariance) -> SurfacePrior {
     let least = Vector3::new(SIGMA_MIN.0.powi(2), SIGMA_MIN.0.powi(2), SIGMA_MIN.1.powi(2));
     let covariance = matrix(covariance) + Matrix3::from_diagonal(&least);
     SurfacePrior { pose, information: covariance.try_inverse().unwrap_or_else(Matrix3::zeros) }

@@ -4,7 +4,7 @@ use super::*;
 use crate::settings::Strategy;
 use flockslam_geometry::wrap_angle;
 use flockslam_mapper::Mapper;
-use flockslam_messages::{DropReason, FlockRobot, ScanBuffer};
+use flockslam_messages::{DropReason, FlockRobot, STARTS_ELSEWHERE, ScanBuffer};
 
 /// A room of 8 × 6 m with a pillar, seen from `pose`; odometry is what the robot claims.
 fn look(sequence: u64, pose: Pose, odometry: Option<Pose>) -> ScanBuffer {
@@ -318,6 +318,28 @@ fn a_continued_map_begins_a_chain_of_its_own_wherever_the_robot_is_by_now() {
         assert_eq!(estimate.quality, Quality::Degraded as u32, "nothing connects it with the map yet");
         let moved = last.odom_from_base.to(estimate.odom_from_base);
         let expected = carried(0).to(carried(i));
+        assert!(moved.distance_m(expected) < 0.05, "{i}: {moved:?} for {expected:?}");
+    }
+}
+
+#[test]
+fn a_scan_that_nothing_connects_with_the_one_before_begins_a_trajectory_of_its_own() {
+    let mut front_end = FrontEnd::new(Settings::default());
+    let last = (0..40).map(|i| front_end.step(&look(i, truth(i), Some(odometry(i))), true)).last().unwrap();
+    // A simulation begins anew: the robot stands where it began, and so do its wheels and its clock.
+    for i in 0..30 {
+        let mut scan = look(i, truth(i), Some(odometry(i)));
+        scan.header.id.sequence = 40 + i;
+        scan.header.starts_at_odometry = if i == 0 { STARTS_ELSEWHERE } else { 0 };
+        let estimate = front_end.step(&scan, true);
+        assert_eq!(
+            (estimate.trajectory, estimate.has(PoseFlags::MATCHED)),
+            (last.trajectory + 1, i > 0),
+            "{i}"
+        );
+        assert_eq!(estimate.quality, Quality::Degraded as u32, "nothing connects it with the map yet");
+        let moved = last.odom_from_base.to(estimate.odom_from_base);
+        let expected = truth(0).to(truth(i));
         assert!(moved.distance_m(expected) < 0.05, "{i}: {moved:?} for {expected:?}");
     }
 }

@@ -29,6 +29,7 @@ impl SyncManager {
         let poses: Vec<Placement> = poses.iter().map(|pose| gauge.compose(*pose)).collect();
         let mut submaps: BTreeMap<u32, Pose> =
             self.frozen_poses().map(|(number, at)| (number, gauge.compose(at).pose())).collect();
+        submaps.retain(|number, _| self.is_of_map(*number));
         submaps.extend(self.place_submaps(&poses, |trajectory| connectivity.is_attached(trajectory)));
         let anchors = self.odometry.nodes().iter().zip(&self.poses);
         Solution {
@@ -81,6 +82,9 @@ impl SyncManager {
         let certain = |(record, _): &(&PoseRecord, &Placement)| !record.lost && belongs(record.trajectory);
         let scans: Vec<(&PoseRecord, &Placement)> = self.records.iter().zip(poses).filter(certain).collect();
         for group in scans.chunk_by(|a, b| a.0.submap == b.0.submap) {
+            if !self.is_of_map(group[0].0.submap) {
+                continue;
+            }
             let middle = group[group.len() / 2].0;
             let carried =
                 |(record, pose): &(&PoseRecord, &Placement)| pose.compose(record.odom.to(middle.odom));

@@ -120,6 +120,7 @@ impl SyncManager {
     }
 
     fn remove(&mut self, number: usize, nodes: &Range<usize>, kept: &Range<usize>, records: &Range<usize>) {
+        self.move_entries(nodes);
         self.odometry.take_out(nodes.clone(), &self.poses, BRIDGE);
         self.poses.drain(nodes.clone());
         self.gone_scans += kept.len();

@@ -3,7 +3,7 @@
 use super::fuser::Fuser;
 use flockslam_map_fusion::PlacedSubmap;
 use flockslam_map_fusion::{APART_NS, FinalCleaning, VIEWS};
-use flockslam_messages::Deskew;
+use flockslam_messages::{Deskew, PoseFlags};
 use flockslam_results::flock_files::NamedPose;
 use flockslam_stage::{JournalReader, Journaled, StageContext, StageError};
 
@@ -36,7 +36,7 @@ pub(super) fn clear_at_end(
     while let Some(record) = journal.read_next()? {
         context.alive();
         let sequence = record.pose.id.sequence;
-        if record.scan.is_none() {
+        if record.scan.is_none() || record.pose.has(PoseFlags::LOCALIZING) {
             continue;
         }
         number += 1;

@@ -42,6 +42,9 @@ impl Fuser {
     /// When the store fails.
     pub fn follow(&mut self, submaps_in_map: &[PlacedSubmap], closed: u32) -> Result<Vec<u32>, StageError> {
         for step in self.fusion.steps(submaps_in_map, closed) {
+            if self.fusion.take_known(step) {
+                continue;
+            }
             let submap = self.store.load(step.number())?;
             if let Err(far) = self.fusion.take(step, submap) {
                 tracing::warn!(%far, number = step.number(), "a submap is not in the fused map");
@@ -112,7 +115,7 @@ impl Fuser {
             for cell in sources {
                 submap.clear(cell);
             }
-            self.store.save(&submap)?;
+            self.store.save_cleared(&submap)?;
             self.fusion.take(step, submap).map_err(|far| StageError::file("the fused map", far))?;
         }
         Ok(())
@@ -147,7 +150,7 @@ impl Fuser {
                     for cell in stale {
                         submap.clear(cell);
                     }
-                    self.store.save(&submap)?;
+                    self.store.save_cleared(&submap)?;
                 }
             }
             self.fusion.take(step, submap).map_err(|far| StageError::file("the fused map", far))?;

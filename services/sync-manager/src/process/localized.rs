@@ -58,6 +58,7 @@ impl SyncProcess {
         self.trajectories.frozen(&localizing.take_frozen());
         let solution = localizing.finish();
         self.summary.localisation = Some(localizing.summary());
+        self.summary.localizes = true;
         self.trajectories.finish(&solution)?;
         store(directory)?;
         self.summary.detached = apart(&solution);

@@ -2,7 +2,7 @@
 
 use crate::{FrozenScan, Solution};
 use flockslam_geometry::Pose;
-use flockslam_messages::{PoseEstimate, ScanId};
+use flockslam_messages::PoseEstimate;
 use flockslam_results::flock_files::NamedPose;
 use flockslam_results::{self as results, StampedPose};
 use flockslam_stage::{GrowingFile, StageError};
@@ -51,12 +51,21 @@ impl Trajectories {
         self.frozen.move_to(directory)
     }
 
+    /// Begins anew in the same directory.
+    ///
+    /// # Errors
+    /// As [`Self::create`].
+    pub fn begin_anew(&mut self) -> Result<(), StageError> {
+        *self = Self::create(&self.directory)?;
+        Ok(())
+    }
+
     /// Adds a pose as it was published.
     pub fn published(&mut self, pose: &PoseEstimate) {
         self.online.push(&StampedPose { stamp_ns: pose.times.sensor_ns, pose: pose.map_from_base() });
     }
 
-    /// Keeps scans that are frozen, in the order of their sequences.
+    /// Keeps scans that are frozen.
     pub fn frozen(&mut self, scans: &[FrozenScan]) {
         for scan in scans {
             let FrozenScan { id, stamp_ns, anchor, anchor_from_base } = *scan;
@@ -77,25 +86,28 @@ impl Trajectories {
         };
         let mut live = solution.trajectory.iter().peekable();
         let mut rows = Vec::new();
-        for frozen in self.frozen.read()? {
+        let mut frozen_rows = self.frozen.read()?;
+        // Scans of the map freeze later than those after them that the set has localized with.
+        frozen_rows.sort_by_key(|row| row.sequence);
+        let pose = |row: &FrozenRow| Some(solution.anchor(row.anchor)? * row.anchor_from_base);
+        // A localized scan may be anchored at a node whose own scan has frozen since.
+        let through_frozen = |row: &FrozenRow| {
+            let place = frozen_rows.binary_search_by_key(&row.anchor, |other| other.sequence).ok()?;
+            Some(pose(&frozen_rows[place])? * row.anchor_from_base)
+        };
+        for frozen in &frozen_rows {
             while let Some(placed) = live.next_if(|placed| placed.id.sequence < frozen.sequence) {
                 rows.push(row(placed));
             }
-            rows.push(row(&solution.frozen(&frozen.scan())));
+            let pose = pose(frozen).or_else(|| through_frozen(frozen));
+            let pose = pose.expect("anchors stay, or their own scans are frozen");
+            rows.push(NamedPose { sequence: frozen.sequence, stamp_ns: frozen.stamp_ns, pose });
         }
         rows.extend(live.map(row));
         let stamped = |row: &NamedPose| StampedPose { stamp_ns: row.stamp_ns, pose: row.pose };
         let stamped: Vec<_> = rows.iter().map(stamped).collect();
         results::write_trajectory(&self.directory, results::FINAL_TRAJECTORY, &stamped)?;
         Ok(rows)
-    }
-}
-
-impl FrozenRow {
-    fn scan(&self) -> FrozenScan {
-        let id = ScanId { sequence: self.sequence, ..ScanId::default() };
-        let Self { stamp_ns, anchor, anchor_from_base, .. } = *self;
-        FrozenScan { id, stamp_ns, anchor, anchor_from_base }
     }
 }
 
@@ -137,7 +149,25 @@ impl<T: FromBytes + IntoBytes + Immutable> RowFile<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::PlacedScan;
+    use crate::{MAP_ANCHOR, PlacedScan};
+    use flockslam_messages::ScanId;
+
+    #[test]
+    fn a_localized_scan_moves_with_its_node_also_when_that_has_frozen() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut trajectories = Trajectories::create(directory.path()).unwrap();
+        let frozen = |sequence: u64, anchor: u64| FrozenScan {
+            id: ScanId { sequence, ..ScanId::default() },
+            stamp_ns: sequence as i64,
+            anchor,
+            anchor_from_base: Pose::new(1.0, 0.0, 0.0),
+        };
+        trajectories.frozen(&[frozen(8, 0), frozen(9, 3), frozen(10, MAP_ANCHOR), frozen(3, 0)]);
+        let anchors = vec![(0, Pose::new(0.0, 2.0, 0.0))];
+        let poses = trajectories.finish(&Solution { anchors, ..Solution::default() }).unwrap();
+        let found: Vec<_> = poses.iter().map(|row| (row.sequence, row.pose.x_m, row.pose.y_m)).collect();
+        assert_eq!(found, [(3, 1.0, 2.0), (8, 1.0, 2.0), (9, 2.0, 2.0), (10, 1.0, 0.0)]);
+    }
 
     #[test]
     fn frozen_scans_take_their_places_among_the_others() {

@@ -3,7 +3,7 @@
 use super::support::{Building, Noise, drifting, laps, path};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{Correction, PoseEstimate, PoseFlags, ScanId, SubmapClosed};
-use flockslam_sync_manager::{Settings, Solution, SyncManager};
+use flockslam_sync_manager::{FrozenScan, PlacedScan, Settings, Solution, SyncManager};
 use std::f64::consts::FRAC_PI_2;
 
 /// Replays a run; a submap is closed every 60 scans, and every second scan is inserted.
@@ -223,7 +223,12 @@ fn what_is_known_well_freezes_and_memory_stays_where_it_is() {
     assert!(frozen.len() > truth.len() / 3, "{} of {}", frozen.len(), truth.len());
     let (late, end) = (held[3 * held.len() / 4], held[held.len() - 1]);
     assert!(10 * end.0 < 11 * late.0 && 10 * end.1 < 11 * late.1 && 2 * end.2 < 3 * late.2, "{held:?}");
-    let mut placed: Vec<_> = frozen.iter().map(|scan| solution.frozen(scan)).collect();
+    let place = |scan: &FrozenScan| PlacedScan {
+        id: scan.id,
+        stamp_ns: scan.stamp_ns,
+        map_from_base: solution.anchor(scan.anchor).unwrap() * scan.anchor_from_base,
+    };
+    let mut placed: Vec<_> = frozen.iter().map(place).collect();
     placed.extend(&solution.trajectory);
     placed.sort_by_key(|placed| placed.id.sequence);
     assert!(placed.iter().enumerate().all(|(i, placed)| placed.id.sequence == i as u64), "each scan once");

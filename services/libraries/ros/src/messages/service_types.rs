@@ -1,6 +1,6 @@
 //! Services that maps and measurements are handled with: those of slam_toolbox, nav2 and std_srvs.
 
-use super::service;
+use super::{InitialPose, service};
 
 service! {
     /// `std_srvs/Trigger`.
@@ -72,13 +72,15 @@ service! {
 }
 
 service! {
-    /// `slam_toolbox/DeserializePoseGraph`. The pose at the end of its request has another type in each release, and is not read.
+    /// `slam_toolbox/DeserializePoseGraph`.
     DeserializePoseGraph = "slam_toolbox" / "DeserializePoseGraph",
     DeserializePoseGraphRequest {
         /// Where from.
         filename: String,
-        /// How to begin.
+        /// How to begin: 0 unset, 1 at the first node, 2 at the pose, 3 localizing at the pose.
         match_type: i8,
+        /// Where the robot is in the map.
+        initial_pose: InitialPose,
     },
     DeserializePoseGraphResponse {
         /// 0 for success, 3 when the file cannot be read, else 255.

@@ -1,0 +1,184 @@
+//! Wheels that slip in the open: the robot may have gone on as before while odometry says that it turned.
+//!
+//! A single scan of one tree decides nothing there. So both motions are followed over several scans, each fitted to the surfaces around, until
+//! one explains them clearly better.
+
+use super::surroundings::prior;
+use crate::motion::{Prediction, SLIP_COST};
+use flockslam_geometry::{Covariance, Point, Pose, Twist};
+use flockslam_messages::ScanView;
+use flockslam_registration::SurfaceMap;
+
+/// A change of the turn by odometry that is greater than this may be a slip, rad/s: wheels on a floor turn a robot by so much within two
+/// scans too, which the scans then show.
+const SURPRISE_RAD_S: f64 = 0.15;
+/// Scans farther apart than this, seconds, show a change in one step.
+const SLOW_S: f64 = 0.25;
+/// A robot that goes on as before does so within these standard deviations, m/s and rad/s.
+const STEADY_SIGMA: (f64, f64) = (0.1, 0.1);
+/// A second assumption of a slip, soon after the first was confirmed, costs less.
+const AGAIN_COST: f64 = 2.0;
+/// So far after its beginning, metres of travel, a slip is over.
+const TRAVEL_MAX_M: f64 = 2.5;
+/// Poses nearer than this are the same, metres and radians.
+const SAME: (f64, f64) = (0.1, 0.02);
+/// Odometry must hold less than this share of the points that the rival holds.
+const POOR_SHARE: f64 = 0.6;
+/// Standard deviations of a pose that a rival gives, metres and radians.
+const SIGMA: (f64, f64) = (0.1, 0.05);
+
+/// A scan as it was placed.
+#[derive(Clone, Copy, Debug)]
+struct Placed {
+    stamp_ns: i64,
+    pose: Pose,
+    odometry: Pose,
+    /// The motion to it, by odometry.
+    twist: Twist,
+}
+
+/// The robot if its wheels have slipped.
+#[derive(Clone, Copy, Debug)]
+struct Rival {
+    pose: Pose,
+    /// The motion before the slip.
+    twist: Twist,
+    /// Logarithm of the ratio of the likelihoods, of both motions and of the scans since.
+    gain: f64,
+    /// Points on surfaces, there and by odometry.
+    held: [f64; 2],
+    travel_m: f64,
+    was_right: bool,
+}
+
+/// A scan while it is open how the robot moved.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SlipStep {
+    /// The rival at the scan before.
+    rival: Rival,
+    /// The motion since by odometry.
+    odometry_step: Pose,
+    /// How long it took.
+    step_s: f64,
+}
+
+/// Follows a robot whose wheels may slip.
+#[derive(Debug, Default)]
+pub(super) struct SlipWatch {
+    /// The last two scans, the newest first.
+    last: [Option<Placed>; 2],
+    rival: Option<Rival>,
+}
+
+impl SlipWatch {
+    /// Forgets all.
+    pub(super) fn clear(&mut self) {
+        *self = Self::default();
+    }
+
+    /// Whether it is open how the robot moved.
+    pub(super) fn is_undecided(&self) -> bool {
+        self.rival.is_some()
+    }
+
+    /// A scan was placed here.
+    pub(super) fn placed(&mut self, scan: ScanView<'_>, pose: Pose) {
+        let Some(odometry) = scan.odometry() else { return self.clear() };
+        let stamp_ns = scan.header().times.sensor_ns;
+        let step = self.last[0].map(|last| (last.odometry.to(odometry), last.seconds_to(stamp_ns)));
+        let twist = match step {
+            Some((motion, Some(step_s))) => Twist::from_motion(motion, step_s),
+            _ => Twist::default(),
+        };
+        self.last = [Some(Placed { stamp_ns, pose, odometry, twist }), self.last[0]];
+    }
+
+    /// Whether a scan may tell of a slip: what [`Self::decide`] needs then. Otherwise odometry is believed from here on.
+    pub(super) fn step(&mut self, scan: ScanView<'_>) -> Option<SlipStep> {
+        let step = self.begun(scan);
+        self.rival = step.map(|step| step.rival);
+        step
+    }
+
+    /// The prediction of a scan with these points (frame of the robot), or that of the rival if it explains the scans better.
+    pub(super) fn decide(
+        &mut self,
+        step: SlipStep,
+        points: &[Point],
+        map: &SurfaceMap,
+        prediction: Prediction,
+    ) -> Prediction {
+        let SlipStep { rival, odometry_step, step_s } = step;
+        if points.is_empty() || map.is_empty() {
+            let pose = rival.pose * rival.twist.motion_after(step_s);
+            self.rival = Some(Rival { pose, ..rival });
+            return prediction;
+        }
+        let usual = prior(prediction.pose, prediction.step);
+        let ours = map.explained(points, &usual);
+        let goes_on = rival.pose * rival.twist.motion_after(step_s);
+        let steady = Covariance::diagonal(STEADY_SIGMA.0 * step_s, STEADY_SIGMA.1 * step_s);
+        let [coasting, following] = [(goes_on, steady), (rival.pose * odometry_step, prediction.step)]
+            .map(|(pose, step)| map.explained(points, &prior(pose, step)));
+        let theirs = if following.cost < coasting.cost { following } else { coasting };
+        let now = Rival {
+            pose: theirs.pose,
+            gain: rival.gain + ours.cost - theirs.cost,
+            held: [rival.held[0] + theirs.weights, rival.held[1] + ours.weights],
+            ..rival
+        };
+        let cost = if now.was_right { AGAIN_COST } else { SLIP_COST };
+        if now.gain >= cost && now.held[1] < POOR_SHARE * now.held[0] {
+            self.rival = Some(Rival { gain: 0.0, held: [0.0; 2], was_right: true, ..now });
+            let covariance = Covariance::diagonal(SIGMA.0, SIGMA.1);
+            let twist = Twist { turn_rad_s: now.twist.turn_rad_s, ..prediction.twist };
+            return Prediction {
+                pose: theirs.pose,
+                twist,
+                measured: None,
+                steady: None,
+                covariance,
+                ..prediction
+            };
+        }
+        let is_same = theirs.pose.distance_m(ours.pose) < SAME.0 && theirs.pose.turn_rad(ours.pose) < SAME.1;
+        let is_over = now.gain < -SLIP_COST || (is_same && !now.was_right);
+        // What was right once begins again at the pose that was decided on.
+        let pose = if now.was_right && now.gain < 0.0 { ours.pose } else { now.pose };
+        let gain = if now.was_right { now.gain.max(0.0) } else { now.gain };
+        self.rival = (!is_over || now.was_right).then_some(Rival { pose, gain, ..now });
+        prediction
+    }
+
+    fn begun(&self, scan: ScanView<'_>) -> Option<SlipStep> {
+        let (odometry, last) = scan.odometry().zip(self.last[0])?;
+        let step_s = last.seconds_to(scan.header().times.sensor_ns)?;
+        let odometry_step = last.odometry.to(odometry);
+        let travel_m = odometry_step.x_m.hypot(odometry_step.y_m);
+        if let Some(rival) = self.rival {
+            let rival = Rival { travel_m: rival.travel_m + travel_m, ..rival };
+            return (rival.travel_m < TRAVEL_MAX_M).then_some(SlipStep { rival, odometry_step, step_s });
+        }
+        let before = if step_s > SLOW_S { Some(last) } else { self.last[1] }?;
+        let turn_rad_s = Twist::from_motion(odometry_step, step_s).turn_rad_s;
+        let surprises = (turn_rad_s - before.twist.turn_rad_s).abs() > SURPRISE_RAD_S;
+        let until_last_s = if step_s > SLOW_S { 0.0 } else { before.seconds_to(last.stamp_ns)? };
+        let rival = Rival {
+            pose: before.pose * before.twist.motion_after(until_last_s),
+            twist: before.twist,
+            gain: 0.0,
+            held: [0.0; 2],
+            travel_m,
+            was_right: false,
+        };
+        surprises.then_some(SlipStep { rival, odometry_step, step_s })
+    }
+}
+
+impl Placed {
+    /// Seconds to a later stamp, if they make a velocity.
+    fn seconds_to(&self, stamp_ns: i64) -> Option<f64> {
+        let seconds = stamp_ns.saturating_sub(self.stamp_ns) as f64 * 1e-9;
+        (1e-3..=2.0).contains(&seconds).then_some(seconds)
+    }
+}
