@@ -373,8 +373,10 @@ impl ScanMatcher {
     /// A robot that stays lost begins a new trajectory at its predicted pose. The map is left as it is, and a closure may
     /// connect the two.
     fn begun_trajectory(&mut self, estimate: PoseEstimate) -> PoseEstimate {
-        // Where scans usually fit, one place after the other that does not means that odometry is wrong.
-        let continues = estimate.has(PoseFlags::HAS_ODOMETRY) && self.confidence.mean_score < RECOGNISABLE;
+        // Where scans usually fit, one place after the other that does not means that odometry is wrong. In the open it means as well
+        // that the robot has drifted, and what contradicts its scans is an old part of the map.
+        let is_hard = self.confidence.mean_score < RECOGNISABLE || self.confidence.is_in_the_open();
+        let continues = estimate.has(PoseFlags::HAS_ODOMETRY) && is_hard;
         let flags = estimate.flags | if continues { PoseFlags::CONTINUES } else { 0 };
         self.confidence.begin_anew();
         self.surroundings.clear();

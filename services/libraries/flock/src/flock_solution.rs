@@ -162,7 +162,7 @@ impl Atlas {
             scans: &self.scans,
             segments: &self.segments,
             odometry: &held,
-            open: &[],
+            constraints: &[],
             connectivity,
         };
         pass.run(grid, &mut solved.poses);
@@ -177,7 +177,7 @@ impl Atlas {
                 nodes: &self.nodes,
                 scans: &self.scans,
                 odometry: &held,
-                open: &[],
+                constraints: &[],
                 in_map: &in_map,
             };
             refinement.run(grid, &mut solved.poses);

@@ -13,10 +13,11 @@ const PARTNERS_MIN: usize = 2;
 ///
 /// Places that look alike over a few metres, as the ends of two aisles or the doors of two rooms, differ over more. Where places that
 /// look alike are as far apart as the odometry may have drifted, the true place may never have been seen, so that no better match
-/// contradicts a false one.
+/// contradicts a false one. In the open the usual drift is greater: one tree in sight tells little of a turn.
 const EXTENT_PER_SHIFT: f64 = 2.0;
 const EXTENT_PER_SURPRISE: f64 = 5.0;
 const USUAL_SHARE: f64 = 0.25;
+const USUAL_SHARE_OPEN: f64 = 0.5;
 /// Two closures are compared when the odometry between them is no longer than this, both sides together, metres.
 const COMPARED_WITHIN_M: f64 = 20.0;
 /// Two closures agree when their cycle closes within this, plus a share of the odometry in it, and this turn.
@@ -60,13 +61,14 @@ pub fn eligible(closures: &[Closure], nodes: &[Node]) -> Vec<bool> {
         };
     }
     for (i, closure) in closures.iter().enumerate().filter(|(_, closure)| is_wide(closure)) {
-        eligible[i] &= groups.extent_m(i) >= extent_needed_m(closure);
+        eligible[i] &= groups.extent_m(i) >= extent_needed_m(closure, nodes[closure.edge.to].is_open);
     }
     eligible
 }
 
-fn extent_needed_m(closure: &Closure) -> f64 {
-    let surprise_m = (closure.shift_m - USUAL_SHARE * closure.reach_m).max(0.0);
+fn extent_needed_m(closure: &Closure, is_open: bool) -> f64 {
+    let usual_share = if is_open { USUAL_SHARE_OPEN } else { USUAL_SHARE };
+    let surprise_m = (closure.shift_m - usual_share * closure.reach_m).max(0.0);
     EXTENT_PER_SHIFT * closure.shift_m + EXTENT_PER_SURPRISE * surprise_m
 }
 

@@ -34,8 +34,8 @@ pub struct DensePass<'a> {
     pub segments: &'a [Segment],
     /// The odometry edges.
     pub odometry: &'a [Edge],
-    /// Closures in the open, where no node is matched again: they stay.
-    pub open: &'a [Edge],
+    /// Constraints that no match replaces: closures in the open, where no node is matched again, and odometry between trajectories.
+    pub constraints: &'a [Edge],
     /// Which trajectories are connected: only among those does nearness mean anything.
     pub connectivity: &'a TrajectoryConnectivity,
 }
@@ -44,7 +44,7 @@ impl DensePass<'_> {
     /// Measures and solves, from the poses given to the poses left.
     pub fn run(&self, grid: &mut MomentGrid, poses: &mut [Placement]) {
         let mut edges = self.odometry.to_vec();
-        edges.extend_from_slice(self.open);
+        edges.extend_from_slice(self.constraints);
         let wanted = self.pairs(poses);
         let aligner = Aligner::new(AlignSettings { gate_wide_m: 0.4, ..AlignSettings::default() });
         for (segment, nodes) in self.segments.iter().zip(&wanted) {

@@ -34,8 +34,8 @@ pub struct Refinement<'a> {
     pub scans: &'a ScanStore,
     /// The odometry edges.
     pub odometry: &'a [Edge],
-    /// Closures in the open, where no node is matched again: they stay.
-    pub open: &'a [Edge],
+    /// Constraints that no match replaces: closures in the open, where no node is matched again, and odometry between trajectories.
+    pub constraints: &'a [Edge],
     /// By node: whether it is part of the map.
     pub in_map: &'a [bool],
 }
@@ -48,7 +48,7 @@ impl Refinement<'_> {
     pub fn run(&self, grid: &mut MomentGrid, poses: &mut [Placement]) {
         let aligner = Aligner::new(AlignSettings { iterations: 6, ..AlignSettings::default() });
         let mut edges = self.odometry.to_vec();
-        edges.extend_from_slice(self.open);
+        edges.extend_from_slice(self.constraints);
         self.for_each_node(grid, poses, |grid, around, node| {
             let points = self.scans.points(self.nodes[node].scan);
             let place = around.binary_search_by_key(&node, |(i, _)| *i);

@@ -80,20 +80,21 @@ impl SyncManager {
             scans: &self.scans,
             segments: &segments,
             odometry: self.odometry.edges(),
-            open: &self.closures_in_the_open(),
+            constraints: &self.constraints_besides_matches(),
             connectivity: &connectivity,
         };
         pass.run(self.finder.scratch(), &mut self.poses);
         self.match_to_map();
     }
 
-    /// The inliers among the closures of nodes that the dense pass leaves as they are.
-    fn closures_in_the_open(&self) -> Vec<Edge> {
+    /// What the passes over all nodes leave as it is: closures that hold in the open, and odometry between trajectories.
+    fn constraints_besides_matches(&self) -> Vec<Edge> {
         let nodes = self.odometry.nodes();
         let inliers = self.closures.iter().zip(&self.is_inlier).filter(|(_, is_inlier)| **is_inlier);
         inliers
             .map(|(c, _)| c.edge)
             .filter(|edge| nodes[edge.from].is_open || nodes[edge.to].is_open)
+            .chain(self.joints(nodes.len()))
             .collect()
     }
 
@@ -102,8 +103,8 @@ impl SyncManager {
         let nodes = self.odometry.nodes();
         let connectivity = self.connectivity(nodes.len());
         let in_map: Vec<bool> = nodes.iter().map(|node| connectivity.is_attached(node.trajectory)).collect();
-        let (odometry, open) = (self.odometry.edges(), &self.closures_in_the_open());
-        let refinement = Refinement { nodes, scans: &self.scans, odometry, open, in_map: &in_map };
+        let (odometry, constraints) = (self.odometry.edges(), &self.constraints_besides_matches());
+        let refinement = Refinement { nodes, scans: &self.scans, odometry, constraints, in_map: &in_map };
         refinement.run(self.finder.scratch(), &mut self.poses);
     }
 }
