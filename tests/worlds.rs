@@ -12,10 +12,10 @@ const TORN_M: f64 = 0.4;
 /// So many of a thousand seconds said to be tracked may be wrong, over so many seeds.
 const FALSE_CLAIMS_PER_MILLE: usize = 1;
 const YARD_SEEDS: u64 = 6;
-/// Error of the final trajectories in the yard, root mean square, in the mean of these seeds, metres: a tenth more than 0.37 m.
-const YARD_ERROR_M: f64 = 0.41;
-/// Error of the final trajectory on a third of a tour of the campus, root mean square, metres: a tenth more than 0.85 m.
-const CAMPUS_ERROR_M: f64 = 0.94;
+/// Error of the final trajectories in the yard, root mean square, in the mean of these seeds, metres: a tenth more than 0.224 m.
+const YARD_ERROR_M: f64 = 0.25;
+/// Error of the final trajectory on a third of a tour of the campus, root mean square, metres: a tenth more than 0.29 m.
+const CAMPUS_ERROR_M: f64 = 0.32;
 
 fn world(name: &str, duration_s: u32) -> Vec<String> {
     let mut args = building(duration_s);
