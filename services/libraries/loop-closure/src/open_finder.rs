@@ -7,9 +7,9 @@ use crate::node::BROKEN_M;
 use flockslam_geometry::{Point, Pose};
 use flockslam_pose_graph::{Edge, Symmetric, inflated, inverse};
 use flockslam_registration::cloud::{Placement, Window};
-use flockslam_registration::{SurfaceFit, SurfaceMap, SurfacePrior};
+use flockslam_registration::{SurfaceCounts, SurfaceFit, SurfaceMap, SurfacePrior};
 use nalgebra::{Matrix3, Vector3};
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 
 /// A query is the nodes over this much travel up to its node, metres, and few after it.
 const QUERY_M: f64 = 6.0;
@@ -34,7 +34,7 @@ const STRETCHES: usize = 2;
 const COARSE: (i32, i32) = (16, 10);
 /// Points of a query in the coarse search, and points in a cell from which on it is a full surface.
 const COARSE_POINTS: usize = 120;
-const FULL_CELL: i32 = 6;
+const FULL_CELL: u8 = 6;
 /// Poses of the coarse search that are refined, and how far apart they lie, metres and radians.
 const STARTS: usize = 6;
 const APART: (f64, f64) = (1.0, 0.06);
@@ -59,6 +59,7 @@ const PATIENCE: u32 = 4;
 #[derive(Default)]
 pub struct OpenFinder {
     map: SurfaceMap,
+    counts: SurfaceCounts,
     points: Vec<Point>,
     next_m: f64,
     failures: u32,
@@ -169,7 +170,7 @@ impl OpenFinder {
     }
 
     /// The pose of the query that explains it best and is not ambiguous.
-    fn best(&self, guess: Placement, window: Window) -> Option<SurfaceFit> {
+    fn best(&mut self, guess: Placement, window: Window) -> Option<SurfaceFit> {
         let mut fits: Vec<SurfaceFit> = Vec::new();
         for start in self.starts(guess, window) {
             let sigma = Vector3::new(START_SIGMA.0.powi(-2), START_SIGMA.0.powi(-2), START_SIGMA.1.powi(-2));
@@ -185,7 +186,7 @@ impl OpenFinder {
     }
 
     /// Poses from which the query is fitted: the expected one, and in a wide window those of the best scores on a lattice.
-    fn starts(&self, guess: Placement, window: Window) -> Vec<Pose> {
+    fn starts(&mut self, guess: Placement, window: Window) -> Vec<Pose> {
         let mut starts = vec![guess.pose()];
         let axis = |reach: f64, step: f64, most: i32| {
             let count = ((reach / step).ceil() as i32).clamp(0, most);
@@ -193,17 +194,29 @@ impl OpenFinder {
         };
         let ((shifts, step_m), (turns, step_rad)) =
             (axis(window.reach_m, 0.5, COARSE.0), axis(window.turn_rad, 0.03, COARSE.1));
+        if (shifts, turns) == (0, 0) {
+            return starts;
+        }
         let stride = self.points.len().div_ceil(COARSE_POINTS).max(1);
         let mut scored: Vec<(i32, Pose)> = Vec::new();
+        self.counts.take(&self.map, FULL_CELL);
+        let shift_m = |guess_m: f64, shift: i32| guess_m + f64::from(shift) * step_m;
         for turn in -turns..=turns {
             let turned = Placement::new(0.0, 0.0, guess.heading_rad + f64::from(turn) * step_rad);
             let ends: Vec<(f64, f64)> =
                 self.points.iter().step_by(stride).map(|p| turned.rotate(p.x_m, p.y_m)).collect();
-            for (i, k) in (-shifts..=shifts).flat_map(|k| (-shifts..=shifts).map(move |i| (i, k))) {
-                let (x, y) = (guess.x_m + f64::from(i) * step_m, guess.y_m + f64::from(k) * step_m);
-                let full = |(ex, ey): &(f64, f64)| self.map.count_at(x + ex, y + ey).clamp(0, FULL_CELL);
-                let score = ends.iter().map(full).sum();
-                scored.push((score, Pose::new(x, y, turned.heading_rad)));
+            // A shift along one axis changes the column or the row alone.
+            let columns =
+                cells(-shifts..=shifts, &ends, |i, end| SurfaceCounts::column(shift_m(guess.x_m, i) + end.0));
+            let rows =
+                cells(-shifts..=shifts, &ends, |k, end| SurfaceCounts::row(shift_m(guess.y_m, k) + end.1));
+            for (k, rows) in (-shifts..=shifts).zip(rows.chunks_exact(ends.len())) {
+                for (i, columns) in (-shifts..=shifts).zip(columns.chunks_exact(ends.len())) {
+                    let full = |(column, row): (&u32, &u32)| i32::from(self.counts.at(*column, *row));
+                    let score = columns.iter().zip(rows).map(full).sum();
+                    let (x, y) = (shift_m(guess.x_m, i), shift_m(guess.y_m, k));
+                    scored.push((score, Pose::new(x, y, turned.heading_rad)));
+                }
             }
         }
         scored.sort_by_key(|(score, _)| std::cmp::Reverse(*score));
@@ -217,6 +230,16 @@ impl OpenFinder {
         }
         starts
     }
+}
+
+/// The columns or rows of all points at each shift.
+fn cells(
+    shifts: RangeInclusive<i32>,
+    ends: &[(f64, f64)],
+    cell: impl Fn(i32, &(f64, f64)) -> u32,
+) -> Vec<u32> {
+    let cell = &cell;
+    shifts.flat_map(|shift| ends.iter().map(move |end| cell(shift, end))).collect()
 }
 
 fn is_within(window: Window, guess: Pose, found: Pose) -> bool {

@@ -11,6 +11,7 @@ mod field;
 mod gauss_newton;
 mod lattice;
 mod ndt;
+mod surface_counts;
 mod surface_map;
 mod sweep;
 #[cfg(test)]
@@ -22,5 +23,6 @@ pub use field::{GridField, Sample, ScoreField, ScoreRead, bilinear, nearest};
 pub use gauss_newton::{Fit, GaussNewton, inflated_along, inflated_everywhere};
 pub use lattice::Correlative;
 pub use ndt::{Expected, Ndt, NdtSettings};
+pub use surface_counts::SurfaceCounts;
 pub use surface_map::{Explained, SURFACE_RANGE_MAX_M, SurfaceFit, SurfaceMap, SurfacePrior};
 pub use sweep::{MotionState, Sweep, TwistSigma};

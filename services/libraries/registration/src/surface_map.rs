@@ -13,7 +13,7 @@ const UNITS_PER_M: f64 = 500.0;
 /// Side of a cell in units: half a metre. A surface 30 m away is met every half metre by beams that are 1° apart.
 const CELL_UNITS: i32 = 250;
 /// Cells along a side of the torus, a power of two: 256 m.
-const SIDE: i32 = 512;
+pub(crate) const SIDE: i32 = 512;
 /// Cells along the sides of a block, which is stored in one piece, so that memory is touched only near points.
 const BLOCK: (i32, i32) = (16, 8);
 /// Travel over which scans are held, metres: from so far back things ahead have been seen.
@@ -228,9 +228,9 @@ impl SurfaceMap {
         }
     }
 
-    /// Number of points in the cell of (x, y) metres.
-    pub fn count_at(&self, x_m: f64, y_m: f64) -> i32 {
-        self.cells[index(units(x_m).div_euclid(CELL_UNITS), units(y_m).div_euclid(CELL_UNITS))].count
+    /// Number of points in a cell of the torus.
+    pub(crate) fn count(&self, column: i32, row: i32) -> i32 {
+        self.cells[index(column, row)].count
     }
 
     /// Sum of the weights of the points at a pose over their number, as [`SurfaceFit::inliers`]; there must be a point.
@@ -342,6 +342,11 @@ fn moved(pose: Pose, step: Vector3<f64>) -> Pose {
 fn units(metres: f64) -> i32 {
     // Two thousand kilometres away all cells are one; nothing overflows.
     floor((metres * UNITS_PER_M).clamp(-1e9, 1e9))
+}
+
+/// The number of the cell, along one axis, in which a coordinate in metres lies.
+pub(crate) fn cell(metres: f64) -> i32 {
+    units(metres).div_euclid(CELL_UNITS)
 }
 
 #[inline]
