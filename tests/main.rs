@@ -2,6 +2,8 @@
 //!
 //! All of them are one executable, since linking takes longer than most of the tests. `house.rs` keeps this list complete.
 
+#![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
+
 mod apart;
 mod as_it_was_again;
 mod bad_input;
@@ -42,6 +44,7 @@ mod ros2;
 mod ros2_localisation;
 mod ros2_time;
 mod ros2_zenoh;
+mod same_bytes;
 mod saved_maps;
 mod scans_source;
 mod seeing;

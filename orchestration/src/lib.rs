@@ -1,5 +1,7 @@
 //! Process sets: the command line, the supervisor, outputs, and evaluation against ground truth.
 
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
+
 pub mod arguments;
 pub mod as_it_was;
 pub mod cli;

@@ -1,5 +1,6 @@
 //! Draws scans of a lidar in the terminal.
 
+use flockslam_geometry::elementary::{cos, sin};
 use flockslam_messages::{ScanBuffer, ScanView};
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout};
@@ -46,7 +47,7 @@ impl LidarPicture {
         for beam in 0..view.len() {
             let Some(range_m) = view.valid_range_m(beam) else { continue };
             let angle_rad = view.angle_rad(beam);
-            self.points.push((range_m * angle_rad.cos(), range_m * angle_rad.sin()));
+            self.points.push((range_m * cos(angle_rad), range_m * sin(angle_rad)));
             if nearest.is_none_or(|(nearest_m, _)| range_m < nearest_m) {
                 nearest = Some((range_m, angle_rad));
             }

@@ -1,5 +1,7 @@
 //! Writes `docs/benchmarks.md`: `cargo bench -p flockslam --bench page`. What it measures is in the sections' own words.
 
+#![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
+
 mod page;
 #[allow(dead_code, unused_imports, reason = "a benchmark needs a part of what tests share")]
 #[path = "../support/mod.rs"]

@@ -1,6 +1,8 @@
 //! `cargo bench -p flockslam --bench faults`: the long form of the fault suite, as a table. A word behind `--` runs the rows that
 //! have it in their names, a number sets how often each stage is killed (100). `journal` alone measures what the journal costs a pose.
 
+#![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
+
 #[allow(dead_code, unused_imports, reason = "a benchmark needs a part of what tests share")]
 #[path = "../support/mod.rs"]
 mod support;

@@ -2,6 +2,8 @@
 //! hostile messages, beside a robot of another flock, with one of its own and with one of its own that drives no more takes turns; a number
 //! behind `--` sets how many of each (5), names which of them. p99 of a single run says little: medians are compared.
 
+#![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
+
 #[allow(dead_code, unused_imports, reason = "a benchmark needs a part of what tests share")]
 #[path = "../support/mod.rs"]
 mod support;

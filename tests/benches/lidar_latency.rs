@@ -2,6 +2,8 @@
 //! turn is whole to its pose, and the processor time of lidar-ingest. `-- two` plays two lidars of different families for 10 minutes, of
 //! which one is unplugged and back every 30 s.
 
+#![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
+
 #[allow(dead_code, unused_imports, reason = "a benchmark needs a part of what tests share")]
 #[path = "../support/mod.rs"]
 mod support;

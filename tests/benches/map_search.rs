@@ -1,6 +1,8 @@
 //! `cargo bench -p flockslam --bench map_search -- MAP.yaml [TILES]`: how long a search of a whole known map takes. A map of nav2's kind is laid
 //! out so many times side by side in both directions; what robots at places drawn from it would see around them, to a centimetre, is looked for.
 
+#![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
+
 use flockslam::store::read_nav2_map;
 use flockslam_evidence::CellState;
 use flockslam_geometry::Point;

@@ -1,5 +1,7 @@
 //! Pictures of worlds that move, for docs/moving-world.md: `cargo bench -p flockslam --bench moving_pictures -- $PWD/docs/images`.
 
+#![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
+
 #[allow(dead_code, unused_imports, reason = "a benchmark needs a part of what tests share")]
 #[path = "../support/mod.rs"]
 mod support;

@@ -4,6 +4,8 @@
 //! `cargo bench -p flockslam --bench one_meeting -- [SEEDS] [SECTION.KEY=VALUE …]`: how many seeds (default 10), and settings of the
 //! drives.
 
+#![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
+
 use flockslam::evaluation::{evaluate_truth, parse_tum};
 use flockslam::outputs::TrajectoryPoint;
 use flockslam_flock::{Flock, FlockSolution};

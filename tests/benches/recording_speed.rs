@@ -1,6 +1,8 @@
 //! `cargo bench -p flockslam --bench recordings`: how fast an MCAP file of 1 GB is read, with how much memory, and what reading and ingest
 //! cost when a recording is read at its own pace. The files lie below the target folder and are removed.
 
+#![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
+
 #[allow(dead_code, unused_imports, reason = "a benchmark needs a part of what tests share")]
 #[path = "../support/mod.rs"]
 mod support;

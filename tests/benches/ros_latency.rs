@@ -4,6 +4,8 @@
 //! with such traffic itself. What sends takes most of a processor, which a network does not: the third span shows what that does without
 //! the traffic. `-- cost` and `-- hostile` run one of the two.
 
+#![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
+
 #[allow(dead_code, unused_imports, reason = "a benchmark needs a part of what tests share")]
 #[path = "../support/mod.rs"]
 mod support;

@@ -1,6 +1,8 @@
 //! How outcomes that depend on a seed are spread: `cargo bench -p flockslam --bench seeds -- [yard|campus|people|flat] [SEEDS]`, twenty seeds
 //! of each by default. Tests judge a few of these drives; their limits come from here.
 
+#![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
+
 #[allow(dead_code, unused_imports, reason = "a benchmark needs a part of what tests share")]
 #[path = "../support/mod.rs"]
 mod support;

@@ -1,5 +1,6 @@
 //! The robot's path, thinned out to one point for each 0.1 m.
 
+use flockslam_geometry::elementary::hypot;
 use flockslam_messages::PoseEstimate;
 
 /// A new point of the path is taken after this much travel, metres.
@@ -46,7 +47,7 @@ impl Path {
         let at = pose.odom_from_base;
         let (x_m, y_m) = (at.x_m, at.y_m);
         let along =
-            self.last.map(|(x, y, trajectory)| ((x - x_m).hypot(y - y_m), trajectory == pose.trajectory));
+            self.last.map(|(x, y, trajectory)| (hypot(x - x_m, y - y_m), trajectory == pose.trajectory));
         let is_new = match (along, self.points.last()) {
             (Some((travel_m, same_trajectory)), Some(point)) => {
                 travel_m >= STEP_M || !same_trajectory || point.submap != pose.submap

@@ -10,6 +10,7 @@ use flockslam_bus::{
     Bus, Publisher, RuntimeDir, Sample, ScanSample, ScanSubscriber, SliceSubscriber, Subscriber,
 };
 use flockslam_evidence::{TILE_CELLS, TileKey};
+use flockslam_geometry::elementary::hypot;
 use flockslam_messages::{
     Control, ControlKind, Deskew, FlockRobot, FlockRobots, PoseEstimate, Quality, ScanView, Stage,
     TileMessage, TracksHeader,
@@ -271,9 +272,9 @@ fn robot_now(pose: &PoseEstimate, length_m: f64) -> RobotNow {
         map_from_base: numbers(pose.map_from_base()),
         map_from_odom: numbers(pose.map_from_odom),
         quality,
-        sigma_m: (mean + half.hypot(covariance.xy)).max(0.0).sqrt(),
+        sigma_m: (mean + hypot(half, covariance.xy)).max(0.0).sqrt(),
         sigma_rad: covariance.tt.max(0.0).sqrt(),
-        speed_m_s: pose.twist.x_m_s.hypot(pose.twist.y_m_s),
+        speed_m_s: hypot(pose.twist.x_m_s, pose.twist.y_m_s),
         turn_rad_s: pose.twist.turn_rad_s,
         score: pose.score,
         length_m,

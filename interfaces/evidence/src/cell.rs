@@ -2,6 +2,7 @@
 //! and can be undone.
 
 use crate::Masses;
+use flockslam_geometry::elementary::{exp_m1, ln};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 /// Fixed-point units in one unit (nat) of weight of evidence: 2⁻¹² nat is the resolution of every cell.
@@ -62,7 +63,7 @@ impl Cell {
             if mass <= 0.0 {
                 return 0.0;
             }
-            ((mass + masses.unknown) / masses.unknown).ln().min(PACKED_WEIGHT_MAX_NAT)
+            ln((mass + masses.unknown) / masses.unknown).min(PACKED_WEIGHT_MAX_NAT)
         };
         Self::from_weights(weight(masses.occupied), weight(masses.free))
     }
@@ -114,7 +115,7 @@ impl Cell {
     /// Conflict between the evidence for "occupied" and for "free": `(1 - e^-A)(1 - e^-B)`, 0 … 1.
     pub fn conflict(self) -> f64 {
         let (a, b) = self.weights_nat();
-        (-a).exp_m1() * (-b).exp_m1()
+        exp_m1(-a) * exp_m1(-b)
     }
 }
 

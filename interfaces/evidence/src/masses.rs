@@ -1,5 +1,7 @@
 //! Masses of belief about a cell and the two rules that combine them.
 
+use flockslam_geometry::elementary::exp;
+
 /// Normalised Dempster–Shafer masses of a cell; they sum to one.
 ///
 /// ```
@@ -78,7 +80,7 @@ impl Masses {
     pub fn from_weights(occupied_nat: f64, free_nat: f64) -> Self {
         // Scaled by the greater exponential, so that nothing overflows.
         let top = occupied_nat.max(free_nat);
-        let (a, b, one) = ((occupied_nat - top).exp(), (free_nat - top).exp(), (-top).exp());
+        let (a, b, one) = (exp(occupied_nat - top), exp(free_nat - top), exp(-top));
         let total = a + b - one;
         Self {
             occupied: ((a - one) / total).max(0.0),
@@ -126,9 +128,9 @@ impl UnnormalisedMasses {
     /// Masses from a cell's weights (nat) and `ln_unknown` = C, the sum of ln u over all observations:
     /// `u = e^C`, `p = e^C (e^A - 1)`, `q = e^C (e^B - 1)`, `v = 1 - e^C (e^A + e^B - 1)`.
     pub fn from_weights(occupied_nat: f64, free_nat: f64, ln_unknown: f64) -> Self {
-        let unknown = ln_unknown.exp();
-        let occupied = (occupied_nat + ln_unknown).exp() - unknown;
-        let free = (free_nat + ln_unknown).exp() - unknown;
+        let unknown = exp(ln_unknown);
+        let occupied = exp(occupied_nat + ln_unknown) - unknown;
+        let free = exp(free_nat + ln_unknown) - unknown;
         Self { occupied, free, unknown, conflict: (1.0 - occupied - free - unknown).max(0.0) }
     }
 

@@ -3,8 +3,11 @@
 //! Frames follow REP-105 (`flock ← map ← odom ← base_link ← laser`), units REP-103 (metres, radians, seconds).
 //! A transform named `a_from_b` takes coordinates in `b` to coordinates in `a`.
 
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
+
 mod angle;
 mod covariance;
+pub mod elementary;
 mod point;
 mod pose;
 mod twist;

@@ -1,5 +1,6 @@
 //! Points in the plane and distances between them.
 
+use crate::elementary::hypot;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 /// A point in the plane, metres.
@@ -21,11 +22,11 @@ impl Point {
 
     /// Euclidean distance to `other`, metres.
     pub fn distance_m(self, other: Point) -> f64 {
-        (self.x_m - other.x_m).hypot(self.y_m - other.y_m)
+        hypot(self.x_m - other.x_m, self.y_m - other.y_m)
     }
 
     /// Distance from the origin, metres.
     pub fn norm_m(self) -> f64 {
-        self.x_m.hypot(self.y_m)
+        hypot(self.x_m, self.y_m)
     }
 }

@@ -1,5 +1,6 @@
 //! Poses: the group SE(2). They are composed, inverted, compared, interpolated, and applied to points.
 
+use crate::elementary::sin_cos;
 use crate::{Point, wrap_angle};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
@@ -45,20 +46,20 @@ impl Pose {
 
     /// The inverse motion: b_from_a of a_from_b.
     pub fn inverse(self) -> Pose {
-        let (sin, cos) = self.heading_rad.sin_cos();
+        let (sin, cos) = sin_cos(self.heading_rad);
         Pose::new(-cos * self.x_m - sin * self.y_m, sin * self.x_m - cos * self.y_m, -self.heading_rad)
     }
 
     /// The pose of `other` as seen from `self`: `self⁻¹ ∘ other`.
     pub fn to(self, other: Pose) -> Pose {
-        let (sin, cos) = self.heading_rad.sin_cos();
+        let (sin, cos) = sin_cos(self.heading_rad);
         let (dx, dy) = (other.x_m - self.x_m, other.y_m - self.y_m);
         Pose::new(cos * dx + sin * dy, -sin * dx + cos * dy, other.heading_rad - self.heading_rad)
     }
 
     /// Maps a point of the child frame into the parent frame.
     pub fn apply(self, point: Point) -> Point {
-        let (sin, cos) = self.heading_rad.sin_cos();
+        let (sin, cos) = sin_cos(self.heading_rad);
         Point::new(cos * point.x_m - sin * point.y_m + self.x_m, sin * point.x_m + cos * point.y_m + self.y_m)
     }
 

@@ -1,6 +1,7 @@
 //! Velocities in the body frame. The exponential map of SE(2) makes a motion of a velocity and a duration, and its
 //! inverse makes a velocity of a motion.
 
+use crate::elementary::{cos, sin, sin_cos, tan};
 use crate::{Point, Pose};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
@@ -38,7 +39,7 @@ impl Twist {
         let turn = motion.heading_rad;
         // Inverse of the exponential map: the chord (x, y) belongs to an arc.
         let half = 0.5 * turn;
-        let shrink = if half.abs() < 1e-6 { 1.0 - half * half / 3.0 } else { half / half.tan() };
+        let shrink = if half.abs() < 1e-6 { 1.0 - half * half / 3.0 } else { half / tan(half) };
         Self {
             x_m_s: (shrink * motion.x_m + half * motion.y_m) / seconds,
             y_m_s: (-half * motion.x_m + shrink * motion.y_m) / seconds,
@@ -52,7 +53,7 @@ impl Twist {
         let (s, c) = if turn.abs() < 1e-6 {
             (1.0 - turn * turn / 6.0, 0.5 * turn)
         } else {
-            (turn.sin() / turn, (1.0 - turn.cos()) / turn)
+            (sin(turn) / turn, (1.0 - cos(turn)) / turn)
         };
         Pose::new(s * x - c * y, c * x + s * y, turn)
     }
@@ -75,7 +76,7 @@ impl Twist {
                     - square / 12.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0 * (1.0 - square / 90.0))));
             (s, half * turn, 1.0 - half * square)
         } else {
-            let (sin, cos) = turn.sin_cos();
+            let (sin, cos) = sin_cos(turn);
             (sin / turn, (1.0 - cos) / turn, cos)
         };
         let sin = s * turn;

@@ -1,6 +1,7 @@
 //! Motion correction: from a scan, the lidar's mounting and the robot's velocity to beams as if all had left at the stamp.
 
 use crate::{ScanHeader, ScanView};
+use flockslam_geometry::elementary::{atan2, hypot, sin_cos};
 use flockslam_geometry::{Point, Pose, Twist};
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -31,9 +32,9 @@ impl Deskew {
         Self {
             base_from_laser: header.base_from_laser,
             laser_from_base,
-            laser_from_base_turn: laser_from_base.heading_rad.sin_cos(),
+            laser_from_base_turn: sin_cos(laser_from_base.heading_rad),
             twist,
-            speed_m_s: twist.x_m_s.hypot(twist.y_m_s),
+            speed_m_s: hypot(twist.x_m_s, twist.y_m_s),
             mount_m: header.base_from_laser.position().norm_m(),
             moves: takes_time && twist != Twist::default(),
         }
@@ -51,7 +52,7 @@ impl Deskew {
     /// Where beam `beam` of `scan` ends at `range_m`, in `base_link` at the moment of the beam.
     pub fn end_then(&self, scan: ScanView<'_>, beam: usize, range_m: f64) -> Point {
         let laser = self.base_from_laser;
-        let (sin, cos) = (laser.heading_rad + scan.angle_rad(beam)).sin_cos();
+        let (sin, cos) = sin_cos(laser.heading_rad + scan.angle_rad(beam));
         Point::new(laser.x_m + range_m * cos, laser.y_m + range_m * sin)
     }
 
@@ -63,7 +64,7 @@ impl Deskew {
     /// Where beam `beam` of `scan` ends at `range_m`, in `base_link` at the stamp.
     pub fn end_in_base(&self, scan: ScanView<'_>, beam: usize, range_m: f64) -> Point {
         let laser = self.laser_at(if self.moves { scan.time_s(beam) } else { 0.0 });
-        let (sin, cos) = (laser.heading_rad + scan.angle_rad(beam)).sin_cos();
+        let (sin, cos) = sin_cos(laser.heading_rad + scan.angle_rad(beam));
         Point::new(laser.x_m + range_m * cos, laser.y_m + range_m * sin)
     }
 
@@ -83,7 +84,7 @@ impl Deskew {
         match range_m {
             Some(range_m) => {
                 let end = self.in_laser(self.end_in_base(scan, beam, range_m));
-                (end.y_m.atan2(end.x_m), Some(end.norm_m()))
+                (atan2(end.y_m, end.x_m), Some(end.norm_m()))
             }
             None => (angle_rad + self.twist.turn_rad_s * scan.time_s(beam), None),
         }

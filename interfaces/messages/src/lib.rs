@@ -3,6 +3,8 @@
 //! A message is plain data: `#[repr(C)]`, no padding, no pointers, readable in place from shared memory. Its version
 //! is part of its type name and its layout is hashed, so two builds that disagree refuse each other.
 
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
+
 mod control;
 mod correction;
 mod deskew;

@@ -7,6 +7,8 @@
 //!
 //! Nothing here trusts the bytes: every length is checked against a limit before memory is asked for.
 
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
+
 mod codec;
 mod collection;
 mod content;

@@ -2,6 +2,7 @@
 
 use crate::outputs::TrajectoryPoint;
 use flockslam_geometry::Pose;
+use flockslam_geometry::elementary::atan2;
 use flockslam_lidar_ingest::stamp::parse_stamp_ns;
 
 /// Why there is nothing to evaluate.
@@ -39,7 +40,7 @@ pub fn parse_tum(source_name: &str, bytes: &[u8]) -> Result<Vec<TrajectoryPoint>
     parse_lines(source_name, bytes, "a pose", |fields| {
         let stamp_ns = stamp(fields[0])?;
         let [x_m, y_m, qz, qw] = [1, 2, 6, 7].map(|i| number(fields[i]));
-        let heading_rad = 2.0 * qz?.atan2(qw?);
+        let heading_rad = 2.0 * atan2(qz?, qw?);
         Ok(TrajectoryPoint { stamp_ns, map_from_base: Pose::new(x_m?, y_m?, heading_rad) })
     })
 }

@@ -4,6 +4,7 @@
 use super::spread::{SPREAD_COLUMNS, row};
 use super::{EvaluationError, Spread};
 use crate::outputs::TrajectoryPoint;
+use flockslam_geometry::elementary::atan2;
 use flockslam_geometry::{Point, Pose};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -132,7 +133,7 @@ fn align(pairs: &[Pair]) -> Pose {
         sine += ex * ty - ey * tx;
         cosine += ex * tx + ey * ty;
     }
-    let turn = Pose::new(0.0, 0.0, sine.atan2(cosine));
+    let turn = Pose::new(0.0, 0.0, atan2(sine, cosine));
     let turned = turn.apply(estimate);
     Pose::new(truth.x_m - turned.x_m, truth.y_m - turned.y_m, turn.heading_rad)
 }

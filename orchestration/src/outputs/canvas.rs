@@ -1,6 +1,7 @@
 //! Draws lines, discs, rectangles and text with smooth edges on an RGB picture.
 
 use super::glyphs::{HEIGHT, glyph, text_width};
+use flockslam_geometry::elementary::hypot;
 use image::{Rgb, RgbImage};
 
 /// A colour, red, green and blue.
@@ -31,7 +32,7 @@ impl Canvas {
 
     /// A filled circle.
     pub fn disc(&mut self, centre: Spot, radius: f64, colour: Colour) {
-        self.shape(centre, centre, radius, colour, |at| (at.x - centre.x).hypot(at.y - centre.y) - radius);
+        self.shape(centre, centre, radius, colour, |at| hypot(at.x - centre.x, at.y - centre.y) - radius);
     }
 
     /// A filled square that stands on its corner; `radius` from its centre to a corner.
@@ -104,7 +105,7 @@ fn distance_to_segment(at: Spot, from: Spot, to: Spot) -> f64 {
     let squared = dx * dx + dy * dy;
     let along = if squared > 0.0 { ((at.x - from.x) * dx + (at.y - from.y) * dy) / squared } else { 0.0 };
     let along = along.clamp(0.0, 1.0);
-    (at.x - from.x - along * dx).hypot(at.y - from.y - along * dy)
+    hypot(at.x - from.x - along * dx, at.y - from.y - along * dy)
 }
 
 #[cfg(test)]

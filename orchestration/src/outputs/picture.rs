@@ -4,6 +4,7 @@ use super::canvas::{Canvas, Colour, Spot, mix};
 use super::glyphs::text_width;
 use super::{CellState, OccupancyImage, OutputError, TrajectoryPoint, put};
 use flockslam_geometry::Point;
+use flockslam_geometry::elementary::hypot;
 use image::ImageFormat;
 use std::io::Cursor;
 use std::path::Path;
@@ -208,7 +209,7 @@ fn draw_track(
         let here = view.spot(point.map_from_base.position());
         let from = last.unwrap_or(here);
         // Steps far below a pixel are gathered, so the colour does not build up while the robot stands still.
-        if last.is_none() || (here.x - from.x).hypot(here.y - from.y) >= 1.0 || i + 1 == track.len() {
+        if last.is_none() || hypot(here.x - from.x, here.y - from.y) >= 1.0 || i + 1 == track.len() {
             let share = i as f64 / (track.len() - 1).max(1) as f64;
             canvas.line(from, here, weight * view.stroke(), colour_at(share));
             last = Some(here);

@@ -2,6 +2,7 @@
 
 use super::{OutputError, put_by};
 use flockslam_geometry::Pose;
+use flockslam_geometry::elementary::sin_cos;
 use std::fmt::Write;
 use std::io::{self, BufWriter};
 use std::path::Path;
@@ -44,7 +45,7 @@ pub fn write_trajectory(path: &Path, points: &[TrajectoryPoint]) -> Result<(), O
 fn write_line(text: &mut String, point: &TrajectoryPoint) -> std::fmt::Result {
     write_stamp(text, point.stamp_ns)?;
     let Pose { x_m, y_m, heading_rad } = point.map_from_base;
-    let (sin, cos) = (0.5 * heading_rad).sin_cos();
+    let (sin, cos) = sin_cos(0.5 * heading_rad);
     writeln!(
         text,
         " {:.6} {:.6} 0.000000 0.000000000 0.000000000 {:.9} {:.9}",

@@ -2,6 +2,7 @@
 
 use super::RecordTopic;
 use flockslam_geometry::Pose;
+use flockslam_geometry::elementary::sin_cos;
 use flockslam_messages::{PoseEstimate, ScanView};
 use flockslam_recordings::SetRecord;
 use serde::Serialize;
@@ -49,7 +50,7 @@ pub(super) struct SpatialPose {
 
 impl From<Pose> for SpatialPose {
     fn from(pose: Pose) -> Self {
-        let (sin, cos) = (pose.heading_rad / 2.0).sin_cos();
+        let (sin, cos) = sin_cos(pose.heading_rad / 2.0);
         let position = Vector3 { x: pose.x_m, y: pose.y_m, z: 0.0 };
         Self { position, orientation: Quaternion { x: 0.0, y: 0.0, z: sin, w: cos } }
     }

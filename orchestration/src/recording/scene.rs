@@ -3,6 +3,7 @@
 use super::RecordTopic;
 use super::foxglove_messages::{Recorded, SpatialPose, Time, Vector3, recorded, time, wall};
 use flockslam_geometry::Pose;
+use flockslam_geometry::elementary::atan2;
 use flockslam_messages::{Times, Track};
 use serde::Serialize;
 
@@ -81,7 +82,7 @@ pub fn tracks(times: &Times, tracks: &[Track]) -> Recorded {
 
 fn entity(utc_ns: u64, track: &Track) -> Entity {
     let velocity = track.velocity_m_s;
-    let pose = Pose::new(track.position.x_m, track.position.y_m, velocity.y_m.atan2(velocity.x_m));
+    let pose = Pose::new(track.position.x_m, track.position.y_m, atan2(velocity.y_m, velocity.x_m));
     let label = |key, value: f64| Label { key, value: format!("{value:.2}") };
     Entity {
         timestamp: time(utc_ns),

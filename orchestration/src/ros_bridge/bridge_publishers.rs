@@ -3,6 +3,7 @@
 use super::BridgeError;
 use super::bridge_parameters::BridgeParameters;
 use super::set_diagnostics::status;
+use flockslam_geometry::elementary::sin_cos;
 use flockslam_geometry::{Covariance, Pose};
 use flockslam_messages::{PoseEstimate, PoseFlags, Quality};
 use flockslam_ros::messages::{
@@ -93,7 +94,7 @@ pub fn quality(estimate: &PoseEstimate, robot: &str) -> DiagnosticArray {
 
 /// A covariance in the plane, turned by an angle, among the six of space: those of z, roll and pitch are zero.
 fn turned(covariance: Covariance, angle_rad: f64) -> [[f64; 6]; 6] {
-    let (sin, cos) = angle_rad.sin_cos();
+    let (sin, cos) = sin_cos(angle_rad);
     let Covariance { xx, xy, yy, xt, yt, tt } = covariance;
     let mut found = [[0.0; 6]; 6];
     found[0][0] = cos * cos * xx - 2.0 * sin * cos * xy + sin * sin * yy;

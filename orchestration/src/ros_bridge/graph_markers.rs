@@ -1,6 +1,7 @@
 //! The graph as shapes that viewers draw: nodes and the way between them, closed loops, submaps. Pure.
 
 use flockslam_geometry::Pose;
+use flockslam_geometry::elementary::hypot;
 use flockslam_messages::PoseEstimate;
 use flockslam_page::Path;
 use flockslam_results::LivePoses;
@@ -64,7 +65,7 @@ impl GraphMarkers {
         let mut nodes: Vec<Vector3> = Vec::new();
         for point in self.path.points() {
             let at = place(point.submap) * Pose::new(f64::from(point.x_m), f64::from(point.y_m), 0.0);
-            let is_far = |last: &Vector3| (last.x - at.x_m).hypot(last.y - at.y_m) >= NODE_STEP_M;
+            let is_far = |last: &Vector3| hypot(last.x - at.x_m, last.y - at.y_m) >= NODE_STEP_M;
             if nodes.last().is_none_or(is_far) {
                 nodes.push(Vector3 { x: at.x_m, y: at.y_m, z: 0.0 });
             }

@@ -1,6 +1,7 @@
 //! The transform map → odom as it is published: where poses of scans and odometry differ, stamped ahead, strictly increasing. Pure.
 
 use flockslam_geometry::Pose;
+use flockslam_geometry::elementary::{atan2, cos, sin};
 use flockslam_transforms::{LookupError, TransformBuffer, planar};
 use std::collections::VecDeque;
 
@@ -209,7 +210,7 @@ impl MapCorrection {
 fn slewed(from: Pose, to: Pose, odom_from_base: Pose, limit_m: f64) -> Pose {
     let (before, after) = (from * odom_from_base, to * odom_from_base);
     let (way_m, turn_rad) = (before.distance_m(after), after.heading_rad - before.heading_rad);
-    let turn_rad = turn_rad.sin().atan2(turn_rad.cos());
+    let turn_rad = atan2(sin(turn_rad), cos(turn_rad));
     let whole_m = way_m.max(turn_rad.abs() * LEVER_M);
     if limit_m <= 0.0 || whole_m <= limit_m || way_m > SLEWED_M || turn_rad.abs() > SLEWED_RAD {
         return to;

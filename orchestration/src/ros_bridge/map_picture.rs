@@ -2,6 +2,7 @@
 
 use crate::outputs::{CellState, OccupancyImage};
 use flockslam_evidence::{Cell, PackedCell, TILE_CELLS, TILE_SIDE, TileKey};
+use flockslam_geometry::elementary::sin_cos;
 use flockslam_geometry::{Point, Pose};
 use flockslam_map_fusion::FusedMap;
 use flockslam_messages::TileMessage;
@@ -60,7 +61,7 @@ struct Placed {
 
 impl From<Pose> for Placed {
     fn from(pose: Pose) -> Self {
-        let (sin, cos) = pose.heading_rad.sin_cos();
+        let (sin, cos) = sin_cos(pose.heading_rad);
         Self { x_m: pose.x_m, y_m: pose.y_m, cos, sin }
     }
 }

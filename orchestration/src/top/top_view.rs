@@ -1,6 +1,7 @@
 //! Draws a [`TopState`] on a terminal: three lines on the robot, a table with one row for each stage, and a sparkline of latencies.
 
 use super::{RobotFigures, StageFigures, TopState};
+use flockslam_geometry::elementary::ln;
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout};
 use ratatui::style::{Color, Modifier, Style};
@@ -101,7 +102,7 @@ fn alarm() -> Style {
 /// latencies differ by factors. Steady values are low bars.
 fn sparkline(history: &VecDeque<Option<f64>>, width: usize) -> String {
     let shown: Vec<_> = history.iter().skip(history.len().saturating_sub(width)).copied().collect();
-    let logarithm = |value: f64| value.max(1e-9).ln();
+    let logarithm = |value: f64| ln(value.max(1e-9));
     let logarithms = || shown.iter().flatten().map(|value| logarithm(*value));
     let low = logarithms().fold(f64::INFINITY, f64::min);
     // Anything below a factor of two looks level.

@@ -4,6 +4,7 @@ use crate::cells::for_each_occupied_block;
 use crate::sector::TURNS;
 use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::Pose;
+use flockslam_geometry::elementary::sin_cos;
 use std::ops::Deref;
 
 /// Directions that occupied blocks are counted in, at most.
@@ -27,7 +28,7 @@ impl Share {
             return Self { turned: 0, nearest_m: 0.0 };
         }
         let (mut counts, mut nearest_m) = ([0_u32; BINS_MAX], radius_m);
-        let (sin, cos) = laser.heading_rad.sin_cos();
+        let (sin, cos) = sin_cos(laser.heading_rad);
         for_each_occupied_block(grid, laser.position(), radius_m, |middle, half_diagonal_m| {
             let (dx, dy) = (middle.x_m - laser.x_m, middle.y_m - laser.y_m);
             nearest_m = nearest_m.min((dx * dx + dy * dy).sqrt() - half_diagonal_m);

@@ -2,6 +2,8 @@
 //! several places pass through it far beyond is gone (after P. Trubin et al., Omsk 2020, with margins in place of
 //! segments; their own way, by segments in angular sectors, can be chosen).
 
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
+
 mod cells;
 mod cleaner;
 mod fairness;

@@ -2,6 +2,7 @@
 
 use crate::cells::{is_occupied, occupied_around};
 use flockslam_evidence::{Tile, TileGrid, WEIGHT_SCALE};
+use flockslam_geometry::elementary::sin_cos;
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{Deskew, ScanView};
 use std::ops::Deref;
@@ -24,7 +25,7 @@ pub(crate) fn find_moving<H: Deref<Target = Tile>>(
     for beam in 0..scan.len() {
         let (angle_rad, range_m) = deskew.beam_at_stamp(scan, beam);
         let Some(range_m) = range_m.filter(|range| *range <= radius_m) else { continue };
-        let (sin, cos) = (odom_from_laser.heading_rad + angle_rad).sin_cos();
+        let (sin, cos) = sin_cos(odom_from_laser.heading_rad + angle_rad);
         let end = Point::new(odom_from_laser.x_m + range_m * cos, odom_from_laser.y_m + range_m * sin);
         let cell = grid.cell_at(end);
         // Most beams end on static objects or in unknown space.

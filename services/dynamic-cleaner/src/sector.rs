@@ -1,5 +1,6 @@
 //! Sectors of the circle around the lidar, as numbers (`Sector`) and at a place (`Wedge`). Each point lies in exactly one.
 
+use flockslam_geometry::elementary::sin_cos;
 use flockslam_geometry::{Point, Pose};
 use flockslam_visibility::Directions;
 use std::f64::consts::TAU;
@@ -60,7 +61,7 @@ impl Sector {
     pub(crate) fn wedge(self, laser: Pose) -> Wedge {
         // Neighbours compute their common border in the same way.
         let border = |number: u32| {
-            let (sin, cos) = (laser.heading_rad + TAU * self.beginning(number % self.parts)).sin_cos();
+            let (sin, cos) = sin_cos(laser.heading_rad + TAU * self.beginning(number % self.parts));
             Point::new(cos, sin)
         };
         // Two halves have one line between them, whose ends may not agree to the last digit.

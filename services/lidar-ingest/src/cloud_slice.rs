@@ -1,6 +1,7 @@
 //! A horizontal slice of a cloud of points, as a planar lidar would see it from the same place.
 
 use flockslam_geometry::Pose;
+use flockslam_geometry::elementary::{atan2, hypot};
 use flockslam_messages::{ScanBuffer, ScanSections};
 use flockslam_recordings::FramedCloud;
 use flockslam_transforms::Isometry3;
@@ -28,11 +29,11 @@ pub fn slice(cloud: &FramedCloud, base_from_sensor: &Isometry3<f64>, heights_m: 
     numbers.extend((0..BEAMS).map(|beam| middle_rad(beam) as f32));
     for point in &cloud.points {
         let point = base_from_sensor.rotation * point.cast::<f64>();
-        let range_m = point.x.hypot(point.y) as f32;
+        let range_m = hypot(point.x, point.y) as f32;
         if !heights_m.contains(&point.z) || range_m < RANGE_MIN_M {
             continue;
         }
-        let angle_rad = point.y.atan2(point.x);
+        let angle_rad = atan2(point.y, point.x);
         let beam = (((angle_rad + PI) / step_rad) as usize).min(BEAMS - 1);
         if range_m < numbers[beam] {
             (numbers[beam], numbers[BEAMS + beam]) = (range_m, angle_rad as f32);

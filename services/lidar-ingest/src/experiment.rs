@@ -2,6 +2,7 @@
 
 use crate::Settings;
 use flockslam_geometry::Pose;
+use flockslam_geometry::elementary::sin_cos;
 use flockslam_messages::ScanBuffer;
 use flockslam_random::Random;
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -100,7 +101,7 @@ impl Experiment {
         if self.jumps.binary_search(&self.scans).is_err() {
             return Pose::IDENTITY;
         }
-        let (sin, cos) = self.jump_noise.between(-PI, PI).sin_cos();
+        let (sin, cos) = sin_cos(self.jump_noise.between(-PI, PI));
         let distance_m = self.jump_noise.between(0.0, JUMP_M);
         Pose::new(distance_m * cos, distance_m * sin, self.jump_noise.between(-JUMP_RAD, JUMP_RAD))
     }

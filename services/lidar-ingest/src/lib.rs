@@ -3,6 +3,8 @@
 //! Everything here is a function of its inputs: bytes of a log or a seed go in, scans come out. Opening files, pacing
 //! and publishing belong to the process around it.
 
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
+
 pub mod carmen;
 mod cloud_slice;
 mod continuity;

@@ -1,6 +1,7 @@
 //! Returns from the robot's own body.
 
 use flockslam_geometry::Pose;
+use flockslam_geometry::elementary::{cos, sin};
 use flockslam_messages::ScanBuffer;
 
 /// Takes away the returns within boxes in the frame of the robot: the least and the greatest x, the least and the greatest y, metres.
@@ -13,8 +14,8 @@ pub fn mask(scan: &mut ScanBuffer, boxes: &[[f64; 4]]) {
         let Ok(view) = scan.view() else { return };
         let Some(range_m) = view.valid_range_m(beam) else { continue };
         let angle_rad = view.angle_rad(beam);
-        let end = scan.header.base_from_laser
-            * Pose::new(range_m * angle_rad.cos(), range_m * angle_rad.sin(), 0.0);
+        let end =
+            scan.header.base_from_laser * Pose::new(range_m * cos(angle_rad), range_m * sin(angle_rad), 0.0);
         let is_within = |[x, to_x, y, to_y]: &[f64; 4]| {
             (*x..=*to_x).contains(&end.x_m) && (*y..=*to_y).contains(&end.y_m)
         };

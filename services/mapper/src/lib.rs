@@ -1,5 +1,7 @@
 //! A scan and its pose become evidence, tiles and submaps.
 
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
+
 mod mapper;
 mod newcomers;
 pub mod process;

@@ -5,6 +5,7 @@ use crate::settings::{SUBMAP_LENGTH_M, Settings};
 use crate::tile_share::TileShare;
 use crate::window::Window;
 use flockslam_evidence::{CellIndex, Submap, Tile, TileKey, floor};
+use flockslam_geometry::elementary::sin_cos;
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{ClearedCell, Deskew, PoseEstimate, PoseFlags, ScanView};
 use flockslam_ray_insertion::SensorModel;
@@ -237,7 +238,7 @@ impl Mapper {
 
     fn take_ends(&mut self, scan: ScanView<'_>, pose: &PoseEstimate) {
         let deskew = Deskew::new(scan, pose.twist);
-        let (sin, cos) = pose.odom_from_base.heading_rad.sin_cos();
+        let (sin, cos) = sin_cos(pose.odom_from_base.heading_rad);
         let Settings { range_min_m, skip_isolated, .. } = self.settings;
         self.ends.clear();
         for beam in 0..scan.len() {

@@ -6,6 +6,8 @@
 //!
 //! `--no-odometry` takes odometry away, `--beam-noise` replaces that share of all beams by random ranges.
 
+#![allow(clippy::disallowed_methods, reason = "no result depends on it")]
+
 use flockslam_evidence::{Tile, TileGrid, TileKey};
 use flockslam_geometry::Pose;
 use flockslam_mapper::Mapper;

@@ -38,6 +38,8 @@
 //! # Ok::<(), flockslam_messages::ScanProblem>(())
 //! ```
 
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
+
 mod contradiction;
 mod matcher;
 mod motion;

@@ -3,6 +3,7 @@
 
 use crate::turn_scale::TurnScale;
 use crate::wheel_scale::WheelScale;
+use flockslam_geometry::elementary::hypot;
 use flockslam_geometry::{Covariance, Pose, Twist, wrap_angle};
 use flockslam_messages::{PoseEstimate, PoseFlags, Quality, ScanView};
 use flockslam_odometry_noise::OdometryNoise;
@@ -253,7 +254,7 @@ impl Motion {
         };
         let surprises = motion.distance_m(unchanged) > SURPRISE.0 || motion.turn_rad(unchanged) > SURPRISE.1;
         let steady = surprises.then(|| Steady { pose: self.pose * unchanged, twist: self.velocity });
-        let (travel, turn) = (motion.x_m.hypot(motion.y_m), motion.heading_rad.abs());
+        let (travel, turn) = (hypot(motion.x_m, motion.y_m), motion.heading_rad.abs());
         let mut covariance = self.covariance;
         let (drift_m2, drift_rad2) = self.drift(scan, travel, turn);
         let position = drift_m2 + self.covariance.tt * travel * travel;
@@ -288,12 +289,12 @@ impl Motion {
     /// How sure a velocity is that odometry measured during a scan.
     fn measured_sigma(&self, twist: Twist) -> TwistSigma {
         let (noise_m_s, noise_rad_s) = MEASURED_NOISE;
-        let speed_m_s = noise_m_s.hypot(MEASURED_SHARE * twist.x_m_s);
+        let speed_m_s = hypot(noise_m_s, MEASURED_SHARE * twist.x_m_s);
         let share = MEASURED_SHARE.max(self.turn_scale.sigma());
         TwistSigma {
             x_m_s: speed_m_s,
             y_m_s: speed_m_s,
-            turn_rad_s: noise_rad_s.hypot(share * twist.turn_rad_s),
+            turn_rad_s: hypot(noise_rad_s, share * twist.turn_rad_s),
         }
     }
 

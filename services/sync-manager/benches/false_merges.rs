@@ -2,6 +2,8 @@
 //!
 //! `cargo bench -p flockslam-sync-manager --bench false_merges -- [FIRST] [COUNT]` prints a line for each trial and the sum; 200 from 0 on by default.
 
+#![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
+
 #[path = "../tests/synthetic/meeting_trials.rs"]
 mod meeting_trials;
 #[allow(dead_code, reason = "what several tests share, one of them does not need all of")]

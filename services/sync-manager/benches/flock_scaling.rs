@@ -3,6 +3,8 @@
 //!
 //! `cargo bench -p flockslam-sync-manager --bench flock_scaling -- [ROBOTS]` prints one line; a process for each number, so that memory is that of one.
 
+#![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
+
 #[allow(dead_code, reason = "what several programs share, one of them does not need all of")]
 #[path = "../tests/synthetic/support.rs"]
 mod support;

@@ -5,6 +5,8 @@
 //! that were not inserted are given to the back end too. `SETTINGS` in the environment may hold settings as
 //! JSON.
 
+#![allow(clippy::disallowed_methods, reason = "no result depends on it")]
+
 use flockslam_geometry::Pose;
 use flockslam_messages::{PoseEstimate, PoseFlags, ScanBuffer, ScanId, SubmapClosed};
 use flockslam_sync_manager::{Settings, SyncManager};

@@ -5,6 +5,8 @@
 //! measured constraints; poses are solved from it again and again, so each closure can be revoked at any
 //! time.
 
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
+
 mod back_end;
 mod between;
 mod filled_trajectory;

@@ -4,6 +4,7 @@ use crate::filled_trajectory::{Between, filled};
 use crate::pose_record::PoseRecord;
 use crate::solution::{ClosureCounts, DetachedPart, FrozenScan, MAP_ANCHOR, PlacedScan, Solution};
 use flockslam_geometry::Pose;
+use flockslam_geometry::elementary::hypot;
 use flockslam_localisation::{Belief, Hint, Knowledge, Localizer, Measurement, Surroundings};
 use flockslam_loop_closure::scans::ScanStore;
 use flockslam_messages::{
@@ -340,7 +341,7 @@ impl LocalizingManager {
 
 /// Information of a motion of the front end.
 fn drift(motion: &Placement) -> Symmetric {
-    let way_m = libm::hypot(motion.x_m, motion.y_m);
+    let way_m = hypot(motion.x_m, motion.y_m);
     let variance = |least: f64, per_m: f64| least * least + per_m * per_m * way_m;
     let (position, heading) = (1.0 / variance(DRIFT_MIN.0, DRIFT.0), 1.0 / variance(DRIFT_MIN.1, DRIFT.1));
     [position, 0.0, 0.0, position, 0.0, heading]
@@ -379,7 +380,7 @@ mod tests {
     fn scan(map: &KnownMap, at: Placement) -> ScanBuffer {
         let range = |degrees: i32| {
             let angle = f64::from(degrees).to_radians();
-            let (cos, sin) = (libm::cos(angle), libm::sin(angle));
+            let (cos, sin) = (angle.cos(), angle.sin());
             let is_hit = |range_m: &f64| {
                 let (x, y) = at.apply(range_m * cos, range_m * sin);
                 map.at(x, y).state != CellState::Free

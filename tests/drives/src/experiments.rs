@@ -1,5 +1,6 @@
 //! The two experiments of the published NDT system (Trubin et al. 2020) as simulated scans.
 
+use flockslam_geometry::elementary::{hypot, sin_cos};
 use flockslam_geometry::{Point, Pose};
 use flockslam_lidar_ingest::carmen::write_scan;
 use flockslam_messages::ScanBuffer;
@@ -108,7 +109,7 @@ const DOOR_CLOSES: usize = 7;
 
 /// Distance from a point to the first wall or person in a direction.
 fn cast(walls: &[Wall], people: &[Point], from: Point, angle_rad: f64) -> f64 {
-    let (sin, cos) = angle_rad.sin_cos();
+    let (sin, cos) = sin_cos(angle_rad);
     let to_wall = |[x0, y0, x1, y1]: &Wall| {
         let (ox, oy, sx, sy) = (x0 - from.x_m, y0 - from.y_m, x1 - x0, y1 - y0);
         let turn = cos * sy - sin * sx;
@@ -165,7 +166,7 @@ fn along_corridor([u0, v0, u1, v1]: Wall) -> Wall {
 /// The four sides of a wall.
 fn thick([x0, y0, x1, y1]: Wall) -> [Wall; 4] {
     let (dx, dy) = (x1 - x0, y1 - y0);
-    let half = 0.5 * THICKNESS_M / dx.hypot(dy);
+    let half = 0.5 * THICKNESS_M / hypot(dx, dy);
     let (nx, ny) = (-half * dy, half * dx);
     let corners = [(x0 + nx, y0 + ny), (x1 + nx, y1 + ny), (x1 - nx, y1 - ny), (x0 - nx, y0 - ny)];
     std::array::from_fn(|i| {

@@ -1,6 +1,7 @@
 //! The constant-velocity Kalman filter of one track (Bar-Shalom, Li and Kirubarajan 2001).
 
 use flockslam_geometry::Point;
+use flockslam_geometry::elementary::ln;
 
 /// Standard deviation of a sighting, metres: bodies are seen from one side, in few beams.
 const SIGHTING_SIGMA_M: f64 = 0.06;
@@ -53,7 +54,7 @@ impl Motion {
     /// How unlikely a sighting is: twice the negative logarithm of its density, but for a constant (Bar-Shalom, Li and Kirubarajan 2001,
     /// section 1.4). A hidden person could be anywhere, and so explains each place less well than a visible one.
     pub fn surprise(&self, sighting: Point) -> f64 {
-        self.squared_distance(sighting) + 2.0 * self.innovation_variance().ln()
+        self.squared_distance(sighting) + 2.0 * ln(self.innovation_variance())
     }
 
     /// Takes a sighting in.

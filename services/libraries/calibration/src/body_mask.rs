@@ -1,6 +1,7 @@
 //! Where a lidar sees its own robot: returns that stay at one place near it, with nothing ever seen behind, while the robot drives.
 
 use flockslam_geometry::Pose;
+use flockslam_geometry::elementary::{cos, sin};
 use flockslam_messages::ScanView;
 use std::f64::consts::{PI, TAU};
 
@@ -129,7 +130,7 @@ impl BodyMask {
         let body = (0..DIRECTIONS).filter_map(|direction| Some((direction, self.body_m(direction)?)));
         for (direction, range_m) in body {
             let angle_rad = (direction as f64 + 0.5) * TAU / DIRECTIONS as f64 - PI;
-            let place = Pose::new(range_m * angle_rad.cos(), range_m * angle_rad.sin(), 0.0);
+            let place = Pose::new(range_m * cos(angle_rad), range_m * sin(angle_rad), 0.0);
             let belongs = |part: &&mut Vec<(usize, Pose)>| {
                 part.last().is_some_and(|(last, at)| {
                     direction - last <= TOGETHER_DIRECTIONS && at.distance_m(place) < TOGETHER_M

@@ -7,6 +7,7 @@
 
 use crate::drive_samples::{DriveSample, DriveSamples};
 use crate::estimate::{CalibrationError, LidarEstimate, PARAMETERS};
+use flockslam_geometry::elementary::{hypot, sin_cos};
 use flockslam_geometry::{Pose, wrap_angle};
 use nalgebra::{SMatrix, SVector};
 
@@ -112,7 +113,7 @@ fn pairs(samples: &DriveSamples, assumed: Pose) -> Vec<Pair> {
         }
         let motion = (*pose * assumed).to(*to * assumed);
         let moved = sample.odometry.to(other.odometry);
-        if moved.x_m.hypot(moved.y_m) > MOTION_MIN.0 || moved.heading_rad.abs() > MOTION_MIN.1 {
+        if hypot(moved.x_m, moved.y_m) > MOTION_MIN.0 || moved.heading_rad.abs() > MOTION_MIN.1 {
             found.push(Pair { from_ns: sample.stamp_ns, to_ns: other.stamp_ns, motion });
         }
     }
@@ -146,8 +147,8 @@ impl Problem<'_> {
         let to = self.samples.odometry_at(pair.to_ns + offset_ns)?;
         let moved = from.to(to);
         // A turn that odometry has wrong is made on the way: half of it turns the way.
-        let wrong_rad = turns * moved.heading_rad + drift * moved.x_m.hypot(moved.y_m);
-        let (sin, cos) = (0.5 * wrong_rad).sin_cos();
+        let wrong_rad = turns * moved.heading_rad + drift * hypot(moved.x_m, moved.y_m);
+        let (sin, cos) = sin_cos(0.5 * wrong_rad);
         let (x_m, y_m) = (cos * moved.x_m - sin * moved.y_m, sin * moved.x_m + cos * moved.y_m);
         let right = Pose::new((1.0 + ways) * x_m, (1.0 + ways) * y_m, moved.heading_rad + wrong_rad);
         let mounted = self.mounted(dx, dy, dh);

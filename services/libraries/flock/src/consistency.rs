@@ -237,7 +237,7 @@ mod tests {
         let node = |k: usize| {
             let (trajectory, along) = ((k / NODES) as u32, (k % NODES) as f64);
             let angle = 0.02 * along * (1.0 + f64::from(trajectory));
-            let at = Placement::new(along, 3.0 * libm::sin(angle), angle);
+            let at = Placement::new(along, 3.0 * angle.sin(), angle);
             let drift_bound_m = along + 1e6 * f64::from(trajectory);
             Node {
                 scan: k,

@@ -5,6 +5,8 @@
 //! shares with others. An [`Atlas`] is the graph that a collection describes, a [`FlockSolution`] its solution: both are functions of the
 //! records alone, whatever the order in which they came.
 
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
+
 mod atlas;
 mod consistency;
 mod findings;

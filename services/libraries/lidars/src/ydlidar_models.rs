@@ -2,6 +2,8 @@
 //!
 //! Source: `YDLIDAR/YDLidar-SDK`: model numbers of `DriverInterface.h`, scales of `CYdLidar.cpp`, corrections of `YDlidarDriver.cpp`.
 
+use flockslam_geometry::elementary::atan;
+
 /// How a model measures.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Optics {
@@ -79,7 +81,7 @@ pub(crate) fn correction_deg(range_mm: f64) -> f64 {
     if range_mm <= 0.0 {
         return 0.0;
     }
-    (21.8 * (155.3 - range_mm) / (155.3 * range_mm)).atan().to_degrees()
+    atan(21.8 * (155.3 - range_mm) / (155.3 * range_mm)).to_degrees()
 }
 
 #[cfg(test)]

@@ -1,6 +1,8 @@
 //! Ten million bytes for each family: garbage, damaged packets and good ones in turns. No decoder panics, and each finds every good
 //! packet behind garbage.
 
+#![allow(clippy::disallowed_methods, reason = "no result depends on it")]
+
 use flockslam_lidars::encoders::ld06_encoder::Ld06Encoder;
 use flockslam_lidars::encoders::rplidar_encoder::RplidarEncoder;
 use flockslam_lidars::encoders::sick_tim_encoder::SickTimEncoder;

@@ -3,6 +3,7 @@
 use crate::surface_lines::SurfaceLines;
 use crate::{KnownMap, PlaceField};
 use flockslam_evidence::CellState;
+use flockslam_geometry::elementary::{atan2, hypot, sin_cos};
 use flockslam_pose_graph::{Symmetric, inverse, times};
 use flockslam_registration::cloud::Placement;
 
@@ -161,7 +162,7 @@ impl Surroundings {
         let from = map_from_cloud.apply(point.from_x_m, point.from_y_m);
         let to = map_from_cloud.apply(point.x_m, point.y_m);
         let (dx, dy) = (to.0 - from.0, to.1 - from.1);
-        let range_m = libm::hypot(dx, dy);
+        let range_m = hypot(dx, dy);
         let steps = ((range_m - BEFORE_M) / BEAM_STEP_M).floor().max(0.0) as u32;
         let (dx, dy) = (dx / range_m * BEAM_STEP_M, dy / range_m * BEAM_STEP_M);
         // A beam that grazes a corner meets it in a step or two.
@@ -187,12 +188,12 @@ impl Sums {
     /// is noise, and would pull a robot along bit by bit.
     fn open_direction(&self) -> Option<(f64, f64)> {
         let [xx, xy, _, yy, ..] = self.h;
-        let (middle, half, spread) = (0.5 * (xx + yy), 0.5 * (xx - yy), libm::hypot(0.5 * (xx - yy), xy));
+        let (middle, half, spread) = (0.5 * (xx + yy), 0.5 * (xx - yy), hypot(0.5 * (xx - yy), xy));
         if middle - spread > OPEN_SHARE * (middle + spread) {
             return None;
         }
         // The axis of the larger eigenvalue lies at half the angle of (half, xy); the smaller one's is across.
-        let (sin, cos) = libm::sincos(0.5 * libm::atan2(xy, half));
+        let (sin, cos) = sin_cos(0.5 * atan2(xy, half));
         Some((-sin, cos))
     }
 

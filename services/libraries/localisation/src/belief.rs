@@ -1,6 +1,7 @@
 //! What a robot believes of where it is in the known map.
 
 use crate::Agreement;
+use flockslam_geometry::elementary::ln;
 use flockslam_pose_graph::Symmetric;
 use flockslam_registration::cloud::Placement;
 
@@ -55,6 +56,6 @@ impl Belief {
     pub fn entropy_nat(&self) -> f64 {
         let known: f64 = self.hypotheses.iter().map(|hypothesis| hypothesis.weight).sum();
         let weights = self.hypotheses.iter().map(|hypothesis| hypothesis.weight).chain([1.0 - known]);
-        weights.filter(|weight| *weight > 0.0).map(|weight| -weight * libm::log(weight)).sum()
+        weights.filter(|weight| *weight > 0.0).map(|weight| -weight * ln(weight)).sum()
     }
 }

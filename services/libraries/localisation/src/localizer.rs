@@ -4,6 +4,7 @@ use crate::alignment::{Agreement, Fit, SeenPoint, Surroundings};
 use crate::belief::{Belief, Hypothesis, Knowledge};
 use crate::place_search::{Near, PlaceSearch, Quest, is_same};
 use crate::recent_views::RecentViews;
+use flockslam_geometry::elementary::{exp, hypot};
 use flockslam_pose_graph::{Symmetric, inverse};
 use flockslam_registration::cloud::{PackedPoint, Placement};
 
@@ -381,8 +382,8 @@ impl Localizer {
             self.belief = Belief::default();
             return;
         };
-        let worth = |merit: f64| libm::exp(SHARPNESS * (merit - best.merit()));
-        let unseen = libm::exp(SHARPNESS * (others_max - best.score));
+        let worth = |merit: f64| exp(SHARPNESS * (merit - best.merit()));
+        let unseen = exp(SHARPNESS * (others_max - best.score));
         let sum: f64 = judged.iter().map(|j| worth(j.merit())).sum::<f64>() + unseen.min(1.0);
         let hypothesis = |j: &Judged| Hypothesis {
             map_from_base: j.at,
@@ -435,7 +436,7 @@ fn carried(information: &Symmetric, position: f64, heading: f64) -> Symmetric {
 /// The variance of the position in its widest direction, m².
 fn widest(covariance: &Symmetric) -> f64 {
     let [xx, xy, _, yy, ..] = *covariance;
-    0.5 * (xx + yy) + libm::hypot(0.5 * (xx - yy), xy)
+    0.5 * (xx + yy) + hypot(0.5 * (xx - yy), xy)
 }
 
 #[cfg(test)]

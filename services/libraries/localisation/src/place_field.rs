@@ -3,6 +3,7 @@
 use crate::KnownMap;
 use flockslam_evidence::CellState;
 use flockslam_geometry::Point;
+use flockslam_geometry::elementary::exp;
 use std::ops::Range;
 
 /// Cells of the field are about this wide, metres.
@@ -204,7 +205,7 @@ fn cell_of(map: &KnownMap, cells: usize, column: usize, row: usize) -> (u8, bool
         is_known |= place.state != CellState::Unknown;
     }
     let d = distance_m / SIGMA_M;
-    let value = if d < 3.0 { (255.0 * libm::exp(-0.5 * d * d)).round() as u8 } else { 0 };
+    let value = if d < 3.0 { (255.0 * exp(-0.5 * d * d)).round() as u8 } else { 0 };
     (if is_known { value } else { value.max(UNKNOWN) }, is_free)
 }
 

@@ -4,6 +4,7 @@
 use crate::KnownMap;
 use flockslam_evidence::CellState;
 use flockslam_geometry::Point;
+use flockslam_geometry::elementary::{atan2, hypot, sin_cos};
 use std::collections::BTreeMap;
 
 /// Cells of lines are about this wide, metres.
@@ -140,7 +141,7 @@ fn is_same_side(a: &SurfaceCell, b: &SurfaceCell) -> bool {
 }
 
 fn norm(v: (f64, f64)) -> f64 {
-    libm::hypot(v.0, v.1)
+    hypot(v.0, v.1)
 }
 
 /// The occupied cells that are not deep in a wall, by row and column.
@@ -154,7 +155,7 @@ fn surface_cells(map: &KnownMap) -> BTreeMap<(i64, i64), SurfaceCell> {
             let (mut x, mut y, mut free) = (0.0, 0.0, 0.0);
             for (dx, dy) in (-BESIDE..=BESIDE).flat_map(|dy| (-BESIDE..=BESIDE).map(move |dx| (dx, dy))) {
                 if map.cell(column + dx, row + dy).state == CellState::Free {
-                    let share = 1.0 / libm::hypot(dx as f64, dy as f64);
+                    let share = 1.0 / hypot(dx as f64, dy as f64);
                     (x, y, free) = (x + dx as f64 * share, y + dy as f64 * share, free + 1.0);
                 }
             }
@@ -197,9 +198,9 @@ fn fitted(
     let (mx, my) = (sx / n, sy / n);
     let (vxx, vxy, vyy) = (sxx / n - mx * mx, sxy / n - mx * my, syy / n - my * my);
     // Eigenvalues of the covariance; the normal belongs to the smaller one.
-    let (middle, spread) = (0.5 * (vxx + vyy), libm::hypot(0.5 * (vxx - vyy), vxy));
-    let angle = 0.5 * libm::atan2(2.0 * vxy, vxx - vyy);
-    let (sin, cos) = libm::sincos(angle);
+    let (middle, spread) = (0.5 * (vxx + vyy), hypot(0.5 * (vxx - vyy), vxy));
+    let angle = 0.5 * atan2(2.0 * vxy, vxx - vyy);
+    let (sin, cos) = sin_cos(angle);
     let (mut normal_x, mut normal_y) = (-sin, cos);
     if normal_x * at.to_free.0 + normal_y * at.to_free.1 < 0.0 {
         (normal_x, normal_y) = (-normal_x, -normal_y);

@@ -1,6 +1,8 @@
 //! Loop closure: scans of a trajectory become nodes and segments, a node is looked for in older segments, and what is found becomes a
 //! constraint when enough others agree with it.
 
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
+
 pub mod agreement;
 pub mod attachment;
 pub mod closure;

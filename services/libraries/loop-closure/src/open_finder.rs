@@ -4,6 +4,7 @@
 use crate::closure::Closure;
 use crate::finder::{SearchCounts, World, window};
 use crate::node::BROKEN_M;
+use flockslam_geometry::elementary::sin;
 use flockslam_geometry::{Point, Pose};
 use flockslam_pose_graph::{Edge, Symmetric, inflated, inverse};
 use flockslam_registration::cloud::{Placement, Window};
@@ -299,7 +300,7 @@ fn information(fit: &SurfaceFit) -> Option<Symmetric> {
     let covariance = inverse(&points)?;
     let is_known = covariance[0].max(covariance[3]) <= SIGMA_MAX.0 * SIGMA_MAX.0
         && covariance[5] <= SIGMA_MAX.1 * SIGMA_MAX.1;
-    let half = libm::sin(0.5 * fit.pose.heading_rad);
+    let half = sin(0.5 * fit.pose.heading_rad);
     let turned = half * half;
     let slack = (SLACK.0 + turned * OTHER_SIDE.0, SLACK.1 + turned * OTHER_SIDE.1);
     if is_known { inflated(&points, slack.0, slack.1) } else { None }

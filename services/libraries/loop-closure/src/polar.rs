@@ -1,5 +1,6 @@
 //! Ranges of a scan by direction, to decide whether a point of another scan is in its free space.
 
+use flockslam_geometry::elementary::atan2;
 use flockslam_registration::cloud::{PackedPoint, Placement};
 use std::f64::consts::{PI, TAU};
 
@@ -62,7 +63,7 @@ fn least(ranges: [f64; 3]) -> f64 {
 }
 
 fn sector(x: f64, y: f64) -> usize {
-    (((libm::atan2(y, x) + PI) * (SECTORS as f64 / TAU)) as usize).min(SECTORS - 1)
+    (((atan2(y, x) + PI) * (SECTORS as f64 / TAU)) as usize).min(SECTORS - 1)
 }
 
 #[cfg(test)]

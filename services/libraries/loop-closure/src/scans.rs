@@ -2,6 +2,7 @@
 
 use crate::segment::CLOUD_RANGE_M;
 use flockslam_geometry::Twist;
+use flockslam_geometry::elementary::sin_cos;
 use flockslam_messages::{BeamRange, ScanView};
 use flockslam_registration::cloud::{PackedPoint, Placement};
 
@@ -91,7 +92,7 @@ impl ScanStore {
             if !is_open && scan.is_isolated(i) {
                 continue;
             }
-            let (sin, cos) = libm::sincos(scan.angle_rad(i));
+            let (sin, cos) = sin_cos(scan.angle_rad(i));
             let (mut x, mut y) = mount.apply(range_m * cos, range_m * sin);
             if takes_time {
                 (x, y) = velocity.after(scan.time_s(i)).apply(x, y);

@@ -1,5 +1,7 @@
 //! Map fusion: submaps at their optimised poses become one map, and what later scans saw free is cleared in it.
 
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
+
 mod coverage;
 mod final_cleaning;
 mod footprint;

@@ -1,6 +1,7 @@
 //! Nearest-cell resampling: from a submap and its pose to the cells of the fused map that its evidence falls into.
 
 use flockslam_evidence::{CellIndex, PackedCell, Submap, SubmapTile, TILE_CELLS, TILE_SIDE, TileKey, floor};
+use flockslam_geometry::elementary::sin_cos;
 use flockslam_geometry::{Point, Pose};
 
 /// Binary digits behind the point of fixed-point cell coordinates.
@@ -62,7 +63,7 @@ impl Resampling {
         let at = odom_from_map.apply(Point::new(centre(origin.x), centre(origin.y)));
         // A float cast saturates: absurd poses give some cell, and are refused as too far from the others.
         let fixed = |cells: f64| (cells * (1u64 << FRACTION) as f64).round() as i64;
-        let (sin, cos) = odom_from_map.heading_rad.sin_cos();
+        let (sin, cos) = sin_cos(odom_from_map.heading_rad);
         let ratio = target_size_m / source_size_m;
         Self {
             map_from_odom,

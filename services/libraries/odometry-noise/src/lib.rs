@@ -1,5 +1,6 @@
 //! How far odometry may be off, and by how much fits of scans scatter: both learned from how they differ.
 
+use flockslam_geometry::elementary::hypot;
 use flockslam_geometry::{Covariance, Pose};
 
 /// Variance of the position per metre of travel, m²/m: 0.1 m after half a metre on poor wheels.
@@ -153,7 +154,7 @@ impl OdometryNoise {
         let error = measured.to(said);
         let square = 0.5 * (error.x_m * error.x_m + error.y_m * error.y_m);
         let turned = error.heading_rad * error.heading_rad;
-        let (position, heading) = usual(said.x_m.hypot(said.y_m), said.heading_rad.abs());
+        let (position, heading) = usual(hypot(said.x_m, said.y_m), said.heading_rad.abs());
         self.position.sample(is_long, square, position);
         self.heading.sample(is_long, turned, heading);
     }

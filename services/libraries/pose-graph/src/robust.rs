@@ -168,8 +168,7 @@ mod tests {
     fn a_consistent_graph_is_solved_exactly() {
         let (truth, mut poses, mut edges) = rounds(0.0);
         for (k, pose) in poses.iter_mut().enumerate().skip(1) {
-            *pose =
-                Placement::new(pose.x_m + 0.3 * libm::sin(k as f64), pose.y_m - 0.2, pose.heading_rad + 0.1);
+            *pose = Placement::new(pose.x_m + 0.3 * (k as f64).sin(), pose.y_m - 0.2, pose.heading_rad + 0.1);
         }
         edges.push(edge(0, 160, truth[0].to(truth[160]), 0.03, 0.01));
         solve(161, &edges, 160, &RobustSettings { warm_up: 20, ..SETTINGS }, &mut poses);

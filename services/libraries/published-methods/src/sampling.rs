@@ -1,6 +1,7 @@
 //! The matchers of vinySLAM: random search and hill climbing on the score of single cells.
 
 use flockslam_evidence::Level;
+use flockslam_geometry::elementary::sin_cos;
 use flockslam_geometry::{Point, Pose};
 use flockslam_random::Random;
 use flockslam_registration::{ScoreField, ScoreRead, nearest};
@@ -40,7 +41,7 @@ pub fn beam_weight(point: Point) -> f64 {
 fn weighted_score<F: ScoreField>(field: &F, points: &[Point], weights: &[f64], pose: Pose) -> f64 {
     let mut read = field.reader(Level::Full);
     let per_metre = 1.0 / read.cell_size_m();
-    let (sin, cos) = pose.heading_rad.sin_cos();
+    let (sin, cos) = sin_cos(pose.heading_rad);
     let (mut sum, mut total) = (0.0, 0.0);
     for (point, weight) in points.iter().zip(weights) {
         let x = cos * point.x_m - sin * point.y_m + pose.x_m;

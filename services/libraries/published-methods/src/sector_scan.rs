@@ -2,6 +2,7 @@
 //! scan, tells of a point whether the ray to it is free, met or shadowed.
 
 use flockslam_geometry::Point;
+use flockslam_geometry::elementary::{atan2, sin_cos};
 use flockslam_messages::{Deskew, ScanView};
 use std::f64::consts::TAU;
 
@@ -69,7 +70,7 @@ impl SectorScan {
         for beam in 0..scan.len() {
             let (angle_rad, range_m) = deskew.beam_at_stamp(scan, beam);
             let here = range_m.map(|range_m| {
-                let (sin, cos) = angle_rad.sin_cos();
+                let (sin, cos) = sin_cos(angle_rad);
                 (angle_rad, Point::new(range_m * cos, range_m * sin))
             });
             self.join(before, here);
@@ -84,7 +85,7 @@ impl SectorScan {
     /// The first hit of a ray to a point.
     pub fn ray_to(&self, point: Point) -> Ray {
         let distance_m = point.norm_m();
-        let sector = wrap(sector_of(point.y_m.atan2(point.x_m)));
+        let sector = wrap(sector_of(atan2(point.y_m, point.x_m)));
         if !self.returned[sector] {
             return Ray::Unseen;
         }

@@ -1,5 +1,7 @@
 //! Seeded random numbers: the same seed gives the same numbers on every machine.
 
+use flockslam_geometry::elementary::{cos, ln, sin_cos};
+
 /// A small seeded generator (SplitMix64, Steele, Lea and Flood 2014, fig. 17): the same seed gives the same numbers on
 /// every machine.
 #[derive(Clone, Debug)]
@@ -59,15 +61,15 @@ impl Random {
 
     /// Two independent standard normal numbers (Box and Muller 1958).
     pub fn normal_pair(&mut self) -> (f64, f64) {
-        let radius = (-2.0 * self.above_zero().ln()).sqrt();
-        let (sin, cos) = (std::f64::consts::TAU * self.above_zero()).sin_cos();
+        let radius = (-2.0 * ln(self.above_zero())).sqrt();
+        let (sin, cos) = sin_cos(std::f64::consts::TAU * self.above_zero());
         (radius * cos, radius * sin)
     }
 
     /// Standard normal (Box and Muller 1958).
     pub fn normal(&mut self) -> f64 {
-        let radius = (-2.0 * (1.0 - self.share()).ln()).sqrt();
-        radius * (std::f64::consts::TAU * self.share()).cos()
+        let radius = (-2.0 * ln(1.0 - self.share())).sqrt();
+        radius * cos(std::f64::consts::TAU * self.share())
     }
 }
 

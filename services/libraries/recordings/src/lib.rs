@@ -3,6 +3,8 @@
 //! [`Recording`] opens any of them by its content and gives its messages in the order in which they were recorded;
 //! [`Reading`] is what a message says, where it is one of those that are understood.
 
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
+
 mod any_recording;
 mod bag_file;
 mod bag_record;

@@ -3,6 +3,8 @@
 //!
 //! Run it with `cargo run --release -p flockslam-registration --example register_scan`.
 
+#![allow(clippy::disallowed_methods, reason = "no result depends on it")]
+
 use flockslam_evidence::{Cell, CellIndex, Tile, TileGrid, TileKey};
 use flockslam_geometry::{Point, Pose};
 use flockslam_ray_insertion::{ObservedCells, SensorModel};

@@ -3,6 +3,7 @@
 
 use crate::field::ScoreRead;
 use flockslam_evidence::CellIndex;
+use flockslam_geometry::elementary::sin_cos;
 use flockslam_geometry::{Point, Pose};
 use nalgebra::{Matrix3, Vector3};
 
@@ -181,7 +182,7 @@ fn for_each_batch(
     mut add: impl FnMut(&Batch, usize),
 ) {
     let per_metre = 1.0 / read.cell_size_m();
-    let (sin, cos) = pose.heading_rad.sin_cos();
+    let (sin, cos) = sin_cos(pose.heading_rad);
     let turn = (cos * per_metre, sin * per_metre);
     let shift = (pose.x_m * per_metre - 0.5, pose.y_m * per_metre - 0.5);
     let mut batch = Batch::default();

@@ -4,6 +4,7 @@
 use crate::bounds::NodeBounds;
 use crate::field::{ScoreField, ScoreRead};
 use flockslam_evidence::{CellIndex, Level, floor};
+use flockslam_geometry::elementary::sin_cos;
 use flockslam_geometry::{Point, Pose};
 
 /// Points used at most; more do not find other poses.
@@ -171,7 +172,7 @@ pub(crate) fn farthest_m(points: &[Point]) -> f64 {
 
 /// Cells of this side that points end in when the robot is at a pose.
 pub(crate) fn end_cells(points: &[Point], pose: Pose, side_m: f64) -> impl Iterator<Item = CellIndex> {
-    let (sin, cos) = pose.heading_rad.sin_cos();
+    let (sin, cos) = sin_cos(pose.heading_rad);
     let per_metre = 1.0 / side_m;
     points.iter().map(move |point| {
         let x = cos * point.x_m - sin * point.y_m + pose.x_m;

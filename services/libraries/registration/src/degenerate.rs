@@ -1,6 +1,7 @@
 //! The shape of a scan: which direction its surfaces leave open, as along a bare corridor.
 
 use flockslam_geometry::Point;
+use flockslam_geometry::elementary::{atan2, hypot, sin_cos};
 use nalgebra::Vector2;
 
 /// Points of a wall are compared over at least this much of it, and at most that, metres.
@@ -34,6 +35,6 @@ pub fn degenerate_direction(points: &[Point]) -> Option<(f64, Vector2<f64>)> {
     let share = 1.0 / f64::from(count);
     let (mean, half) = (0.5 * (xx + yy) * share, 0.5 * (xx - yy) * share);
     // The axis of the larger eigenvalue lies at half the angle of (half, xy); the smaller one's is across.
-    let (sin, cos) = (0.5 * (xy * share).atan2(half)).sin_cos();
-    Some(((mean - half.hypot(xy * share)).max(0.0), Vector2::new(-sin, cos)))
+    let (sin, cos) = sin_cos(0.5 * atan2(xy * share, half));
+    Some(((mean - hypot(half, xy * share)).max(0.0), Vector2::new(-sin, cos)))
 }

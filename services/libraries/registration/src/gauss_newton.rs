@@ -4,6 +4,7 @@
 use crate::batch::NormalEquations;
 use crate::field::{ScoreField, ScoreRead};
 use flockslam_evidence::Level;
+use flockslam_geometry::elementary::hypot;
 use flockslam_geometry::{Covariance, Point, Pose, wrap_angle};
 use nalgebra::{Matrix3, SMatrix, Vector2, Vector3};
 
@@ -128,7 +129,7 @@ fn newton_step(
     let hessian = system.hessian * share + Matrix3::from_diagonal(&prior);
     let gradient = system.gradient * share + prior.component_mul(&pull);
     let step = hessian.cholesky()?.solve(&gradient);
-    let length = step.x.hypot(step.y);
+    let length = hypot(step.x, step.y);
     let scale = if length > STEP_MAX_M { STEP_MAX_M / length } else { 1.0 };
     Some(Vector3::new(step.x * scale, step.y * scale, step.z.clamp(-TURN_MAX_RAD, TURN_MAX_RAD)))
 }
@@ -174,7 +175,7 @@ impl Fit {
         let (xx, yy) = (h[(0, 0)] - h[(0, 2)].powi(2) / turn, h[(1, 1)] - h[(1, 2)].powi(2) / turn);
         let xy = h[(0, 1)] - h[(0, 2)] * h[(1, 2)] / turn;
         let (mean, half) = (0.5 * (xx + yy), 0.5 * (xx - yy));
-        (mean - half.hypot(xy)).max(0.0) / self.points.max(1) as f64
+        (mean - hypot(half, xy)).max(0.0) / self.points.max(1) as f64
     }
 }
 

@@ -6,6 +6,7 @@ mod terms;
 
 use crate::field::{ScoreField, ScoreRead};
 use flockslam_evidence::{CellIndex, Level, floor};
+use flockslam_geometry::elementary::{exp, hypot, sin_cos};
 use flockslam_geometry::{Point, Pose};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use normal::{Moments, Normal};
@@ -137,7 +138,7 @@ impl Ndt {
             else {
                 break;
             };
-            let length = pose.distance_m(next).hypot(pose.turn_rad(next) * mean_range);
+            let length = hypot(pose.distance_m(next), pose.turn_rad(next) * mean_range);
             (pose, terms) = (next, next_terms);
             if length < STEP_MIN {
                 break;
@@ -200,7 +201,7 @@ impl Ndt {
         pose: Pose,
     ) -> Terms {
         let sides = Sides::new(settings.cell_size_m, field.reader(Level::Full).cell_size_m());
-        let (sin, cos) = pose.heading_rad.sin_cos();
+        let (sin, cos) = sin_cos(pose.heading_rad);
         let blurs = settings.bearing_sigma_rad > 0.0;
         let (mut cost, mut hits) = (0.0, 0);
         let (mut gradient, mut hessian) = (Vector3::zeros(), Matrix3::zeros());
@@ -221,7 +222,7 @@ impl Ndt {
                 if away.squared > FAR {
                     continue;
                 }
-                let likelihood = (-0.5 * away.squared).exp();
+                let likelihood = exp(-0.5 * away.squared);
                 cost -= likelihood;
                 let inverse = if blurs { normal.inverse_with(blur) } else { normal.inverse };
                 add_derivatives(&mut gradient, &mut hessian, turned, away.weighted, &inverse, likelihood);

@@ -3,6 +3,7 @@
 
 use crate::cloud::Placement;
 use flockslam_evidence::floor;
+use flockslam_geometry::elementary::sin_cos;
 use flockslam_geometry::{Point, Pose, wrap_angle};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use std::collections::VecDeque;
@@ -240,7 +241,7 @@ impl SurfaceMap {
 
     fn sums(&self, points: &[Point], pose: Pose) -> Sums {
         // The same bits on every machine.
-        let (sin, cos) = libm::sincos(pose.heading_rad);
+        let (sin, cos) = sin_cos(pose.heading_rad);
         let mut sums =
             Sums { information: Matrix3::zeros(), gradient: Vector3::zeros(), weights: 0.0, cost: 0.0 };
         for point in points {
@@ -321,7 +322,7 @@ impl SurfaceMap {
 fn located(inverse: Matrix2<f64>) -> Matrix2<f64> {
     let extent = EXTENT_M.powi(-2);
     let (middle, half) = (0.5 * (inverse.m11 + inverse.m22), 0.5 * (inverse.m11 - inverse.m22));
-    let apart = libm::sqrt(half * half + inverse.m12 * inverse.m12);
+    let apart = (half * half + inverse.m12 * inverse.m12).sqrt();
     let (large, small) = ((middle + apart - extent).max(0.0), (middle - apart - extent).max(0.0));
     let mean = 0.5 * (large + small);
     let share = if apart > 0.0 { 0.5 * (large - small) / apart } else { 0.0 };

@@ -5,6 +5,7 @@ use crate::batch::TimedEquations;
 use crate::field::ScoreField;
 use crate::gauss_newton::{PRIOR_HEADING, PRIOR_XY, of_pose, shared_variance};
 use flockslam_evidence::Level;
+use flockslam_geometry::elementary::sin_cos;
 use flockslam_geometry::{Covariance, Point, Pose, Twist, wrap_angle};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
@@ -86,7 +87,7 @@ impl Sweep<'_> {
         system.gradient += pull * missed;
         let Some(factor) = system.hessian.cholesky() else { return now };
         let step = factor.solve(&system.gradient);
-        let (sin, cos) = now.pose.heading_rad.sin_cos();
+        let (sin, cos) = sin_cos(now.pose.heading_rad);
         MotionState {
             pose: Pose::new(now.pose.x_m + step[0], now.pose.y_m + step[1], now.pose.heading_rad + step[2]),
             twist: Twist {
@@ -118,7 +119,7 @@ impl Sweep<'_> {
 impl TwistSigma {
     /// Inverse covariance along the axes of the field, of a robot at `pose`.
     fn precision(&self, pose: Pose) -> Matrix3<f64> {
-        let (sin, cos) = pose.heading_rad.sin_cos();
+        let (sin, cos) = sin_cos(pose.heading_rad);
         let turned = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
         let own = Vector3::new(self.x_m_s.powi(-2), self.y_m_s.powi(-2), self.turn_rad_s.powi(-2));
         turned * Matrix3::from_diagonal(&own) * turned.transpose()
@@ -135,7 +136,7 @@ fn weights(pose: [f64; 3], twist: Matrix3<f64>) -> Matrix6<f64> {
 
 /// Difference of two velocities of the robot along the axes of the field, m/s.
 fn in_field(pose: Pose, to: Twist, from: Twist) -> [f64; 2] {
-    let (sin, cos) = pose.heading_rad.sin_cos();
+    let (sin, cos) = sin_cos(pose.heading_rad);
     let (x, y) = (to.x_m_s - from.x_m_s, to.y_m_s - from.y_m_s);
     [cos * x - sin * y, sin * x + cos * y]
 }

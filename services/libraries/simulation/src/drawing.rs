@@ -3,6 +3,7 @@
 use super::floor_plan::{FloorPlan, Outline};
 use super::index::Surface;
 use flockslam_geometry::Point;
+use flockslam_geometry::elementary::{cos, sin, sin_cos};
 use std::f64::consts::TAU;
 
 /// Thickness of walls, metres.
@@ -57,7 +58,7 @@ impl Drawing {
         let corner = |i: u32| f64::from(i) * TAU / 8.0;
         let corners = (0..8)
             .map(corner)
-            .map(|angle| Point::new(x + radius * angle.cos(), y + radius * angle.sin()))
+            .map(|angle| Point::new(x + radius * cos(angle), y + radius * sin(angle)))
             .collect();
         self.outline(corners);
     }
@@ -75,7 +76,7 @@ impl Drawing {
 
 /// Corners of a rectangle: centre x and y, length, width, and its turn in degrees.
 pub(super) fn rectangle_corners([x, y, length, width, turn_deg]: [f64; 5]) -> [Point; 4] {
-    let (sin, cos) = turn_deg.to_radians().sin_cos();
+    let (sin, cos) = sin_cos(turn_deg.to_radians());
     [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]
         .map(|(u, v)| (u * length, v * width))
         .map(|(u, v)| Point::new(x + cos * u - sin * v, y + sin * u + cos * v))

@@ -3,6 +3,7 @@
 use super::free_space::FreeSpace;
 use super::tour::Tour;
 use super::{Settings, WorldName};
+use flockslam_geometry::elementary::{atan2, hypot, sin};
 use flockslam_geometry::{Point, Pose, Twist, wrap_angle};
 use flockslam_random::Random;
 use std::collections::VecDeque;
@@ -86,7 +87,7 @@ impl Drive {
             }
         }
         let (start, ahead) = (way[0], ahead.unwrap_or(way[0]));
-        let heading_rad = (ahead.y_m - start.y_m).atan2(ahead.x_m - start.x_m);
+        let heading_rad = atan2(ahead.y_m - start.y_m, ahead.x_m - start.x_m);
         Self {
             tick_s,
             limits: Limits::of(settings),
@@ -211,12 +212,12 @@ fn draw_pauses(settings: &Settings) -> VecDeque<(f64, f64)> {
 /// The velocity that leads along the arc to the target, slower the more it must turn.
 fn pursue(pose: Pose, target: Point, limits: Limits) -> Twist {
     let (dx, dy) = (target.x_m - pose.x_m, target.y_m - pose.y_m);
-    let bearing_rad = wrap_angle(dy.atan2(dx) - pose.heading_rad);
+    let bearing_rad = wrap_angle(atan2(dy, dx) - pose.heading_rad);
     if bearing_rad.abs() > TURN_ON_SPOT_RAD {
         let turn_rad_s = (TURN_GAIN * bearing_rad).clamp(-limits.turn_rad_s, limits.turn_rad_s);
         return Twist { turn_rad_s, ..Twist::default() };
     }
-    let curvature = 2.0 * bearing_rad.sin() / dx.hypot(dy).max(0.1);
+    let curvature = 2.0 * sin(bearing_rad) / hypot(dx, dy).max(0.1);
     let slow_down = 1.0 - 0.7 * bearing_rad.abs() / TURN_ON_SPOT_RAD;
     let speed = (limits.speed_m_s * slow_down).min(limits.turn_rad_s / curvature.abs().max(1e-9));
     Twist { x_m_s: speed, y_m_s: 0.0, turn_rad_s: curvature * speed }

@@ -2,6 +2,7 @@
 
 use super::{BeamLabel, Settings, Simulation, SimulationError, World};
 use flockslam_evidence::{Cell, CellIndex, TILE_CELLS, TileDirectory, floor};
+use flockslam_geometry::elementary::{atan2, sin_cos};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{ScanBuffer, ScanView};
 use flockslam_ray_insertion::Ray;
@@ -108,7 +109,7 @@ impl GroundTruth {
         let rays: Vec<_> = (0..scan.len())
             .filter_map(|beam| {
                 let (laser, range_m) = beam_at(beam)?;
-                let (sin, cos) = scan.angle_rad(beam).sin_cos();
+                let (sin, cos) = sin_cos(scan.angle_rad(beam));
                 // A hair behind the surface, so that walls on borders between cells stand in their own.
                 let end = laser.apply(Point::new((range_m + 1e-3) * cos, (range_m + 1e-3) * sin));
                 Some((beam, in_cells(laser.position()), in_cells(end)))
@@ -167,7 +168,7 @@ fn is_plain(scan: ScanView<'_>, beam: usize) -> bool {
         return false;
     };
     let between_rad = (scan.angle_rad(next) - scan.angle_rad(beam)).abs();
-    range_m < FAR_M && (range_m * between_rad).atan2((range_m - next_m).abs()) > GRAZING_RAD
+    range_m < FAR_M && atan2(range_m * between_rad, (range_m - next_m).abs()) > GRAZING_RAD
 }
 
 #[cfg(test)]

@@ -6,6 +6,8 @@
 //! asked for ([`Settings::walkers`] and those beside it). Everything follows from the settings and their seed, and is
 //! made scan by scan: a drive of any length takes the same memory.
 
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
+
 mod axis;
 mod built_in;
 mod drawing;

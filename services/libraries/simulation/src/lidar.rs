@@ -4,6 +4,7 @@ use super::drive::Turn;
 use super::dynamics::Dynamics;
 use super::outdoors::Tilt;
 use super::{BeamLabel, Errors, Settings, World};
+use flockslam_geometry::elementary::sin_cos;
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{ScanBuffer, ScanHeader};
 use flockslam_random::Random;
@@ -102,7 +103,7 @@ impl Lidar {
             let laser = turn.pose_after(seconds) * self.mount;
             let direction_rad =
                 laser.heading_rad + self.angle_min_rad + f64::from(beam) * self.angle_increment_rad;
-            let (sin, cos) = direction_rad.sin_cos();
+            let (sin, cos) = sin_cos(direction_rad);
             // A little farther than the lidar reaches, so that edges there look like all others.
             let reach_m = f64::from(self.settings.range_max_m) + 1.0;
             let (from, direction) = (laser.position(), Point::new(cos, sin));

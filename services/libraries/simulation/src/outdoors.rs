@@ -5,6 +5,7 @@ use super::floor_plan::{FloorPlan, Outline, sides};
 use super::index::{Segment, Surface};
 use super::terrain::Terrain;
 use flockslam_geometry::Point;
+use flockslam_geometry::elementary::{hypot, ln, sin_cos};
 use flockslam_random::Random;
 
 /// Height of the lidar above the ground, metres: on a small robot.
@@ -90,7 +91,7 @@ impl Outdoors {
             });
         let leaves = |plant: &Plant| plant.range_m(from, direction, clearance_m, random);
         let leaves_m = self.plants.iter().map(leaves).fold(f64::INFINITY, f64::min);
-        let length = slope.hypot(1.0);
+        let length = hypot(slope, 1.0);
         let nearest_m = firm_m.min(leaves_m);
         if nearest_m <= ground_m {
             return nearest_m * length;
@@ -119,14 +120,14 @@ impl Plant {
         random: &mut Random,
     ) -> f64 {
         let Some((enters_m, leaves_m)) = self.chord(from, direction) else { return f64::INFINITY };
-        let range_m = enters_m - LEAVES_M * random.above_zero().ln();
+        let range_m = enters_m - LEAVES_M * ln(random.above_zero());
         if range_m < leaves_m && clearance_m(range_m) < self.height_m { range_m } else { f64::INFINITY }
     }
 
     /// Distances at which a beam enters and leaves the rectangle (slabs: Kay and Kajiya 1986).
     fn chord(&self, from: Point, direction: Point) -> Option<(f64, f64)> {
         let [x, y, length_m, width_m, turn_deg] = self.rectangle;
-        let (sin, cos) = turn_deg.to_radians().sin_cos();
+        let (sin, cos) = sin_cos(turn_deg.to_radians());
         let (dx, dy) = (from.x_m - x, from.y_m - y);
         let axes = [
             (cos * dx + sin * dy, cos * direction.x_m + sin * direction.y_m, 0.5 * length_m),

@@ -1,6 +1,7 @@
 //! Uneven ground: its height, its slope, and where a beam meets it.
 
 use flockslam_geometry::Point;
+use flockslam_geometry::elementary::{cos, hypot, sin, tan};
 use flockslam_random::Random;
 use std::f64::consts::TAU;
 
@@ -29,16 +30,16 @@ impl Terrain {
             let (direction_rad, phase_rad) = (random.between(0.0, TAU), random.between(0.0, TAU));
             let number = TAU / length_m;
             // Equal slopes of all waves: short ones are low.
-            (number * direction_rad.cos(), number * direction_rad.sin(), phase_rad, 1.0 / number)
+            (number * cos(direction_rad), number * sin(direction_rad), phase_rad, 1.0 / number)
         });
         let (columns, rows) = ((size_m.0 / SPACING_M) as usize + 2, (size_m.1 / SPACING_M) as usize + 2);
         let height_m = |i: usize| {
             let (x_m, y_m) = ((i % columns) as f64 * SPACING_M, (i / columns) as f64 * SPACING_M);
-            waves.iter().map(|(u, v, phase, amplitude)| amplitude * (u * x_m + v * y_m + phase).sin()).sum()
+            waves.iter().map(|(u, v, phase, amplitude)| amplitude * sin(u * x_m + v * y_m + phase)).sum()
         };
         let mut terrain = Self { columns, rows, heights_m: (0..columns * rows).map(height_m).collect() };
         let steepest = terrain.steepest();
-        let scale = STEEPEST_DEG.to_radians().tan() / steepest;
+        let scale = tan(STEEPEST_DEG.to_radians()) / steepest;
         terrain.heights_m.iter_mut().for_each(|height_m| *height_m *= scale);
         terrain
     }
@@ -48,7 +49,7 @@ impl Terrain {
         let slope = |i: usize| {
             let along_x = self.heights_m[i + 1] - self.heights_m[i];
             let along_y = self.heights_m[i + self.columns] - self.heights_m[i];
-            along_x.hypot(along_y) / SPACING_M
+            hypot(along_x, along_y) / SPACING_M
         };
         let inner = (0..self.rows - 1).flat_map(|row| (0..self.columns - 1).map(move |column| (row, column)));
         inner.map(|(row, column)| slope(row * self.columns + column)).fold(0.0, f64::max)

@@ -1,6 +1,7 @@
 //! Where a lidar sits on a robot: its pose in space, reduced to the plane that scans are matched in.
 
 use flockslam_geometry::Pose;
+use flockslam_geometry::elementary::{acos, atan2};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use std::f64::consts::PI;
 
@@ -32,7 +33,7 @@ impl Mounting {
     pub fn from_transform(base_from_laser: &Isometry3<f64>) -> Result<Self, MountingError> {
         let up = (base_from_laser.rotation * Vector3::z()).z;
         if up.abs() < TILT_COS_MIN {
-            return Err(MountingError { tilt_deg: up.clamp(-1.0, 1.0).acos().to_degrees() });
+            return Err(MountingError { tilt_deg: acos(up.clamp(-1.0, 1.0)).to_degrees() });
         }
         Ok(Self { base_from_laser: planar(base_from_laser), upside_down: up < 0.0 })
     }
@@ -49,7 +50,7 @@ impl Mounting {
 /// A pose in space seen from above: its position, and the direction of its x axis.
 pub fn planar(pose: &Isometry3<f64>) -> Pose {
     let ahead = pose.rotation * Vector3::x();
-    Pose::new(pose.translation.x, pose.translation.y, ahead.y.atan2(ahead.x))
+    Pose::new(pose.translation.x, pose.translation.y, atan2(ahead.y, ahead.x))
 }
 
 #[cfg(test)]

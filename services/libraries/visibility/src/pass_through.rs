@@ -3,6 +3,7 @@
 
 use crate::PolarRangeImage;
 use crate::polar_range_image::SPACING_MAX_RAD;
+use flockslam_geometry::elementary::atan2;
 use flockslam_geometry::{Point, Pose};
 use std::f64::consts::SQRT_2;
 
@@ -94,7 +95,7 @@ impl<'a> PassThrough<'a> {
         if distance_m < NEAR_M {
             return Visibility::Open;
         }
-        let direction_rad = dy.atan2(dx) - self.from_laser.heading_rad;
+        let direction_rad = atan2(dy, dx) - self.from_laser.heading_rad;
         let half_width_rad = 0.5 * self.cell_size_m / distance_m;
         let behind_m = self.margins.behind_m + self.margins.behind_share * distance_m;
         let beyond_m = distance_m + behind_m;

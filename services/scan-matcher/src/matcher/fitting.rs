@@ -8,6 +8,7 @@ use super::surroundings::Surroundings;
 use crate::motion::{Coasting, Prediction, SLIP_COST};
 use crate::settings::{Settings, Strategy};
 use flockslam_evidence::Level;
+use flockslam_geometry::elementary::sin_cos;
 use flockslam_geometry::{Covariance, Point, Pose, Twist};
 use flockslam_messages::ScanView;
 use flockslam_odometry_noise::OdometryNoise;
@@ -482,7 +483,7 @@ fn window(center: Pose, (reach_m, reach_rad): (f64, f64)) -> Window {
 /// have slopes, which hold nothing.
 fn inflated(covariance: Covariance, points: &[Point], pose: Pose) -> Covariance {
     let Some((held, axis)) = degenerate_direction(points) else { return covariance };
-    let (sin, cos) = pose.heading_rad.sin_cos();
+    let (sin, cos) = sin_cos(pose.heading_rad);
     let axis = Vector2::new(cos * axis.x - sin * axis.y, sin * axis.x + cos * axis.y);
     let along = |axis: Vector2<f64>| {
         let Covariance { xx, xy, yy, .. } = covariance;

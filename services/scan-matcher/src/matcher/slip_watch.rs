@@ -5,6 +5,7 @@
 
 use super::surroundings::prior;
 use crate::motion::{Prediction, SLIP_COST};
+use flockslam_geometry::elementary::hypot;
 use flockslam_geometry::{Covariance, Point, Pose, Twist};
 use flockslam_messages::ScanView;
 use flockslam_registration::SurfaceMap;
@@ -154,7 +155,7 @@ impl SlipWatch {
         let (odometry, last) = scan.odometry().zip(self.last[0])?;
         let step_s = last.seconds_to(scan.header().times.sensor_ns)?;
         let odometry_step = last.odometry.to(odometry);
-        let travel_m = odometry_step.x_m.hypot(odometry_step.y_m);
+        let travel_m = hypot(odometry_step.x_m, odometry_step.y_m);
         if let Some(rival) = self.rival {
             let rival = Rival { travel_m: rival.travel_m + travel_m, ..rival };
             return (rival.travel_m < TRAVEL_MAX_M).then_some(SlipStep { rival, odometry_step, step_s });

@@ -4,6 +4,8 @@
 //! `support` has the buildings and front ends, `flocks` the robots that tell each other, `trials` the trials of `false_merges`. The
 //! examples `false_merges` and `scaling` use these three as well.
 
+#![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
+
 mod loops;
 mod meeting_trials;
 mod meetings_of_robots;

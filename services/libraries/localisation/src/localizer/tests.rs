@@ -43,7 +43,7 @@ const EQUAL_ROOMS: [[f64; 4]; 6] = [
 fn seen(map: &KnownMap, at: Placement) -> Vec<PackedPoint> {
     let beam = |k: i32| {
         let angle = f64::from(k) * std::f64::consts::TAU / 180.0;
-        let (sin, cos) = (libm::sin(angle), libm::cos(angle));
+        let (sin, cos) = angle.sin_cos();
         (0..1200).map(|step| f64::from(step) * 0.01).find_map(|range_m| {
             let (x, y) = at.apply(range_m * cos, range_m * sin);
             let hit = map.at(x, y).state != CellState::Free;
@@ -62,10 +62,10 @@ fn drive(
 ) -> Belief {
     for pair in places.windows(2) {
         let (dx, dy) = (pair[1].0 - pair[0].0, pair[1].1 - pair[0].1);
-        let steps = (libm::hypot(dx, dy) / 0.3).ceil().max(1.0) as i32;
+        let steps = (dx.hypot(dy) / 0.3).ceil().max(1.0) as i32;
         for step in 0..=steps {
             let share = f64::from(step) / f64::from(steps);
-            let at = Placement::new(pair[0].0 + share * dx, pair[0].1 + share * dy, libm::atan2(dy, dx));
+            let at = Placement::new(pair[0].0 + share * dx, pair[0].1 + share * dy, dy.atan2(dx));
             localizer.see(odom_from_map.compose(at), &seen(world, at));
         }
     }

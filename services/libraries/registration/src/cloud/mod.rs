@@ -1,8 +1,8 @@
 //! Fitting clouds of points to submaps: branch and bound over a score field, then point-to-line refinement
 //! against the moments of the submap's points.
 //!
-//! Everything here gives the same bits on every machine: sums are kept in integers, transcendental functions
-//! come from crate `libm`, and nothing depends on the order of a hash table.
+//! Everything here gives the same bits on every machine: sums are kept in integers, elementary functions
+//! come from `flockslam_geometry::elementary`, and nothing depends on the order of a hash table.
 
 mod align;
 mod cloud_point;

@@ -1,11 +1,11 @@
-//! Poses whose sine and cosine are the same bits on every machine.
+//! Poses with their rotation worked out, for placing many points.
 
+use flockslam_geometry::elementary::sin_cos;
 use flockslam_geometry::{Pose, wrap_angle};
 
 /// A pose with its rotation worked out, for placing many points.
 ///
-/// Sine and cosine come from crate `libm`, so that a solution computed from placements is the same to the bit
-/// on every machine; [`Pose`] uses the platform's functions.
+/// A [`Pose`] works it out anew for each point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
     /// Metres along x of the parent frame.
@@ -25,7 +25,7 @@ impl Placement {
     /// A placement from metres and radians.
     pub fn new(x_m: f64, y_m: f64, heading_rad: f64) -> Self {
         let heading_rad = wrap_angle(heading_rad);
-        let (sin, cos) = libm::sincos(heading_rad);
+        let (sin, cos) = sin_cos(heading_rad);
         Self { x_m, y_m, heading_rad, cos, sin }
     }
 

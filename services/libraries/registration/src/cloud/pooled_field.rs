@@ -1,6 +1,7 @@
 //! Scores around the points of a submap with maxima over growing squares: what the search by branch and bound reads.
 
 use super::MomentGrid;
+use flockslam_geometry::elementary::exp;
 
 /// Side of a cell, metres.
 const CELL_M: f64 = MomentGrid::CELL_M;
@@ -102,7 +103,7 @@ impl PooledField {
 fn influence_table() -> Vec<u8> {
     let farthest = 2.0 * (f64::from(REACH) + 1.0) * (f64::from(REACH) + 1.0) * CELL_M * CELL_M;
     let steps = (farthest * STEPS_PER_M2) as usize + 1;
-    let value = |i: usize| libm::exp(-(i as f64 / STEPS_PER_M2) / (2.0 * SIGMA_M * SIGMA_M));
+    let value = |i: usize| exp(-(i as f64 / STEPS_PER_M2) / (2.0 * SIGMA_M * SIGMA_M));
     (0..steps).map(|i| (255.0 * value(i)).round() as u8).collect()
 }
 

@@ -1,6 +1,7 @@
 //! Times, headers, poses.
 
 use super::message;
+use flockslam_geometry::elementary::{atan2, sin_cos};
 use serde::{Deserialize, Serialize};
 
 /// `builtin_interfaces/Time`.
@@ -74,14 +75,14 @@ impl Default for Quaternion {
 impl Quaternion {
     /// A turn about z, radians.
     pub fn about_z(heading_rad: f64) -> Self {
-        let (z, w) = (heading_rad / 2.0).sin_cos();
+        let (z, w) = sin_cos(heading_rad / 2.0);
         Self { x: 0.0, y: 0.0, z, w }
     }
 
     /// The heading of a rotation: its turn about z, radians.
     pub fn heading_rad(self) -> f64 {
         let Self { x, y, z, w } = self;
-        (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z))
+        atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     }
 }
 

@@ -6,6 +6,7 @@ use crate::index::Surface;
 use crate::outdoors::{Outdoors, Plant};
 use crate::terrain::Terrain;
 use flockslam_geometry::Point;
+use flockslam_geometry::elementary::{atan2, hypot, sin_cos};
 use flockslam_random::Random;
 
 const SIZE_M: (f64, f64) = (250.0, 200.0);
@@ -136,7 +137,7 @@ impl Campus {
     fn building(&mut self, middle: Point) {
         let (length_m, width_m) = (self.random.between(26.0, 34.0), self.random.between(20.0, 30.0));
         let turn_deg = self.random.between(-6.0, 6.0);
-        let (sin, cos) = turn_deg.to_radians().sin_cos();
+        let (sin, cos) = sin_cos(turn_deg.to_radians());
         let at = |u: f64, v: f64| (middle.x_m + u * cos - v * sin, middle.y_m + u * sin + v * cos);
         let put = |drawing: &mut Drawing, surface, [u, v, length, width]: [f64; 4]| {
             let (x, y) = at(u, v);
@@ -199,7 +200,7 @@ impl Campus {
         let radius_m = self.random.between(0.1, 0.25);
         let (length_m, width_m) = (self.random.between(0.8, 3.0), self.random.between(0.8, 1.6));
         let (turn_deg, height_m) = (self.random.between(0.0, 180.0), self.random.between(0.6, 1.5));
-        let reach_m = if is_tree { radius_m } else { 0.5 * length_m.hypot(width_m) };
+        let reach_m = if is_tree { radius_m } else { 0.5 * hypot(length_m, width_m) };
         if !self.is_clear(at, reach_m) {
             return;
         }
@@ -220,7 +221,7 @@ impl Campus {
         ];
         for ([x, y], turn_deg, length_m) in sides {
             let pieces = (length_m / 25.0) as usize;
-            let (sin, cos) = f64::to_radians(turn_deg).sin_cos();
+            let (sin, cos) = sin_cos(f64::to_radians(turn_deg));
             for piece in 0..pieces {
                 let along_m = (piece as f64 + 0.5) * 25.0 - 0.5 * length_m;
                 let middle = Point::new(x + along_m * cos, y + along_m * sin);
@@ -243,8 +244,8 @@ impl Campus {
     fn along_the_paths(&mut self) {
         for (from, to) in self.paths() {
             let (dx, dy) = (to.x_m - from.x_m, to.y_m - from.y_m);
-            let length_m = dx.hypot(dy);
-            let turn_deg = dy.atan2(dx).to_degrees();
+            let length_m = hypot(dx, dy);
+            let turn_deg = atan2(dy, dx).to_degrees();
             let at = |along_m: f64, beside_m: f64| {
                 let (u, v) = (dx / length_m, dy / length_m);
                 Point::new(from.x_m + along_m * u - beside_m * v, from.y_m + along_m * v + beside_m * u)
@@ -277,7 +278,7 @@ impl Campus {
     fn hedge(&mut self, middle: Point, length_m: f64, turn_deg: f64) {
         let width_m = self.random.between(0.8, 1.4);
         let height_m = self.random.between(0.9, 1.8);
-        let (sin, cos) = turn_deg.to_radians().sin_cos();
+        let (sin, cos) = sin_cos(turn_deg.to_radians());
         let pieces = (length_m / 3.0).ceil() as usize;
         for piece in 0..pieces {
             let along_m = (piece as f64 + 0.5) * 3.0 - 0.5 * length_m;

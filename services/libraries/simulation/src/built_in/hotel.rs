@@ -2,6 +2,7 @@
 
 use crate::drawing::{Drawing, WALL_M};
 use crate::floor_plan::FloorPlan;
+use flockslam_geometry::elementary::{atan2, sin_cos};
 use flockslam_random::Random;
 
 /// Corridors from west to east.
@@ -121,10 +122,10 @@ impl Hotel {
             _ => self.random.between(75.0, 95.0),
         };
         // Shut it lies from the hinge towards the corner.
-        let (sin, cos) = f64::to_radians(opened_deg).sin_cos();
+        let (sin, cos) = sin_cos(f64::to_radians(opened_deg));
         let (dx, dy) = (-hand * cos, side * sin);
         let half_m = 0.5 * (DOOR_M - 0.02);
-        let turn_deg = dy.atan2(dx).to_degrees();
+        let turn_deg = atan2(dy, dx).to_degrees();
         self.drawing.rectangle([x_m + half_m * dx, y_m + half_m * dy, 2.0 * half_m, LEAF_M, turn_deg]);
     }
 

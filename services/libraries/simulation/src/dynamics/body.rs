@@ -1,6 +1,7 @@
 //! The body of a simulated person during one turn of the lidar, for ray casting and as exact truth.
 
 use flockslam_geometry::Point;
+use flockslam_geometry::elementary::hypot;
 
 /// Radius of a person at the height of the lidar, metres.
 pub(super) const RADIUS_M: f64 = 0.2;
@@ -56,7 +57,7 @@ impl Body {
 /// Where somebody is who would like to be at `position`, with the robot where it is.
 pub(super) fn squeezed(position: Point, robot: Point) -> Point {
     let (dx, dy) = (position.x_m - robot.x_m, position.y_m - robot.y_m);
-    let scale = (SQUEEZED_M / dx.hypot(dy).max(1e-3)).max(1.0);
+    let scale = (SQUEEZED_M / hypot(dx, dy).max(1e-3)).max(1.0);
     Point::new(robot.x_m + scale * dx, robot.y_m + scale * dy)
 }
 

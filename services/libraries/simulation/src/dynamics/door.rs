@@ -4,6 +4,7 @@ use crate::World;
 use crate::free_space::FreeSpace;
 use crate::index::{Segment, Surface, from_to};
 use flockslam_geometry::Point;
+use flockslam_geometry::elementary::sin_cos;
 use flockslam_random::Random;
 use std::f64::consts::PI;
 
@@ -52,7 +53,7 @@ pub(super) fn hang(count: u32, world: &World, room: &FreeSpace, robot: Point, se
 /// The line across the passage that a place lies in, from wall to wall, if it lies in one.
 fn passage(world: &World, place: Point) -> Option<Segment> {
     let across = |step: u32| {
-        let (sin, cos) = (PI * f64::from(step) / f64::from(DIRECTIONS)).sin_cos();
+        let (sin, cos) = sin_cos(PI * f64::from(step) / f64::from(DIRECTIONS));
         let reach = |sign: f64| world.cast(place, Point::new(sign * cos, sign * sin), WIDTH_M.1);
         let (right_m, left_m) = (reach(1.0)?, reach(-1.0)?);
         let start = Point::new(place.x_m - left_m * cos, place.y_m - left_m * sin);

@@ -4,6 +4,7 @@ use super::body::{Body, RADIUS_M, squeezed};
 use crate::World;
 use crate::free_space::FreeSpace;
 use flockslam_geometry::Point;
+use flockslam_geometry::elementary::{hypot, sin_cos};
 use flockslam_random::Random;
 use std::collections::VecDeque;
 
@@ -90,7 +91,7 @@ impl Walker {
 /// Away from the robot, and to the right of it, so that nobody is pushed along in front of it.
 fn make_way(wanted: Point, position: Point, robot: Point) -> Point {
     let (dx, dy) = (position.x_m - robot.x_m, position.y_m - robot.y_m);
-    let distance_m = dx.hypot(dy).max(1e-3);
+    let distance_m = hypot(dx, dy).max(1e-3);
     let push = MAKE_WAY_PER_S * (MAKE_WAY_M - distance_m).max(0.0) / distance_m;
     Point::new(wanted.x_m + push * (dx + 0.5 * dy), wanted.y_m + push * (dy - 0.5 * dx))
 }
@@ -101,7 +102,7 @@ fn shortened(velocity: Point, longest: f64) -> Point {
 }
 
 fn turned(velocity: Point, turn_deg: f64) -> Point {
-    let (sin, cos) = turn_deg.to_radians().sin_cos();
+    let (sin, cos) = sin_cos(turn_deg.to_radians());
     Point::new(cos * velocity.x_m - sin * velocity.y_m, sin * velocity.x_m + cos * velocity.y_m)
 }
 
