@@ -4,9 +4,10 @@
 use crate::FusedMap;
 use crate::rays::Rays;
 use flockslam_evidence::{CellIndex, TILE_SIDE, TileKey, floor};
+use flockslam_geometry::elementary::hypot;
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{Deskew, ScanView};
-use flockslam_visibility::{Margins, PassThrough, PolarRangeImage, Visibility};
+use flockslam_visibility::{Horizon, Margins, PassThrough, PolarRangeImage, Visibility};
 use std::collections::BTreeMap;
 
 /// Cells farther from the lidar are not judged, metres: beams are too far apart there.
@@ -36,6 +37,8 @@ pub struct FinalCleaning {
     cell_size_m: f64,
     tiles: BTreeMap<TileKey, Vec<Watched>>,
     sight: PolarRangeImage,
+    /// What the present scan cannot see.
+    horizon: Horizon,
     /// Beams of the present scan.
     rays: Rays,
     /// Cells that a beam of the present scan passes, and whether all beams near do.
@@ -77,6 +80,7 @@ impl FinalCleaning {
             cell_size_m: map.cell_size_m(),
             tiles: tiles.filter(|(_, watched)| !watched.is_empty()).collect(),
             sight: PolarRangeImage::new(),
+            horizon: Horizon::new(),
             rays: Rays::new(map.cell_size_m(), REACH_M, PASSED_BEHIND_M, NEAR_CELLS),
             through: Vec::new(),
         }
@@ -86,6 +90,7 @@ impl FinalCleaning {
     pub fn look(&mut self, scan: ScanView<'_>, deskew: &Deskew, map_from_base: Pose, views: u8) {
         let map_from_laser = map_from_base * scan.header().base_from_laser;
         self.sight.look(scan, deskew);
+        self.horizon.look(&self.sight, map_from_laser.heading_rad, self.cell_size_m);
         self.rays.look(scan, deskew, map_from_base, map_from_laser.position());
         let view = PassThrough::new(&self.sight, map_from_laser, self.cell_size_m, MARGINS);
         let (at, size_m) = (map_from_laser.position(), self.cell_size_m);
@@ -99,14 +104,17 @@ impl FinalCleaning {
             for (place, watched) in tile.iter_mut().enumerate() {
                 let cell = key.cell(usize::from(watched.offset));
                 let center = center(cell, size_m);
-                if center.distance_m(at) > REACH_M {
+                let (dx_m, dy_m) = (center.x_m - at.x_m, center.y_m - at.y_m);
+                let distance_m = hypot(dx_m, dy_m);
+                if distance_m > REACH_M {
                     continue;
                 }
-                let is_end_near = self.rays.is_end_near(cell);
+                let (is_end_near, is_crossed) = self.rays.at(cell);
                 if is_end_near {
                     (watched.passes, watched.scans) = (0, 0);
                 }
-                match view.judge(center) {
+                let is_hidden = self.horizon.hides(dx_m, dy_m, distance_m);
+                match if is_hidden { Visibility::Open } else { view.judge(center) } {
                     Visibility::SeenThrough => {
                         seen_through += 1;
                         self.through.push((key, place, true));
@@ -118,7 +126,7 @@ impl FinalCleaning {
                     }
                     Visibility::Passed | Visibility::Open => (),
                 }
-                if !is_end_near && self.rays.is_crossed(cell) {
+                if !is_end_near && is_crossed {
                     self.through.push((key, place, false));
                 }
             }

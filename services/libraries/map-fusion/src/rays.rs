@@ -22,23 +22,28 @@ pub struct Rays {
     /// Cell of the lidar.
     middle: CellIndex,
     /// The number of the last scan of which a beam ended near, and of the last of which one went through; numbers begin again after 255.
-    ended: Vec<u8>,
-    crossed: Vec<u8>,
+    marks: Vec<Marks>,
     scan: u8,
+}
+
+/// Of a cell, side by side, since both are read together.
+#[derive(Clone, Copy, Debug, Default)]
+struct Marks {
+    ended: u8,
+    crossed: u8,
 }
 
 impl Rays {
     /// Of no scan.
     pub fn new(cell_size_m: f64, reach_m: f64, before_m: f64, near: i32) -> Self {
-        let (middle, none) = (CellIndex::new(0, 0), vec![0; SIDE * SIDE]);
-        Self { cell_size_m, reach_m, before_m, near, middle, ended: none.clone(), crossed: none, scan: 0 }
+        let (middle, marks) = (CellIndex::new(0, 0), vec![Marks::default(); SIDE * SIDE]);
+        Self { cell_size_m, reach_m, before_m, near, middle, marks, scan: 0 }
     }
 
     /// Those of a scan from `at`, in place of those before.
     pub fn look(&mut self, scan: ScanView<'_>, deskew: &Deskew, map_from_base: Pose, at: Point) {
         if self.scan == u8::MAX {
-            self.ended.fill(0);
-            self.crossed.fill(0);
+            self.marks.fill(Marks::default());
             self.scan = 0;
         }
         self.scan += 1;
@@ -57,7 +62,7 @@ impl Rays {
         let in_cells = |at: Point| Point::new(at.x_m / self.cell_size_m, at.y_m / self.cell_size_m);
         for cell in Ray::new(in_cells(from), in_cells(to)) {
             if let Some(place) = self.place(cell) {
-                self.crossed[place] = self.scan;
+                self.marks[place].crossed = self.scan;
             }
         }
     }
@@ -67,19 +72,16 @@ impl Rays {
         for (dx, dy) in around.clone().flat_map(|dy| around.clone().map(move |dx| (dx, dy))) {
             let cell = CellIndex::new(end.x.saturating_add(dx), end.y.saturating_add(dy));
             if let Some(place) = self.place(cell) {
-                self.ended[place] = self.scan;
+                self.marks[place].ended = self.scan;
             }
         }
     }
 
-    /// Whether a beam goes through a cell, and ends well behind it.
-    pub fn is_crossed(&self, cell: CellIndex) -> bool {
-        self.place(cell).is_some_and(|place| self.crossed[place] == self.scan)
-    }
-
-    /// Whether a beam ends near a cell.
-    pub fn is_end_near(&self, cell: CellIndex) -> bool {
-        self.place(cell).is_some_and(|place| self.ended[place] == self.scan)
+    /// Whether a beam ends near a cell, and whether one goes through it and ends well behind it.
+    #[inline]
+    pub fn at(&self, cell: CellIndex) -> (bool, bool) {
+        let marks = self.place(cell).map(|place| self.marks[place]);
+        marks.map_or((false, false), |marks| (marks.ended == self.scan, marks.crossed == self.scan))
     }
 
     fn cell(&self, at: Point) -> CellIndex {
@@ -109,14 +111,13 @@ mod tests {
             let view = scan.view().unwrap();
             rays.look(view, &Deskew::new(view, Twist::default()), at, at.position());
             [34, 35, 38, 39, 43, 44].map(|x| {
-                let is =
-                    |y: i32| (rays.is_crossed(CellIndex::new(x, y)), rays.is_end_near(CellIndex::new(x, y)));
-                assert!(!is(1).0 && !is(3).1, "the beam goes along the lowest row");
+                let is = |y: i32| rays.at(CellIndex::new(x, y));
+                assert!(!is(1).1 && !is(3).0, "the beam goes along the lowest row");
                 is(0)
             })
         };
         let at = Pose::new(0.01, 0.01, 0.0);
-        let (none, crossed, near) = ((false, false), (true, false), (false, true));
+        let (none, crossed, near) = ((false, false), (false, true), (true, false));
         // The cell in which the free part of a beam ends is not crossed.
         assert_eq!(look(2.07, at), [crossed, none, none, near, near, none]);
         assert_eq!(look(4.0, at), [crossed; 6], "ends of the scan before are forgotten");

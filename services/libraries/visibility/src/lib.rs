@@ -2,8 +2,10 @@
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
 
+mod horizon;
 mod pass_through;
 mod polar_range_image;
 
+pub use horizon::Horizon;
 pub use pass_through::{Margins, PassThrough, Visibility};
 pub use polar_range_image::{Directions, PolarRangeImage};

@@ -97,7 +97,8 @@ impl PolarRangeImage {
             self.range_m[sector] = self.range_m[sector].min(range_m);
         }
         let place = sectors_of(angle);
-        self.beam_rad[wrap(place.floor() as i64)] = ((place - place.floor()) * TAU / SECTORS as f64) as f32;
+        let sector = floor(place);
+        self.beam_rad[wrap(sector)] = ((place - sector as f64) * TAU / SECTORS as f64) as f32;
     }
 
     /// Mean angle between neighbouring beams, radians.
@@ -107,7 +108,7 @@ impl PolarRangeImage {
 
     /// The range in a direction, metres; 0 where the scan sees nothing.
     pub fn range_m(&self, angle_rad: f64) -> f64 {
-        f64::from(self.range_m[wrap(sectors_of(angle_rad).floor() as i64)])
+        f64::from(self.range_m[wrap(floor(sectors_of(angle_rad)))])
     }
 
     /// The shortest range within `half_rad` of a direction, metres; 0 where the scan sees nothing.
@@ -116,6 +117,14 @@ impl PolarRangeImage {
             .sectors()
             .fold(f32::INFINITY, |nearest, sector| nearest.min(self.range_m[sector]));
         f64::from(nearest)
+    }
+
+    /// The longest range from one direction to another, metres.
+    pub(crate) fn farthest_m(&self, from_rad: f64, to_rad: f64) -> f64 {
+        let farthest = span(from_rad, to_rad)
+            .sectors()
+            .fold(0.0, |farthest: f32, sector| farthest.max(self.range_m[sector]));
+        f64::from(farthest)
     }
 
     /// Whether a beam within `half_rad` of a direction ends between two ranges, metres.
@@ -145,9 +154,15 @@ impl Span {
 
 /// At most one turn, whatever the angles.
 fn span(low_rad: f64, high_rad: f64) -> Span {
-    let low = sectors_of(low_rad).floor() as i64;
-    let high = sectors_of(high_rad).floor() as i64;
+    let (low, high) = (floor(sectors_of(low_rad)), floor(sectors_of(high_rad)));
     Span { low, high: high.clamp(low, low.saturating_add(SECTORS as i64 - 1)) }
+}
+
+/// The sector that a place between sectors lies in; a cast and a comparison cost less than the function of the library.
+#[inline]
+fn floor(place: f64) -> i64 {
+    let truncated = place as i64;
+    truncated.saturating_sub(i64::from(place < truncated as f64))
 }
 
 fn sectors_of(angle_rad: f64) -> f64 {

@@ -1,6 +1,7 @@
 //! Points of several scans as integer moments in cells of 0.1 m, from which local lines are read.
 
 use super::{PackedPoint, Placement};
+use flockslam_evidence::floor;
 use zerocopy::FromZeros;
 
 /// Units in a metre of the fixed-point coordinates: a quarter of a millimetre each.
@@ -286,7 +287,7 @@ impl MomentGrid {
 #[inline]
 fn units(metres: f64) -> i32 {
     // Half a million metres away all cells are one; nothing overflows.
-    (metres * UNITS_PER_M).floor().clamp(-2e9, 2e9) as i32
+    floor((metres * UNITS_PER_M).clamp(-2e9, 2e9))
 }
 
 #[inline]

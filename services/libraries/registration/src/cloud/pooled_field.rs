@@ -1,6 +1,7 @@
 //! Scores around the points of a submap with maxima over growing squares: what the search by branch and bound reads.
 
 use super::MomentGrid;
+use flockslam_evidence::floor;
 use flockslam_geometry::elementary::exp;
 
 /// Side of a cell, metres.
@@ -64,7 +65,7 @@ impl PooledField {
     /// The column or row that holds a coordinate.
     #[inline]
     pub(super) fn cell(metres: f64) -> i32 {
-        (metres * (1.0 / CELL_M)).floor() as i32
+        floor(metres * (1.0 / CELL_M))
     }
 
     /// The highest level.
