@@ -233,12 +233,6 @@ fn services_and_parameters_do_what_they_say() {
     let answer = peer.call("slam_toolbox/SerializePoseGraph", "/slam_toolbox/serialize_map", filename);
     assert_eq!(answer["result"], 0);
     assert!(flockslam().args(["store", "check"]).arg(&kept).output().unwrap().status.success());
-
-    for (localizes, mode) in [(true, "localize"), (false, "map")] {
-        let answer = peer.call("std_srvs/SetBool", "/flockslam/localize", json!({ "data": localizes }));
-        assert_eq!(answer["success"], true, "{answer}");
-        assert_eq!(set.status().unwrap().mode.name, mode);
-    }
     let answer =
         peer.call("slam_toolbox/Reset", "/slam_toolbox/reset", json!({ "pause_new_measurements": false }));
     assert_eq!(answer["result"], 0);
@@ -273,6 +267,13 @@ fn services_and_parameters_do_what_they_say() {
         (answer["result"] == true).then_some(())
     });
     assert!(by_nav2.with_extension("yaml").is_file());
+    // The mode is changed while no scan comes; what is not localized cannot make the map further.
+    let mut localize = |on: bool| peer.call("std_srvs/SetBool", "/flockslam/localize", json!({ "data": on }));
+    assert_eq!(localize(true)["success"], true);
+    assert_eq!(set.status().unwrap().mode.name, "localize");
+    let refused = localize(false);
+    let reason = refused["message"].as_str().unwrap();
+    assert!(refused["success"] == false && reason.contains("not localized in the known map"), "{refused}");
     set.command_well(&["down"]);
 }
 

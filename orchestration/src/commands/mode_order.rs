@@ -18,7 +18,7 @@ use std::thread;
 pub(super) struct ModeChange {
     /// The map that is worked out.
     freezing: Option<Receiver<Result<StoredMap, String>>>,
-    /// The stages have the order to localize and do not yet.
+    /// The stages have the order to localize, and have said nothing of it yet: no scan has come since.
     begins: bool,
     problem: Option<String>,
 }
@@ -118,7 +118,7 @@ impl ModeChange {
 
     /// Adds what it knows to the status of the set.
     pub fn report(&self, status: &mut ModeStatus) {
-        status.changing = self.freezing.is_some() || self.begins;
+        status.changing = self.freezing.is_some();
         status.problem.clone_from(&self.problem);
     }
 }
