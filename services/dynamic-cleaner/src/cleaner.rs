@@ -14,7 +14,7 @@ use flockslam_messages::{
     ClearedCell, Deskew, JudgedCell, MarksHeader, PoseEstimate, PoseFlags, Quality, ScanId, ScanView, Track,
 };
 use flockslam_published_methods::{Ray, SectorScan};
-use flockslam_visibility::{Margins, PassThrough, PolarRangeImage, Visibility};
+use flockslam_visibility::{Horizon, Margins, PassThrough, PolarRangeImage, Visibility};
 use std::ops::Deref;
 
 /// Method `sectors`: neighbouring points of a scan nearer than this are joined (the published dR), metres; a map point this near to a
@@ -65,6 +65,8 @@ const STANDING: (f64, f64) = (0.05, 0.05);
 pub struct DynamicCleaner {
     settings: Settings,
     sight: PolarRangeImage,
+    /// What the scan in `sight` cannot see.
+    horizon: Horizon,
     sectors: SectorScan,
     votes: Votes,
     scans: u32,
@@ -97,6 +99,7 @@ impl DynamicCleaner {
     pub fn new(settings: Settings) -> Self {
         Self {
             sight: PolarRangeImage::new(),
+            horizon: Horizon::new(),
             sectors: SectorScan::default(),
             votes: Votes::new(),
             scans: 0,
@@ -185,10 +188,12 @@ impl DynamicCleaner {
             let beside_rad = margins(pose).beside_max_rad(grid.cell_size_m(), share.nearest_m);
             let toward = sector.directions(beside_rad);
             self.sight.look_toward(scan, &Deskew::new(scan, pose.twist), toward);
+            self.horizon.look(&self.sight, at.heading_rad, grid.cell_size_m());
         }
         let view = PassThrough::new(&self.sight, at, grid.cell_size_m(), margins(pose));
         let laser_from_odom = at.inverse();
         let judge = |center: Point| match self.settings.method {
+            Method::Beams if self.horizon.hides(center.x_m - at.x_m, center.y_m - at.y_m) => Visibility::Open,
             Method::Beams => view.judge(center),
             Method::Sectors => match self.sectors.ray_to(laser_from_odom.apply(center)) {
                 Ray::Free => Visibility::SeenThrough,

@@ -2,7 +2,10 @@
 
 use crate::node::Node;
 use crate::scans::ScanStore;
-use flockslam_registration::cloud::{AlignSettings, Aligner, Alignment, MomentGrid, PackedPoint, Placement};
+use flockslam_registration::cloud::{
+    AlignSettings, Aligner, Alignment, MomentGrid, PackedPoint, PlacedPoint, Placement,
+};
+use std::collections::VecDeque;
 use std::ops::Range;
 
 /// Share of points on lines that a match needs.
@@ -42,13 +45,13 @@ impl Placer<'_> {
     pub fn place_all(&self, kept: &[KeptScan], grid: &mut MomentGrid) -> Vec<Placement> {
         let aligner = Aligner::new(AlignSettings { iterations: 6, ..AlignSettings::default() });
         let Some(first) = kept.first().map(|scan| self.around(scan.node).start) else { return Vec::new() };
-        let mut held = first..first;
+        let mut held = Held { nodes: first..first, points: VecDeque::new() };
         let mut placed = Vec::with_capacity(kept.len());
         for scan in kept {
             self.slide(&mut held, self.around(scan.node), grid);
             // A node must not be matched to itself: it would stay where it is.
             if scan.is_node {
-                grid.withdraw(&self.poses[scan.node], self.scans.points(scan.scan));
+                grid.withdraw_placed(held.of(scan.node));
             }
             placed.push(if self.nodes[scan.node].is_open {
                 scan.guesses[0]
@@ -56,10 +59,10 @@ impl Placer<'_> {
                 place(&aligner, grid, self.scans.points(scan.scan), &scan.guesses)
             });
             if scan.is_node {
-                grid.add(&self.poses[scan.node], self.scans.points(scan.scan));
+                grid.add_placed(held.of(scan.node));
             }
         }
-        let end = held.end;
+        let end = held.nodes.end;
         self.slide(&mut held, end..end, grid);
         placed
     }
@@ -73,11 +76,30 @@ impl Placer<'_> {
     }
 
     /// Moves the range of nodes in the grid forward.
-    fn slide(&self, held: &mut Range<usize>, wanted: Range<usize>, grid: &mut MomentGrid) {
-        let points = |i: usize| self.scans.points(self.nodes[i].scan);
-        (held.end..wanted.end).for_each(|i| grid.add(&self.poses[i], points(i)));
-        (held.start..wanted.start).for_each(|i| grid.withdraw(&self.poses[i], points(i)));
-        *held = wanted;
+    fn slide(&self, held: &mut Held, wanted: Range<usize>, grid: &mut MomentGrid) {
+        for i in held.nodes.end..wanted.end {
+            let points = self.scans.points(self.nodes[i].scan).iter();
+            let placed: Vec<_> = points.map(|point| PlacedPoint::new(&self.poses[i], *point)).collect();
+            grid.add_placed(&placed);
+            held.points.push_back(placed);
+        }
+        for _ in held.nodes.start..wanted.start {
+            held.points.pop_front().iter().for_each(|placed| grid.withdraw_placed(placed));
+        }
+        held.nodes = wanted;
+    }
+}
+
+/// The nodes in the grid, with their points at their places.
+struct Held {
+    nodes: Range<usize>,
+    points: VecDeque<Vec<PlacedPoint>>,
+}
+
+impl Held {
+    /// The points of a node in the grid.
+    fn of(&self, node: usize) -> &[PlacedPoint] {
+        &self.points[node - self.nodes.start]
     }
 }
 

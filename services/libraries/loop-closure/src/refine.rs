@@ -5,7 +5,9 @@ use crate::scans::ScanStore;
 use flockslam_pose_graph::Edge;
 use flockslam_pose_graph::{RobustSettings, solve};
 use flockslam_pose_graph::{in_frame, inflated};
-use flockslam_registration::cloud::{AlignSettings, Aligner, Alignment, MomentGrid, PackedPoint, Placement};
+use flockslam_registration::cloud::{
+    AlignSettings, Aligner, Alignment, MomentGrid, PackedPoint, PlacedPoint, Placement,
+};
 use std::collections::BTreeMap;
 
 /// Side of the squares that scans are matched in together, metres: around each, all points within reach fit on a grid's torus.
@@ -40,8 +42,8 @@ pub struct Refinement<'a> {
     pub in_map: &'a [bool],
 }
 
-/// Points of the map around a block, by node.
-type Around = Vec<(usize, Vec<PackedPoint>)>;
+/// Points of the map around a block, at their places, by node.
+type Around = Vec<(usize, Vec<PlacedPoint>)>;
 
 impl Refinement<'_> {
     /// Matches every node to the map of the present poses, and solves all poses again. `grid` is empty before and after.
@@ -54,9 +56,9 @@ impl Refinement<'_> {
             let place = around.binary_search_by_key(&node, |(i, _)| *i);
             let own = place.map_or(&[][..], |place| &around[place].1);
             // It must not be matched to itself: it would stay where it is.
-            grid.withdraw(&poses[node], own);
+            grid.withdraw_placed(own);
             let found = aligner.align(grid, points, poses[node]);
-            grid.add(&poses[node], own);
+            grid.add_placed(own);
             let believed = found.filter(|found| is_believed(found, &poses[node]));
             edges.extend(believed.and_then(|found| held(&found, &poses[0], node)));
         });
@@ -80,9 +82,9 @@ impl Refinement<'_> {
         for ((row, column), members) in blocks {
             let centre = ((f64::from(column) + 0.5) * BLOCK_M, (f64::from(row) + 0.5) * BLOCK_M);
             let around = self.around(poses, centre);
-            around.iter().for_each(|(i, points)| grid.add(&poses[*i], points));
+            around.iter().for_each(|(_, points)| grid.add_placed(points));
             members.into_iter().for_each(|i| visit(grid, &around, i));
-            around.iter().for_each(|(i, points)| grid.withdraw(&poses[*i], points));
+            around.iter().for_each(|(_, points)| grid.withdraw_placed(points));
         }
     }
 
@@ -94,7 +96,8 @@ impl Refinement<'_> {
                 let (x, y) = at.apply(p.x_m(), p.y_m());
                 (x - x_m).abs() < REACH_M && (y - y_m).abs() < REACH_M
             };
-            self.scans.points(self.nodes[i].scan).iter().filter(near).copied().collect::<Vec<_>>()
+            let points = self.scans.points(self.nodes[i].scan).iter().filter(near);
+            points.map(|point| PlacedPoint::new(&at, *point)).collect::<Vec<_>>()
         };
         let nodes = (0..self.nodes.len()).filter(|i| self.in_map[*i]);
         nodes.map(|i| (i, in_reach(i))).filter(|(_, points)| !points.is_empty()).collect()

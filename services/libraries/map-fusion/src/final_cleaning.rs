@@ -105,15 +105,14 @@ impl FinalCleaning {
                 let cell = key.cell(usize::from(watched.offset));
                 let center = center(cell, size_m);
                 let (dx_m, dy_m) = (center.x_m - at.x_m, center.y_m - at.y_m);
-                let distance_m = hypot(dx_m, dy_m);
-                if distance_m > REACH_M {
+                if hypot(dx_m, dy_m) > REACH_M {
                     continue;
                 }
                 let (is_end_near, is_crossed) = self.rays.at(cell);
                 if is_end_near {
                     (watched.passes, watched.scans) = (0, 0);
                 }
-                let is_hidden = self.horizon.hides(dx_m, dy_m, distance_m);
+                let is_hidden = self.horizon.hides(dx_m, dy_m);
                 match if is_hidden { Visibility::Open } else { view.judge(center) } {
                     Visibility::SeenThrough => {
                         seen_through += 1;

@@ -1,6 +1,7 @@
 //! The cells that the beams of a scan cross, and the cells near their end points.
 
 use flockslam_evidence::{CellIndex, floor};
+use flockslam_geometry::elementary::sin_cos;
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{Deskew, ScanView};
 use flockslam_ray_insertion::Ray;
@@ -48,9 +49,15 @@ impl Rays {
         }
         self.scan += 1;
         self.middle = self.cell(at);
+        let (sin, cos) = sin_cos(map_from_base.heading_rad);
+        // As [`Pose::apply`], with the rotation worked out once.
+        let in_map = |at: Point| {
+            let (x_m, y_m) = (cos * at.x_m - sin * at.y_m, sin * at.x_m + cos * at.y_m);
+            Point::new(x_m + map_from_base.x_m, y_m + map_from_base.y_m)
+        };
         for beam in 0..scan.len() {
             let Some(range_m) = scan.valid_range_m(beam) else { continue };
-            let end = |range_m: f64| map_from_base.apply(deskew.end_in_base(scan, beam, range_m));
+            let end = |range_m: f64| in_map(deskew.end_in_base(scan, beam, range_m));
             self.cross(at, end((range_m - self.before_m).clamp(0.0, self.reach_m)));
             if range_m <= self.reach_m {
                 self.end(self.cell(end(range_m)));

@@ -14,6 +14,6 @@ mod pooled_field;
 pub use align::{AlignSettings, Aligner, Alignment};
 pub use cloud_point::PackedPoint;
 pub use cloud_search::{Found, Searcher, Window};
-pub use moments::{Line, MomentGrid};
+pub use moments::{Line, MomentGrid, PlacedPoint};
 pub use placement::Placement;
 pub use pooled_field::PooledField;

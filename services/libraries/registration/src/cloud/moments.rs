@@ -38,6 +38,41 @@ struct Moments {
     view_y: i32,
 }
 
+/// A point of a scan at its place in a grid: what it adds to which cell. Whoever adds and withdraws the same points several times
+/// places them once.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PlacedPoint {
+    block: u16,
+    place: u16,
+    /// From the centre of its cell, in units.
+    dx: i16,
+    dy: i16,
+    view_x: i16,
+    view_y: i16,
+}
+
+impl PlacedPoint {
+    /// A point of a scan that was taken at `at`.
+    #[inline]
+    pub fn new(at: &Placement, point: PackedPoint) -> Self {
+        let (along_x, along_y) = at.rotate(point.x_m(), point.y_m());
+        let (x, y) = (units(at.x_m + along_x), units(at.y_m + along_y));
+        let view = VIEW_UNITS / (along_x * along_x + along_y * along_y).sqrt().max(1e-3);
+        let (column, row) = (x.div_euclid(CELL_UNITS), y.div_euclid(CELL_UNITS));
+        let (dx, dy) = (x - column * CELL_UNITS - CELL_UNITS / 2, y - row * CELL_UNITS - CELL_UNITS / 2);
+        let (block, place) = index(column, row);
+        // All are far below 2¹⁵: there are 8192 blocks of 128 cells, a cell has 400 units, and a direction 256.
+        Self {
+            block: block as u16,
+            place: place as u16,
+            dx: dx as i16,
+            dy: dy as i16,
+            view_x: (along_x * view) as i16,
+            view_y: (along_y * view) as i16,
+        }
+    }
+}
+
 /// A block without points.
 const EMPTY: [Moments; BLOCK_CELLS] =
     [Moments { count: 0, x: 0, y: 0, xx: 0, xy: 0, yy: 0, view_x: 0, view_y: 0 }; BLOCK_CELLS];
@@ -115,38 +150,46 @@ impl MomentGrid {
 
     /// Adds a scan's points, seen from `at`.
     pub fn add(&mut self, at: &Placement, points: &[PackedPoint]) {
-        self.change(at, points, 1);
+        self.version += 1;
+        points.iter().for_each(|point| self.change(PlacedPoint::new(at, *point), 1));
     }
 
     /// Subtracts what [`Self::add`] with the same arguments has added.
     pub fn withdraw(&mut self, at: &Placement, points: &[PackedPoint]) {
-        self.change(at, points, -1);
+        self.version += 1;
+        points.iter().for_each(|point| self.change(PlacedPoint::new(at, *point), -1));
     }
 
-    fn change(&mut self, at: &Placement, points: &[PackedPoint], sign: i32) {
+    /// Adds points that are placed already.
+    pub fn add_placed(&mut self, points: &[PlacedPoint]) {
         self.version += 1;
-        for point in points {
-            let (along_x, along_y) = at.rotate(point.x_m(), point.y_m());
-            let (x, y) = (units(at.x_m + along_x), units(at.y_m + along_y));
-            let view = VIEW_UNITS / (along_x * along_x + along_y * along_y).sqrt().max(1e-3);
-            let (column, row) = (x.div_euclid(CELL_UNITS), y.div_euclid(CELL_UNITS));
-            let (dx, dy) = (x - column * CELL_UNITS - CELL_UNITS / 2, y - row * CELL_UNITS - CELL_UNITS / 2);
-            let (block, place) = index(column, row);
-            let stored = self.store_for(block, sign);
-            let cell = &mut self.stored[stored][place];
-            cell.count += sign;
-            cell.x += sign * dx;
-            cell.y += sign * dy;
-            cell.xx += sign * dx * dx;
-            cell.xy += sign * dx * dy;
-            cell.yy += sign * dy * dy;
-            cell.view_x += sign * (along_x * view) as i32;
-            cell.view_y += sign * (along_y * view) as i32;
-            if self.points[stored] == 0 {
-                debug_assert!(self.stored[stored] == EMPTY, "what is withdrawn was added");
-                self.places[block] = 0;
-                self.unused.push(stored as u16);
-            }
+        points.iter().for_each(|point| self.change(*point, 1));
+    }
+
+    /// Subtracts what [`Self::add_placed`] has added.
+    pub fn withdraw_placed(&mut self, points: &[PlacedPoint]) {
+        self.version += 1;
+        points.iter().for_each(|point| self.change(*point, -1));
+    }
+
+    #[inline]
+    fn change(&mut self, point: PlacedPoint, sign: i32) {
+        let (dx, dy) = (i32::from(point.dx), i32::from(point.dy));
+        let block = usize::from(point.block);
+        let stored = self.store_for(block, sign);
+        let cell = &mut self.stored[stored][usize::from(point.place)];
+        cell.count += sign;
+        cell.x += sign * dx;
+        cell.y += sign * dy;
+        cell.xx += sign * dx * dx;
+        cell.xy += sign * dx * dy;
+        cell.yy += sign * dy * dy;
+        cell.view_x += sign * i32::from(point.view_x);
+        cell.view_y += sign * i32::from(point.view_y);
+        if self.points[stored] == 0 {
+            debug_assert!(self.stored[stored] == EMPTY, "what is withdrawn was added");
+            self.places[block] = 0;
+            self.unused.push(stored as u16);
         }
     }
 
