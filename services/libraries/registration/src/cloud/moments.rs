@@ -108,6 +108,21 @@ struct Remembered {
     normal_y: f32,
 }
 
+impl Remembered {
+    /// The line of a cell, in the grid's frame.
+    #[inline]
+    fn line(self, column: i32, row: i32) -> Line {
+        Line {
+            x_m: center_m(column) + f64::from(self.x_m),
+            y_m: center_m(row) + f64::from(self.y_m),
+            normal_x: f64::from(self.normal_x),
+            normal_y: f64::from(self.normal_y),
+            flatness: f64::from(self.flatness),
+            facing: f64::from(self.facing),
+        }
+    }
+}
+
 /// Points of a few scans as moments in cells of 0.1 m, from which local lines are read with sub-cell
 /// accuracy.
 ///
@@ -230,13 +245,23 @@ impl MomentGrid {
     pub fn line_near(&mut self, x_m: f64, y_m: f64) -> Option<Line> {
         let (x, y) = (units(x_m), units(y_m));
         let (column, row) = (x.div_euclid(CELL_UNITS), y.div_euclid(CELL_UNITS));
-        let (column, row) = if self.cell(column, row).count > 0 {
-            (column, row)
+        let remembered = self.lines[slot(column, row)];
+        // Only lines of occupied cells are remembered.
+        let line = if (remembered.version, remembered.cell) == (self.version, number(column, row)) {
+            remembered.line(column, row)
         } else {
-            self.nearest_occupied(x, y, column, row)?
+            self.other_line_near(x, y, column, row)?
         };
-        let line = self.line_of(column, row);
         (line.flatness > 0.0).then_some(line)
+    }
+
+    /// As [`Self::line_near`], where the line of the point's own cell is not remembered.
+    fn other_line_near(&mut self, x: i32, y: i32, column: i32, row: i32) -> Option<Line> {
+        if self.cell(column, row).count > 0 {
+            return Some(self.line_of(column, row));
+        }
+        let (column, row) = self.nearest_occupied(x, y, column, row)?;
+        Some(self.line_of(column, row))
     }
 
     fn nearest_occupied(&self, x: i32, y: i32, column: i32, row: i32) -> Option<(i32, i32)> {
@@ -259,21 +284,12 @@ impl MomentGrid {
     }
 
     fn line_of(&mut self, column: i32, row: i32) -> Line {
-        let slot = ((row & (REMEMBERED.1 - 1)) * REMEMBERED.0 + (column & (REMEMBERED.0 - 1))) as usize;
+        let slot = slot(column, row);
         let cell = number(column, row);
         if (self.lines[slot].version, self.lines[slot].cell) != (self.version, cell) {
             self.lines[slot] = self.fit(column, row);
         }
-        let line = self.lines[slot];
-        let (center_x_m, center_y_m) = (center_m(column), center_m(row));
-        Line {
-            x_m: center_x_m + f64::from(line.x_m),
-            y_m: center_y_m + f64::from(line.y_m),
-            normal_x: f64::from(line.normal_x),
-            normal_y: f64::from(line.normal_y),
-            flatness: f64::from(line.flatness),
-            facing: f64::from(line.facing),
-        }
+        self.lines[slot].line(column, row)
     }
 
     /// Fits a line to the points of a cell and its eight neighbours: the direction comes from all of them,
@@ -344,6 +360,12 @@ fn index(column: i32, row: i32) -> (usize, usize) {
     let (column, row) = (column & (SIDE - 1), row & (SIDE - 1));
     let block = row / BLOCK.1 * (SIDE / BLOCK.0) + column / BLOCK.0;
     (block as usize, (row % BLOCK.1 * BLOCK.0 + column % BLOCK.0) as usize)
+}
+
+/// Where the line of a cell is remembered.
+#[inline]
+fn slot(column: i32, row: i32) -> usize {
+    ((row & (REMEMBERED.1 - 1)) * REMEMBERED.0 + (column & (REMEMBERED.0 - 1))) as usize
 }
 
 /// The number of a cell of the torus.
