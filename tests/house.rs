@@ -11,8 +11,8 @@ use std::process::Command;
 /// Crates that others may import, lowest layer first; an import goes to a lower layer only.
 const LIBRARIES: [(&str, u32); 31] = [
     ("geometry", 0),
-    ("random", 0),
     ("zenoh-session", 0),
+    ("random", 1),
     ("ros", 1),
     ("odometry-noise", 1),
     ("evidence", 1),

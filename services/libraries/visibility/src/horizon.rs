@@ -6,7 +6,7 @@ use std::f64::consts::FRAC_1_SQRT_2;
 
 /// Coarse directions around the lidar; a quarter of them in each quadrant.
 const DIRECTIONS: usize = 256;
-/// Nearer places fill too much of the view to be told hidden here, metres.
+/// Nearer places fill too much of the view to be called hidden here, metres.
 const NEAR_M: f64 = 1.0;
 /// Rounding of angles stays below this, radians.
 const ROUNDING_RAD: f64 = 1e-6;
@@ -43,7 +43,7 @@ impl Horizon {
 
     /// Takes the ranges of a scan whose lidar has this heading in the frame of the cells, radians; cells have this side, metres.
     pub fn look(&mut self, sight: &PolarRangeImage, heading_rad: f64, cell_size_m: f64) {
-        // Half the diagonal of a cell, as it is seen from the nearest place that is told hidden.
+        // Half the diagonal of a cell, as it is seen from the nearest place that is called hidden.
         let beside_rad = FRAC_1_SQRT_2 * cell_size_m / NEAR_M + ROUNDING_RAD;
         for (farthest_m, borders) in self.farthest_m.iter_mut().zip(self.borders_rad.windows(2)) {
             *farthest_m = sight
