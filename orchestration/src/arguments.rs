@@ -1,8 +1,12 @@
 //! The arguments of all commands.
 
 use crate::configuration::Profile;
+use crate::doctor_arguments::DoctorArgs;
 use crate::lidar_arguments::LidarCommand;
 use crate::localisation_arguments::{ModeArgs, RelocalizeArgs};
+use crate::manuals_arguments::ManualsArgs;
+use crate::setup_arguments::SetupArgs;
+pub use crate::stage_arguments::StageArgs;
 use crate::supervisor::known_stage;
 use crate::topic_arguments::TopicArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -65,6 +69,10 @@ pub enum Command {
     /// Lidars on lines of their own: which are there, what they see
     #[command(subcommand)]
     Lidar(LidarCommand),
+    /// Finds the lidar, shows its scan, asks for the rest, writes the description of a set and starts it
+    Setup(SetupArgs),
+    /// Says what is wrong with this machine and with a set, each with its cure
+    Doctor(DoctorArgs),
     /// Looks after saved maps
     #[command(subcommand)]
     Store(StoreCommand),
@@ -72,6 +80,9 @@ pub enum Command {
     Evaluate(EvaluateArgs),
     /// Prints the configuration in force as TOML
     Config(ConfigurationArgs),
+    /// Writes man pages and completions of shells (what packages are made with)
+    #[command(hide = true)]
+    Manuals(ManualsArgs),
     /// Runs one stage of a set (what the supervisor starts)
     #[command(hide = true)]
     Stage(StageArgs),
@@ -451,26 +462,6 @@ pub struct EvaluateArgs {
     /// Write the figures to this file as well
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
-}
-
-/// `flockslam stage`.
-#[derive(Clone, Debug, Args)]
-pub struct StageArgs {
-    /// Which stage
-    #[arg(value_parser = known_stage)]
-    pub stage: Stage,
-    /// Directory of the running set
-    #[arg(long, value_name = "DIR")]
-    pub set_dir: PathBuf,
-    /// Which replica
-    #[arg(long, default_value_t = 0)]
-    pub replica: u32,
-    /// Process to die with
-    #[arg(long)]
-    pub parent: Option<u32>,
-    /// Run what stands in for the stage when it does not get up
-    #[arg(long)]
-    pub stand_in: bool,
 }
 
 fn positive(text: &str) -> Result<f64, String> {

@@ -24,10 +24,13 @@ pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let outcome = match cli.command {
         Command::Stage(args) => return commands::stage::run(&args),
+        Command::Doctor(args) => return ending(commands::doctor_command::run(&args)),
+        Command::Manuals(args) => commands::manuals_command::run(&args),
         Command::Map(args) => commands::map::run(&args),
         Command::Inspect(args) => commands::inspect::run(&args),
         Command::Demo(args) => commands::demo::run(&args),
         Command::Swarm(args) => commands::swarm::run(&args),
+        Command::Setup(args) => commands::setup_command::run(&args),
         Command::Up(args) => commands::up::run(&args),
         Command::Down(args) => commands::control_command::down(&args),
         Command::Status(args) => commands::control_command::status(&args),
@@ -48,8 +51,13 @@ pub fn main() -> ExitCode {
         Command::Evaluate(args) => commands::evaluate::run(&args),
         Command::Config(args) => commands::config::run(&args),
     };
+    ending(outcome.map(|()| 0))
+}
+
+/// The exit code of what a command came to.
+fn ending(outcome: Result<u8, CommandError>) -> ExitCode {
     match outcome {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(code) => ExitCode::from(code),
         Err(error) => {
             eprintln!("flockslam: {error}");
             ExitCode::from(if matches!(error, CommandError::User(_)) { 2 } else { 1 })

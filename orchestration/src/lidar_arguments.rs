@@ -97,7 +97,7 @@ pub struct LearnMaskArgs {
     pub seconds: u64,
 }
 
-fn family(text: &str) -> Result<Family, String> {
+pub(crate) fn family(text: &str) -> Result<Family, String> {
     let known = || Family::ALL.map(Family::name).join(", ");
     let found = Family::ALL.into_iter().find(|family| family.name() == text);
     found.ok_or_else(|| format!("known are {}", known()))

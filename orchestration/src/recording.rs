@@ -15,7 +15,7 @@ pub use foxglove_messages::{Recorded, bus_scan, log, pose, scan, set_record, tra
 pub use live_grid::LiveGrid;
 pub use mcap_file::McapFile;
 pub use scene::tracks;
-pub use set_reader::SetReader;
+pub use set_reader::{SetReader, ask_for_tiles};
 pub use topics::RecordTopic;
 pub use websocket::FoxgloveServer;
 

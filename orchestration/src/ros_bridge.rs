@@ -31,3 +31,4 @@ mod transform_sieve;
 
 pub use bridge::{BridgeSet, check_arguments, run_bridge};
 pub use bridge_error::BridgeError;
+pub use map_picture::{MapPainter, MapPicture};

@@ -12,12 +12,16 @@ pub fn spill_directory(asked_for: Option<&Path>, map: Option<&Path>) -> Option<P
     if let Some(directory) = asked_for {
         return Some(directory.to_owned());
     }
-    let found =
-        usual(map, |name| std::env::var_os(name).map(PathBuf::from)).into_iter().find(|d| is_usable(d));
+    let found = usual_directories(map).into_iter().find(|d| is_usable(d));
     if found.is_none() {
         tracing::warn!("no directory on disk can be written: journal, submaps and results lie in /dev/shm");
     }
     found
+}
+
+/// Where such files go when nothing is asked for, the first choice first; not all can be written.
+pub fn usual_directories(map: Option<&Path>) -> Vec<PathBuf> {
+    usual(map, |name| std::env::var_os(name).map(PathBuf::from))
 }
 
 /// Beside the map, else where the system has state, else where it has temporary files.

@@ -113,17 +113,18 @@ impl Looked {
 }
 
 /// Where scans come from.
-enum Scans {
+pub(super) enum Scans {
     Line(Box<LidarPolling>),
     Set { robot: String, scans: ScanSubscriber, _bus: Bus },
 }
 
 /// What a look has brought.
 #[derive(Default)]
-struct Seen {
-    scans: Vec<ScanBuffer>,
+pub(super) struct Seen {
+    /// New scans.
+    pub(super) scans: Vec<ScanBuffer>,
     /// What is new with the lidar.
-    said: Option<String>,
+    pub(super) said: Option<String>,
 }
 
 impl LidarEars for Seen {
@@ -139,7 +140,11 @@ impl LidarEars for Seen {
 }
 
 impl Scans {
-    fn open(at: &LidarAtArgs) -> Result<Self, CommandError> {
+    /// Opens the line to a lidar, or the scans of a set.
+    ///
+    /// # Errors
+    /// When there is no lidar, or no set.
+    pub(super) fn open(at: &LidarAtArgs) -> Result<Self, CommandError> {
         let Some(line) = at.line() else {
             let robot = choose(&at.robot)?;
             let runtime = RuntimeDir::open(&RuntimeDir::path_of(&robot)).map_err(CommandError::user)?;
@@ -168,7 +173,10 @@ impl Scans {
     }
 
     /// Waits a moment for what comes.
-    fn look(&mut self) -> Result<Seen, CommandError> {
+    ///
+    /// # Errors
+    /// When the set has ended, or the bus refuses.
+    pub(super) fn look(&mut self) -> Result<Seen, CommandError> {
         let mut seen = Seen::default();
         match self {
             Self::Line(polling) => polling.look(&mut seen),

@@ -170,7 +170,10 @@ impl SetReader {
 }
 
 /// The mapper sends all its tiles once more; otherwise only those came that change.
-fn ask_for_tiles(bus: &Bus) -> Result<(), BusError> {
+///
+/// # Errors
+/// When the bus refuses.
+pub fn ask_for_tiles(bus: &Bus) -> Result<(), BusError> {
     let control = bus.publisher::<Control>()?;
     control.send(&Control { kind: ControlKind::TilesWanted as u32, run: 0, value: 0 })?;
     bus.notifier(Stage::Mapper.name())?.ring();
