@@ -2,7 +2,7 @@
 
 use super::bundled_picture::picture_of;
 use super::finding::Finding;
-use super::machine::Machine;
+use super::machine_readings::Machine;
 use super::redaction::Redaction;
 use super::set_under_examination::SetReading;
 use crate::supervisor::{SetDescription, SetFile, set_metrics_socket};

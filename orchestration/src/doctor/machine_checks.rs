@@ -1,7 +1,7 @@
 //! What is wrong with a machine. Takes readings; gives findings.
 
 use super::finding::Finding;
-use super::machine::{DiskReading, Machine, PortReading};
+use super::machine_readings::{DiskReading, Machine, PortReading};
 
 /// Shared memory of one set of default size with some room, bytes.
 const SHARED_MEMORY_MIN_BYTES: u64 = 32 << 20;
@@ -130,7 +130,7 @@ fn of_disk(disk: &DiskReading) -> Option<Finding> {
 #[cfg(test)]
 mod tests {
     use super::super::finding::Severity;
-    use super::super::machine::MemoryReading;
+    use super::super::machine_readings::MemoryReading;
     use super::*;
     use std::path::PathBuf;
 

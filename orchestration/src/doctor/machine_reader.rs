@@ -1,6 +1,6 @@
 //! Fills the readings of a machine.
 
-use super::machine::{DiskReading, Machine, MemoryReading, PortReading};
+use super::machine_readings::{DiskReading, Machine, MemoryReading, PortReading};
 use flockslam_bus::Room;
 use flockslam_lidar_ingest::process::serial_ports;
 use rustix::fs::{Access, access, statvfs};
@@ -9,13 +9,11 @@ use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::process::Command;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Reads what can be read. `places` are those on disk that a set would use, each with its purpose.
 pub fn read_machine(places: &[(String, &Path)]) -> Machine {
     let shared_memory =
         Room::now().map(|room| MemoryReading { total_bytes: room.total_bytes, free_bytes: room.free_bytes });
-    let utc = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     Machine {
         version: crate::VERSION.to_owned(),
         kernel: text("/proc/sys/kernel/osrelease"),
@@ -26,7 +24,7 @@ pub fn read_machine(places: &[(String, &Path)]) -> Machine {
         shared_memory,
         open_files: getrlimit(Resource::Nofile).maximum,
         nice_min: getrlimit(Resource::Nice).current.map(|limit| 20 - limit.min(40) as i32),
-        utc_ns: utc.as_nanos() as i64,
+        utc_ns: now_ns(),
         clock_is_synchronised: clock_is_synchronised(),
         ports: ports(),
         disks: places.iter().map(|(purpose, path)| read_disk(purpose, path)).collect(),
@@ -43,6 +41,11 @@ impl Machine {
         }
         self
     }
+}
+
+/// The time, nanoseconds of UTC: whether it can be right is one of the findings, and lines of the log are stamped by it.
+pub(super) fn now_ns() -> i64 {
+    flockslam_telemetry::utc_ns()
 }
 
 fn text(path: impl AsRef<Path>) -> Option<String> {

@@ -1,7 +1,7 @@
 //! What is wrong with a set. Takes readings; gives findings.
 
 use super::finding::Finding;
-use super::machine::Machine;
+use super::machine_readings::Machine;
 use super::set_under_examination::{RunningReading, SetReading};
 use crate::supervisor::{SetStatus, StageState};
 

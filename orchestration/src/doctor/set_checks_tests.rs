@@ -1,7 +1,7 @@
 //! Each fault of a set is one finding; a set that is well has none.
 
 use super::super::finding::{Finding, Severity};
-use super::super::machine::{Machine, MemoryReading, PortReading};
+use super::super::machine_readings::{Machine, MemoryReading, PortReading};
 use super::super::set_under_examination::{LidarRate, LogProblem, RunningReading, SetReading};
 use super::check_set;
 use crate::supervisor::{ModeStatus, SaveStatus, SetState, SetStatus, StageState, StageStatus};

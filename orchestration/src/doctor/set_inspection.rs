@@ -1,5 +1,6 @@
 //! Fills the readings of a set: from its description, and from the set that runs.
 
+use super::machine_reader::now_ns;
 use super::set_under_examination::{LidarRate, LogProblem, RunningReading, SetReading};
 use crate::configuration::Configuration;
 use crate::supervisor::{
@@ -14,7 +15,7 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::net::{TcpListener, TcpStream, ToSocketAddrs};
 use std::path::Path;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 /// Rates are measured over this.
 const RATES_OVER: Duration = Duration::from_millis(1500);
@@ -191,8 +192,7 @@ fn dropped(page: &str) -> BTreeMap<String, f64> {
 
 fn problems(runtime: &Path) -> Vec<LogProblem> {
     let stream = std::fs::read_to_string(log_stream_file(runtime)).unwrap_or_default();
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    problems_since(&stream, now.as_nanos() as i64 - PROBLEMS_NS)
+    problems_since(&stream, now_ns() - PROBLEMS_NS)
 }
 
 /// Warnings and errors of a stream of log lines since a time, nanoseconds of UTC; what was said most often comes first.
