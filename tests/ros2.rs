@@ -324,8 +324,12 @@ fn callers_of_cyclone_dds_read_and_set_parameters_and_change_the_state() {
     let Some(graph) = Graph::new() else { return };
     let directory = tempfile::tempdir().unwrap();
     let variables = [("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")];
-    let set = graph.set_with("cyclone-calls", directory.path(), &[], &variables);
+    let mut set = graph.set_with("cyclone-calls", directory.path(), &[], &variables);
+    set.wait_until("the set", |_| true);
+    wait_for("the bridge", || bridges(&set).first().copied());
     let mut peer = graph.peer("caller");
+    let is_there = |graph: &Value| graph["nodes"].as_array()?.contains(&json!("/flockslam")).then_some(());
+    peer.wait_for("the node of the set", &json!(["graph"]), is_there);
     let mut sequence = 0;
     let mut call = |kind: &str, name: &str, fields: Value| {
         sequence += 1;
