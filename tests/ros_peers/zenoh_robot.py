@@ -179,8 +179,15 @@ def announced_by_the_node():
 
 
 # An answer may lack some of it while the router is busy.
-wait_until(lambda: len(announced_by_the_node()) > 20)
-own = announced_by_the_node()
+own = []
+
+
+def all_is_announced():
+    own[:] = announced_by_the_node()
+    return len(own) > 20
+
+
+wait_until(all_is_announced)
 hashes = []
 for token in own:
     if token[5] != "NN":

@@ -72,12 +72,18 @@ pub fn flockslam() -> Command {
     Command::new(env!("CARGO_BIN_EXE_flockslam"))
 }
 
+/// Characters in the name of a set, at most.
+const ROBOT_NAME_MAX: usize = 22;
+
 /// A name for a process set that no other test and no other run has.
 pub fn robot(test: &str) -> String {
     machine_share::computes();
     static COUNT: AtomicU32 = AtomicU32::new(0);
     // The last letter keeps one name from being the beginning of another.
-    format!("{test}-{}-{}t", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed))
+    let number = format!("-{}-{}t", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
+    // A longer name is refused, and so would be that of a late test in a process with a great number.
+    let kept = test.len().min(ROBOT_NAME_MAX - number.len());
+    format!("{}{number}", &test[..kept])
 }
 
 /// Runs the executable to its end under a name of its own.
