@@ -23,7 +23,7 @@ while (($#)); do
     shift 2
 done
 version=$(sed -n 's/^version = "\(.*\)"/\1/p' "$root/Cargo.toml" | head -1)
-# A glibc of this version has every symbol that is used: Debian 12, Ubuntu 22.04.
+# A glibc of this version has every symbol that is used.
 glibc_max=2.35
 package_max_bytes=$((25 << 20))
 

@@ -29,4 +29,4 @@ pub use side_process::SideProcess;
 pub use stage_command::{run_in, run_stage, shell_in};
 pub use status::{ModeStatus, SaveStatus, SetState, SetStatus, StageState, StageStatus};
 pub use supervision::{ProcessLimits, Supervision};
-pub use system_limits::raise_open_files;
+pub use system_limits::{OPEN_FILES, raise_open_files};

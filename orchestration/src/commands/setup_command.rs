@@ -278,7 +278,7 @@ fn show(lidar: &AnsweredLidar) -> Result<(), CommandError> {
     Ok(())
 }
 
-/// Starts the set: by the service manager where the description lies with its units, else in the place of this process.
+/// Starts the set: by the service manager where the description is one of its units, else in the place of this process.
 fn start(path: &Path, robot: &str) -> Result<(), CommandError> {
     let of_service = path.parent() == Some(Path::new(SERVICE_DIR));
     if of_service && Path::new("/run/systemd/system").exists() {

@@ -2,11 +2,10 @@
 
 use super::finding::Finding;
 use super::machine_readings::{DiskReading, Machine, PortReading};
+use crate::supervisor::OPEN_FILES;
 
 /// Shared memory of one set of default size with some room, bytes.
 const SHARED_MEMORY_MIN_BYTES: u64 = 32 << 20;
-/// Files that a process of a set opens at most.
-const OPEN_FILES_MIN: u64 = 320;
 /// Memory that a set of default size takes on the way through a building, bytes.
 const MEMORY_MIN_BYTES: u64 = 256 << 20;
 /// Journal and submaps of an hour take less than this, bytes.
@@ -43,11 +42,11 @@ fn shared_memory(machine: &Machine) -> Option<Finding> {
 }
 
 fn open_files(machine: &Machine) -> Option<Finding> {
-    let allowed = machine.open_files.filter(|allowed| *allowed < OPEN_FILES_MIN)?;
+    let allowed = machine.open_files.filter(|allowed| *allowed < OPEN_FILES)?;
     Some(Finding::error(
         "limits",
-        format!("a process may open {allowed} files, a set needs {OPEN_FILES_MIN}"),
-        format!("ulimit -Hn {OPEN_FILES_MIN}, or LimitNOFILE={OPEN_FILES_MIN} in the unit"),
+        format!("a process may open {allowed} files, a set needs {OPEN_FILES}"),
+        format!("ulimit -Hn {OPEN_FILES}, or LimitNOFILE={OPEN_FILES} in the unit"),
     ))
 }
 

@@ -52,11 +52,9 @@ fn shared_memory(set: &SetReading, machine: &Machine) -> Option<Finding> {
 }
 
 fn ports(set: &SetReading, machine: &Machine) -> Vec<Finding> {
-    let lacks = |path: &&std::path::PathBuf| !path.exists();
     let mut found: Vec<Finding> = set
-        .lidar_ports
+        .lacking_ports
         .iter()
-        .filter(lacks)
         .map(|path| {
             let what = format!("{} is not there", path.display());
             Finding::error("lidar", what, "plug it in; `flockslam lidar list` shows what is")

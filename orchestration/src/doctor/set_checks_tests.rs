@@ -4,7 +4,7 @@ use super::super::finding::{Finding, Severity};
 use super::super::machine_readings::{Machine, MemoryReading, PortReading};
 use super::super::set_under_examination::{LidarRate, LogProblem, RunningReading, SetReading};
 use super::check_set;
-use crate::supervisor::{ModeStatus, SaveStatus, SetState, SetStatus, StageState, StageStatus};
+use crate::supervisor::{SaveStatus, SetStatus, StageState, StageStatus};
 use flockslam_lidar_ingest::process::LidarLineStatus;
 use flockslam_results::{FlockStatus, LocalisationStatus, Unattached};
 use std::collections::BTreeMap;
@@ -33,22 +33,7 @@ fn status() -> SetStatus {
     };
     let saved =
         SaveStatus { directory: "/maps/r1".to_owned(), durable: true, age_s: Some(1.0), problem: None };
-    SetStatus {
-        robot: "r1".to_owned(),
-        pid: 6,
-        state: SetState::Running,
-        paused: false,
-        uptime_s: 60.0,
-        saved: Some(saved),
-        not_durable: None,
-        unattached: None,
-        localisation: None,
-        mode: ModeStatus::default(),
-        flock: None,
-        lidars: Vec::new(),
-        lidar_lines: Vec::new(),
-        stages: vec![stage],
-    }
+    SetStatus { saved: Some(saved), ..SetStatus::of_stages(vec![stage]) }
 }
 
 fn running() -> RunningReading {
@@ -82,14 +67,7 @@ fn runs(change: impl FnOnce(&mut RunningReading)) -> SetReading {
 
 /// The same with a fault that its supervisor says.
 fn says(change: impl FnOnce(&mut SetStatus)) -> SetReading {
-    runs(|running| running.status.iter_mut().for_each(|_| ())).with_status(change)
-}
-
-impl SetReading {
-    fn with_status(mut self, change: impl FnOnce(&mut SetStatus)) -> Self {
-        change(self.running.as_mut().unwrap().status.as_mut().unwrap());
-        self
-    }
+    runs(|running| change(running.status.as_mut().unwrap()))
 }
 
 fn only(set: &SetReading, machine: &Machine) -> Finding {
@@ -119,7 +97,12 @@ fn faults_of_a_description_are_found() {
         "",
     );
     let absent = vec![PathBuf::from("/nowhere/lidar")];
-    assert_found(&SetReading { lidar_ports: absent, ..good() }, Error, "/nowhere/lidar is not", "lidar list");
+    assert_found(
+        &SetReading { lacking_ports: absent, ..good() },
+        Error,
+        "/nowhere/lidar is not",
+        "lidar list",
+    );
     assert_found(&SetReading { lidars: 2, ..good() }, Info, "1 of 2 lidars", "calibrate");
     assert_found(&SetReading { uses_dds: true, ..good() }, Warning, "208 kB", "rmem_default=4194304");
     let endpoint = |problem: Option<&str>| vec![("tcp/r2:7447".to_owned(), problem.map(str::to_owned))];
@@ -142,7 +125,7 @@ fn a_port_that_may_change_its_name_is_mentioned_where_there_are_several() {
     let set = SetReading { lidar_ports: vec![PathBuf::from("/dev/ttyUSB7777")], ..good() };
     let two = Machine { ports: vec![port(), port()], ..machine() };
     let one = Machine { ports: vec![port()], ..machine() };
-    assert_eq!(check_set(&set, &one).len(), 1, "it is not there");
+    assert_eq!(check_set(&set, &one), []);
     assert!(check_set(&set, &two).iter().any(|finding| finding.cure.contains("by-id")));
 }
 

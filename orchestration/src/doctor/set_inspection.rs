@@ -79,6 +79,7 @@ fn of_lidars(reading: &mut SetReading, lidars: &[LidarSpec]) {
             LidarPlace::Address(_) => None,
         })
         .collect();
+    reading.lacking_ports = reading.lidar_ports.iter().filter(|port| !port.exists()).cloned().collect();
 }
 
 fn of_configuration(reading: &mut SetReading, configuration: &Configuration) {
@@ -268,7 +269,7 @@ mod tests {
         std::fs::write(&path, &text).unwrap();
         let reading = inspect_description(&path);
         assert_eq!((reading.refused, reading.lidars, reading.mounted), (None, 1, 0));
-        assert_eq!(reading.lidar_ports, [port]);
+        assert_eq!((&reading.lidar_ports, &reading.lacking_ports), (&vec![port.clone()], &vec![port]));
         assert!(reading.lacks_known_map.is_some() && reading.needs_bytes.is_some());
         assert!(reading.running.is_none());
         std::fs::write(&path, "robt = 1\n").unwrap();

@@ -18,6 +18,8 @@ pub struct SetReading {
     pub needs_bytes: Option<u64>,
     /// Ports of its lidars.
     pub lidar_ports: Vec<PathBuf>,
+    /// Of those, ports that are not there.
+    pub lacking_ports: Vec<PathBuf>,
     /// Lidars that it has on lines of their own.
     pub lidars: usize,
     /// Of those, lidars whose mounting is configured.

@@ -103,7 +103,7 @@ pub fn status(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::supervisor::{ModeStatus, StageStatus};
+    use crate::supervisor::StageStatus;
 
     fn set(state: StageState) -> SetStatus {
         let stage = StageStatus {
@@ -116,22 +116,7 @@ mod tests {
             handled: 7,
             silent_s: None,
         };
-        SetStatus {
-            robot: "r1".to_owned(),
-            pid: 1,
-            state: SetState::Running,
-            paused: false,
-            uptime_s: 1.0,
-            saved: None,
-            not_durable: None,
-            unattached: None,
-            localisation: None,
-            mode: ModeStatus::default(),
-            flock: None,
-            lidars: Vec::new(),
-            lidar_lines: Vec::new(),
-            stages: vec![stage],
-        }
+        SetStatus::of_stages(vec![stage])
     }
 
     #[test]

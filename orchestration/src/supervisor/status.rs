@@ -159,6 +159,29 @@ impl StageState {
     }
 }
 
+#[cfg(test)]
+impl SetStatus {
+    /// A set that runs, with these stages and nothing else to say.
+    pub fn of_stages(stages: Vec<StageStatus>) -> Self {
+        Self {
+            robot: "r1".to_owned(),
+            pid: 1,
+            state: SetState::Running,
+            paused: false,
+            uptime_s: 1.0,
+            saved: None,
+            not_durable: None,
+            unattached: None,
+            localisation: None,
+            mode: ModeStatus::default(),
+            flock: None,
+            lidars: Vec::new(),
+            lidar_lines: Vec::new(),
+            stages,
+        }
+    }
+}
+
 impl fmt::Display for SetStatus {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let state = match (self.state, self.paused) {

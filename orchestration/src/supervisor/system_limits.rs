@@ -9,7 +9,7 @@ use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 /// Files that a process of a set with one process for each stage opens, and some for readers from outside (measured: 245 of the
 /// mapper, which has a queue to each reader of each of its lanes).
-const FILES: u64 = 320;
+pub const OPEN_FILES: u64 = 320;
 /// More of them for each further process that a stage has (measured: 58).
 const FILES_FOR_REPLICAS: u64 = 128;
 
@@ -27,7 +27,7 @@ pub fn raise_open_files() {
 pub fn check(configuration: &Configuration, options: &StageOptions) -> Result<(), SetError> {
     let most = Stage::ALL.into_iter().map(|stage| configuration.replicas(stage)).max().unwrap_or(1);
     let allowed = getrlimit(Resource::Nofile).current;
-    enough_files(FILES + FILES_FOR_REPLICAS * (most as u64 - 1), allowed)?;
+    enough_files(OPEN_FILES + FILES_FOR_REPLICAS * (most as u64 - 1), allowed)?;
     let needs = Needs::of(&options.capacity(), |stage| configuration.replicas(stage));
     Ok(needs.check(Room::now())?)
 }

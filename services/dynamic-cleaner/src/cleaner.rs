@@ -190,10 +190,10 @@ impl DynamicCleaner {
             self.sight.look_toward(scan, &Deskew::new(scan, pose.twist), toward);
             self.horizon.look(&self.sight, at.heading_rad, grid.cell_size_m());
         }
-        let view = PassThrough::new(&self.sight, at, grid.cell_size_m(), margins(pose));
+        let view =
+            PassThrough::new(&self.sight, at, grid.cell_size_m(), margins(pose)).with_horizon(&self.horizon);
         let laser_from_odom = at.inverse();
         let judge = |center: Point| match self.settings.method {
-            Method::Beams if self.horizon.hides(center.x_m - at.x_m, center.y_m - at.y_m) => Visibility::Open,
             Method::Beams => view.judge(center),
             Method::Sectors => match self.sectors.ray_to(laser_from_odom.apply(center)) {
                 Ray::Free => Visibility::SeenThrough,

@@ -34,7 +34,7 @@ pub struct DensePass<'a> {
     pub segments: &'a [Segment],
     /// The odometry edges.
     pub odometry: &'a [Edge],
-    /// Constraints that no match replaces: closures in the open, where no node is matched again, and odometry between trajectories.
+    /// Constraints in the open, where no node is matched again: they stay.
     pub constraints: &'a [Edge],
     /// Which trajectories are connected: only among those does nearness mean anything.
     pub connectivity: &'a TrajectoryConnectivity,

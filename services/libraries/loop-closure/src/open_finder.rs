@@ -195,9 +195,6 @@ impl OpenFinder {
         };
         let ((shifts, step_m), (turns, step_rad)) =
             (axis(window.reach_m, 0.5, COARSE.0), axis(window.turn_rad, 0.03, COARSE.1));
-        if (shifts, turns) == (0, 0) {
-            return starts;
-        }
         let stride = self.points.len().div_ceil(COARSE_POINTS).max(1);
         let mut scored: Vec<(i32, Pose)> = Vec::new();
         self.counts.take(&self.map, FULL_CELL);

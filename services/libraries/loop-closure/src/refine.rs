@@ -36,7 +36,7 @@ pub struct Refinement<'a> {
     pub scans: &'a ScanStore,
     /// The odometry edges.
     pub odometry: &'a [Edge],
-    /// Constraints that no match replaces: closures in the open, where no node is matched again, and odometry between trajectories.
+    /// Constraints in the open, where no node is matched again: they stay.
     pub constraints: &'a [Edge],
     /// By node: whether it is part of the map.
     pub in_map: &'a [bool],

@@ -4,7 +4,6 @@
 use crate::FusedMap;
 use crate::rays::Rays;
 use flockslam_evidence::{CellIndex, TILE_SIDE, TileKey, floor};
-use flockslam_geometry::elementary::hypot;
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{Deskew, ScanView};
 use flockslam_visibility::{Horizon, Margins, PassThrough, PolarRangeImage, Visibility};
@@ -92,7 +91,8 @@ impl FinalCleaning {
         self.sight.look(scan, deskew);
         self.horizon.look(&self.sight, map_from_laser.heading_rad, self.cell_size_m);
         self.rays.look(scan, deskew, map_from_base, map_from_laser.position());
-        let view = PassThrough::new(&self.sight, map_from_laser, self.cell_size_m, MARGINS);
+        let view = PassThrough::new(&self.sight, map_from_laser, self.cell_size_m, MARGINS)
+            .with_horizon(&self.horizon);
         let (at, size_m) = (map_from_laser.position(), self.cell_size_m);
         let tile = |metres: f64| floor(metres / (size_m * TILE_SIDE as f64));
         let rows = tile(at.y_m - REACH_M)..=tile(at.y_m + REACH_M);
@@ -104,16 +104,14 @@ impl FinalCleaning {
             for (place, watched) in tile.iter_mut().enumerate() {
                 let cell = key.cell(usize::from(watched.offset));
                 let center = center(cell, size_m);
-                let (dx_m, dy_m) = (center.x_m - at.x_m, center.y_m - at.y_m);
-                if hypot(dx_m, dy_m) > REACH_M {
+                if center.distance_m(at) > REACH_M {
                     continue;
                 }
                 let (is_end_near, is_crossed) = self.rays.at(cell);
                 if is_end_near {
                     (watched.passes, watched.scans) = (0, 0);
                 }
-                let is_hidden = self.horizon.hides(dx_m, dy_m);
-                match if is_hidden { Visibility::Open } else { view.judge(center) } {
+                match view.judge(center) {
                     Visibility::SeenThrough => {
                         seen_through += 1;
                         self.through.push((key, place, true));

@@ -1,4 +1,4 @@
-//! How many points lie in the cells of a map of surfaces, for searches that ask for millions of them.
+//! How many points are in the cells of a map of surfaces, for searches that ask for millions of them.
 
 use crate::surface_map::{SIDE, SurfaceMap, cell};
 

@@ -345,7 +345,7 @@ fn units(metres: f64) -> i32 {
     floor((metres * UNITS_PER_M).clamp(-1e9, 1e9))
 }
 
-/// The number of the cell, along one axis, in which a coordinate in metres lies.
+/// The number of the cell, along one axis, of a coordinate in metres.
 pub(crate) fn cell(metres: f64) -> i32 {
     units(metres).div_euclid(CELL_UNITS)
 }

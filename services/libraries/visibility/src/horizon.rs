@@ -52,7 +52,7 @@ impl Horizon {
         self.near_m = 2.0 * cell_size_m;
     }
 
-    /// Whether a cell whose centre lies this far from the lidar along x and y is hidden, or out of view, for certain:
+    /// Whether a cell whose centre is this far from the lidar along x and y is hidden, or out of view, for certain:
     /// [`crate::PassThrough::judge`] says that it is open.
     #[inline]
     pub fn hides(&self, dx_m: f64, dy_m: f64) -> bool {

@@ -1,8 +1,8 @@
 //! Judges single cells of a map by a scan: passed through, supported, or open. Takes the scan, its pose and margins
 //! for errors.
 
-use crate::PolarRangeImage;
 use crate::polar_range_image::SPACING_MAX_RAD;
+use crate::{Horizon, PolarRangeImage};
 use flockslam_geometry::elementary::atan2;
 use flockslam_geometry::{Point, Pose};
 use std::f64::consts::SQRT_2;
@@ -76,6 +76,7 @@ impl Margins {
 #[derive(Clone, Copy, Debug)]
 pub struct PassThrough<'a> {
     sight: &'a PolarRangeImage,
+    horizon: Option<&'a Horizon>,
     from_laser: Pose,
     cell_size_m: f64,
     margins: Margins,
@@ -84,13 +85,21 @@ pub struct PassThrough<'a> {
 impl<'a> PassThrough<'a> {
     /// The scan of a lidar at `from_laser`, in the frame of the cells, whose side is `cell_size_m`.
     pub fn new(sight: &'a PolarRangeImage, from_laser: Pose, cell_size_m: f64, margins: Margins) -> Self {
-        Self { sight, from_laser, cell_size_m, margins }
+        Self { sight, horizon: None, from_laser, cell_size_m, margins }
+    }
+
+    /// The same judgements, sooner where a cell is hidden: `horizon` is that of the scan.
+    pub fn with_horizon(self, horizon: &'a Horizon) -> Self {
+        Self { horizon: Some(horizon), ..self }
     }
 
     /// Whether the scan looks through the cell with its centre at `center`. Beside the beams through the cell itself
     /// those next to it must pass too: at a grazing angle one of them ends on the wall to which the cell belongs.
     pub fn judge(&self, center: Point) -> Visibility {
         let (dx, dy) = (center.x_m - self.from_laser.x_m, center.y_m - self.from_laser.y_m);
+        if self.horizon.is_some_and(|horizon| horizon.hides(dx, dy)) {
+            return Visibility::Open;
+        }
         let distance_m = (dx * dx + dy * dy).sqrt();
         if distance_m < NEAR_M {
             return Visibility::Open;

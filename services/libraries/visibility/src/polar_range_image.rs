@@ -158,7 +158,7 @@ fn span(low_rad: f64, high_rad: f64) -> Span {
     Span { low, high: high.clamp(low, low.saturating_add(SECTORS as i64 - 1)) }
 }
 
-/// The sector that a place between sectors lies in; a cast and a comparison cost less than the function of the library.
+/// The sector of a place between sectors; a cast and a comparison cost less than the function of the library.
 #[inline]
 fn floor(place: f64) -> i64 {
     let truncated = place as i64;

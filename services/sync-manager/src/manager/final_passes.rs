@@ -80,21 +80,22 @@ impl SyncManager {
             scans: &self.scans,
             segments: &segments,
             odometry: self.odometry.edges(),
-            constraints: &self.constraints_besides_matches(),
+            constraints: &self.constraints_in_the_open(),
             connectivity: &connectivity,
         };
         pass.run(self.finder.scratch(), &mut self.poses);
         self.match_to_map();
     }
 
-    /// What the passes over all nodes leave as it is: closures that hold in the open, and odometry between trajectories.
-    fn constraints_besides_matches(&self) -> Vec<Edge> {
+    /// What connects nodes in the open, which the passes over all nodes match to nothing: closures that hold, and what odometry or
+    /// localisation says between trajectories.
+    fn constraints_in_the_open(&self) -> Vec<Edge> {
         let nodes = self.odometry.nodes();
         let inliers = self.closures.iter().zip(&self.is_inlier).filter(|(_, is_inlier)| **is_inlier);
         inliers
             .map(|(c, _)| c.edge)
-            .filter(|edge| nodes[edge.from].is_open || nodes[edge.to].is_open)
             .chain(self.joints(nodes.len()))
+            .filter(|edge| nodes[edge.from].is_open || nodes[edge.to].is_open)
             .collect()
     }
 
@@ -103,7 +104,7 @@ impl SyncManager {
         let nodes = self.odometry.nodes();
         let connectivity = self.connectivity(nodes.len());
         let in_map: Vec<bool> = nodes.iter().map(|node| connectivity.is_attached(node.trajectory)).collect();
-        let (odometry, constraints) = (self.odometry.edges(), &self.constraints_besides_matches());
+        let (odometry, constraints) = (self.odometry.edges(), &self.constraints_in_the_open());
         let refinement = Refinement { nodes, scans: &self.scans, odometry, constraints, in_map: &in_map };
         refinement.run(self.finder.scratch(), &mut self.poses);
     }
