@@ -2,6 +2,7 @@
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
 
+mod block_tile;
 mod cell;
 mod cell_coder;
 mod cell_state;
@@ -15,6 +16,7 @@ mod submap_bytes;
 mod tile;
 mod weight_levels;
 
+pub use block_tile::BlockTile;
 pub use cell::{Cell, PACKED_WEIGHT_MAX_NAT, PackedCell, WEIGHT_SCALE};
 pub use cell_state::CellState;
 pub use cell_table::CellTable;

@@ -2,6 +2,7 @@
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
 
+mod closed_submap;
 mod mapper;
 mod newcomers;
 pub mod process;

@@ -1,5 +1,6 @@
 //! The logic of the stage: takes scans with poses and cleared cells, gives changed tiles and closed submaps.
 
+use crate::closed_submap::ClosedSubmap;
 use crate::newcomers::Newcomers;
 use crate::settings::{SUBMAP_LENGTH_M, Settings};
 use crate::tile_share::TileShare;
@@ -42,7 +43,7 @@ pub struct Mapper {
     model: SensorModel,
     window: Window,
     /// The closed submaps of a bounded window: needed to remove them later.
-    closed: VecDeque<Submap>,
+    closed: VecDeque<ClosedSubmap>,
     left_cleared: Vec<Submap>,
     /// Submaps below this number stay as they are stored: the set has localized in the map that they are of.
     fixed_below: u32,
@@ -119,7 +120,7 @@ impl Mapper {
         self.number = closed.number + 1;
         self.enter_trajectory(closed.trajectory);
         self.window.add_submap(&closed);
-        self.remember(closed);
+        self.remember(&closed);
         self.window.end_scan();
         // A submap that has left the window again is stored as it is.
         self.left_cleared.clear();
@@ -186,15 +187,15 @@ impl Mapper {
     /// The set has localized at the scan with this sequence: submaps up to the one that holds it stay as they are stored. For a mapper
     /// that continues.
     pub fn has_localized(&mut self, sequence: u64) {
-        let before = self.closed.iter().rev().find(|submap| submap.first <= sequence);
-        self.fixed_below = self.fixed_below.max(before.map_or(0, |submap| submap.number + 1));
+        let before = self.closed.iter().rev().find(|submap| submap.first() <= sequence);
+        self.fixed_below = self.fixed_below.max(before.map_or(0, |submap| submap.number() + 1));
     }
 
     /// Hands over those closed submaps in the window whose stored form is to be replaced.
     fn keep_cleared(&mut self) {
         let fixed_below = self.fixed_below;
-        let is_new = |submap: &&Submap| submap.has_cleared() && submap.number >= fixed_below;
-        self.left_cleared.extend(self.closed.iter().filter(is_new).cloned());
+        let is_new = |submap: &&ClosedSubmap| submap.has_cleared() && submap.number() >= fixed_below;
+        self.left_cleared.extend(self.closed.iter().filter(is_new).map(ClosedSubmap::submap));
     }
 
     /// Closed submaps that have left the window, or been in it when the map was closed, with cells cleared since they were
@@ -317,7 +318,7 @@ impl Mapper {
             tiles: self.window.close_active(),
         };
         self.number += 1;
-        self.remember(submap.clone());
+        self.remember(&submap);
         Some(submap)
     }
 
@@ -333,14 +334,14 @@ impl Mapper {
     }
 
     /// Keeps a closed submap while it is in the window, and lets the oldest leave a bounded one.
-    fn remember(&mut self, submap: Submap) {
-        self.closed.push_back(submap);
+    fn remember(&mut self, submap: &Submap) {
+        self.closed.push_back(ClosedSubmap::new(submap));
         let Some(size) = self.settings.window_submaps() else { return };
         while self.closed.len() > size {
             if let Some(oldest) = self.closed.pop_front() {
                 self.window.withdraw_submap(&oldest);
-                if oldest.has_cleared() && oldest.number >= self.fixed_below {
-                    self.left_cleared.push(oldest);
+                if oldest.has_cleared() && oldest.number() >= self.fixed_below {
+                    self.left_cleared.push(oldest.submap());
                 }
             }
         }

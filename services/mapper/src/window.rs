@@ -1,5 +1,6 @@
 //! The grid around the robot that scans are matched to: evidence goes in, changed and retired tiles come out.
 
+use crate::closed_submap::ClosedSubmap;
 use crate::score::Scores;
 use crate::settings::Settings;
 use crate::tile_share::TileShare;
@@ -142,43 +143,41 @@ impl Window {
     /// Keeps a part of the active submap's evidence of a cell.
     fn leave(&mut self, cell: CellIndex, part: impl Fn(PackedCell) -> PackedCell) {
         if let Some(tile) = self.tiles.get_mut(cell.tile()) {
-            let active = &mut tile.active[cell.offset()];
-            *active = part(*active);
-            let left = active.unpack();
-            tile.set_sum(cell.offset(), left, &mut self.scores);
+            let left = part(tile.active(cell.offset()));
+            tile.replace(cell.offset(), left, &mut self.scores);
             self.touch(cell.tile());
         }
     }
 
     /// Adds a closed submap's evidence to the sum.
     pub(crate) fn add_submap(&mut self, submap: &Submap) {
-        self.change_sums(submap, Cell::combine);
+        submap.tiles.iter().for_each(|tile| self.change_sums(tile, Cell::combine));
     }
 
     /// Subtracts a closed submap's evidence from the sum; its tiles retire if they hold nothing else.
-    pub(crate) fn withdraw_submap(&mut self, submap: &Submap) {
-        self.change_sums(submap, |sum, evidence| {
-            sum.withdraw(evidence).expect("the window holds what its submaps hold")
-        });
-        self.retired.extend(submap.tiles.iter().map(|tile| tile.key));
+    pub(crate) fn withdraw_submap(&mut self, submap: &ClosedSubmap) {
+        for tile in submap.tiles() {
+            self.change_sums(&tile, |sum, evidence| {
+                sum.withdraw(evidence).expect("the window holds what its submaps hold")
+            });
+            self.retired.push(tile.key);
+        }
     }
 
-    /// Changes the sum of each cell that a submap has evidence of.
-    fn change_sums(&mut self, submap: &Submap, change: impl Fn(Cell, Cell) -> Cell) {
-        for part in &submap.tiles {
-            let evidence = |offset| Some(part.cell(offset)).filter(|cell| !cell.is_unknown());
-            let mut known = (0..TILE_CELLS).filter_map(|offset| Some((offset, evidence(offset)?))).peekable();
-            if known.peek().is_none() {
-                continue;
-            }
-            let tile = tile_at(&mut self.tiles, part.key, self.scores.unknown());
-            let Some(tile) = tile else { continue };
-            for (offset, evidence) in known {
-                let sum = change(tile.sums[offset], evidence.unpack());
-                tile.set_sum(offset, sum, &mut self.scores);
-            }
-            self.touch(part.key);
+    /// Changes the sum of each cell that a tile of a submap has evidence of.
+    fn change_sums(&mut self, part: &SubmapTile, change: impl Fn(Cell, Cell) -> Cell) {
+        let evidence = |offset| Some(part.cell(offset)).filter(|cell| !cell.is_unknown());
+        let mut known = (0..TILE_CELLS).filter_map(|offset| Some((offset, evidence(offset)?))).peekable();
+        if known.peek().is_none() {
+            return;
         }
+        let tile = tile_at(&mut self.tiles, part.key, self.scores.unknown());
+        let Some(tile) = tile else { return };
+        for (offset, evidence) in known {
+            let sum = change(tile.sum(offset), evidence.unpack());
+            tile.set_sum(offset, sum, &mut self.scores);
+        }
+        self.touch(part.key);
     }
 
     /// Removes all evidence; every tile retires.
@@ -199,9 +198,7 @@ impl Window {
         for key in keys.drain(..) {
             let tile = self.tiles.get_mut(key).expect("tiles with active evidence are in the window");
             tile.in_active = false;
-            let mut cells = Box::new([PackedCell::UNKNOWN; TILE_CELLS]);
-            std::mem::swap(&mut *cells, &mut tile.active);
-            closed.push(SubmapTile::new(key, cells));
+            closed.push(SubmapTile::new(key, tile.take_active()));
         }
         self.active = keys;
         closed.sort_unstable_by_key(|tile| tile.key);

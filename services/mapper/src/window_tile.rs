@@ -12,10 +12,10 @@ const GROUP: usize = 8;
 pub(crate) struct WindowTile {
     /// The published form: the evidence of the whole window, capped, and its scores.
     pub(crate) published: Tile,
-    /// Evidence of the whole window, not capped.
-    pub(crate) sums: [Cell; TILE_CELLS],
-    /// Evidence of the active submap; capped as it will be when the submap is closed.
-    pub(crate) active: [PackedCell; TILE_CELLS],
+    /// Evidence of the whole window, not capped, from the moment that a cell of the tile reaches the cap. Few tiles have such a cell.
+    uncapped: Option<Box<[Cell; TILE_CELLS]>>,
+    /// Evidence of the active submap, once there is some; capped as it will be when the submap is closed.
+    active: Option<Box<[PackedCell; TILE_CELLS]>>,
     /// Cells that the present scan has observed, one bit each, row by row.
     observed: [u64; TILE_SIDE],
     /// Cells that its rays cross.
@@ -32,8 +32,8 @@ impl WindowTile {
     pub(crate) fn new(unknown_score: u16) -> Box<Self> {
         Box::new(Self {
             published: *Tile::unknown(unknown_score),
-            sums: [Cell::UNKNOWN; TILE_CELLS],
-            active: [PackedCell::UNKNOWN; TILE_CELLS],
+            uncapped: None,
+            active: None,
             observed: [0; TILE_SIDE],
             crossed: CrossedCells::default(),
             crossed_by: 0,
@@ -49,7 +49,34 @@ impl WindowTile {
 
     /// Whether any cell has evidence.
     pub(crate) fn is_known(&self) -> bool {
-        self.sums.iter().any(|sum| !sum.is_unknown())
+        self.published.cells.iter().any(|cell| !cell.is_unknown())
+    }
+
+    /// Evidence of the whole window for a cell, not capped.
+    #[inline]
+    pub(crate) fn sum(&self, offset: usize) -> Cell {
+        match &self.uncapped {
+            Some(sums) => sums[offset],
+            None => self.published.cells[offset].unpack(),
+        }
+    }
+
+    /// Evidence of the active submap for a cell.
+    pub(crate) fn active(&self, offset: usize) -> PackedCell {
+        self.active.as_ref().map_or(PackedCell::UNKNOWN, |active| active[offset])
+    }
+
+    /// Replaces the evidence of a cell: that of the active submap, and with it that of the whole window.
+    pub(crate) fn replace(&mut self, offset: usize, active: PackedCell, scores: &mut Scores) {
+        if active != self.active(offset) {
+            active_cells(&mut self.active)[offset] = active;
+        }
+        self.set_sum(offset, active.unpack(), scores);
+    }
+
+    /// Takes the evidence of the active submap out; the sum stays as it is.
+    pub(crate) fn take_active(&mut self) -> Box<[PackedCell; TILE_CELLS]> {
+        self.active.take().unwrap_or_else(unknown_cells)
     }
 
     /// Adds evidence to a cell; false when the scan has observed it before.
@@ -59,11 +86,12 @@ impl WindowTile {
             return false;
         }
         *row |= bit;
-        let before = self.active[offset].unpack();
-        self.active[offset] = before.combine(evidence).pack();
-        let after = self.active[offset].unpack();
+        let active = &mut active_cells(&mut self.active)[offset];
+        let before = active.unpack();
+        *active = before.combine(evidence).pack();
+        let after = active.unpack();
         let added = Cell { occupied: after.occupied - before.occupied, free: after.free - before.free };
-        self.set_sum(offset, self.sums[offset].combine(added), scores);
+        self.set_sum(offset, self.sum(offset).combine(added), scores);
         true
     }
 
@@ -94,26 +122,35 @@ impl WindowTile {
         }
     }
 
-    /// Adds evidence to those of eight cells whose bits are set: all eight at once, without a branch. True when one of
+    /// Adds evidence to those of eight cells whose bits are set: all eight at once, without a branch for each. True when one of
     /// the eight has evidence for "occupied".
     #[inline]
     fn add_to_group(&mut self, first: usize, cells: u8, evidence: PackedCell) -> bool {
         let added = masked(cells, evidence);
-        let active = &mut self.active[first..first + GROUP];
+        let active = &mut active_cells(&mut self.active)[first..first + GROUP];
         let published = &mut self.published.cells[first..first + GROUP];
-        let sums = &mut self.sums[first..first + GROUP];
-        let mut occupied = 0;
-        for (((active, published), sum), added) in active.iter_mut().zip(published).zip(sums).zip(added) {
+        let (mut occupied, mut capped) = (0, false);
+        let mut more = [[0; 2]; GROUP];
+        for (((active, published), more), added) in
+            active.iter_mut().zip(&*published).zip(&mut more).zip(added)
+        {
             let before = *active;
             active.occupied = before.occupied.saturating_add(added[0]);
             active.free = before.free.saturating_add(added[1]);
-            let (more_occupied, more_free) =
-                (active.occupied.wrapping_sub(before.occupied), active.free.wrapping_sub(before.free));
-            // The published form is the sum capped, and a capped sum of capped numbers is the same.
-            published.occupied = published.occupied.saturating_add(more_occupied);
-            published.free = published.free.saturating_add(more_free);
-            sum.occupied = sum.occupied.wrapping_add(u32::from(more_occupied));
-            sum.free = sum.free.wrapping_add(u32::from(more_free));
+            *more = [active.occupied.wrapping_sub(before.occupied), active.free.wrapping_sub(before.free)];
+            capped |= more[0] > u16::MAX - published.occupied || more[1] > u16::MAX - published.free;
+        }
+        if capped || self.uncapped.is_some() {
+            let sums = &mut uncapped_cells(&mut self.uncapped, &self.published)[first..first + GROUP];
+            for (sum, more) in sums.iter_mut().zip(&more) {
+                sum.occupied = sum.occupied.wrapping_add(u32::from(more[0]));
+                sum.free = sum.free.wrapping_add(u32::from(more[1]));
+            }
+        }
+        // The published form is the sum capped, and a capped sum of capped numbers is the same.
+        for (published, more) in self.published.cells[first..first + GROUP].iter_mut().zip(&more) {
+            published.occupied = published.occupied.saturating_add(more[0]);
+            published.free = published.free.saturating_add(more[1]);
             occupied |= published.occupied;
         }
         occupied != 0
@@ -121,7 +158,7 @@ impl WindowTile {
 
     fn score_group(&mut self, first: usize, cells: u8, scores: &mut Scores) {
         for cell in 0..GROUP {
-            let sum = self.sums[first + cell];
+            let sum = self.sum(first + cell);
             if cells >> cell & 1 == 1 && (sum.occupied > 0 || scores.tells_free()) {
                 self.published.set_score(first + cell, scores.of(sum));
             }
@@ -130,13 +167,39 @@ impl WindowTile {
 
     /// Replaces the sum of a cell, and what is published of it.
     pub(crate) fn set_sum(&mut self, offset: usize, sum: Cell, scores: &mut Scores) {
-        let had_occupied = self.sums[offset].occupied > 0;
-        self.sums[offset] = sum;
-        self.published.cells[offset] = sum.pack();
+        let had_occupied = self.published.cells[offset].occupied > 0;
+        let published = sum.pack();
+        if self.uncapped.is_some() || published.unpack() != sum {
+            uncapped_cells(&mut self.uncapped, &self.published)[offset] = sum;
+        }
+        self.published.cells[offset] = published;
         if had_occupied || sum.occupied > 0 || scores.tells_free() {
             self.published.set_score(offset, scores.of(sum));
         }
     }
+}
+
+fn unknown_cells() -> Box<[PackedCell; TILE_CELLS]> {
+    Box::new([PackedCell::UNKNOWN; TILE_CELLS])
+}
+
+/// The cells of the active submap, made if need be.
+#[inline]
+fn active_cells(active: &mut Option<Box<[PackedCell; TILE_CELLS]>>) -> &mut [PackedCell; TILE_CELLS] {
+    active.get_or_insert_with(unknown_cells)
+}
+
+/// The sums that are not capped. Until now none was above the cap.
+#[inline]
+fn uncapped_cells<'a>(
+    uncapped: &'a mut Option<Box<[Cell; TILE_CELLS]>>,
+    published: &Tile,
+) -> &'a mut [Cell; TILE_CELLS] {
+    uncapped.get_or_insert_with(|| {
+        let mut sums = Box::new([Cell::UNKNOWN; TILE_CELLS]);
+        sums.iter_mut().zip(&published.cells).for_each(|(sum, cell)| *sum = cell.unpack());
+        sums
+    })
 }
 
 /// The evidence for each of eight cells whose bit is set, nothing for the others.

@@ -2,10 +2,9 @@
 //! out again.
 
 use crate::Footprint;
-use crate::fused_tile::FusedTile;
 use crate::resampling::Resampling;
 use flockslam_evidence::{
-    Cell, CellIndex, PackedCell, Submap, TILE_CELLS, TILE_SIDE, TileDirectory, TileKey, TooFar,
+    BlockTile, Cell, CellIndex, PackedCell, Submap, TILE_CELLS, TILE_SIDE, TileDirectory, TileKey, TooFar,
 };
 use flockslam_geometry::{Point, Pose};
 use flockslam_results::{MapShape, StoredMap};
@@ -37,7 +36,7 @@ use flockslam_results::{MapShape, StoredMap};
 #[derive(Clone, Debug)]
 pub struct FusedMap {
     cell_size_m: f64,
-    tiles: TileDirectory<FusedTile>,
+    tiles: TileDirectory<BlockTile>,
 }
 
 /// A submap cannot be taken out: it is not in the map at this pose.
@@ -120,7 +119,7 @@ impl FusedMap {
         submap: &Submap,
         resampling: &Resampling,
         mut count: usize,
-        back: fn(&mut FusedTile, &[(u16, PackedCell)]),
+        back: fn(&mut BlockTile, &[(u16, PackedCell)]),
     ) {
         for tile in &submap.tiles {
             resampling.for_each(tile, |part| {
@@ -138,7 +137,7 @@ impl FusedMap {
         keys.sort_unstable();
         keys.dedup();
         for key in keys {
-            if self.tiles.get(key).is_some_and(FusedTile::is_empty) {
+            if self.tiles.get(key).is_some_and(BlockTile::is_empty) {
                 self.tiles.remove(key);
             }
         }
@@ -163,7 +162,7 @@ impl FusedMap {
 
     /// The cells of a tile (index = y·64 + x), if there is evidence in it.
     pub fn tile(&self, key: TileKey) -> Option<Box<[Cell; TILE_CELLS]>> {
-        self.tiles.get(key).map(FusedTile::cells)
+        self.tiles.get(key).map(BlockTile::cells)
     }
 
     /// All tiles with their cells (index = y·64 + x), row by row.
@@ -191,15 +190,15 @@ impl FusedMap {
         })
     }
 
-    fn tile_mut(&mut self, key: TileKey) -> Result<&mut FusedTile, TooFar> {
+    fn tile_mut(&mut self, key: TileKey) -> Result<&mut BlockTile, TooFar> {
         if self.tiles.get(key).is_none() {
-            self.tiles.set(key, FusedTile::default())?;
+            self.tiles.set(key, BlockTile::default())?;
         }
         Ok(self.tiles.get_mut(key).expect("just set"))
     }
 }
 
-fn add(cells: &mut FusedTile, evidence: &[(u16, PackedCell)]) {
+fn add(cells: &mut BlockTile, evidence: &[(u16, PackedCell)]) {
     for (place, evidence) in evidence {
         let place = usize::from(*place);
         cells.set_cell(place, cells.cell(place).combine(evidence.unpack()));
@@ -207,7 +206,7 @@ fn add(cells: &mut FusedTile, evidence: &[(u16, PackedCell)]) {
 }
 
 /// Subtracts evidence as far as possible; gives the number of changed cells.
-fn withdraw(cells: &mut FusedTile, evidence: &[(u16, PackedCell)]) -> usize {
+fn withdraw(cells: &mut BlockTile, evidence: &[(u16, PackedCell)]) -> usize {
     for (done, (place, evidence)) in evidence.iter().enumerate() {
         let place = usize::from(*place);
         match cells.cell(place).withdraw(evidence.unpack()) {

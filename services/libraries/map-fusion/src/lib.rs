@@ -6,7 +6,6 @@ mod coverage;
 mod final_cleaning;
 mod footprint;
 mod fused_map;
-mod fused_tile;
 mod fusion;
 mod rays;
 mod resampling;

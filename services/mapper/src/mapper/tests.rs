@@ -123,7 +123,7 @@ fn clears_for_good(window_m: f64) {
     assert!(insertion.changed.contains(&stale.tile()));
     let after = window_of(&mapper).into_iter().find(|(key, _)| *key == stale.tile()).unwrap().1;
     assert_eq!((after.cells[stale.offset()].occupied, after.score[stale.offset()]), (0, 0));
-    assert!(mapper.closed.iter().all(|submap| submap.cell(stale).is_unknown()));
+    assert!(mapper.closed.iter().all(|closed| closed.submap().cell(stale).is_unknown()));
     mapper.close();
     let cleared = mapper.take_cleared();
     assert!(!cleared.is_empty() && cleared.iter().all(Submap::has_cleared));

@@ -1,6 +1,6 @@
-//! A tile of the fused map, which takes memory for the blocks of cells that something is known of.
+//! A tile of cells that takes memory for the blocks that something is known of.
 
-use flockslam_evidence::{Cell, PackedCell, TILE_CELLS, TILE_SIDE};
+use crate::{Cell, PackedCell, TILE_CELLS, TILE_SIDE};
 
 /// Cells along a side of a block.
 const BLOCK_SIDE: usize = 8;
@@ -10,29 +10,35 @@ const BLOCKS_IN_ROW: usize = TILE_SIDE / BLOCK_SIDE;
 const BLOCK_CELLS: usize = BLOCK_SIDE * BLOCK_SIDE;
 /// The block has no cells yet.
 const NONE: u8 = u8::MAX;
+/// From this place on blocks are narrow, below they are free.
+const NARROW: u8 = 64;
 /// From this place on blocks are wide.
-const WIDE: u8 = 64;
+const WIDE: u8 = 128;
 /// Memory for so many blocks is taken at a time.
 const BLOCKS_AT_A_TIME: usize = 8;
 
-/// Cells of a tile by their offset (y·64 + x). Those of a corridor fill a small part of the tiles around it. A block takes half the memory
-/// as long as no sum in it is larger than the weight of one submap can be.
+/// Cells of a tile by their offset (y·64 + x). Those of a corridor fill a small part of the tiles around it.
+///
+/// A block takes a quarter of the memory while there is evidence for "free" alone in it, and half as long as no sum is larger than the
+/// weight of one submap can be.
 #[derive(Clone, Debug)]
-pub struct FusedTile {
-    /// By block, row by row: its place in `narrow`, or from [`WIDE`] on in `wide`, or [`NONE`].
+pub struct BlockTile {
+    /// By block, row by row: its place in `free`, from [`NARROW`] on in `narrow`, from [`WIDE`] on in `wide`, or [`NONE`].
     places: [u8; BLOCKS_IN_ROW * BLOCKS_IN_ROW],
+    /// Evidence for "free" of blocks that have no other.
+    free: Vec<[u16; BLOCK_CELLS]>,
     narrow: Vec<[PackedCell; BLOCK_CELLS]>,
     wide: Vec<[Cell; BLOCK_CELLS]>,
 }
 
-impl Default for FusedTile {
+impl Default for BlockTile {
     fn default() -> Self {
         let places = [NONE; BLOCKS_IN_ROW * BLOCKS_IN_ROW];
-        Self { places, narrow: Vec::new(), wide: Vec::new() }
+        Self { places, free: Vec::new(), narrow: Vec::new(), wide: Vec::new() }
     }
 }
 
-impl FusedTile {
+impl BlockTile {
     /// A cell.
     #[inline]
     pub fn cell(&self, offset: usize) -> Cell {
@@ -40,7 +46,8 @@ impl FusedTile {
         match self.places[block] {
             NONE => Cell::UNKNOWN,
             at @ WIDE.. => self.wide[usize::from(at - WIDE)][place],
-            at => self.narrow[usize::from(at)][place].unpack(),
+            at @ NARROW.. => self.narrow[usize::from(at - NARROW)][place].unpack(),
+            at => Cell { occupied: 0, free: u32::from(self.free[usize::from(at)][place]) },
         }
     }
 
@@ -48,15 +55,26 @@ impl FusedTile {
     #[inline]
     pub fn set_cell(&mut self, offset: usize, cell: Cell) {
         let (block, place) = split(offset);
+        let packed = exactly(cell);
         if self.places[block] == NONE {
-            self.places[block] = self.another();
+            self.places[block] = take_place(&mut self.free, [0; BLOCK_CELLS]);
         }
-        if let at @ ..WIDE = self.places[block] {
-            if let Some(packed) = exactly(cell) {
-                self.narrow[usize::from(at)][place] = packed;
+        if let at @ ..NARROW = self.places[block] {
+            if let Some(PackedCell { occupied: 0, free }) = packed {
+                self.free[usize::from(at)][place] = free;
                 return;
             }
-            self.widen(block);
+            let cells = leave_place(&mut self.free, at, &mut self.places, 0);
+            let cells = cells.map(|free| PackedCell { occupied: 0, free });
+            self.places[block] = NARROW + take_place(&mut self.narrow, cells);
+        }
+        if let at @ ..WIDE = self.places[block] {
+            if let Some(packed) = packed {
+                self.narrow[usize::from(at - NARROW)][place] = packed;
+                return;
+            }
+            let cells = leave_place(&mut self.narrow, at, &mut self.places, NARROW);
+            self.places[block] = WIDE + take_place(&mut self.wide, cells.map(PackedCell::unpack));
         }
         self.wide[usize::from(self.places[block] - WIDE)][place] = cell;
     }
@@ -79,40 +97,36 @@ impl FusedTile {
 
     /// Whether nothing is known.
     pub fn is_empty(&self) -> bool {
-        self.narrow.as_flattened().iter().all(|cell| cell.is_unknown())
+        self.free.as_flattened().iter().all(|free| *free == 0)
+            && self.narrow.as_flattened().iter().all(|cell| cell.is_unknown())
             && self.wide.as_flattened().iter().all(|cell| cell.is_unknown())
     }
 
-    /// Blocks with memory.
+    /// Memory of its blocks, bytes.
     #[cfg(test)]
-    fn blocks(&self) -> usize {
-        self.narrow.len() + self.wide.len()
+    fn bytes(&self) -> usize {
+        size_of_val(&self.free[..]) + size_of_val(&self.narrow[..]) + size_of_val(&self.wide[..])
     }
+}
 
-    #[cold]
-    fn another(&mut self) -> u8 {
-        if self.narrow.len() == self.narrow.capacity() {
-            self.narrow.reserve_exact(BLOCKS_AT_A_TIME);
-        }
-        self.narrow.push([PackedCell::UNKNOWN; BLOCK_CELLS]);
-        (self.narrow.len() - 1) as u8
+/// Adds a block; gives its place.
+#[cold]
+fn take_place<T>(blocks: &mut Vec<T>, block: T) -> u8 {
+    if blocks.len() == blocks.capacity() {
+        blocks.reserve_exact(BLOCKS_AT_A_TIME);
     }
+    blocks.push(block);
+    (blocks.len() - 1) as u8
+}
 
-    /// Makes a narrow block wide; the last narrow one takes its place.
-    #[cold]
-    fn widen(&mut self, block: usize) {
-        let at = self.places[block];
-        let last = (self.narrow.len() - 1) as u8;
-        let cells = self.narrow.swap_remove(usize::from(at)).map(PackedCell::unpack);
-        if let Some(moved) = self.places.iter_mut().find(|place| **place == last) {
-            *moved = at;
-        }
-        if self.wide.len() == self.wide.capacity() {
-            self.wide.reserve_exact(BLOCKS_AT_A_TIME);
-        }
-        self.wide.push(cells);
-        self.places[block] = WIDE + (self.wide.len() - 1) as u8;
+/// Removes the block at `at` from those whose places begin at `first`; the last of them takes its place.
+#[cold]
+fn leave_place<T>(blocks: &mut Vec<T>, at: u8, places: &mut [u8], first: u8) -> T {
+    let last = first + (blocks.len() - 1) as u8;
+    if let Some(moved) = places.iter_mut().find(|place| **place == last) {
+        *moved = at;
     }
+    blocks.swap_remove(usize::from(at - first))
 }
 
 /// A cell in the form of one submap, where its weights are no larger.
@@ -133,9 +147,11 @@ fn split(offset: usize) -> (usize, usize) {
 mod tests {
     use super::*;
 
+    const FREE_BLOCK_BYTES: usize = 128;
+
     #[test]
     fn cells_are_where_they_were_put_and_the_others_take_no_memory() {
-        let mut tile = FusedTile::default();
+        let mut tile = BlockTile::default();
         let cell = |number: usize| Cell { occupied: number as u32, free: 1 };
         let wall = |offset: &usize| (100..140).contains(&(offset % 64 * 2 + offset / 64));
         (0..TILE_CELLS).filter(wall).for_each(|offset| tile.set_cell(offset, cell(offset)));
@@ -144,28 +160,37 @@ mod tests {
             let expected = if wall(&offset) { cell(offset) } else { Cell::UNKNOWN };
             assert_eq!((cells[offset], tile.cell(offset)), (expected, expected));
         }
-        assert!(tile.blocks() < 40 && !tile.is_empty() && FusedTile::default().is_empty());
+        assert!(
+            tile.bytes() < 40 * 2 * FREE_BLOCK_BYTES && !tile.is_empty() && BlockTile::default().is_empty()
+        );
     }
 
     #[test]
-    fn every_cell_has_a_place_of_its_own() {
-        let mut tile = FusedTile::default();
+    fn free_cells_take_two_bytes_and_each_has_a_place_of_its_own() {
+        let mut tile = BlockTile::default();
         (0..TILE_CELLS)
             .for_each(|offset| tile.set_cell(offset, Cell { occupied: 0, free: 1 + offset as u32 }));
         assert!((0..TILE_CELLS).all(|offset| tile.cell(offset).free == 1 + offset as u32));
-        assert_eq!(tile.blocks(), 64);
+        assert_eq!(tile.bytes(), 64 * FREE_BLOCK_BYTES);
+        tile.set_cell(77, Cell { occupied: 5, free: 3 });
+        assert_eq!(tile.bytes(), 65 * FREE_BLOCK_BYTES);
+        let expected = |offset| match offset {
+            77 => Cell { occupied: 5, free: 3 },
+            _ => Cell { occupied: 0, free: 1 + offset as u32 },
+        };
+        assert!((0..TILE_CELLS).all(|offset| tile.cell(offset) == expected(offset)));
     }
 
     #[test]
     fn large_sums_are_as_exact_as_small_ones() {
-        let mut tile = FusedTile::default();
+        let mut tile = BlockTile::default();
         let sum = |offset: usize| Cell { occupied: (offset as u32 * 7919) % 131_072, free: offset as u32 };
         // Block by block becomes wide, in an order that is not theirs.
         for offset in (0..TILE_CELLS).map(|step| step * 1237 % TILE_CELLS) {
             tile.set_cell(offset, sum(offset));
         }
         assert!((0..TILE_CELLS).all(|offset| tile.cell(offset) == sum(offset)));
-        assert_eq!(tile.blocks(), 64);
+        assert_eq!(tile.bytes(), 64 * 4 * FREE_BLOCK_BYTES);
         (0..TILE_CELLS).for_each(|offset| tile.set_cell(offset, Cell::UNKNOWN));
         assert!(tile.is_empty());
     }
