@@ -61,7 +61,15 @@ pub struct SubmapTile {
 
 /// Which cells of a submap are masked: what can change about it once it is closed.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct ClearedCells(Vec<(TileKey, [u64; TILE_SIDE])>);
+pub struct ClearedCells(Vec<ClearedRow>);
+
+/// A row of a tile with masked cells, one bit each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct ClearedRow {
+    key: TileKey,
+    row: u8,
+    cells: u64,
+}
 
 impl Submap {
     /// The tile with this key, if the submap has evidence there.
@@ -87,16 +95,19 @@ impl Submap {
 
     /// The cells that are masked now.
     pub fn cleared(&self) -> ClearedCells {
-        let cleared = self.tiles.iter().filter(|tile| tile.has_cleared());
-        ClearedCells(cleared.map(|tile| (tile.key, tile.cleared)).collect())
+        let rows_of = |tile: &SubmapTile| {
+            let key = tile.key;
+            (0..).zip(tile.cleared).map(move |(row, cells)| ClearedRow { key, row, cells })
+        };
+        ClearedCells(self.tiles.iter().flat_map(rows_of).filter(|row| row.cells != 0).collect())
     }
 
     /// Masks these cells and no others. Tiles that the submap does not have are passed over.
     pub fn set_cleared(&mut self, cells: &ClearedCells) {
         self.tiles.iter_mut().for_each(|tile| tile.cleared = [0; TILE_SIDE]);
-        for (key, rows) in &cells.0 {
+        for ClearedRow { key, row, cells } in &cells.0 {
             if let Some(tile) = self.tile_mut(*key) {
-                tile.cleared = *rows;
+                tile.cleared[usize::from(*row)] = *cells;
             }
         }
     }

@@ -36,7 +36,7 @@ use flockslam_results::{MapShape, StoredMap};
 #[derive(Clone, Debug)]
 pub struct FusedMap {
     cell_size_m: f64,
-    tiles: TileDirectory<BlockTile>,
+    tiles: TileDirectory<Box<BlockTile>>,
 }
 
 /// A submap cannot be taken out: it is not in the map at this pose.
@@ -137,7 +137,7 @@ impl FusedMap {
         keys.sort_unstable();
         keys.dedup();
         for key in keys {
-            if self.tiles.get(key).is_some_and(BlockTile::is_empty) {
+            if self.tiles.get(key).is_some_and(|tile| tile.is_empty()) {
                 self.tiles.remove(key);
             }
         }
@@ -162,7 +162,7 @@ impl FusedMap {
 
     /// The cells of a tile (index = y·64 + x), if there is evidence in it.
     pub fn tile(&self, key: TileKey) -> Option<Box<[Cell; TILE_CELLS]>> {
-        self.tiles.get(key).map(BlockTile::cells)
+        self.tiles.get(key).map(|tile| tile.cells())
     }
 
     /// All tiles with their cells (index = y·64 + x), row by row.
@@ -192,7 +192,7 @@ impl FusedMap {
 
     fn tile_mut(&mut self, key: TileKey) -> Result<&mut BlockTile, TooFar> {
         if self.tiles.get(key).is_none() {
-            self.tiles.set(key, BlockTile::default())?;
+            self.tiles.set(key, Box::default())?;
         }
         Ok(self.tiles.get_mut(key).expect("just set"))
     }

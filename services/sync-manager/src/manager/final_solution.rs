@@ -6,6 +6,7 @@ use crate::solution::{DetachedPart, PlacedScan, Solution};
 use flockslam_geometry::Pose;
 use flockslam_loop_closure::connectivity::TrajectoryConnectivity;
 use flockslam_loop_closure::finder::ClosureFinder;
+use flockslam_loop_closure::open_finder::OpenFinder;
 use flockslam_loop_closure::scans::ScanStore;
 use flockslam_map_fusion::PlacedSubmap;
 use flockslam_registration::cloud::Placement;
@@ -16,6 +17,7 @@ impl SyncManager {
     pub fn forget_scans(&mut self) {
         self.scans = ScanStore::default();
         self.finder = ClosureFinder::default();
+        self.open_finder = OpenFinder::default();
     }
 
     /// The solution with these poses for all records, turned so that the first of the map is where the front end put it.
