@@ -5,6 +5,7 @@
 
 use crate::motion::{Motion, Prediction};
 use crate::settings::{Settings, Strategy};
+use carried::Carried;
 use fitting::{Fitted, Fitter, Solvers};
 use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::{Covariance, Pose};
@@ -41,6 +42,7 @@ const RECOGNISABLE: f64 = 0.4;
 const SLIPPED: (f64, f64) = (0.15, 0.08);
 
 mod bodies;
+mod carried;
 mod fitting;
 mod flock_robots;
 mod judging;
@@ -63,6 +65,8 @@ pub struct ScanMatcher {
     confidence: Confidence,
     /// The surfaces that the last scans have shown.
     surroundings: Surroundings,
+    /// What the last scans saw, for a robot that is carried.
+    carried: Carried,
     /// Published poses of other robots.
     companions: FlockRobots,
     buffers: Buffers,
@@ -97,6 +101,7 @@ impl ScanMatcher {
             map: MapState::new(),
             confidence: Confidence::default(),
             surroundings: Surroundings::default(),
+            carried: Carried::default(),
             companions: FlockRobots::default(),
             buffers: Buffers::default(),
         }
@@ -126,9 +131,11 @@ impl ScanMatcher {
         if points.len() < POINTS_MIN || grid.is_empty() || self.map.begins_elsewhere {
             return self.unmatched(scan, predicted, points, grid.is_empty());
         }
+        self.carried.sees(scan, &points);
         let (points, mask) = self.mask_movers(scan, points, &prediction, grid);
         let fitted = self.fit(scan, points, &mask, prediction, grid);
-        let judgement = self.judge(&fitted, &mask, grid);
+        let is_carried = self.is_carried(scan, &fitted);
+        let judgement = self.judge(&fitted, &mask, grid, is_carried);
         self.update(scan, predicted, fitted, mask, judgement)
     }
 
@@ -183,6 +190,7 @@ impl ScanMatcher {
         self.motion.break_off();
         self.confidence.begin_anew();
         self.surroundings.clear();
+        self.carried.clear();
         self.map.trajectory += 1;
         (self.map.detached, self.map.begins_elsewhere, self.map.inserted) = (true, true, None);
     }
@@ -349,6 +357,9 @@ impl ScanMatcher {
             self.motion.learn_scale(fitted.prediction.pose, held);
         }
         let estimate = self.matched(predicted, &fitted, &judgement);
+        if judgement.quality != Quality::Lost {
+            self.carried.explains(estimate.odom_from_base);
+        }
         (self.buffers.points, self.buffers.mask) = (fitted.points, mask);
         let stays_lost = self.confidence.lost > self.settings.rescue.lost_scans_max;
         let estimate = if stays_lost { self.begun_trajectory(estimate) } else { estimate };
@@ -376,10 +387,11 @@ impl ScanMatcher {
         // Where scans usually fit, one place after the other that does not means that odometry is wrong. In the open it means as well
         // that the robot has drifted, and what contradicts its scans is an old part of the map.
         let is_hard = self.confidence.mean_score < RECOGNISABLE || self.confidence.is_in_the_open();
-        let continues = estimate.has(PoseFlags::HAS_ODOMETRY) && is_hard;
+        let continues = estimate.has(PoseFlags::HAS_ODOMETRY) && is_hard && !self.carried.is_likely();
         let flags = estimate.flags | if continues { PoseFlags::CONTINUES } else { 0 };
         self.confidence.begin_anew();
         self.surroundings.clear();
+        self.carried.clear();
         self.map.trajectory += 1;
         (self.map.detached, self.map.inserted) = (true, None);
         let quality = Quality::Degraded as u32;

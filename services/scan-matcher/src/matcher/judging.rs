@@ -5,7 +5,7 @@ use crate::contradiction::{contradicted, in_the_unknown};
 use crate::motion::Prediction;
 use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::{Covariance, Pose, Twist};
-use flockslam_messages::Quality;
+use flockslam_messages::{Quality, ScanView};
 use std::ops::Deref;
 
 /// A fit below this share of the running mean is rejected. The share is low, so that fits in a changed place are accepted.
@@ -21,7 +21,7 @@ const CONTRADICTED: (f64, f64) = (0.5, 0.1);
 /// this share as well as usual. Corridors that look alike gave less, and single scans of the true place after a gap in the recording too.
 const FOUND_TIMES: u32 = 3;
 const FOUND_SHARE: f64 = 0.65;
-/// The same where scans are missing before the first that fits nowhere: the robot has gone on, and was hardly carried.
+/// The same where scans are missing before one of those that fit nowhere: the robot has gone on, and was hardly carried.
 const FOUND_SHARE_AFTER_GAP: f64 = 0.5;
 /// A scan with this share of its points in unknown space shows a new place.
 const NEW_PLACE: f64 = 0.7;
@@ -49,6 +49,7 @@ impl ScanMatcher {
         fitted: &Fitted,
         mask: &MoverMask,
         grid: &TileGrid<H>,
+        is_carried: bool,
     ) -> Judgement {
         let Fitted { twist, covariance, .. } = *fitted;
         if fitted.is_open {
@@ -58,6 +59,9 @@ impl ScanMatcher {
         let is_poor = fitted.fit.score < self.least_score(fitted, CONTRADICTED.0);
         if self.is_found_again(fitted) && !is_contradicted(fitted, mask, grid) {
             return Judgement { quality: Quality::Degraded, ..as_fitted };
+        }
+        if is_carried {
+            return Judgement { quality: Quality::Lost, ..as_fitted };
         }
         if self.settings.rescue.lost_scans_max == 0 || !is_poor {
             return as_fitted;
@@ -69,6 +73,19 @@ impl ScanMatcher {
         let is_new = as_fitted.quality == Quality::Lost
             && in_the_unknown(grid, &fitted.points.ends, pose) >= NEW_PLACE;
         if is_new { Judgement { pose, twist, covariance, quality: Quality::Degraded } } else { as_fitted }
+    }
+
+    /// Whether a scan that fits badly shows that the robot was carried. In the open scans scatter too much to tell, and without odometry
+    /// it is not known where the robot may have driven.
+    pub(super) fn is_carried(&mut self, scan: ScanView<'_>, fitted: &Fitted) -> bool {
+        let fits = fitted.fit.score >= self.settings.rescue.below * self.confidence.mean_score;
+        self.settings.rescue.lost_scans_max > 0
+            && scan.odometry().is_some()
+            && self.confidence.has_started()
+            && !self.confidence.is_in_the_open()
+            && !fitted.is_open
+            && !(fits && !fitted.is_rescued)
+            && self.carried.is_unexplained(fitted)
     }
 
     /// Whether wide searches find one scan after the other along one way, though none of them well: the robot looks at what the map

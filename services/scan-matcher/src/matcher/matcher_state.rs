@@ -67,7 +67,7 @@ pub(super) struct Confidence {
     pub(super) rival: Option<Rival>,
     /// Where wide searches found the last scans of a robot that is lost, and in how many in a row.
     pub(super) found: Option<(Pose, u32)>,
-    /// Scans were missing before the first of those that fit nowhere.
+    /// Scans were missing before one of those that fit nowhere.
     pub(super) lost_after_gap: bool,
 }
 
@@ -132,8 +132,7 @@ impl Confidence {
         let moved = (pose.distance_m(before) / OPEN_STEP.0).max(pose.turn_rad(before) / OPEN_STEP.1);
         self.open += OPEN_RATE * moved.min(1.0) * (open - self.open);
         if quality == Quality::Lost {
-            self.lost_after_gap =
-                if self.lost == 0 { fitted.prediction.after_gap } else { self.lost_after_gap };
+            self.lost_after_gap = fitted.prediction.after_gap || (self.lost > 0 && self.lost_after_gap);
             self.lost += u32::from(fitted.points.len() >= POINTS_MIN_FOR_SHARE);
             return;
         }
