@@ -1,17 +1,19 @@
-//! The message of a correction of the front end after a closed submap.
+//! The message of a correction of the front end.
 
 use crate::message::message;
 use flockslam_geometry::Pose;
 
 message! {
-    /// What sync-manager concluded after a closed submap, as far as the front end needs it; the whole solution lies in
+    /// What sync-manager concluded after a scan that has entered the map, as far as the front end needs it; the whole solution lies in
     /// the store.
-    pub struct Correction = "flockslam/correction/v1" {
+    pub struct Correction = "flockslam/correction/v2" {
         /// The new correction of the front end.
         pub map_from_odom: Pose,
+        /// Sequence of the scan after which it was computed.
+        pub scan: u64,
         /// Cold start that it belongs to.
         pub run: u32,
-        /// Submap after whose closing it was computed: finished up to and including this one.
+        /// The last submap whose closing it knows of; 0 before the first as well.
         pub submap: u32,
         /// Counts the corrections of this run from 1.
         pub revision: u32,

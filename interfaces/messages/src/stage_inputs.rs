@@ -5,7 +5,7 @@ use crate::{CommitName, Correction, ScanId};
 
 message! {
     /// What scan-matcher or dynamic-cleaner had in hand when it handled a scan. Nobody waits for it.
-    pub struct StageInputs = "flockslam/stage-inputs/v1" {
+    pub struct StageInputs = "flockslam/stage-inputs/v2" {
         /// The scan.
         pub id: ScanId,
         /// The process: CLOCK_MONOTONIC when it began, nanoseconds.

@@ -191,6 +191,7 @@ impl Matcher {
         }
         // Until that commit the grid is older, or empty.
         self.awaited.extend(self.accepted.map(|sequence| (sequence, context.now_ns())));
+        self.accepted.iter().for_each(|sequence| self.corrections.resumed(*sequence));
         // The predecessor may have died between the journal and this.
         self.poses.send(&last)?;
         self.notifiers.ring();
@@ -204,7 +205,7 @@ impl Matcher {
             self.logic.committed(&commit);
         }
         self.corrections.drain()?;
-        while let Some(correction) = self.corrections.next_due(context.mode, self.active_submap()) {
+        while let Some(correction) = self.corrections.next_due(context.mode, self.next_scan()) {
             self.logic.corrected(&correction);
             self.is_unplaced = correction.attached == 0;
         }
@@ -215,13 +216,13 @@ impl Matcher {
         Ok(())
     }
 
-    /// The submap that accepted scans enter.
-    fn active_submap(&self) -> u32 {
-        self.grid.committed().map_or(0, |commit| commit.active_submap)
+    /// Sequence of the oldest scan that waits.
+    fn next_scan(&self) -> Option<u64> {
+        self.join.scans.front().map(|scan| scan.header().id.sequence)
     }
 
-    /// Whether the grid that the next scan needs is there: in replay all accepted scans in it, and sync-manager not more
-    /// than one submap behind.
+    /// Whether the grid and the correction that the next scan needs are there: in replay all accepted scans in the grid, and
+    /// sync-manager not more than a few scans behind.
     fn grid_is_ready(&mut self, context: &mut StageContext) -> bool {
         let committed = self.grid.committed().map(|commit| commit.id.sequence);
         while self.awaited.front().is_some_and(|(sequence, _)| committed >= Some(*sequence)) {
@@ -232,7 +233,7 @@ impl Matcher {
         let lag = if may_lag { LAG_LIVE } else { 0 };
         let oldest = self.awaited.front().filter(|_| self.awaited.len() > lag);
         let Some((_, since_ns)) = oldest else {
-            return self.corrections.are_ready(context.mode, self.active_submap());
+            return self.corrections.are_ready(context.mode, self.next_scan());
         };
         let late = self.commit_deadline.is_over(*since_ns, context.now_ns());
         if late {
@@ -306,6 +307,7 @@ impl Matcher {
         let accepted = pose.has(PoseFlags::INSERT);
         if accepted {
             self.awaited.push_back((header.id.sequence, context.now_ns()));
+            self.corrections.accepted(context.mode, header.id.sequence);
             if pose.trajectory != self.trajectory {
                 (self.trajectory, self.trajectory_began) = (pose.trajectory, header.id.sequence);
             }

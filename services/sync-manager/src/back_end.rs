@@ -1,7 +1,7 @@
 //! The two back ends behind what they have in common: one makes a map, the other localizes in one.
 
 use crate::{LocalizingManager, SyncManager};
-use flockslam_messages::{BeamRange, Correction, PoseEstimate, ScanView, SubmapClosed};
+use flockslam_messages::{BeamRange, Correction, PoseEstimate, ScanId, ScanView, SubmapClosed};
 
 /// A back end of a robot.
 pub enum BackEnd {
@@ -25,6 +25,14 @@ impl BackEnd {
         match self {
             Self::Mapping(manager) => manager.node(scan, pose, moving),
             Self::Localizing(manager) => manager.node(scan, pose, moving),
+        }
+    }
+
+    /// Concludes what can be concluded after a scan that has entered the map, whose pose and points have just been given.
+    pub fn scan_accepted(&mut self, id: ScanId) -> Correction {
+        match self {
+            Self::Mapping(manager) => manager.scan_accepted(id),
+            Self::Localizing(manager) => manager.scan_accepted(id),
         }
     }
 

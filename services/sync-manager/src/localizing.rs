@@ -8,7 +8,7 @@ use flockslam_geometry::elementary::hypot;
 use flockslam_localisation::{Belief, Hint, Knowledge, Localizer, Measurement, Surroundings};
 use flockslam_loop_closure::scans::ScanStore;
 use flockslam_messages::{
-    BeamRange, Correction, LocalisationOrder, PoseEstimate, PoseFlags, ScanView, SubmapClosed,
+    BeamRange, Correction, LocalisationOrder, PoseEstimate, PoseFlags, ScanId, ScanView, SubmapClosed,
 };
 use flockslam_pose_graph::{Edge, RobustSettings, Symmetric, solve};
 use flockslam_registration::cloud::Placement;
@@ -36,7 +36,7 @@ pub struct LocalizingManager {
     /// The last scan that was looked at, and its trajectory.
     last_view: Option<(Placement, u32)>,
     revision: u32,
-    run: u32,
+    submap: u32,
     /// The last correction that was given.
     corrected: Option<(Pose, bool)>,
     frozen: Vec<FrozenScan>,
@@ -66,7 +66,7 @@ impl LocalizingManager {
             views: Vec::new(),
             last_view: None,
             revision: 0,
-            run: 0,
+            submap: 0,
             corrected: None,
             frozen: Vec::new(),
             summary: LocalisationSummary::default(),
@@ -104,7 +104,6 @@ impl LocalizingManager {
 
     /// Takes the published pose of a scan. Every scan's, in order of arrival.
     pub fn pose(&mut self, pose: &PoseEstimate) {
-        self.run = pose.id.run;
         self.revision = self.revision.max(pose.corrections);
         if let Some(last) = self.records.last() {
             let step_m = last.odom.distance_m(&pose.odom_from_base.into());
@@ -204,15 +203,20 @@ impl LocalizingManager {
     }
 
     /// The correction of the front end, when it is another one than was given last; for a set that runs live.
-    pub fn fresh_correction(&mut self, submap: u32) -> Option<Correction> {
+    pub fn fresh_correction(&mut self, id: ScanId) -> Option<Correction> {
         let now = (self.map_from_odom(), self.is_localized);
-        (self.corrected != Some(now)).then(|| self.correction(submap))
+        (self.corrected != Some(now)).then(|| self.correction(id))
+    }
+
+    /// The correction of the front end after a scan.
+    pub fn scan_accepted(&mut self, id: ScanId) -> Correction {
+        self.correction(id)
     }
 
     /// The correction of the front end after a closed submap of the mapper.
     pub fn submap_closed(&mut self, notice: &SubmapClosed) -> Correction {
-        self.run = notice.last.run;
-        self.correction(notice.number)
+        self.submap = notice.number;
+        self.correction(notice.last)
     }
 
     fn map_from_odom(&self) -> Pose {
@@ -220,14 +224,14 @@ impl LocalizingManager {
         self.localizer.map_from_odom().map_or(before, Placement::pose)
     }
 
-    fn correction(&mut self, submap: u32) -> Correction {
-        let map_from_odom = self.map_from_odom();
-        self.corrected = Some((map_from_odom, self.is_localized));
-        self.revision += 1;
+    fn correction(&mut self, id: ScanId) -> Correction {
+        let now = (self.map_from_odom(), self.is_localized);
+        self.revision += u32::from(self.corrected.replace(now) != Some(now));
         Correction {
-            map_from_odom,
-            run: self.run,
-            submap,
+            map_from_odom: now.0,
+            scan: id.sequence,
+            run: id.run,
+            submap: self.submap,
             revision: self.revision,
             closures: u32::from(self.is_localized),
             trajectory: self.records.last().map_or(0, |last| last.trajectory),

@@ -4,6 +4,7 @@ use crate::filled_trajectory::{Between, filled};
 use crate::pose_record::PoseRecord;
 use crate::settings::Settings;
 use crate::solution::{FrozenScan, Solution};
+use conclusion::Concluded;
 use driven::Driven;
 use final_solution::placed;
 use flockslam_geometry::Pose;
@@ -20,7 +21,7 @@ use flockslam_loop_closure::place::{KeptScan, Placer};
 use flockslam_loop_closure::scans::ScanStore;
 use flockslam_loop_closure::segment::Segment;
 use flockslam_map_fusion::PlacedSubmap;
-use flockslam_messages::{BeamRange, Correction, PoseEstimate, PoseFlags, ScanView, SubmapClosed};
+use flockslam_messages::{BeamRange, PoseEstimate, PoseFlags, ScanView};
 use flockslam_pose_graph::Edge;
 use flockslam_pose_graph::{RobustSettings, solve};
 use flockslam_registration::cloud::Placement;
@@ -29,6 +30,7 @@ use map_entries::Entries;
 use std::collections::{BTreeMap, BTreeSet};
 use unpublished::Unpublished;
 
+mod conclusion;
 mod counts;
 mod driven;
 mod final_passes;
@@ -46,13 +48,13 @@ const NODE_DISTANCE_M: f64 = 0.3;
 const NODE_TURN_RAD: f64 = 0.35;
 /// Each scan is placed at the end against the nodes up to this many before and after it.
 const FINAL_NODES: usize = 3;
-/// Most branch-and-bound searches after one closed submap.
+/// Most branch-and-bound searches from one closed submap to the next.
 const SEARCHES_PER_SUBMAP: usize = 60;
-/// Searches after one closed submap beyond the usual ones while the newest trajectory is not connected with the map.
+/// Searches between them beyond the usual ones while the newest trajectory is not connected with the map.
 const ADRIFT_SEARCHES: u64 = 100;
 
-/// Work on solving the graph after each closed submap, products of 3 × 3 blocks: a graph that takes more is solved less often, with
-/// the same work for each metre.
+/// Work on solving the graph from one closed submap to the next, products of 3 × 3 blocks: a graph that takes more is solved less often,
+/// with the same work for each metre.
 const SOLVING_PER_SUBMAP: u64 = 1_000_000;
 
 /// A scan whose points were kept.
@@ -65,8 +67,8 @@ struct Kept {
     is_node: bool,
 }
 
-/// The back end of one robot: poses and inserted scans in, a correction after each closed submap, the
-/// solution at the end.
+/// The back end of one robot: poses and inserted scans in, a correction after each of them, the solution at the
+/// end.
 ///
 /// A pure function of its calls. Work per call is bounded by the settings; everything measured stays
 /// revocable, since poses are solved anew from the measurements.
@@ -119,6 +121,8 @@ pub struct SyncManager {
     /// Travel at which the next search for loops is due, metres.
     next_search_m: f64,
     revision: u32,
+    /// What was concluded last.
+    concluded: Concluded,
     /// Segments before this one stay for good.
     next_frozen: usize,
     /// Scans that are frozen and wait to be taken.
@@ -159,6 +163,7 @@ impl SyncManager {
             is_inlier: Vec::new(),
             poses: Vec::new(),
             revision: 0,
+            concluded: Concluded::default(),
             next_frozen: 0,
             frozen: Vec::new(),
             frozen_submaps: BTreeMap::new(),
@@ -169,7 +174,7 @@ impl SyncManager {
             unsolved: false,
             entries: Entries::default(),
             unpublished: None,
-            solving_credit: 0,
+            solving_credit: SOLVING_PER_SUBMAP,
             solving_cost: 0,
         }
     }
@@ -234,28 +239,6 @@ impl SyncManager {
         })
     }
 
-    /// Concludes what can be concluded after a closed submap of the mapper: looks for loops among the nodes
-    /// up to its last scan, solves the graph when there are new ones, and gives the correction of the front
-    /// end.
-    pub fn submap_closed(&mut self, notice: &SubmapClosed) -> Correction {
-        let known = self.nodes_up_to(notice.last.sequence);
-        self.close_loops(known, SEARCHES_PER_SUBMAP);
-        self.revision += 1;
-        let connectivity = self.connectivity(known);
-        let map_from_odom = self.correction(known);
-        self.collect_findings(known);
-        self.freeze(known);
-        Correction {
-            map_from_odom,
-            run: notice.last.run,
-            submap: notice.number,
-            revision: self.revision,
-            closures: self.is_inlier.iter().filter(|&&is_inlier| is_inlier).count() as u32,
-            trajectory: self.entries.number_of_front_end(connectivity.newest()),
-            attached: u32::from(connectivity.is_attached(connectivity.newest())),
-        }
-    }
-
     /// Notes submaps that have left the map for good: their poses are not published any more.
     pub fn submaps_retired(&mut self, numbers: &[u32]) {
         for number in numbers {
@@ -304,20 +287,6 @@ impl SyncManager {
         placed(submaps)
     }
 
-    /// Number of nodes whose scans are not newer than `sequence`.
-    fn nodes_up_to(&self, sequence: u64) -> usize {
-        let nodes = self.kept.iter().rev().filter(|k| k.is_node);
-        let newer = nodes.take_while(|k| self.records[k.record].id.sequence > sequence).count();
-        self.odometry.nodes().len() - newer
-    }
-
-    /// `map_from_odom` at the last of the first `known` nodes.
-    fn correction(&self, known: usize) -> Pose {
-        known.checked_sub(1).map_or(Pose::IDENTITY, |last| {
-            self.poses[last].compose(self.odometry.nodes()[last].odom.inverse()).pose()
-        })
-    }
-
     fn close_loops(&mut self, known: usize, searches: usize) {
         self.follow_odometry(known);
         let from = self.segments.last().map_or(0, |s| s.nodes.end);
@@ -326,7 +295,7 @@ impl SyncManager {
             return;
         }
         let before = self.closures.len();
-        let done = self.finder.counts().searches;
+        let done = self.concluded.searches;
         for query in self.due_queries(known) {
             // An unconnected trajectory is searched for everywhere: it gets more searches, but not without a limit.
             let trajectory = self.odometry.nodes()[query].trajectory;
@@ -341,10 +310,8 @@ impl SyncManager {
             }
         }
         self.unsolved |= self.closures.len() > before;
-        let cost = self.solving_cost;
-        self.solving_credit = (self.solving_credit + SOLVING_PER_SUBMAP).min(cost.max(SOLVING_PER_SUBMAP));
         let is_last = searches == usize::MAX;
-        if self.unsolved && (self.solving_credit >= cost || is_last) {
+        if self.unsolved && (self.solving_credit >= self.solving_cost || is_last) {
             self.solve(known);
             self.solving_credit = self.solving_credit.saturating_sub(self.solving_cost);
             self.unsolved = false;

@@ -68,6 +68,8 @@ struct SyncProcess {
     is_active: bool,
     /// The last conclusion.
     correction: Option<Correction>,
+    /// Time that conclusions have taken since the last closed submap, nanoseconds.
+    took_ns: u64,
     /// Scans are given to the logic, which computes new poses for them.
     optimises: bool,
     /// Live: the present solution is written to the results for readers.
@@ -129,6 +131,7 @@ impl SyncProcess {
             lock,
             is_active,
             correction: None,
+            took_ns: 0,
             store: SubmapStore::new(&context.submap_dir),
             join: Join::open(context, 0)?,
             moving_beams: Inbox::unlimited(Copies(bus.slice_subscriber()?)),
@@ -213,6 +216,7 @@ impl SyncProcess {
             }
             let scan = record.scan.as_ref().and_then(|scan| scan.view().ok());
             self.take_in(&record.pose, scan, &[], context)?;
+            self.accepted(&record.pose, context)?;
             self.join.expected = record.pose.id.sequence + 1;
         }
         Ok(())
@@ -250,7 +254,22 @@ impl SyncProcess {
         Ok(())
     }
 
-    /// Hands a closed submap to the logic and publishes the correction.
+    /// The pose and the points of a scan have been handed to the logic: corrects the front end when the scan has entered the map. In
+    /// replay the front end waits for this word, so it is given though nothing is new.
+    fn accepted(&mut self, pose: &PoseEstimate, context: &StageContext) -> Result<(), StageError> {
+        let localizes = pose.has(PoseFlags::LOCALIZING) || self.logic.localizing().is_some();
+        if !pose.has(PoseFlags::INSERT) || (localizes && self.is_watched) {
+            return Ok(());
+        }
+        let started_ns = context.now_ns();
+        let correction = self.logic.scan_accepted(pose.id);
+        self.took_ns += context.now_ns().saturating_sub(started_ns);
+        let is_new = self.correction.is_none_or(|last| last.revision != correction.revision);
+        self.correction = Some(correction);
+        if is_new || !self.is_watched { self.correct(&correction) } else { Ok(()) }
+    }
+
+    /// Hands a closed submap to the logic and publishes the correction. In replay corrections come after scans only.
     fn conclude(&mut self, notice: &SubmapClosed, context: &StageContext) -> Result<(), StageError> {
         let started_ns = context.now_ns();
         if let Some(mapping) = self.logic.mapping().filter(|_| self.local.holds(notice.last.sequence)) {
@@ -259,18 +278,19 @@ impl SyncProcess {
             return Ok(());
         }
         let correction = self.logic.submap_closed(notice);
-        let took_ns = context.now_ns().saturating_sub(started_ns);
+        let took_ns = context.now_ns().saturating_sub(started_ns) + std::mem::take(&mut self.took_ns);
         self.next_submap = notice.number + 1;
         self.correction = Some(correction);
-        let Some(mapping) = self.logic.mapping() else { return self.correct(&correction) };
+        if self.is_watched {
+            self.correct(&correction)?;
+        }
+        let Some(mapping) = self.logic.mapping() else { return Ok(()) };
         self.trajectories.frozen(&mapping.take_frozen());
         self.outbox.publish(mapping, notice.number, &self.store)?;
         if !self.is_active {
             self.metrics.recovered(mapping.closure_counts());
             return Ok(());
         }
-        self.correct(&correction)?;
-        let Some(mapping) = self.logic.mapping() else { return Ok(()) };
         let retired = self.fuser.follow(&mapping.submap_poses(), self.next_submap)?;
         mapping.submaps_retired(&retired);
         let (counts, unattached) = (mapping.closure_counts(), mapping.unattached());
@@ -367,6 +387,7 @@ impl SyncProcess {
         self.turn_to(pose, context)?;
         self.take_in(pose, scan, &moving, context)?;
         self.localized(context)?;
+        self.accepted(pose, context)?;
         if self.is_active {
             context.handled(sequence, started_ns, pose.times.monotonic_ns);
         } else {

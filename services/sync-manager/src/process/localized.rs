@@ -25,10 +25,9 @@ impl SyncProcess {
             return Ok(());
         }
         let status = status(localizing);
-        // In exact replay corrections have fixed places: after each closed submap.
-        let live = context.mode == Mode::Live;
-        let submap = self.next_submap.saturating_sub(1);
-        let correction = live.then(|| localizing.fresh_correction(submap)).flatten();
+        // In exact replay corrections have fixed places: after each scan that enters the map.
+        let seen = self.pose.filter(|_| context.mode == Mode::Live);
+        let correction = seen.and_then(|pose| localizing.fresh_correction(pose.id));
         if let Err(error) = status.write(&context.status_dir) {
             tracing::warn!(%error, "the status does not say where the robot is believed to be");
         }
