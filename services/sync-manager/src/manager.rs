@@ -287,7 +287,7 @@ impl SyncManager {
         placed(submaps)
     }
 
-    fn close_loops(&mut self, known: usize, searches: usize) {
+    fn close_loops(&mut self, known: usize, searches: usize, at_submap: bool) {
         self.follow_odometry(known);
         let from = self.segments.last().map_or(0, |s| s.nodes.end);
         self.segments.extend(Segment::cut(&self.odometry.nodes()[..known], from));
@@ -311,7 +311,8 @@ impl SyncManager {
         }
         self.unsolved |= self.closures.len() > before;
         let is_last = searches == usize::MAX;
-        if self.unsolved && (self.solving_credit >= self.solving_cost || is_last) {
+        let is_due = is_last || at_submap || self.surprise(before);
+        if self.unsolved && is_due && (self.solving_credit >= self.solving_cost || is_last) {
             self.solve(known);
             self.solving_credit = self.solving_credit.saturating_sub(self.solving_cost);
             self.unsolved = false;
@@ -405,7 +406,7 @@ impl SyncManager {
         if known == 0 {
             return self.solution(&filled(&self.records, &[], Between::FrontEnd));
         }
-        self.close_loops(known, usize::MAX);
+        self.close_loops(known, usize::MAX, true);
         if self.settings.close_loops {
             self.attach();
             self.close_again_in_the_open();

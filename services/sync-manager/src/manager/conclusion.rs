@@ -11,6 +11,9 @@ const CORRECTION_NODES: usize = 5;
 /// Nodes farther back than this do not count: the front end drifts, metres.
 const CORRECTION_M: f64 = 3.0 * CORRECTION_NODES as f64 * NODE_DISTANCE_M;
 
+/// Closures that are off by less from the last solution wait for the next closed submap, metres and radians.
+const SURPRISE: (f64, f64) = (0.03, 0.01);
+
 /// What was concluded last.
 #[derive(Debug, Default)]
 pub(super) struct Concluded {
@@ -31,7 +34,7 @@ impl SyncManager {
             return Correction { run: id.run, scan: id.sequence, ..last };
         }
         let submap = self.concluded.correction.map_or(0, |last| last.submap);
-        self.conclude(id, submap)
+        self.conclude(id, submap, false)
     }
 
     /// Concludes what can be concluded after a closed submap of the mapper: as after a scan, with new credit for searches and solving, and
@@ -39,16 +42,16 @@ impl SyncManager {
     pub fn submap_closed(&mut self, notice: &SubmapClosed) -> Correction {
         let most = self.solving_cost.max(SOLVING_PER_SUBMAP);
         self.solving_credit = (self.solving_credit + SOLVING_PER_SUBMAP).min(most);
-        let correction = self.conclude(notice.last, notice.number);
+        let correction = self.conclude(notice.last, notice.number, true);
         self.concluded.searches = self.finder.counts().searches;
         self.collect_findings(self.nodes_up_to(notice.last.sequence));
         self.freeze(self.odometry.nodes().len());
         correction
     }
 
-    fn conclude(&mut self, id: ScanId, submap: u32) -> Correction {
+    fn conclude(&mut self, id: ScanId, submap: u32, at_submap: bool) -> Correction {
         let known = self.odometry.nodes().len();
-        self.close_loops(known, SEARCHES_PER_SUBMAP);
+        self.close_loops(known, SEARCHES_PER_SUBMAP, at_submap);
         self.revision += 1;
         let connectivity = self.connectivity(known);
         let correction = Correction {
@@ -64,6 +67,15 @@ impl SyncManager {
         self.concluded.node = self.odometry.nodes().last().map(|node| node.sequence);
         self.concluded.correction = Some(correction);
         correction
+    }
+
+    /// Whether a closure from number `first` on contradicts the last solution.
+    pub(super) fn surprise(&self, first: usize) -> bool {
+        self.closures[first..].iter().any(|closure| {
+            let edge = &closure.edge;
+            let expected = self.poses[edge.from].to(self.poses[edge.to]);
+            expected.distance_m(&edge.motion) > SURPRISE.0 || expected.turn_rad(&edge.motion) > SURPRISE.1
+        })
     }
 
     /// Number of nodes whose scans are not newer than `sequence`.
