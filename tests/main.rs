@@ -34,6 +34,7 @@ mod moving_world;
 mod ndt_experiments;
 mod old_words;
 mod one_thread;
+mod online_poses;
 mod overload;
 mod package;
 mod page;

@@ -1,4 +1,4 @@
-//! Files of a benchmark log, and the error of a run's final trajectory over the relations of that log.
+//! Files of a benchmark log, and the errors of a run's trajectories over the relations of that log.
 
 use super::outputs::Outputs;
 use super::{flockslam, stderr};
@@ -11,10 +11,15 @@ pub fn benchmark_file(data: &Path, log: &str, extension: &str) -> PathBuf {
 
 /// The figures of `flockslam evaluate` for the final trajectory of a benchmark log against its relations.
 pub fn evaluate_relations(data: &Path, log: &str, outputs: &Outputs) -> serde_json::Value {
-    let json = outputs.directory.join("figures.json");
+    evaluate_trajectory(data, log, outputs, "trajectory")
+}
+
+/// The same for one of its trajectories: the name of the file, without `.tum`.
+pub fn evaluate_trajectory(data: &Path, log: &str, outputs: &Outputs, name: &str) -> serde_json::Value {
+    let json = outputs.directory.join(format!("figures-{name}.json"));
     let mut command = flockslam();
     command.arg("evaluate").arg("--relations").arg(benchmark_file(data, log, "relations"));
-    command.arg("--trajectory").arg(outputs.directory.join("trajectory.tum")).arg("--json").arg(&json);
+    command.arg("--trajectory").arg(outputs.directory.join(format!("{name}.tum"))).arg("--json").arg(&json);
     let output = command.output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
     let figures: serde_json::Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();

@@ -31,7 +31,7 @@ pub mod small_mounts;
 pub mod source;
 pub mod tools;
 
-pub use benchmark::{benchmark_file, evaluate_relations};
+pub use benchmark::{benchmark_file, evaluate_relations, evaluate_trajectory};
 pub use browser::Browser;
 pub use http_get::{free_port, http_get};
 pub use later_free::later_free;

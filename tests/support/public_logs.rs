@@ -1,6 +1,6 @@
-//! The benchmark logs: runs of them, which tests share, and how far off their final trajectories are.
+//! The benchmark logs: runs of them, which tests share, and how far off their trajectories are.
 
-use super::{Outputs, benchmark_file, data_dir, evaluate_relations, run_well};
+use super::{Outputs, benchmark_file, data_dir, evaluate_relations, evaluate_trajectory, run_well};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -22,7 +22,7 @@ pub const LOGS: [Log; 3] = [INTEL, FR079, ACES];
 /// Every scan is processed.
 pub const FILTER_OFF: &str = "correlation_filter.mode=off";
 
-/// Errors of a final trajectory over the relations of its log.
+/// Errors of a trajectory over the relations of its log.
 #[derive(Clone, Copy, Debug)]
 pub struct Errors {
     pub mean_m: f64,
@@ -85,6 +85,14 @@ impl Log {
     /// Errors of a final trajectory, which has to have all poses that the relations ask for.
     pub fn errors(&self, outputs: &Outputs) -> Errors {
         let errors = self.errors_of_a_part(outputs);
+        assert_eq!(errors.missing, 0, "{}", self.name);
+        errors
+    }
+
+    /// Errors of the poses as they were published, of all that the relations ask for.
+    pub fn errors_online(&self, outputs: &Outputs) -> Errors {
+        let data = data_dir().expect("the log was there");
+        let errors = Errors::of(&evaluate_trajectory(&data, self.name, outputs, "trajectory_online"));
         assert_eq!(errors.missing, 0, "{}", self.name);
         errors
     }

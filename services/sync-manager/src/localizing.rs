@@ -424,8 +424,8 @@ mod tests {
             manager.node(scan(&map, way(step)).view().unwrap(), &pose, &[]);
         }
         assert_eq!((manager.summary().found, manager.summary().searches), (1, 1));
-        let correction = manager.fresh_correction(0).unwrap();
-        assert_eq!((correction.attached, manager.fresh_correction(0)), (1, None));
+        let correction = manager.fresh_correction(ScanId::default()).unwrap();
+        assert_eq!((correction.attached, manager.fresh_correction(ScanId::default())), (1, None));
         let solution = manager.finish();
         assert_eq!((solution.trajectory.len(), solution.detached.len()), (100, 0));
         for (step, placed) in (0..).zip(&solution.trajectory) {

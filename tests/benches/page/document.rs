@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 
 /// The sections of the page in their order: the name by which `--only` knows them, and the heading.
-pub const SECTIONS: [(&str, &str); 13] = [
+pub const SECTIONS: [(&str, &str); 14] = [
     ("machine", "Machine"),
     ("accuracy", "Accuracy"),
+    ("driving", "Poses that a robot drives by"),
     ("strategies", "Strategies"),
     ("filter", "Filter"),
     ("robustness", "Robustness"),

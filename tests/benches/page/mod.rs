@@ -3,6 +3,7 @@
 mod accuracy;
 mod cost;
 mod document;
+mod driving;
 mod filter_modes;
 mod front_end;
 mod hop;
@@ -73,6 +74,7 @@ pub fn generate<E>(plan: &Plan, page: &mut Page, keep: impl Fn(&Page) -> Result<
         let body = match *name {
             "machine" => machine::section(),
             "accuracy" => accuracy::section(&mut bench),
+            "driving" => driving::section(&mut bench),
             "strategies" => strategies::section(&mut bench),
             "filter" => filter_modes::section(&mut bench),
             "robustness" => robustness::section(&mut bench),

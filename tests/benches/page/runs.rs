@@ -1,5 +1,6 @@
 //! Runs of the executable that sections share: takes a log or a simulation and options, gives the report and the errors.
 
+use super::driving::{Jump, jumps};
 use flockslam::evaluation::{
     Relation, RelationsReport, TruthReport, evaluate_relations, evaluate_truth, parse_relations, parse_tum,
 };
@@ -38,6 +39,8 @@ pub struct Measured {
     pub last: Errors,
     /// Errors of `trajectory_online.tum`.
     pub online: Errors,
+    /// Its jumps.
+    pub jumps: Vec<Jump>,
 }
 
 /// A run, or in one line why there is none.
@@ -152,7 +155,13 @@ impl Runs {
                 .map(Errors::Truth)
                 .map_err(|error| error.to_string()),
         };
-        Ok(Measured { report, last: errors("trajectory.tum")?, online: errors("trajectory_online.tum")? })
+        let jumps = jumps(&trajectory(out, "trajectory_online.tum")?, &trajectory(out, "trajectory.tum")?);
+        Ok(Measured {
+            report,
+            last: errors("trajectory.tum")?,
+            online: errors("trajectory_online.tum")?,
+            jumps,
+        })
     }
 
     fn relations(&mut self, path: &Path) -> Result<Rc<Vec<Relation>>, String> {

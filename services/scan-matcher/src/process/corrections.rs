@@ -82,3 +82,101 @@ impl Corrections {
 fn takes_effect(scan: u64, next: Option<u64>) -> bool {
     next.is_some_and(|next| scan + TAKES_EFFECT_AFTER <= next)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockslam_bus::{Bus, Publisher, RuntimeDir};
+    use flockslam_messages::Stage;
+    use flockslam_stage::{StageOptions, StopFlag};
+
+    /// Corrections, and the other end of their topic.
+    struct Topic {
+        corrections: Corrections,
+        publisher: Publisher<Correction>,
+        mode: Mode,
+        _runtime: RuntimeDir,
+    }
+
+    impl Topic {
+        fn new(name: &str, mode: Mode) -> Self {
+            let runtime = RuntimeDir::create(&format!("{name}-{}", std::process::id())).unwrap();
+            let options = StageOptions {
+                mode,
+                window: 64,
+                replicas: 1,
+                live_tiles: 16,
+                first_sequence: 0,
+                localizes: false,
+            };
+            let bus = Bus::in_memory();
+            let joined = bus.memory_joiner().unwrap()();
+            let stop = StopFlag::default();
+            let context =
+                StageContext::on_bus(Stage::ScanMatcher, 0, joined, &runtime, &options, stop).unwrap();
+            let corrections = Corrections::open(&context).unwrap();
+            Self { corrections, publisher: bus.publisher().unwrap(), mode, _runtime: runtime }
+        }
+
+        fn say(&mut self, scan: u64) {
+            self.publisher.send(&Correction { scan, ..Correction::default() }).unwrap();
+            self.corrections.drain().unwrap();
+        }
+
+        /// Scans whose corrections take effect before the scan `next`.
+        fn due_before(&mut self, next: u64) -> Vec<u64> {
+            let mode = self.mode;
+            std::iter::from_fn(|| self.corrections.next_due(mode, Some(next))).map(|due| due.scan).collect()
+        }
+
+        fn is_ready_for(&mut self, next: u64) -> bool {
+            self.corrections.are_ready(self.mode, Some(next))
+        }
+    }
+
+    #[test]
+    fn in_replay_corrections_take_effect_at_fixed_scans_however_early_they_come() {
+        let mut topic = Topic::new("cor-fix", Mode::Exact);
+        topic.say(0);
+        topic.say(3);
+        topic.say(9);
+        assert!(topic.due_before(3).is_empty());
+        assert_eq!(topic.due_before(4), [0]);
+        assert!(topic.due_before(6).is_empty());
+        assert_eq!(topic.due_before(7), [3]);
+        assert_eq!(topic.corrections.last.map(|last| last.scan), Some(3));
+        assert_eq!(topic.due_before(100), [9]);
+    }
+
+    #[test]
+    fn in_replay_a_scan_waits_for_the_corrections_that_are_due() {
+        let mut topic = Topic::new("cor-wait", Mode::Exact);
+        topic.corrections.accepted(Mode::Exact, 0);
+        topic.corrections.accepted(Mode::Exact, 2);
+        assert!(topic.is_ready_for(3) && !topic.is_ready_for(4));
+        topic.say(0);
+        assert!(topic.is_ready_for(5) && !topic.is_ready_for(6));
+        topic.say(2);
+        assert!(topic.is_ready_for(6));
+    }
+
+    #[test]
+    fn a_map_that_is_gone_on_with_waits_for_what_followed_from_it() {
+        let mut topic = Topic::new("cor-res", Mode::Exact);
+        topic.corrections.resumed(20);
+        topic.say(10);
+        assert!(!topic.is_ready_for(21), "the correction after its last scan is missing");
+        topic.say(20);
+        assert!(topic.is_ready_for(21));
+        assert_eq!(topic.due_before(21), [10, 20]);
+    }
+
+    #[test]
+    fn live_corrections_take_effect_as_they_come_and_none_is_waited_for() {
+        let mut topic = Topic::new("cor-live", Mode::Live);
+        topic.corrections.accepted(Mode::Live, 0);
+        assert!(topic.is_ready_for(50));
+        topic.say(49);
+        assert_eq!(topic.due_before(50), [49]);
+    }
+}

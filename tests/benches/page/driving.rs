@@ -1,0 +1,133 @@
+//! Section `driving`: the poses that a robot drives by, beside the final ones, and what corrections make of them.
+
+use super::accuracy::start;
+use super::runs::{Measured, Outcome};
+use super::{Bench, Table, figure, greatest, mean};
+use flockslam::outputs::TrajectoryPoint;
+use flockslam_geometry::Pose;
+use std::rc::Rc;
+
+/// Steps of the published pose that the final trajectory does not make count as jumps from here on, metres and radians: fits scatter by less.
+const JUMP: (f64, f64) = (0.1, 0.0175);
+/// A robot is where it has been when it is this near to a pose …
+const KNOWN_M: f64 = 2.0;
+/// … that lies at least this much travel back.
+const BACK_M: f64 = 15.0;
+/// Poses of the final trajectory are compared this far apart, metres of travel.
+const SPACING_M: f64 = 0.25;
+
+/// A jump of the published pose: a correction.
+#[derive(Clone, Copy, Debug)]
+pub struct Jump {
+    /// Its length, metres.
+    pub size_m: f64,
+    /// Way that was driven in known surroundings before it came, metres; `None` where the robot had not been.
+    pub known_m: Option<f64>,
+}
+
+/// The jumps of a published trajectory beside the final one of the same scans.
+pub fn jumps(online: &[TrajectoryPoint], last: &[TrajectoryPoint]) -> Vec<Jump> {
+    let step = |points: &[TrajectoryPoint]| points[0].map_from_base.to(points[1].map_from_base);
+    let mut known = Known::default();
+    let mut jumps = Vec::new();
+    for (said, meant) in online.windows(2).zip(last.windows(2)) {
+        known.drive(meant[0].map_from_base);
+        let off = step(meant).to(step(said));
+        let size_m = off.distance_m(Pose::IDENTITY);
+        if size_m > JUMP.0 || off.turn_rad(Pose::IDENTITY) > JUMP.1 {
+            jumps.push(Jump { size_m, known_m: known.driven_m });
+        }
+    }
+    jumps
+}
+
+/// How far a robot has driven where it had been before.
+#[derive(Default)]
+struct Known {
+    travel_m: f64,
+    /// Poses so far, and the travel up to each.
+    poses: Vec<(Pose, f64)>,
+    driven_m: Option<f64>,
+}
+
+impl Known {
+    fn drive(&mut self, at: Pose) {
+        let step_m = self.poses.last().map_or(0.0, |(last, _)| last.distance_m(at));
+        if step_m < SPACING_M && !self.poses.is_empty() {
+            return;
+        }
+        self.travel_m += step_m;
+        let old = self.poses.partition_point(|(_, travel_m)| *travel_m <= self.travel_m - BACK_M);
+        let is_known = self.poses[..old].iter().any(|(pose, _)| pose.distance_m(at) < KNOWN_M);
+        self.driven_m = is_known.then(|| self.driven_m.map_or(0.0, |driven_m| driven_m + step_m));
+        self.poses.push((at, self.travel_m));
+    }
+}
+
+/// Published poses beside final ones.
+pub fn section(bench: &mut Bench) -> String {
+    let mut table = Table::new([
+        "",
+        "online, all",
+        "final, all",
+        "online, loops",
+        "final, loops",
+        "online, rotation",
+        "final, rotation",
+        "jumps",
+        "median size",
+        "greatest",
+        "driven where it had been before a jump, median",
+        "95 %",
+    ]);
+    for log in bench.logs.clone() {
+        let headings = bench.plan.headings_rad.clone();
+        let runs: Vec<_> = headings.iter().map(|heading| bench.runs.of(&log, &start(*heading))).collect();
+        table.row(row(&log.name, &runs));
+    }
+    let building = bench.building.clone();
+    let runs = [bench.runs.of(&building, &[])];
+    table.row(row(&building.name, &runs));
+    format!(
+        "{}The pose that a robot had when a scan was handled: the front end's, with the correction known at the time (`trajectory_online.tum`); the final \
+         trajectory beside it. Runs as under *Accuracy*; metres and degrees, means over their start headings; in the simulated building *all* is the ATE. In replay a correction \
+         takes effect four scans after the one that it follows from; live it comes within milliseconds. A *jump* is a step of the published pose, more than {} m or 1° off the \
+         step of the final trajectory: counted in all runs. The last columns say how far the robot had driven within {KNOWN_M} m of poses that lay {BACK_M} m of travel back, when a jump came \
+         there. What was driven before the first loop was closed stays as far off as it was: no correction changes a pose that was published.\n\n{table}",
+        bench.absence(),
+        JUMP.0,
+    )
+}
+
+fn row(name: &str, runs: &[Outcome]) -> Vec<String> {
+    if let Some(Err(reason)) = runs.iter().find(|run| run.is_err()) {
+        return vec![name.to_owned(), format!("failed: {reason}")];
+    }
+    let runs: Vec<&Rc<Measured>> = runs.iter().flatten().collect();
+    let of = |value: &dyn Fn(&Measured) -> f64| mean(&runs.iter().map(|run| value(run)).collect::<Vec<_>>());
+    let jumps: Vec<Jump> = runs.iter().flat_map(|run| run.jumps.iter().copied()).collect();
+    let sizes_m: Vec<f64> = jumps.iter().map(|jump| jump.size_m).collect();
+    let known_m: Vec<f64> = jumps.iter().filter_map(|jump| jump.known_m).collect();
+    vec![
+        name.to_owned(),
+        figure(of(&|run| run.online.translation_m()), 4),
+        figure(of(&|run| run.last.translation_m()), 4),
+        figure(of(&|run| run.online.loop_m()), 4),
+        figure(of(&|run| run.last.loop_m()), 4),
+        figure(of(&|run| run.online.rotation_deg()), 3),
+        figure(of(&|run| run.last.rotation_deg()), 3),
+        jumps.len().to_string(),
+        figure(quantile(&sizes_m, 0.5), 2),
+        figure(greatest(&sizes_m), 2),
+        figure(quantile(&known_m, 0.5), 1),
+        figure(quantile(&known_m, 0.95), 1),
+    ]
+}
+
+/// The value that so large a share does not exceed.
+fn quantile(values: &[f64], share: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let place = (share * sorted.len() as f64).ceil() as usize;
+    sorted.get(place.saturating_sub(1)).copied().unwrap_or(f64::NAN)
+}

@@ -1,0 +1,24 @@
+//! The poses that a robot drives by on the three benchmark logs: how far off they are, and what a correction makes of them.
+
+use crate::support::public_logs::{ACES, FILTER_OFF, FR079, INTEL, Log};
+
+/// What the published poses of each log reach without the filter: mean errors over all relations and over loops, metres.
+const REACHED: [(Log, f64, f64); 3] =
+    [(INTEL, 0.0257, 0.0431), (FR079, 0.0341, 0.0506), (ACES, 0.0782, 0.627)];
+/// A tenth more is a regression.
+const TOLERANCE: f64 = 1.1;
+
+#[test]
+fn published_poses_of_each_log_are_as_accurate_as_before() {
+    for (log, reached_m, reached_loop_m) in REACHED {
+        let Some(run) = log.shared_run(&["--set", FILTER_OFF]) else { return };
+        let errors = log.errors_online(run.wait());
+        println!("{}: {errors:?}", log.name);
+        assert!(errors.mean_m <= TOLERANCE * reached_m, "{}: {errors:?}, {reached_m} m before", log.name);
+        assert!(
+            errors.loop_m <= TOLERANCE * reached_loop_m,
+            "{}: {errors:?}, loops {reached_loop_m} m before",
+            log.name
+        );
+    }
+}
