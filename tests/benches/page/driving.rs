@@ -7,8 +7,8 @@ use flockslam::outputs::TrajectoryPoint;
 use flockslam_geometry::Pose;
 use std::rc::Rc;
 
-/// Steps of the published pose that the final trajectory does not make count as jumps from here on, metres and radians: fits scatter by less.
-const JUMP: (f64, f64) = (0.1, 0.0175);
+/// Steps of the published pose that the final trajectory does not make count as jumps from here on, metres: fits scatter by less.
+const JUMP_M: f64 = 0.1;
 /// A robot is where it has been when it is this near to a pose …
 const KNOWN_M: f64 = 2.0;
 /// … that lies at least this much travel back.
@@ -34,7 +34,7 @@ pub fn jumps(online: &[TrajectoryPoint], last: &[TrajectoryPoint]) -> Vec<Jump> 
         known.drive(meant[0].map_from_base);
         let off = step(meant).to(step(said));
         let size_m = off.distance_m(Pose::IDENTITY);
-        if size_m > JUMP.0 || off.turn_rad(Pose::IDENTITY) > JUMP.1 {
+        if size_m > JUMP_M {
             jumps.push(Jump { size_m, known_m: known.driven_m });
         }
     }
@@ -91,11 +91,10 @@ pub fn section(bench: &mut Bench) -> String {
     format!(
         "{}The pose that a robot had when a scan was handled: the front end's, with the correction known at the time (`trajectory_online.tum`); the final \
          trajectory beside it. Runs as under *Accuracy*; metres and degrees, means over their start headings; in the simulated building *all* is the ATE. In replay a correction \
-         takes effect four scans after the one that it follows from; live it comes within milliseconds. A *jump* is a step of the published pose, more than {} m or 1° off the \
+         takes effect four scans after the one that it follows from; live it comes within milliseconds. A *jump* is a step of the published pose, more than {JUMP_M} m off the \
          step of the final trajectory: counted in all runs. The last columns say how far the robot had driven within {KNOWN_M} m of poses that lay {BACK_M} m of travel back, when a jump came \
          there. What was driven before the first loop was closed stays as far off as it was: no correction changes a pose that was published.\n\n{table}",
         bench.absence(),
-        JUMP.0,
     )
 }
 
