@@ -15,7 +15,7 @@ const NARROW: u8 = 64;
 /// From this place on blocks are wide.
 const WIDE: u8 = 128;
 /// Memory for so many blocks is taken at a time.
-const BLOCKS_AT_A_TIME: usize = 8;
+const BLOCKS_AT_A_TIME: usize = 2;
 
 /// Cells of a tile by their offset (y·64 + x). Those of a corridor fill a small part of the tiles around it.
 ///
