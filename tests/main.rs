@@ -20,6 +20,7 @@ mod flock;
 mod fuzzing;
 mod house;
 mod idle;
+mod imported_maps;
 mod killed_stage;
 mod lidar_lines;
 mod live_calibration;

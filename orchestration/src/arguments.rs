@@ -292,6 +292,8 @@ pub enum StoreCommand {
     Load(MapOrderArgs),
     /// Makes the files of `flockslam map` from a saved map
     Export(ExportArgs),
+    /// Makes a saved map of a map of somebody else, which a set localizes in, and goes on with
+    Import(ImportArgs),
     /// Brings maps of different robots or sessions together, whose places to each other are not known
     Merge(MergeArgs),
 }
@@ -325,6 +327,20 @@ pub struct ExportArgs {
     #[arg(long, value_name = "DIR", default_value = "flockslam-out")]
     pub out: PathBuf,
     /// How the map was made
+    #[command(flatten)]
+    pub configuration: ConfigurationArgs,
+}
+
+/// `flockslam store import`.
+#[derive(Clone, Debug, Args)]
+pub struct ImportArgs {
+    /// Map of nav2's map server: YAML beside PNG or PGM
+    #[arg(value_name = "MAP.yaml")]
+    pub map: PathBuf,
+    /// Directory for the saved map, which must not hold one
+    #[arg(long, value_name = "DIR", default_value = "flockslam-map")]
+    pub out: PathBuf,
+    /// How sets are configured that shall use the map
     #[command(flatten)]
     pub configuration: ConfigurationArgs,
 }

@@ -5,14 +5,17 @@
 //! so a damaged one is only made again. The journal is always ahead of the submaps, whatever dies when.
 
 mod head;
+mod imported_map;
 mod keeper;
 mod mirror;
 mod nav2_map;
+mod plan_views;
 mod saved_map;
 #[cfg(test)]
 mod tests;
 
 pub use head::{FORMAT, MapHead};
+pub use imported_map::{Imported, import_map};
 pub use keeper::MapKeeper;
 pub use mirror::Mirror;
 pub use nav2_map::{Nav2MapError, read_nav2_map};
@@ -48,6 +51,12 @@ pub enum StoreError {
         /// What is needed.
         wanted: String,
     },
+    /// The directory holds a map already.
+    #[error("{0}: holds a saved map already; give another directory")]
+    Taken(PathBuf),
+    /// There is nothing in a map that a robot could see.
+    #[error("the map shows no place from which a robot could see a wall")]
+    Bare,
     /// The directory holds the map of something else.
     #[error("{0}: holds another map than the one that is to be saved there")]
     Other(PathBuf),

@@ -56,6 +56,14 @@ impl LiveSet {
         Self::start_again(robot, directory, &[])
     }
 
+    /// As [`LiveSet::start`], in a world that is a map of nav2's kind.
+    pub fn start_in(world: &Path, test: &str, directory: &Path, drive: Drive, more: &str) -> Self {
+        let robot = robot(test);
+        let description = format!("{}world = {world:?}\n", drive.description(&robot, more));
+        std::fs::write(directory.join("set.toml"), description).unwrap();
+        Self::start_again(robot, directory, &[])
+    }
+
     /// As [`LiveSet::start`], with protections taken away from it.
     pub fn start_with_failpoints(
         test: &str,

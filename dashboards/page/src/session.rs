@@ -12,7 +12,7 @@ use flockslam_bus::{
 use flockslam_evidence::{TILE_CELLS, TileKey};
 use flockslam_geometry::elementary::hypot;
 use flockslam_messages::{
-    Control, ControlKind, Deskew, FlockRobot, FlockRobots, PoseEstimate, Quality, ScanView, Stage,
+    Control, ControlKind, Deskew, FlockRobot, FlockRobots, PoseEstimate, PoseFlags, Quality, ScanView, Stage,
     TileMessage, TracksHeader,
 };
 use flockslam_results::LivePoses;
@@ -193,7 +193,9 @@ impl Session {
     fn read_journal(&mut self, path: &mut Path) -> Result<(), StageError> {
         let began = Instant::now();
         while let Some(record) = self.journal.read_next()? {
-            path.push(&record.pose);
+            if !record.pose.has(PoseFlags::IMPORTED) {
+                path.push(&record.pose);
+            }
             if began.elapsed() > JOURNAL_TIME {
                 return Ok(());
             }

@@ -88,4 +88,6 @@ impl PoseFlags {
     pub const UNPLACED: u32 = 128;
     /// The set localizes: the scan is no part of the map.
     pub const LOCALIZING: u32 = 256;
+    /// The scan was not taken: it is what a lidar would see at this pose of an imported map. The pose is given, and stays.
+    pub const IMPORTED: u32 = 512;
 }

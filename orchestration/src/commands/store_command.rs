@@ -4,8 +4,9 @@ use super::control_command::{choose, order};
 use super::joined_map::{Order, join};
 use super::run::{Run, run as run_set, summary};
 use super::{CommandError, say};
-use crate::arguments::{ExportArgs, MapDirArgs, MapOrderArgs, MergeArgs, RunArgs, StoreCommand};
-use crate::store::{SavedMap, StoreError};
+use crate::arguments::{ExportArgs, ImportArgs, MapDirArgs, MapOrderArgs, MergeArgs, RunArgs, StoreCommand};
+use crate::configuration::Configuration;
+use crate::store::{SavedMap, StoreError, import_map, read_nav2_map};
 use crate::supervisor::Request;
 use flockslam_lidar_ingest::process::Source;
 use std::path::{Path, PathBuf};
@@ -20,6 +21,7 @@ pub fn run(command: &StoreCommand) -> Result<(), CommandError> {
         StoreCommand::Save(args) => give(args, Request::Save),
         StoreCommand::Load(args) => give(args, Request::Load),
         StoreCommand::Export(args) => export(args),
+        StoreCommand::Import(args) => import(args),
         StoreCommand::Merge(args) => merge(args),
     }
 }
@@ -62,6 +64,23 @@ fn export(args: &ExportArgs) -> Result<(), CommandError> {
     let run = Run { source: Source::Nothing, world: None, scans: None, continues: Some(map) };
     let outcome = run_set(&run_args, run)?;
     say(&summary(&args.out, &outcome.report));
+    Ok(())
+}
+
+fn import(args: &ImportArgs) -> Result<(), CommandError> {
+    let given = &args.configuration;
+    let configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
+    let plan = read_nav2_map(&args.map).map_err(CommandError::user)?;
+    let imported =
+        import_map(&plan, &args.out, configuration.mapper.cell_size_m).map_err(CommandError::user)?;
+    say(&format!(
+        "{}: {:.0} m² in {} submaps, seen from {} places; wrote a saved map to {}\n",
+        args.map.display(),
+        imported.area_m2,
+        imported.submaps,
+        imported.views,
+        args.out.display()
+    ));
     Ok(())
 }
 

@@ -8,7 +8,7 @@ use crate::supervisor::SetFile;
 use flockslam_bus::{Bus, Capacity, RuntimeDir};
 use flockslam_geometry::Pose;
 use flockslam_map_fusion::FusedMap;
-use flockslam_messages::{Commit, TileMessage};
+use flockslam_messages::{Commit, PoseFlags, TileMessage};
 use flockslam_results::{SubmapStore, read_live_poses};
 use flockslam_stage::JournalReader;
 use std::time::{Duration, Instant};
@@ -75,6 +75,9 @@ fn way(runtime: &RuntimeDir) -> Result<(Vec<TrajectoryPoint>, Pose), String> {
     let mut reader = JournalReader::open(&runtime.journal()).map_err(|error| error.to_string())?;
     let (mut track, mut map_from_odom) = (Vec::new(), Pose::IDENTITY);
     while let Some(record) = reader.read_next().map_err(|error| error.to_string())? {
+        if record.pose.has(PoseFlags::IMPORTED) {
+            continue;
+        }
         map_from_odom = record.pose.map_from_odom;
         let map_from_base = map_from_odom * record.pose.odom_from_base;
         track.push(TrajectoryPoint { stamp_ns: record.pose.times.sensor_ns, map_from_base });

@@ -169,7 +169,8 @@ impl Description {
     }
 }
 
-fn evidence(state: CellState) -> Cell {
+/// What a picture says of a cell, as evidence.
+pub(super) fn evidence(state: CellState) -> Cell {
     match state {
         CellState::Occupied => Cell::from_weights(WEIGHT_NAT, 0.0),
         CellState::Free => Cell::from_weights(0.0, WEIGHT_NAT),

@@ -6,8 +6,6 @@ use crate::settings::Settings;
 use crate::solution::{FrozenScan, Solution};
 use conclusion::Concluded;
 use driven::Driven;
-use final_solution::placed;
-use flockslam_geometry::Pose;
 use flockslam_loop_closure::agreement::eligible;
 use flockslam_loop_closure::closure::{CHI_SQUARED_MAX, Closure};
 use flockslam_loop_closure::connectivity::{self, TrajectoryConnectivity};
@@ -20,7 +18,6 @@ use flockslam_loop_closure::open_finder::OpenFinder;
 use flockslam_loop_closure::place::{KeptScan, Placer};
 use flockslam_loop_closure::scans::ScanStore;
 use flockslam_loop_closure::segment::Segment;
-use flockslam_map_fusion::PlacedSubmap;
 use flockslam_messages::{BeamRange, PoseEstimate, PoseFlags, ScanView};
 use flockslam_pose_graph::Edge;
 use flockslam_pose_graph::{RobustSettings, solve};
@@ -36,6 +33,7 @@ mod driven;
 mod final_passes;
 mod final_solution;
 mod freeze;
+mod imported;
 mod map_entries;
 mod shown;
 mod unpublished;
@@ -189,7 +187,9 @@ impl SyncManager {
         record.trajectory = self.entries.number(record.trajectory);
         // Numbers of trajectories only rise. A restarted front end may publish an earlier one.
         record.trajectory = self.records.last().map_or(0, |last| last.trajectory).max(record.trajectory);
-        self.driven.count(&record);
+        if !record.is_given {
+            self.driven.count(&record);
+        }
         self.records.push(record);
     }
 
@@ -198,8 +198,8 @@ impl SyncManager {
     /// are not matched.
     pub fn node(&mut self, scan: ScanView<'_>, pose: &PoseEstimate, moving: &[BeamRange]) {
         let Some(record) = self.records.iter().rposition(|r| r.id == pose.id) else { return };
-        let PoseRecord { odom, trajectory, odometry, .. } = self.records[record];
-        let is_node = pose.has(PoseFlags::INSERT) && self.is_due(&odom, trajectory);
+        let PoseRecord { odom, trajectory, odometry, is_given, .. } = self.records[record];
+        let is_node = pose.has(PoseFlags::INSERT) && (is_given || self.is_due(&odom, trajectory));
         if !is_node && self.rests(&odom) {
             return;
         }
@@ -213,7 +213,8 @@ impl SyncManager {
             let is_first = self.odometry.nodes().last().is_some_and(|last| last.trajectory != trajectory);
             let continues = is_first && of_trajectory.into_iter().any(|r| r.continues);
             let sigmas = (pose.covariance.position_std_m(), pose.covariance.tt.max(0.0).sqrt());
-            let new = NewNode { sequence, scan, odom, trajectory, odometry, continues, is_open, sigmas };
+            let new =
+                NewNode { sequence, scan, odom, trajectory, odometry, continues, is_open, is_given, sigmas };
             self.odometry.extend(new, &self.scans);
             self.enter(pose);
         }
@@ -262,29 +263,6 @@ impl SyncManager {
             &self.odometry.nodes()[..known],
             inliers.map(|(c, _)| (c.edge.from, c.edge.to)).chain(joints),
         )
-    }
-
-    /// Where the mapper's submaps lie in the present solution, by number: each as the node in its middle says. Those that nothing
-    /// but driving connects with the map are left out.
-    pub fn submap_poses(&self) -> Vec<PlacedSubmap> {
-        let connectivity = self.connectivity(self.poses.len());
-        let nodes: Vec<(u32, usize)> = self
-            .kept
-            .iter()
-            .filter(|k| k.is_node && k.node < self.poses.len())
-            .filter(|k| connectivity.is_attached(self.records[k.record].trajectory))
-            .map(|k| (self.records[k.record].submap, k.node))
-            .collect();
-        let place = |group: &[(u32, usize)]| {
-            let (number, node) = group[group.len() / 2];
-            let map_from_odom = self.poses[node].compose(self.odometry.nodes()[node].odom.inverse()).pose();
-            (number, map_from_odom)
-        };
-        let mut submaps: BTreeMap<u32, Pose> =
-            self.frozen_poses().map(|(number, at)| (number, at.pose())).collect();
-        submaps.extend(nodes.chunk_by(|a, b| a.0 == b.0).map(place));
-        submaps.retain(|number, _| self.is_of_map(*number));
-        placed(submaps)
     }
 
     fn close_loops(&mut self, known: usize, searches: usize, at_submap: bool) {
@@ -340,7 +318,7 @@ impl SyncManager {
         let nodes = &self.odometry.nodes()[..known.saturating_sub(QUERY_NODES)];
         let first = nodes.partition_point(|node| node.travel_m < self.next_search_m);
         for (i, node) in nodes.iter().enumerate().skip(first) {
-            if node.travel_m >= self.next_search_m {
+            if node.travel_m >= self.next_search_m && !node.is_given {
                 due.push(i);
                 self.next_search_m = node.travel_m + EVERY_M;
             }
@@ -377,6 +355,7 @@ impl SyncManager {
     /// Solves the graph of the first `known` nodes, from the odometry, with all eligible loops on trial again.
     fn solve(&mut self, known: usize) {
         let mut edges: Vec<Edge> = self.odometry.edges()[..known - 1].to_vec();
+        edges.extend(self.odometry.given());
         let trusted = edges.len();
         let eligible = eligible(&self.closures, &self.odometry.nodes()[..known]);
         edges.extend(
@@ -391,6 +370,7 @@ impl SyncManager {
         let mut poses = connectivity::start(&self.odometry.nodes()[..known], &edges[trusted..entries_end]);
         let solved = solve(known, &edges, trusted, &settings, &mut poses);
         (self.poses, self.solving_cost) = (poses, solved.work);
+        self.hold_given();
         let nodes = self.odometry.nodes();
         let joints = edges[closures_end..].iter().zip(&solved.weights[closures_end..]);
         self.ruled_out =

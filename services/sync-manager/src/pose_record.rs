@@ -18,6 +18,8 @@ pub struct PoseRecord {
     pub submap: u32,
     /// Trajectory that it belongs to.
     pub trajectory: u32,
+    /// It is one of an imported map, not one of a drive.
+    pub is_given: bool,
     /// The front end rejected its fit.
     pub lost: bool,
     /// It begins a trajectory that odometry connects with the one before.
@@ -34,6 +36,7 @@ impl PoseRecord {
             odometry: pose.has(PoseFlags::HAS_ODOMETRY).then(|| pose.odometry.into()),
             submap: pose.submap,
             trajectory: pose.trajectory,
+            is_given: pose.has(PoseFlags::IMPORTED),
             lost: pose.quality == Quality::Lost as u32,
             continues: pose.has(PoseFlags::CONTINUES),
         }

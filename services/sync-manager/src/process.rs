@@ -235,8 +235,10 @@ impl SyncProcess {
             // It was driven in another session: where the robot is now does not follow from it.
             return Ok(());
         }
-        self.trajectories.published(pose);
-        self.summary.count(pose);
+        if !pose.has(PoseFlags::IMPORTED) {
+            self.trajectories.published(pose);
+            self.summary.count(pose);
+        }
         if let Some(localizing) = self.logic.localizing().filter(|_| !self.recovered || !is_local) {
             localizing.published(pose);
             return Ok(());
@@ -291,6 +293,7 @@ impl SyncProcess {
             self.metrics.recovered(mapping.closure_counts());
             return Ok(());
         }
+        self.fuser.keep_below(mapping.imported_submaps());
         let retired = self.fuser.follow(&mapping.submap_poses(), self.next_submap)?;
         mapping.submaps_retired(&retired);
         let (counts, unattached) = (mapping.closure_counts(), mapping.unattached());
@@ -421,6 +424,7 @@ impl SyncProcess {
         let solution = mapping.finish();
         mapping.forget_scans();
         let scans = self.trajectories.finish(&solution)?;
+        self.fuser.keep_below(mapping.imported_submaps());
         self.fuser.finish(&solution.submaps)?;
         if self.settings.clear_at_end {
             clear_at_end(&mut self.fuser, &solution.submaps, &scans, self.summary.inserted, context)?;

@@ -153,6 +153,7 @@ impl Atlas {
                     sequence,
                     odom,
                     is_open: false,
+                    is_given: false,
                 }
             }
             None => Node {
@@ -165,6 +166,7 @@ impl Atlas {
                 sequence,
                 odom,
                 is_open: false,
+                is_given: false,
             },
         };
         self.nodes.push(node);

@@ -249,6 +249,7 @@ mod tests {
                 drift_bound_m,
                 trajectory,
                 is_open: false,
+                is_given: false,
             }
         };
         (0..2 * NODES).map(node).collect()

@@ -98,6 +98,7 @@ mod tests {
                 drift_bound_m: k as f64,
                 trajectory: *trajectory,
                 is_open: false,
+                is_given: false,
             }
         };
         connectivity.iter().enumerate().map(node).collect()

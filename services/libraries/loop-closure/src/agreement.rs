@@ -180,6 +180,7 @@ mod tests {
                 drift_bound_m: travel_m,
                 trajectory: 0,
                 is_open: false,
+                is_given: false,
             }
         };
         (0..100).map(node).collect()

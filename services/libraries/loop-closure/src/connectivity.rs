@@ -12,7 +12,7 @@ const AGREEING: (f64, f64) = (1.0, 0.15);
 pub struct TrajectoryConnectivity {
     /// By trajectory: the first trajectory that it is connected with, itself when with none before it.
     root: Vec<u32>,
-    /// The root that most nodes are connected with: the map.
+    /// The root that most nodes are connected with, or that of an imported map: the map.
     main: u32,
 }
 
@@ -28,8 +28,10 @@ impl TrajectoryConnectivity {
         }
         let mut sizes = vec![0usize; count as usize];
         nodes.iter().for_each(|node| sizes[root[node.trajectory as usize] as usize] += 1);
-        let main = (0..count).max_by_key(|&r| (sizes[r as usize], std::cmp::Reverse(r))).unwrap_or(0);
-        Self { root, main }
+        // An imported map is the map, however much is driven beside it.
+        let given = nodes.first().filter(|node| node.is_given).map(|node| root[node.trajectory as usize]);
+        let largest = (0..count).max_by_key(|&r| (sizes[r as usize], std::cmp::Reverse(r))).unwrap_or(0);
+        Self { root, main: given.unwrap_or(largest) }
     }
 
     /// How many there are.
@@ -120,6 +122,7 @@ mod tests {
                 drift_bound_m: k as f64,
                 trajectory,
                 is_open: false,
+                is_given: false,
             }
         };
         (0..10).map(node).collect()
@@ -137,6 +140,14 @@ mod tests {
         assert_eq!((0..3).map(|k| joined.is_attached(k)).collect::<Vec<_>>(), [true, false, true]);
         assert_eq!((joined.part(2), joined.part(1), joined.newest(), joined.count()), (0, 1, 2, 3));
         assert!(!joined.is_attached(3), "a trajectory without nodes");
+    }
+
+    #[test]
+    fn an_imported_map_is_the_map_also_when_it_is_the_smaller_part() {
+        let mut nodes = nodes();
+        nodes[..3].iter_mut().for_each(|node| node.is_given = true);
+        let alone = TrajectoryConnectivity::new(&nodes, std::iter::empty());
+        assert_eq!((0..3).map(|k| alone.is_attached(k)).collect::<Vec<_>>(), [true, false, false]);
     }
 
     #[test]

@@ -34,7 +34,7 @@ pub struct DensePass<'a> {
     pub segments: &'a [Segment],
     /// The odometry edges.
     pub odometry: &'a [Edge],
-    /// Constraints in the open, where no node is matched again: they stay.
+    /// Constraints of nodes that are not matched again, those in the open and of an imported map: they stay.
     pub constraints: &'a [Edge],
     /// Which trajectories are connected: only among those does nearness mean anything.
     pub connectivity: &'a TrajectoryConnectivity,
@@ -64,7 +64,8 @@ impl DensePass<'_> {
     fn pairs(&self, poses: &[Placement]) -> Vec<Vec<usize>> {
         let mut pairs = vec![Vec::new(); self.segments.len()];
         let part = |node: usize| self.connectivity.part(self.nodes[node].trajectory);
-        for (node, at) in poses.iter().enumerate().filter(|(node, _)| !self.nodes[*node].is_open) {
+        let is_held = |node: &Node| node.is_open || node.is_given;
+        for (node, at) in poses.iter().enumerate().filter(|(node, _)| !is_held(&self.nodes[*node])) {
             let mut near: Vec<(f64, usize)> = Vec::new();
             for (number, segment) in self.segments.iter().enumerate() {
                 // The node's own segment and the one before it were matched by the odometry already.

@@ -30,6 +30,8 @@ pub struct Node {
     pub trajectory: u32,
     /// Whether its pose follows from surfaces far apart, as in the open: clouds of points do not hold it.
     pub is_open: bool,
+    /// Whether its pose is given, as in an imported map: nothing moves it, and its local pose is its pose in the map.
+    pub is_given: bool,
 }
 
 /// A scan that becomes a node.
@@ -49,6 +51,8 @@ pub struct NewNode {
     pub continues: bool,
     /// Whether its pose follows from surfaces far apart.
     pub is_open: bool,
+    /// Whether its pose, that from the front end, is given.
+    pub is_given: bool,
     /// Standard deviations of its pose as the front end publishes them: metres and radians.
     pub sigmas: (f64, f64),
 }
@@ -56,7 +60,7 @@ pub struct NewNode {
 impl NewNode {
     /// The node at its place in the local_pose, at the beginning of the path.
     pub(crate) fn at(self, local_pose: Placement, start_from_local: Placement) -> Node {
-        let NewNode { sequence, scan, odom, trajectory, is_open, .. } = self;
+        let NewNode { sequence, scan, odom, trajectory, is_open, is_given, .. } = self;
         let start = start_from_local.compose(local_pose);
         Node {
             scan,
@@ -68,6 +72,7 @@ impl NewNode {
             drift_bound_m: 0.0,
             trajectory,
             is_open,
+            is_given,
         }
     }
 }

@@ -50,6 +50,8 @@ const OPEN_TURN_M: f64 = 1.0;
 const SCATTERING: f64 = 2.0;
 /// … and not believed where they miss it by more than this, in variances: four standard deviations.
 const IMPROBABLE: f64 = 16.0;
+/// How firmly a node whose pose is given is held at it (information): a tenth of a millimetre where matches say some millimetres.
+const GIVEN: Symmetric = [1e8, 0.0, 0.0, 1e8, 0.0, 1e8];
 /// Standard deviations of odometry while the robot was lost, metres and radians, beyond so many times what it usually has: the
 /// reason for which it was lost may have moved it.
 const LOST_SIGMA: (f64, f64) = (0.3, 0.05);
@@ -84,6 +86,8 @@ enum Link {
     Open(f64, f64),
     Predicted,
     Broken,
+    /// Both poses are given.
+    Given,
 }
 
 /// The nodes in order, each matched again to the few before it.
@@ -146,6 +150,10 @@ impl OdometryGraph {
 
     /// Adds a node: the next in time, with the points of its scan.
     pub fn extend(&mut self, new: NewNode, scans: &ScanStore) {
+        assert!(
+            !new.is_given || self.nodes.last().is_none_or(|last| last.is_given),
+            "an imported map comes first"
+        );
         let node = match self.nodes.last() {
             None => new.at(new.odom, self.start_from_local),
             Some(&last) => self.matched(last, new, scans),
@@ -187,7 +195,9 @@ impl OdometryGraph {
     fn matched(&mut self, last: Node, new: NewNode, scans: &ScanStore) -> Node {
         let motion = last.odom.to(new.odom);
         let guess = last.local_pose.compose(motion);
-        let link = if new.trajectory == last.trajectory {
+        let link = if new.is_given {
+            Link::Given
+        } else if new.trajectory == last.trajectory {
             self.link(&guess, &new, self.follows(&motion, &new), scans)
         } else {
             self.withdraw_all(scans);
@@ -196,6 +206,7 @@ impl OdometryGraph {
         };
         let (local_pose, drift_bound_m) = match link {
             Link::Matched(found) | Link::Rescued(found) => (found.placement, 0.0),
+            Link::Given => (new.odom, 0.0),
             Link::Open(..) => (guess, 0.0),
             Link::Followed => (guess, (FOLLOWED_DRIFT - 1.0) * motion.distance_m(&Placement::IDENTITY)),
             Link::Predicted => (guess, UNMATCHED_DRIFT_M),
@@ -207,7 +218,9 @@ impl OdometryGraph {
         let information = in_frame(&self.information(&link, &motion, said), &last.local_pose);
         self.edges.push(Edge { from: to - 1, to, motion: last.local_pose.to(local_pose), information });
         let way_m = local_pose.distance_m(&last.local_pose);
-        let (travel_m, drift_bound_m) = (last.travel_m + way_m, last.drift_bound_m + way_m + drift_bound_m);
+        // No drift is between poses that are given.
+        let drift_m = if new.is_given { 0.0 } else { way_m + drift_bound_m };
+        let (travel_m, drift_bound_m) = (last.travel_m + way_m, last.drift_bound_m + drift_m);
         Node { travel_m, drift_bound_m, ..new.at(local_pose, self.start_from_local) }
     }
 
@@ -241,6 +254,23 @@ impl OdometryGraph {
             let information = diagonal(joint.sigmas.0, joint.sigmas.1);
             Some(Edge { from, to, motion: joint.motion, information })
         })
+    }
+
+    /// What holds the nodes whose poses are given at these: constraints to the first of them. Trusted, like [`Self::edges`].
+    pub fn given(&self) -> impl Iterator<Item = Edge> {
+        let nodes = self.given_nodes();
+        let of_first = move |to: usize| Edge {
+            from: 0,
+            to,
+            motion: nodes[0].local_pose.to(nodes[to].local_pose),
+            information: GIVEN,
+        };
+        (1..nodes.len()).map(of_first)
+    }
+
+    /// The nodes whose poses are given: the first ones.
+    pub fn given_nodes(&self) -> &[Node] {
+        &self.nodes[..self.nodes.partition_point(|node| node.is_given)]
     }
 
     /// Whether odometry agrees with the front end's motion to a node.
@@ -320,6 +350,11 @@ impl OdometryGraph {
     /// Brings the newest node's points into the grid and takes out those that fall out of the window.
     fn slide(&mut self, scans: &ScanStore) {
         let newest = self.nodes.len() - 1;
+        if self.nodes[newest].is_given {
+            // Nothing is matched to the node before here.
+            self.first = newest + 1;
+            return;
+        }
         let at = self.nodes[newest].local_pose;
         while self.first < newest
             && (newest - self.first >= WINDOW_NODES
@@ -367,6 +402,7 @@ impl OdometryGraph {
             Link::Predicted => diagonal(0.3 + 0.5 * way, 0.2 + 0.5 * turn),
             // Just enough information to keep the graph connected.
             Link::Broken => diagonal(1e3, 1e2),
+            Link::Given => diagonal(FOLLOWED_SIGMA.0, FOLLOWED_SIGMA.1),
         }
     }
 }

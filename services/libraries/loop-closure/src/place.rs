@@ -53,7 +53,10 @@ impl Placer<'_> {
             if scan.is_node {
                 grid.withdraw_placed(held.of(scan.node));
             }
-            placed.push(if self.nodes[scan.node].is_open {
+            let node = &self.nodes[scan.node];
+            placed.push(if node.is_given && scan.is_node {
+                self.poses[scan.node]
+            } else if node.is_open {
                 scan.guesses[0]
             } else {
                 place(&aligner, grid, self.scans.points(scan.scan), &scan.guesses)

@@ -36,7 +36,7 @@ pub struct Refinement<'a> {
     pub scans: &'a ScanStore,
     /// The odometry edges.
     pub odometry: &'a [Edge],
-    /// Constraints in the open, where no node is matched again: they stay.
+    /// Constraints of nodes that are not matched again, those in the open and of an imported map: they stay.
     pub constraints: &'a [Edge],
     /// By node: whether it is part of the map.
     pub in_map: &'a [bool],
@@ -75,8 +75,9 @@ impl Refinement<'_> {
         mut visit: impl FnMut(&mut MomentGrid, &Around, usize),
     ) {
         let block = |metres: f64| (metres / BLOCK_M).floor() as i32;
+        let is_held = |node: &Node| node.is_open || node.is_given;
         let mut blocks: BTreeMap<(i32, i32), Vec<usize>> = BTreeMap::new();
-        for i in (1..self.nodes.len()).filter(|i| self.in_map[*i] && !self.nodes[*i].is_open) {
+        for i in (1..self.nodes.len()).filter(|i| self.in_map[*i] && !is_held(&self.nodes[*i])) {
             blocks.entry((block(poses[i].y_m), block(poses[i].x_m))).or_default().push(i);
         }
         for ((row, column), members) in blocks {

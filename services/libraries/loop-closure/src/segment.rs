@@ -130,6 +130,7 @@ mod tests {
             drift_bound_m: 0.0,
             trajectory: u32::from(k >= 30),
             is_open: false,
+            is_given: false,
         };
         let nodes: Vec<_> = (0..60).map(node).collect();
         let segments = Segment::cut(&nodes, 4);

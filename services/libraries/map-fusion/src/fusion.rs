@@ -188,15 +188,15 @@ impl Fusion {
         Ok(())
     }
 
-    /// Looks at a few submaps, in turn, and names those that newer ones cover.
-    pub fn covered(&mut self) -> Vec<u32> {
+    /// Looks at a few submaps, in turn, and names those that newer ones cover; those with numbers below `kept_below` never retire.
+    pub fn covered(&mut self, kept_below: u32) -> Vec<u32> {
         if self.retire_covered_by == 0 {
             return Vec::new();
         }
         let in_turn = self.fused.range(self.next_check..).chain(self.fused.range(..self.next_check));
         let looked_at: Vec<u32> = in_turn.map(|(number, _)| *number).take(CHECKS_PER_SUBMAP).collect();
         self.next_check = looked_at.last().map_or(0, |last| last + 1);
-        looked_at.into_iter().filter(|number| self.is_covered(*number)).collect()
+        looked_at.into_iter().filter(|number| *number >= kept_below && self.is_covered(*number)).collect()
     }
 
     /// Removes a covered submap for good, and gives the submap to be stored in its place: the same without evidence.
@@ -417,7 +417,7 @@ mod tests {
         let mut retired = Vec::new();
         for closed in 1..=5 {
             follow(&mut fusion, &submaps, &submaps_in_map, closed);
-            for number in fusion.covered() {
+            for number in fusion.covered(0) {
                 let emptied = fusion.retire(submaps[number as usize].clone());
                 assert!(emptied.tiles.is_empty() && emptied.number == number);
                 retired.push(number);

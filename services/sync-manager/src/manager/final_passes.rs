@@ -80,22 +80,24 @@ impl SyncManager {
             scans: &self.scans,
             segments: &segments,
             odometry: self.odometry.edges(),
-            constraints: &self.constraints_in_the_open(),
+            constraints: &self.constraints_that_stay(),
             connectivity: &connectivity,
         };
         pass.run(self.finder.scratch(), &mut self.poses);
+        self.hold_given();
         self.match_to_map();
     }
 
     /// What connects nodes in the open, which the passes over all nodes match to nothing: closures that hold, and what odometry or
-    /// localisation says between trajectories.
-    fn constraints_in_the_open(&self) -> Vec<Edge> {
+    /// localisation says between trajectories. And what holds those of an imported map.
+    fn constraints_that_stay(&self) -> Vec<Edge> {
         let nodes = self.odometry.nodes();
         let inliers = self.closures.iter().zip(&self.is_inlier).filter(|(_, is_inlier)| **is_inlier);
         inliers
             .map(|(c, _)| c.edge)
             .chain(self.joints(nodes.len()))
             .filter(|edge| nodes[edge.from].is_open || nodes[edge.to].is_open)
+            .chain(self.odometry.given())
             .collect()
     }
 
@@ -104,8 +106,9 @@ impl SyncManager {
         let nodes = self.odometry.nodes();
         let connectivity = self.connectivity(nodes.len());
         let in_map: Vec<bool> = nodes.iter().map(|node| connectivity.is_attached(node.trajectory)).collect();
-        let (odometry, constraints) = (self.odometry.edges(), &self.constraints_in_the_open());
+        let (odometry, constraints) = (self.odometry.edges(), &self.constraints_that_stay());
         let refinement = Refinement { nodes, scans: &self.scans, odometry, constraints, in_map: &in_map };
         refinement.run(self.finder.scratch(), &mut self.poses);
+        self.hold_given();
     }
 }

@@ -24,7 +24,10 @@ impl SyncManager {
     pub(super) fn solution(&self, poses: &[Placement]) -> Solution {
         let connectivity = self.connectivity(self.odometry.nodes().len());
         let begin = self.records.iter().position(|r| connectivity.is_attached(r.trajectory)).unwrap_or(0);
+        let is_given = self.records.first().is_some_and(|record| record.is_given);
         let gauge = match (self.records.get(begin), poses.get(begin)) {
+            // The frame of an imported map stays the frame.
+            _ if is_given => Placement::IDENTITY,
             (Some(record), Some(pose)) => record.odom.compose(pose.inverse()),
             _ => Placement::IDENTITY,
         };
@@ -33,9 +36,10 @@ impl SyncManager {
             self.frozen_poses().map(|(number, at)| (number, gauge.compose(at).pose())).collect();
         submaps.retain(|number, _| self.is_of_map(*number));
         submaps.extend(self.place_submaps(&poses, |trajectory| connectivity.is_attached(trajectory)));
+        let driven = self.records.iter().zip(&poses).filter(|(record, _)| !record.is_given);
         let anchors = self.odometry.nodes().iter().zip(&self.poses);
         Solution {
-            trajectory: self.records.iter().zip(&poses).map(placed_scan).collect(),
+            trajectory: driven.map(placed_scan).collect(),
             anchors: anchors.map(|(node, at)| (node.sequence, gauge.compose(*at).pose())).collect(),
             submaps: placed(submaps),
             closures: self.counts(&connectivity),
@@ -88,6 +92,10 @@ impl SyncManager {
                 continue;
             }
             let middle = group[group.len() / 2].0;
+            if middle.is_given {
+                submaps.push((middle.submap, Pose::IDENTITY));
+                continue;
+            }
             let carried =
                 |(record, pose): &(&PoseRecord, &Placement)| pose.compose(record.odom.to(middle.odom));
             let carried: Vec<Placement> = group.iter().map(carried).collect();

@@ -40,6 +40,11 @@ impl SyncManager {
             if newest_m - self.odometry.nodes()[nodes.end - 1].travel_m < HORIZON_M {
                 break;
             }
+            if self.odometry.nodes()[nodes.start].is_given {
+                // What is imported is no drive.
+                self.next_frozen += 1;
+                continue;
+            }
             match self.host(self.next_frozen) {
                 Some(host) => self.freeze_segment(self.next_frozen, host),
                 None => self.next_frozen += 1,

@@ -17,12 +17,19 @@ pub struct Fuser {
     fusion: Fusion,
     store: SubmapStore,
     known_area_m2: f64,
+    /// Submaps with smaller numbers are of an imported map.
+    kept_below: u32,
 }
 
 impl Fuser {
     /// An empty fused map, filled from this store.
     pub fn new(store: SubmapStore, settings: &Settings) -> Self {
-        Self { fusion: Fusion::new(settings.retire_covered_by), store, known_area_m2: 0.0 }
+        Self { fusion: Fusion::new(settings.retire_covered_by), store, known_area_m2: 0.0, kept_below: 0 }
+    }
+
+    /// Submaps with numbers below this are of an imported map: they stay as they are, and never retire.
+    pub fn keep_below(&mut self, number: u32) {
+        self.kept_below = number;
     }
 
     /// A fused map of its own, of these submaps alone, as they are stored.
@@ -30,7 +37,7 @@ impl Fuser {
     /// # Errors
     /// When the store fails, or a submap is absurdly far from the others.
     pub fn of_part(store: SubmapStore, submaps: &[PlacedSubmap]) -> Result<StoredMap, StageError> {
-        let mut fuser = Self { fusion: Fusion::new(0), store, known_area_m2: 0.0 };
+        let mut fuser = Self { fusion: Fusion::new(0), store, known_area_m2: 0.0, kept_below: 0 };
         let closed = fuser.store.count();
         fuser.take_all(submaps, closed)?;
         Ok(fuser.stored_map())
@@ -50,7 +57,7 @@ impl Fuser {
                 tracing::warn!(%far, number = step.number(), "a submap is not in the fused map");
             }
         }
-        let covered = self.fusion.covered();
+        let covered = self.fusion.covered(self.kept_below);
         for number in &covered {
             let emptied = self.fusion.retire(self.store.load(*number)?);
             if let Err(error) = self.store.save(&emptied) {
@@ -106,6 +113,9 @@ impl Fuser {
     pub fn clear(&mut self, cells: &[CellIndex], submaps_in_map: &[PlacedSubmap]) -> Result<(), StageError> {
         for step in self.fusion.present(submaps_in_map, cells) {
             let (Some(map), Step::Place(placed)) = (self.fusion.map(), step) else { continue };
+            if placed.number < self.kept_below {
+                continue;
+            }
             let mut submap = self.store.load(placed.number)?;
             let map_from_submap = placed.map_from_odom * submap.odom_from_submap;
             let sources = map.occupied_sources(&submap, map_from_submap, cells);
@@ -144,7 +154,8 @@ impl Fuser {
         for step in self.fusion.last_steps(submaps_in_map, closed) {
             let mut submap = self.store.load(step.number())?;
             self.known_area_m2 += submap.known_area_m2();
-            if let (Some(newer), Step::Place(placed)) = (self.fusion.map(), step) {
+            let may_change = step.number() >= self.kept_below;
+            if let (Some(newer), Step::Place(placed), true) = (self.fusion.map(), step, may_change) {
                 let stale = stale_cells(&submap, placed.map_from_odom, newer);
                 if !stale.is_empty() {
                     for cell in stale {
