@@ -4,34 +4,23 @@
 
 #![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
 
+#[allow(dead_code, reason = "another benchmark reads the rest")]
+#[path = "../support/start_trials.rs"]
+mod start_trials;
+
 use flockslam::store::read_nav2_map;
 use flockslam_evidence::CellState;
 use flockslam_geometry::Pose;
-use flockslam_localisation::{Knowledge, KnownMap, Localizer, Surroundings};
+use flockslam_localisation::{KnownMap, Localizer, Surroundings};
 use flockslam_loop_closure::scans::{ScanStore, Velocity};
 use flockslam_messages::ScanBuffer;
 use flockslam_registration::cloud::Placement;
+use start_trials::{StartTrial, start_trial};
 use std::error::Error;
 use std::path::Path;
-use std::time::{Duration, Instant};
 
-/// A robot looks around after so much travel and turning, metres and radians.
-const VIEW: (f64, f64) = (0.3, 0.35);
-/// A robot gives up after this way, and is followed over this one once it is found, metres.
-const WAY_M: (f64, f64) = (40.0, 18.0);
 /// What is found farther from the truth is false, metres and radians; the map of half of ACES lies up to 2.1 m from that of the whole.
 const FALSE: (f64, f64) = (2.5, 0.15);
-
-/// How one robot has fared.
-#[derive(Debug, Default)]
-struct Search {
-    /// Way in mapped space until it was found.
-    found_after_m: Option<f64>,
-    mapped_m: f64,
-    is_false: bool,
-    was_lost: bool,
-    slowest: Duration,
-}
 
 fn scans(log: &str, store: &mut ScanStore) -> Result<Vec<usize>, Box<dyn Error>> {
     let mut numbers = Vec::new();
@@ -59,38 +48,6 @@ fn trajectory(text: &str) -> Result<Vec<Placement>, Box<dyn Error>> {
     text.lines().filter(|line| !line.starts_with('#')).map(pose).collect()
 }
 
-fn search(localizer: &mut Localizer, way: &[Placement], scans: &[usize], store: &ScanStore) -> Search {
-    localizer.odometry_breaks();
-    let odom_from_map = Placement::new(3.0, -7.0, 1.9);
-    let mut search = Search::default();
-    let (mut last, mut travel_m, mut followed_m) = (None::<Placement>, 0.0, 0.0);
-    for (truth, scan) in way.iter().zip(scans) {
-        if last.is_some_and(|last| last.distance_m(truth) < VIEW.0 && last.turn_rad(truth) < VIEW.1) {
-            continue;
-        }
-        let step_m = last.map_or(0.0, |last| last.distance_m(truth));
-        last = Some(*truth);
-        travel_m += step_m;
-        let is_mapped = localizer.surroundings().map().at(truth.x_m, truth.y_m).state == CellState::Free;
-        search.mapped_m += if is_mapped { step_m } else { 0.0 };
-        let started = Instant::now();
-        let belief = localizer.see(odom_from_map.compose(*truth), store.points(*scan));
-        search.slowest = search.slowest.max(started.elapsed());
-        if belief.knowledge == Knowledge::Localized {
-            search.found_after_m.get_or_insert(search.mapped_m);
-            let found = belief.hypotheses[0].map_from_base;
-            search.is_false |= found.distance_m(truth) > FALSE.0 || found.turn_rad(truth) > FALSE.1;
-            followed_m += step_m;
-        } else {
-            search.was_lost |= search.found_after_m.is_some();
-        }
-        if search.is_false || search.was_lost || followed_m > WAY_M.1 || travel_m > WAY_M.0 {
-            break;
-        }
-    }
-    search
-}
-
 fn main() -> Result<(), Box<dyn Error>> {
     // Cargo adds an option of its own.
     let arguments: Vec<String> = std::env::args().filter(|argument| argument != "--bench").collect();
@@ -106,20 +63,20 @@ fn main() -> Result<(), Box<dyn Error>> {
     let scans = scans(&std::fs::read_to_string(log)?, &mut store)?;
     let way = trajectory(&std::fs::read_to_string(truth)?)?;
     let (half, starts) = (scans.len() / 2, starts.parse::<usize>()?);
-    let searches: Vec<Search> = (0..starts)
+    let searches: Vec<StartTrial> = (0..starts)
         .map(|k| half + (scans.len() - half) * k / starts)
-        .map(|first| search(&mut localizer, &way[first..], &scans[first..], &store))
+        .map(|first| start_trial(&mut localizer, &way[first..], &scans[first..], &store, FALSE))
         .collect();
     let mut found_m: Vec<f64> = searches.iter().filter_map(|search| search.found_after_m).collect();
     found_m.sort_by(f64::total_cmp);
     let quantile = |share: f64| found_m.get((share * found_m.len() as f64) as usize).copied();
-    let count = |is: fn(&Search) -> bool| searches.iter().filter(|search| is(search)).count();
+    let count = |is: fn(&StartTrial) -> bool| searches.iter().filter(|search| is(search)).count();
     println!(
         "{starts} starts: {} found after p50 {:.1?} m, p95 {:.1?} m in mapped space; {} false, {} lost again, {} not found in 5 m or more of mapped space; slowest step {:.2?}",
         found_m.len(),
         quantile(0.5),
         quantile(0.95),
-        count(|search| search.is_false),
+        count(|search| search.false_place.is_some()),
         count(|search| search.was_lost),
         count(|search| search.found_after_m.is_none() && search.mapped_m >= 5.0),
         searches.iter().map(|search| search.slowest).max().unwrap_or_default(),

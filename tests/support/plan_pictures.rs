@@ -52,6 +52,12 @@ impl PlanPicture {
         self.cells[y * self.width + x]
     }
 
+    /// Area of its free space, m².
+    pub fn free_m2(&self) -> f64 {
+        let free = self.cells.iter().filter(|cell| **cell == CellState::Free);
+        free.count() as f64 * self.cell_size_m * self.cell_size_m
+    }
+
     /// What it says of a place.
     pub fn state_at(&self, at: Point) -> CellState {
         let cell = |metres: f64| (metres / self.cell_size_m).floor();
@@ -109,6 +115,11 @@ impl PlanPicture {
             .for_each(|place| self.cells[place] = CellState::Occupied);
     }
 
+    /// Whether a piece of furniture stands there.
+    pub fn has(&self, piece: &Furniture) -> bool {
+        self.rectangle(piece).all(|place| self.cells[place] == CellState::Occupied)
+    }
+
     fn rectangle(&self, piece: &Furniture) -> impl Iterator<Item = usize> + use<> {
         let (Furniture { corner, size }, width) = (*piece, self.width);
         (corner.1..corner.1 + size.1)
@@ -134,21 +145,38 @@ impl PlanPicture {
         (fits && is_free(gap)).then_some(Furniture { corner, size })
     }
 
-    /// All that is occupied stands a cell to the left and a cell below of where it stood: walls are off by a cell each way.
+    /// Walls stand a cell elsewhere: all that is occupied in each block of so many metres has moved to one of the nine places around.
     #[must_use]
-    pub fn with_walls_off(mut self) -> Self {
+    pub fn with_walls_off(mut self, block_m: f64, random: &mut Random) -> Self {
         let before = self.clone();
-        for y in 0..self.height - 1 {
-            for x in 0..self.width - 1 {
-                let place = y * self.width + x;
-                let was = before.at(x, y);
-                // Each wall moves towards the lower left in one half of the building, and stays in the other.
-                let moved = if x < self.width / 2 { before.at(x + 1, y) } else { before.at(x, y + 1) };
-                self.cells[place] = match (was, moved) {
-                    (_, CellState::Occupied) => CellState::Occupied,
-                    (CellState::Occupied, other) => other,
-                    (was, _) => was,
-                };
+        let side = self.cells_of(block_m);
+        let occupied = |x: usize, y: usize| before.at(x, y) == CellState::Occupied;
+        for place in self.cells.iter_mut().filter(|cell| **cell == CellState::Occupied) {
+            *place = CellState::Free;
+        }
+        for y in (0..self.height).step_by(side) {
+            for x in (0..self.width).step_by(side) {
+                let (dx, dy) = (random.below(3), random.below(3));
+                for (y, x) in (y..(y + side).min(self.height)).flat_map(|y| (x..(x + side).min(self.width)).map(move |x| (y, x))) {
+                    let moved = ((x + dx).wrapping_sub(1), (y + dy).wrapping_sub(1));
+                    if occupied(x, y) && moved.0 < self.width && moved.1 < self.height {
+                        self.cells[moved.1 * self.width + moved.0] = CellState::Occupied;
+                    }
+                }
+            }
+        }
+        // A gap of a cell between what moved apart and behind what moved is no way through.
+        let after = self.clone();
+        for y in 1..self.height - 1 {
+            for x in 1..self.width - 1 {
+                let was_wall = occupied(x, y) && after.at(x, y) == CellState::Free;
+                let is = |x: usize, y: usize| after.at(x, y) == CellState::Occupied;
+                let is_between = (is(x - 1, y) && is(x + 1, y)) || (is(x, y - 1) && is(x, y + 1));
+                let outside = |x: usize, y: usize| before.at(x, y) == CellState::Unknown;
+                let is_edge = outside(x - 1, y) || outside(x + 1, y) || outside(x, y - 1) || outside(x, y + 1);
+                if was_wall && (is_between || is_edge) {
+                    self.cells[y * self.width + x] = CellState::Occupied;
+                }
             }
         }
         self

@@ -8,6 +8,7 @@ use crate::ros_bridge::{BridgeError, BridgeSet, run_bridge};
 use crate::supervisor::SetFile;
 use flockslam_bus::RuntimeDir;
 use flockslam_lidar_ingest::process::{SCAN_SOCKET, Source};
+use flockslam_results::SetMode;
 use flockslam_stage::Mode;
 
 /// Transforms are awaited; hostile traffic shall not keep the stages from their work: it yields to them, and to nobody else.
@@ -43,11 +44,14 @@ pub fn run(args: &RosArgs) -> Result<(), CommandError> {
         Source::Scans(Some(path)) => path,
         _ => set_dir.join(SCAN_SOCKET),
     };
+    let localizes = set.options.localizes;
     let bridge = BridgeSet {
+        // What the graph was offered when the set began stays, whatever mode the set is in when this process starts again.
+        is_map_given: SetMode::read(&runtime.results()).map_or(localizes, |mode| mode.given),
         runtime,
         capacity: set.options.capacity(),
         optimises: set.configuration.sync_manager.enabled,
-        localizes: set.options.localizes,
+        localizes,
         cell_size_m: set.configuration.mapper.cell_size_m,
         scan_socket,
     };

@@ -70,8 +70,10 @@ pub struct BridgeSet {
     pub capacity: Capacity,
     /// Its sync-manager says where submaps lie.
     pub optimises: bool,
-    /// It localizes in a known map.
+    /// It localizes in a known map just now.
     pub localizes: bool,
+    /// It has begun with a known map.
+    pub is_map_given: bool,
     /// Side of a cell, metres.
     pub cell_size_m: f64,
     /// The socket that lidar-ingest reads.
@@ -160,7 +162,7 @@ impl Bridge {
         let name = identity.full_name();
         let bond_id = identity.name.clone();
         let mut node = Node::open(identity, environment, parameters.declared())?;
-        let source = MapSource::of(set.localizes, parameters.use_map_topic);
+        let source = MapSource::of(set.is_map_given, parameters.use_map_topic);
         let map_publishers = MapPublishers::open(&mut node, source != MapSource::Graph)?;
         let heard_names = map_publishers.heard_names();
         let map_place = MapPlace {

@@ -49,19 +49,19 @@ const NO_SUCH_BEGINNING: u8 = 2;
 pub enum MapSource {
     /// The set makes it.
     Set,
-    /// It was given to the set, which localizes: this node stands where nav2's map server stood.
+    /// It was given to the set, which localizes in it, or has: this node stands where nav2's map server stood.
     Given,
     /// Another node publishes it, and the set localizes in that.
     Graph,
 }
 
 impl MapSource {
-    /// Of a set that localizes or not, whose node was asked to use the map of another.
-    pub fn of(localizes: bool, uses_map_topic: bool) -> Self {
-        if uses_map_topic && !localizes {
+    /// Of a set that began with a known map or not, whose node was asked to use the map of another.
+    pub fn of(is_map_given: bool, uses_map_topic: bool) -> Self {
+        if uses_map_topic && !is_map_given {
             tracing::warn!("use_map_topic has no effect while the map is being made");
         }
-        match (localizes, uses_map_topic) {
+        match (is_map_given, uses_map_topic) {
             (false, _) => Self::Set,
             (true, false) => Self::Given,
             (true, true) => Self::Graph,
