@@ -60,7 +60,8 @@ fn changed(plan: &PlanPicture, changes: &[&str], seed: u64) -> PlanPicture {
 
 fn drive(plan: &PlanPicture, changes: &[&str], seconds: u32, seed: u64) -> String {
     let directory = tempfile::tempdir().expect("a directory");
-    let [known, world] = [plan.write(directory.path(), "plan"), changed(plan, changes, seed).write(directory.path(), "world")];
+    let [known, world] =
+        [plan.write(directory.path(), "plan"), changed(plan, changes, seed).write(directory.path(), "world")];
     let [known, world] = [known, world].map(|path| path.display().to_string());
     let mut args = vec!["demo".to_owned(), "--world".to_owned(), world, "--localize".to_owned(), known];
     let settings = [format!("simulation.duration_s={seconds}"), format!("simulation.seed={seed}")];

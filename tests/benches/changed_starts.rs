@@ -68,7 +68,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         return Ok(());
     };
     let is_drawn = arguments.iter().any(|argument| argument == "drawn");
-    let given: Vec<&str> = arguments[1..].iter().map(String::as_str).filter(|name| *name != "drawn").collect();
+    let given: Vec<&str> =
+        arguments[1..].iter().map(String::as_str).filter(|name| *name != "drawn").collect();
     let all = ["office", "hotel", "warehouse", "campus"];
     for name in if given.is_empty() { &all[..] } else { &given } {
         println!("{name}: {}", trials(name, starts, is_drawn)?);
@@ -126,7 +127,8 @@ fn summary(trials: &[StartTrial], world: &PlanPicture) -> String {
         numbers.sort_by(f64::total_cmp);
         numbers
     };
-    let quantile = |numbers: &[f64], share: f64| numbers.get((share * numbers.len() as f64) as usize).copied();
+    let quantile =
+        |numbers: &[f64], share: f64| numbers.get((share * numbers.len() as f64) as usize).copied();
     let found_m = sorted(trials.iter().filter_map(|trial| trial.found_after_m).collect());
     let errors_m: Vec<f64> = trials.iter().flat_map(|trial| trial.errors_m.iter().copied()).collect();
     let agreements: Vec<_> = trials.iter().flat_map(|trial| &trial.at_truth).collect();

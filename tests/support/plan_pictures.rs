@@ -157,7 +157,9 @@ impl PlanPicture {
         for y in (0..self.height).step_by(side) {
             for x in (0..self.width).step_by(side) {
                 let (dx, dy) = (random.below(3), random.below(3));
-                for (y, x) in (y..(y + side).min(self.height)).flat_map(|y| (x..(x + side).min(self.width)).map(move |x| (y, x))) {
+                for (y, x) in (y..(y + side).min(self.height))
+                    .flat_map(|y| (x..(x + side).min(self.width)).map(move |x| (y, x)))
+                {
                     let moved = ((x + dx).wrapping_sub(1), (y + dy).wrapping_sub(1));
                     if occupied(x, y) && moved.0 < self.width && moved.1 < self.height {
                         self.cells[moved.1 * self.width + moved.0] = CellState::Occupied;
@@ -173,7 +175,8 @@ impl PlanPicture {
                 let is = |x: usize, y: usize| after.at(x, y) == CellState::Occupied;
                 let is_between = (is(x - 1, y) && is(x + 1, y)) || (is(x, y - 1) && is(x, y + 1));
                 let outside = |x: usize, y: usize| before.at(x, y) == CellState::Unknown;
-                let is_edge = outside(x - 1, y) || outside(x + 1, y) || outside(x, y - 1) || outside(x, y + 1);
+                let is_edge =
+                    outside(x - 1, y) || outside(x + 1, y) || outside(x, y - 1) || outside(x, y + 1);
                 if was_wall && (is_between || is_edge) {
                     self.cells[y * self.width + x] = CellState::Occupied;
                 }

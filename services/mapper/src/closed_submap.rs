@@ -9,6 +9,7 @@ use flockslam_evidence::{
 pub(crate) struct ClosedSubmap {
     /// All of it but its tiles.
     head: Submap,
+    last_ns: i64,
     /// Sorted by key.
     tiles: Vec<ClosedTile>,
 }
@@ -22,7 +23,8 @@ struct ClosedTile {
 }
 
 impl ClosedSubmap {
-    pub(crate) fn new(submap: &Submap) -> Self {
+    /// `last_ns` is the sensor stamp of its last scan, nanoseconds; an unknown one is in the future.
+    pub(crate) fn new(submap: &Submap, last_ns: i64) -> Self {
         let Submap { number, trajectory, insertions, first, last, odom_from_submap, cell_size_m, tiles } =
             submap;
         let head = Submap {
@@ -35,11 +37,16 @@ impl ClosedSubmap {
             cell_size_m: *cell_size_m,
             tiles: Vec::new(),
         };
-        Self { head, tiles: tiles.iter().map(ClosedTile::new).collect() }
+        Self { head, last_ns, tiles: tiles.iter().map(ClosedTile::new).collect() }
     }
 
     pub(crate) fn number(&self) -> u32 {
         self.head.number
+    }
+
+    /// Sensor stamp of its last scan, nanoseconds.
+    pub(crate) fn last_ns(&self) -> i64 {
+        self.last_ns
     }
 
     /// Sequence of its first scan.
@@ -111,7 +118,7 @@ mod tests {
             tiles: (-1..2).map(tile).collect(),
             ..Submap::default()
         };
-        let mut closed = ClosedSubmap::new(&expected);
+        let mut closed = ClosedSubmap::new(&expected, 5);
         assert_eq!((closed.submap(), closed.has_cleared()), (expected.clone(), false));
         for cell in [CellIndex::new(3, -5), CellIndex::new(-1, -64), CellIndex::new(900, 0)] {
             expected.clear(cell);

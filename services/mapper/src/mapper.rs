@@ -15,6 +15,10 @@ use std::collections::VecDeque;
 /// Longer ranges are not inserted, metres: the gaps between beams are wider than most objects there.
 const RANGE_MAX_M: f64 = 30.0;
 
+/// While the set localizes, what was last seen longer ago than this is not matched to any more, nanoseconds: ten minutes. Who comes back later
+/// finds furniture elsewhere; the known map says where the robot is. The newest submap stays, however old.
+const LOCAL_AGE_NS: i64 = 600_000_000_000;
+
 /// Turns scans with poses into evidence, tiles and submaps. A pure function of its calls.
 ///
 /// ```
@@ -65,6 +69,7 @@ struct ActiveSubmap {
     odom_from_submap: Pose,
     first: u64,
     last: u64,
+    last_ns: i64,
     insertions: u32,
     last_pose: Pose,
     travel_m: f64,
@@ -120,7 +125,7 @@ impl Mapper {
         self.number = closed.number + 1;
         self.enter_trajectory(closed.trajectory);
         self.window.add_submap(&closed);
-        self.remember(&closed);
+        self.remember(&closed, i64::MAX);
         self.window.end_scan();
         // A submap that has left the window again is stored as it is.
         self.left_cleared.clear();
@@ -142,6 +147,7 @@ impl Mapper {
         if pose.has(PoseFlags::LOCALIZING) != self.localizes {
             closed.extend(self.change_mode());
         }
+        self.forget_old(pose.times.sensor_ns);
         for cell in cleared {
             self.clear(CellIndex::new(cell.x, cell.y));
         }
@@ -157,7 +163,7 @@ impl Mapper {
             &mut self.window,
         );
         self.window.end_rays();
-        let full = self.advance(scan.header().id.sequence, odom_from_base);
+        let full = self.advance(scan.header().id.sequence, pose.times.sensor_ns, odom_from_base);
         if full {
             closed.extend(self.close_active());
         }
@@ -289,16 +295,17 @@ impl Mapper {
     }
 
     /// Counts the scan into the active submap; true when it was its last.
-    fn advance(&mut self, sequence: u64, pose: Pose) -> bool {
+    fn advance(&mut self, sequence: u64, stamp_ns: i64, pose: Pose) -> bool {
         let active = self.active.get_or_insert(ActiveSubmap {
             odom_from_submap: pose,
             first: sequence,
             last: sequence,
+            last_ns: stamp_ns,
             insertions: 0,
             last_pose: pose,
             travel_m: 0.0,
         });
-        active.last = sequence;
+        (active.last, active.last_ns) = (sequence, stamp_ns);
         active.insertions += 1;
         active.travel_m += active.last_pose.distance_m(pose);
         active.last_pose = pose;
@@ -318,7 +325,7 @@ impl Mapper {
             tiles: self.window.close_active(),
         };
         self.number += 1;
-        self.remember(&submap);
+        self.remember(&submap, active.last_ns);
         Some(submap)
     }
 
@@ -334,16 +341,33 @@ impl Mapper {
     }
 
     /// Keeps a closed submap while it is in the window, and lets the oldest leave a bounded one.
-    fn remember(&mut self, submap: &Submap) {
-        self.closed.push_back(ClosedSubmap::new(submap));
+    fn remember(&mut self, submap: &Submap, last_ns: i64) {
+        self.closed.push_back(ClosedSubmap::new(submap, last_ns));
         let Some(size) = self.settings.window_submaps() else { return };
         while self.closed.len() > size {
-            if let Some(oldest) = self.closed.pop_front() {
-                self.window.withdraw_submap(&oldest);
-                if oldest.has_cleared() && oldest.number() >= self.fixed_below {
-                    self.left_cleared.push(oldest.submap());
-                }
-            }
+            self.leave_oldest();
+        }
+    }
+
+    /// Lets what is too old leave the window while the set localizes.
+    fn forget_old(&mut self, now_ns: i64) {
+        let is_old = |closed: &ClosedSubmap| now_ns.saturating_sub(closed.last_ns()) > LOCAL_AGE_NS;
+        while self.localizes && self.closed.len() > 1 && self.closed.front().is_some_and(is_old) {
+            self.leave_oldest();
+        }
+    }
+
+    /// The oldest submap leaves the window. One that was made while the set localizes is of no more use: it is stored without its evidence.
+    fn leave_oldest(&mut self) {
+        let Some(oldest) = self.closed.pop_front() else { return };
+        self.window.withdraw_submap(&oldest);
+        if oldest.number() < self.fixed_below {
+            return;
+        }
+        if self.localizes {
+            self.left_cleared.push(Submap { tiles: Vec::new(), ..oldest.submap() });
+        } else if oldest.has_cleared() {
+            self.left_cleared.push(oldest.submap());
         }
     }
 

@@ -268,3 +268,43 @@ fn what_is_seen_while_the_set_localizes_leaves_the_submaps_of_the_map_as_they_ar
     successor.close();
     assert!(successor.take_cleared().iter().all(|submap| submap.number >= of_map));
 }
+
+#[test]
+fn what_is_seen_while_the_set_localizes_is_forgotten_by_way_and_by_age_and_leaves_no_evidence_on_disk() {
+    let mut mapper = Mapper::new(Settings { window_m: 20.0, ..Settings::default() });
+    let ranges: Vec<f32> = (0..100).map(|i| 3.0 + (i as f32 * 0.7).sin()).collect();
+    let mut insert = |sequence: u64, x_m: f64, now_s: i64| {
+        let mut at = pose(x_m, 0.0, 0.0);
+        at.flags |= PoseFlags::LOCALIZING;
+        at.times.sensor_ns = now_s * 1_000_000_000;
+        let closed = mapper.insert(scan(sequence, &ranges).view().unwrap(), &at, &[]).closed.len();
+        (closed, mapper.take_cleared(), mapper.live_tiles().count())
+    };
+    let (mut closed, mut left, mut most) = (0, Vec::new(), 0);
+    for step in 0..400 {
+        let (new, cleared, tiles) = insert(step, 0.3 * step as f64, step as i64 / 10);
+        closed += new;
+        left.extend(cleared);
+        most = most.max(tiles);
+    }
+    let of_half = most;
+    for step in 400..800 {
+        left.extend(insert(step, 0.3 * step as f64, step as i64 / 10).1);
+        most = most.max(insert(step + 1000, 0.3 * step as f64, step as i64 / 10).2);
+    }
+    assert!(closed > 20 && most <= of_half + 4, "{closed} submaps, {of_half} tiles, then {most}");
+    assert!(left.len() > 20 && left.iter().all(|submap| submap.tiles.is_empty()));
+    assert!(left.windows(2).all(|pair| pair[1].number == pair[0].number + 1), "each once, in order");
+    // The robot has stood for an hour.
+    let before = insert(2000, 240.0, 80);
+    let after = insert(2001, 240.2, 3700);
+    assert!(
+        after.1.len() >= 2 && after.2 < before.2,
+        "{} left, {} of {} tiles",
+        after.1.len(),
+        after.2,
+        before.2
+    );
+    let newest = insert(2002, 240.4, 7300);
+    assert!(newest.2 > 0, "what was seen last stays");
+}
