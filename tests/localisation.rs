@@ -130,6 +130,35 @@ fn a_robot_that_is_not_in_the_map_is_not_found_there() {
     assert_eq!(report.detached_scans, report.scans);
 }
 
+/// Drives of five and of twenty-five minutes among people and doors: what a robot sees beside the known map does not add up.
+#[test]
+fn five_times_the_way_in_a_known_map_takes_the_same_memory() {
+    let directory = tempfile::tempdir().unwrap();
+    let known = directory.path().join("known");
+    run_well("known-map", &known, &building(240));
+    let peaks = |duration_s: u32| {
+        let mut args = building(duration_s);
+        let more = ["--set", "simulation.walkers=6", "--set", "simulation.doors=4", "--localize"];
+        args.extend(more.map(str::to_owned));
+        args.push(known.display().to_string());
+        let report = run_well("flat", &directory.path().join(format!("out-{duration_s}")), &args).report;
+        let found = report.localisation.unwrap();
+        println!("{:.0} m: {found:?}", report.trajectory_length_m);
+        assert!(found.unlocalized_scans * 50 < report.scans, "{found:?}");
+        report
+            .stages
+            .into_iter()
+            .map(|(stage, report)| (stage, report.peak_private_bytes))
+            .collect::<Vec<_>>()
+    };
+    for ((stage, short), (_, long)) in peaks(300).into_iter().zip(peaks(1500)) {
+        println!("{stage}: {:.1} MB, then {:.1} MB", short as f64 / 1e6, long as f64 / 1e6);
+        // Poses and views of sync-manager are bounded at ten times the short drive.
+        let more = if stage == Stage::SyncManager.name() { 6_000_000 } else { 2_000_000 };
+        assert!(long < short + more, "{stage}: {short} bytes, then {long}");
+    }
+}
+
 #[test]
 fn what_is_no_map_to_localize_in_is_refused_in_one_line() {
     let directory = tempfile::tempdir().unwrap();

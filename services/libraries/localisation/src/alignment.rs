@@ -56,6 +56,8 @@ pub struct Agreement {
     pub explained: f64,
     /// Points in known-free space, or behind something that their beam would have met.
     pub contradicted: f64,
+    /// Of the latter those behind something: furniture stands in free space, but nobody sees through a wall.
+    pub behind: f64,
 }
 
 /// The known map in the forms that search, refinement and judgement read.
@@ -143,7 +145,7 @@ impl Surroundings {
 
     /// How points agree with the map at a pose.
     pub fn agreement(&self, points: &[SeenPoint], map_from_cloud: &Placement) -> Agreement {
-        let (mut explained, mut contradicted) = (0, 0);
+        let (mut explained, mut contradicted, mut behind) = (0, 0, 0);
         for point in points {
             let (x, y) = map_from_cloud.apply(point.x_m, point.y_m);
             let place = self.map.at(x, y);
@@ -152,9 +154,10 @@ impl Surroundings {
             let is_behind = !is_in_free && self.is_behind(point, map_from_cloud);
             explained += u32::from(is_explained && !is_behind);
             contradicted += u32::from(is_in_free || is_behind);
+            behind += u32::from(is_behind);
         }
         let share = |count: u32| f64::from(count) / points.len().max(1) as f64;
-        Agreement { explained: share(explained), contradicted: share(contradicted) }
+        Agreement { explained: share(explained), contradicted: share(contradicted), behind: share(behind) }
     }
 
     /// Whether a beam to a point would have ended at something before it.

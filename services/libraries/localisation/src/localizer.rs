@@ -32,6 +32,12 @@ const ALONE: (f64, f64) = (0.5, 0.15);
 const STANDING_M: f64 = 0.7;
 const STANDING: (f64, f64) = (0.9, 0.04);
 const STANDING_ALONE: (f64, f64) = (0.8, 0.06);
+/// Where furniture stands that the map does not show, as in the plan of an architect, much contradicts it, but hardly anything is seen through
+/// a wall: least share explained, greatest contradicted and behind walls, …
+const FURNISHED: (f64, f64, f64) = (0.55, 0.4, 0.04);
+/// … and elsewhere walls agree so much less with what was seen over at least this much travel, metres.
+const FURNISHED_ALONE_MAX: f64 = 0.5;
+const FURNISHED_M: f64 = 6.0;
 /// Elsewhere at most this share of the merit is found.
 const RIVAL_MAX: f64 = 0.8;
 /// Places that were not looked at score at most this share of the place that is believed.
@@ -265,8 +271,9 @@ impl Localizer {
             covariance: inverse(&now.information),
         };
         let is_against = |agreement: &Agreement| {
-            agreement.contradicted > LOST_CONTRADICTED
-                && agreement.explained < LOST_EXPLAINED * agreement.contradicted
+            // Furniture stands in free space; nobody sees through a wall.
+            let against = (agreement.contradicted + 2.0 * agreement.behind) / 3.0;
+            against > LOST_CONTRADICTED && agreement.explained < LOST_EXPLAINED * against
         };
         if is_against(&agreement) {
             let wider = self.recent.cloud(LOST_M, POINTS);
@@ -377,6 +384,17 @@ impl Localizer {
         Judged { at, score, fit, agreement: self.surroundings.agreement(cloud, &at) }
     }
 
+    /// Whether all walls say that the robot is here, and only things between them that the map does not show say otherwise.
+    fn is_among_furniture(&self, best: &Judged, others: &[Judged]) -> bool {
+        let (explained, contradicted, behind) = FURNISHED;
+        let by_walls = |judged: &Judged| judged.agreement.explained - judged.agreement.behind;
+        self.recent.travel_m() >= FURNISHED_M
+            && best.agreement.explained >= explained
+            && best.agreement.contradicted <= contradicted
+            && best.agreement.behind <= behind
+            && others.iter().all(|other| by_walls(other) <= FURNISHED_ALONE_MAX * by_walls(best))
+    }
+
     fn conclude(&mut self, odom: Placement, judged: &[Judged], others_max: f64) {
         let Some(best) = judged.first() else {
             self.belief = Belief::default();
@@ -400,7 +418,8 @@ impl Localizer {
             (false, true) => ALONE,
             (false, false) => (EXPLAINED_MIN, CONTRADICTED_MAX),
         };
-        let is_good = best.agreement.explained >= explained && best.agreement.contradicted <= contradicted;
+        let is_good = (best.agreement.explained >= explained && best.agreement.contradicted <= contradicted)
+            || self.is_among_furniture(best, &judged[1..]);
         let is_unique = rival <= RIVAL_MAX * best.merit() && others_max <= UNSEEN_MAX * best.score;
         let covariance = best.fit.and_then(|fit| {
             let unit = FIT_INFORMATION / POINTS as f64;

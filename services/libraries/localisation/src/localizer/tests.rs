@@ -176,3 +176,41 @@ fn a_break_of_odometry_and_an_order_forget_the_place() {
     localizer.odometry_breaks();
     assert_eq!(localizer.see(at, &[]).knowledge, Knowledge::Unknown, "nothing is seen");
 }
+
+/// A plan shows walls alone; in the building stand tables and cupboards, a fifth of what is seen and more.
+#[test]
+fn a_robot_is_found_among_furniture_that_the_plan_does_not_show_and_stays_found() {
+    let rooms = [[2.0, 2.0, 6.0, 5.0], [4.0, 7.0, 1.5, 1.0], [1.0, 8.0, 22.0, 2.0], [18.0, 10.0, 5.0, 6.0]];
+    let map = plan(&rooms);
+    let furniture = [
+        [3.0, 2.0, 0.8, 1.0],
+        [6.4, 5.5, 0.8, 0.8],
+        [9.0, 9.4, 1.2, 0.6],
+        [14.0, 8.0, 1.0, 0.7],
+        [19.0, 14.6, 1.2, 0.8],
+    ];
+    let stands = |x: f64, y: f64| {
+        furniture.iter().any(|[left, low, w, h]| x > *left && x < left + w && y > *low && y < low + h)
+    };
+    let mut building = KnownMap::of_width(map.width(), CELL_M, Point::default());
+    for y in 0..map.height() {
+        let state = |x: usize| {
+            let (x, y) = ((x as f64 + 0.5) * CELL_M, (y as f64 + 0.5) * CELL_M);
+            if stands(x, y) { CellState::Occupied } else { map.at(x, y).state }
+        };
+        building.push_row((0..map.width()).map(state));
+    }
+    let building = building.measured();
+    let mut localizer = Localizer::new(Surroundings::new(map));
+    let way =
+        [(5.0, 3.5), (4.8, 7.5), (8.0, 8.8), (16.0, 9.2), (20.0, 9.0), (20.5, 12.0), (20.0, 9.0), (8.0, 8.8)];
+    let belief = drive(&mut localizer, &building, &way, anywhere());
+    let end = Placement::new(8.0, 8.8, (8.8f64 - 9.0).atan2(8.0 - 20.0));
+    let off_m = belief.hypotheses[0].map_from_base.distance_m(&end);
+    println!(
+        "{off_m:.3} m off after {} searches, {:?}",
+        localizer.searches(),
+        belief.hypotheses[0].agreement
+    );
+    assert!(belief.knowledge == Knowledge::Localized && off_m < 0.08, "{belief:?}");
+}
