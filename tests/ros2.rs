@@ -22,7 +22,7 @@ fn error_m(points: &[TrajectoryPoint], truth: &[TrajectoryPoint]) -> f64 {
 }
 
 /// The processes of a set that are bridges.
-fn bridges(set: &LiveSet) -> Vec<u32> {
+pub(crate) fn bridges(set: &LiveSet) -> Vec<u32> {
     let is_bridge = |pid: &u32| {
         let line = std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
         line.split(|byte| *byte == 0).nth(1) == Some(b"ros")

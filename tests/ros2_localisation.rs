@@ -1,9 +1,11 @@
 //! A set that localizes, as a node of a ROS 2 graph: it stands where AMCL stands.
 
+use crate::ros2::bridges;
 use crate::support::ros_peers::Graph;
 use crate::support::ros_rows::rows;
-use crate::support::{Outputs, machine_share, run_well, simulated_drive, wait_for};
+use crate::support::{Outputs, flockslam, machine_share, run_well, send, simulated_drive, wait_for};
 use flockslam_bus::RuntimeDir;
+use rustix::process::Signal;
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -141,6 +143,48 @@ fn a_peer_hears_the_known_map_the_pose_in_it_and_moves_the_robot_by_a_hint() {
     set.wait_until("its pose is tried", |status| {
         status.localisation.as_ref().is_some_and(|localisation| localisation.searches > before)
     });
+    set.command_well(&["down"]);
+    assert_eq!(set.wait(), Some(0));
+}
+
+/// What the graph was offered when the set began stays when the bridge dies after the set has changed its mode.
+#[test]
+fn a_bridge_that_starts_again_after_a_change_of_the_mode_offers_the_same_services() {
+    machine_share::mostly_waits();
+    let Some(graph) = Graph::new() else { return };
+    let directory = tempfile::tempdir().unwrap();
+    let (log, _) = simulated_drive(directory.path(), 24.0);
+    let [known, saved] = ["known", "saved"].map(|name| directory.path().join(name));
+    run_well("known", &known, &["map".to_owned(), log.display().to_string()]);
+    let import =
+        flockslam().args(["store", "import"]).arg(known.join("map.yaml")).arg("--out").arg(&saved).status();
+    assert!(import.unwrap().success());
+    let mut set = graph.localizing_set("changes", directory.path(), &saved);
+    set.wait_until("the set", |_| true);
+    let mut peer = graph.peer("user");
+    let offered = |services: &Value| {
+        ["/map_server/load_map", "/slam_toolbox/dynamic_map", "/flockslam/load_map"]
+            .map(|name| services.get(name).is_some())
+    };
+    let before = peer.wait_for("the services", &json!(["graph"]), |seen| {
+        let offered = offered(&seen["services"]);
+        offered[0].then_some(offered)
+    });
+    graph.play(&log, 2.0, "/");
+    set.wait_until("the robot is localized", |status| {
+        status.localisation.as_ref().is_some_and(|localisation| localisation.knowledge == "localized")
+    });
+    set.command_well(&["mode", "map"]);
+    let dead = wait_for("the bridge", || bridges(&set).first().copied());
+    send(dead, Signal::KILL);
+    wait_for("its successor", || bridges(&set).into_iter().find(|pid| *pid != dead));
+    let mut late = graph.peer("late");
+    let after = late.wait_for("the services again", &json!(["graph"]), |seen| {
+        let offered = offered(&seen["services"]);
+        offered[2].then_some(offered)
+    });
+    println!("before {before:?}, after {after:?}");
+    assert_eq!(before, after);
     set.command_well(&["down"]);
     assert_eq!(set.wait(), Some(0));
 }

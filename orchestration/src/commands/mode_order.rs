@@ -79,7 +79,7 @@ impl ModeChange {
         let mode = SetMode::read(&set.runtime().results()).unwrap_or_default();
         if let Some(fixed) = &mode.fixed {
             return Err(format!(
-                "{fixed}, which has no submaps that could be added to: start a set with --map and without --localize"
+                "{fixed}, which has no submaps that could be added to: `flockslam store import` makes a saved map of it, and --localize takes that"
             ));
         }
         let belief = LocalisationStatus::read(&status_dir).filter(|_| !self.begins).unwrap_or_default();
