@@ -38,7 +38,7 @@ impl Outputs {
         let (last, truth) = (self.trajectory("trajectory.tum"), self.trajectory("truth.tum"));
         let exact = |pose: TrajectoryPoint| {
             let place = truth.binary_search_by_key(&pose.stamp_ns, |truth| truth.stamp_ns).ok()?;
-            Some((pose, truth[place].clone()))
+            Some((pose, truth[place]))
         };
         last.into_iter().filter_map(exact).collect()
     }

@@ -6,7 +6,7 @@
 use super::plan_views::Plan;
 use super::{MapHead, StoreError};
 use flockslam_evidence::{
-    Cell, CellIndex, CellState, PackedCell, Submap, SubmapTile, TILE_CELLS, TILE_SIDE, TileKey, floor,
+    Cell, CellIndex, CellState, PackedCell, Submap, SubmapTile, TILE_CELLS, TileKey, floor,
 };
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{PoseEstimate, PoseFlags, ScanBuffer, ScanId};
@@ -152,7 +152,6 @@ fn tiles(plan: &Plan, cell_size_m: f64) -> Vec<SubmapTile> {
             }
         }
     }
-    debug_assert!(TILE_CELLS == TILE_SIDE * TILE_SIDE);
     tiles
 }
 

@@ -190,6 +190,7 @@ mod tests {
             odometry: Some(truth(time_s - late_s)),
             submap: 0,
             trajectory: 0,
+            is_given: false,
             lost: false,
             continues: false,
         };

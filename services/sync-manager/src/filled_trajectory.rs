@@ -91,6 +91,7 @@ mod tests {
             odometry: None,
             submap: 0,
             trajectory: 0,
+            is_given: false,
             lost: false,
             continues: false,
         };

@@ -271,35 +271,16 @@ impl Localizer {
             covariance: inverse(&now.information),
         };
         let is_against = |agreement: &Agreement| {
-            // Furniture stands in free space; nobody sees through a wall.
-            let against = (agreement.contradicted + 2.0 * agreement.behind) / 3.0;
-            against > LOST_CONTRADICTED && agreement.explained < LOST_EXPLAINED * against
+            agreement.contradicted > LOST_CONTRADICTED
+                && agreement.explained < LOST_EXPLAINED * agreement.contradicted
         };
         if is_against(&agreement) {
             let wider = self.recent.cloud(LOST_M, POINTS);
-            if is_against(&self.surroundings.agreement(&wider, &at))
-                && !self.is_best_place(&wider, &at, &odom)
-            {
+            if is_against(&self.surroundings.agreement(&wider, &at)) {
                 self.relocalize(None);
                 self.measured = None;
             }
         }
-    }
-
-    /// Whether what was seen last fits here better than anywhere else, though not well: then the world has changed, not the robot's place.
-    /// What a search has said counts until the next one is due.
-    fn is_best_place(&mut self, cloud: &[SeenPoint], at: &Placement, odom: &Placement) -> bool {
-        if !self.is_due(odom) {
-            return true;
-        }
-        self.searched_at = Some(*odom);
-        self.searches += 1;
-        let points: Vec<(f64, f64)> = cloud.iter().map(|p| (p.x_m, p.y_m)).collect();
-        let quest = Quest { score_min: SCORE_MIN, share_min: SHARE_MIN, near: None };
-        let places = self.search.find(self.surroundings.field(), &points, &quest);
-        let judged = places.found.iter().map(|place| self.judge(cloud, place.map_from_cloud, place.score));
-        let best = judged.max_by(|a, b| a.merit().total_cmp(&b.merit()));
-        best.is_some_and(|best| best.agreement.explained >= HINT_EXPLAINED_MIN && is_same(&best.at, at))
     }
 
     /// A pose beside this one with which what was seen last agrees clearly better: the front end may slip along a bare corridor by more
