@@ -118,6 +118,7 @@ mod tests {
             odometry: None,
             submap: 0,
             trajectory: u32::from(i >= 6),
+            is_given: false,
             lost: (3..6).contains(&i),
             continues: false,
         };
