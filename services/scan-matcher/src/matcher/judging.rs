@@ -78,13 +78,13 @@ impl ScanMatcher {
     /// Whether a scan that fits badly shows that the robot was carried. In the open scans scatter too much to tell, and without odometry
     /// it is not known where the robot may have driven.
     pub(super) fn is_carried(&mut self, scan: ScanView<'_>, fitted: &Fitted) -> bool {
-        let fits = fitted.fit.score >= self.settings.rescue.below * self.confidence.mean_score;
+        let is_poor = fitted.fit.score < self.settings.rescue.below * self.confidence.mean_score;
         self.settings.rescue.lost_scans_max > 0
             && scan.odometry().is_some()
             && self.confidence.has_started()
             && !self.confidence.is_in_the_open()
             && !fitted.is_open
-            && !(fits && !fitted.is_rescued)
+            && (is_poor || fitted.is_rescued)
             && self.carried.is_unexplained(fitted)
     }
 
