@@ -11,7 +11,7 @@ use std::process::Stdio;
 use std::sync::OnceLock;
 
 const DURATION_S: u32 = 60;
-const RATE: u32 = 8;
+const RATE: u32 = 4;
 const SCANS: usize = 600;
 
 fn undisturbed_area_m2() -> f64 {
