@@ -14,8 +14,8 @@ const NEARER: (f64, f64) = (0.3, 0.05);
 /// So many points must lie in directions that both views show.
 const COMMON_MIN: u32 = 20;
 /// Two views contradict each other when these shares of their points lie in the other's free space: both together and the lesser,
-/// or both together alone. Of views a scan apart in three buildings with people none had both; of 24 views from before and after the
-/// robot was carried, 23 had one or the other.
+/// or both together alone. Compared by raw odometry, 21 of 25 936 pairs of neighbouring scans in three logs reached the sum, where odometry was
+/// wrong or people went by; of 24 pairs from before and after the robot was carried, 23.
 const CONTRADICTED: (f64, f64) = (0.4, 0.1);
 const CONTRADICTED_ALONE: f64 = 0.8;
 /// Once a view is unexplained, a later one is too with these shares.
