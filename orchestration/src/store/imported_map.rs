@@ -5,9 +5,7 @@
 
 use super::plan_views::Plan;
 use super::{MapHead, StoreError};
-use flockslam_evidence::{
-    Cell, CellIndex, CellState, PackedCell, Submap, SubmapTile, TILE_CELLS, TileKey, floor,
-};
+use flockslam_evidence::{CellIndex, PackedCell, Submap, SubmapTile, TILE_CELLS, TileKey, floor};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{PoseEstimate, PoseFlags, ScanBuffer, ScanId};
 use flockslam_results::{StoredMap, SubmapStore};
@@ -145,7 +143,7 @@ fn tiles(plan: &Plan, cell_size_m: f64) -> Vec<SubmapTile> {
                 let index = key.cell(offset);
                 let middle = |cell: i32| (f64::from(cell) + 0.5) * cell_size_m;
                 let at = Point::new(middle(index.x), middle(index.y));
-                *cell = evidence(plan.state_around(at, cell_size_m));
+                *cell = super::nav2_map::evidence(plan.state_around(at, cell_size_m)).pack();
             }
             if cells.iter().any(|cell| !cell.is_unknown()) {
                 tiles.push(SubmapTile::new(key, cells));
@@ -153,11 +151,4 @@ fn tiles(plan: &Plan, cell_size_m: f64) -> Vec<SubmapTile> {
         }
     }
     tiles
-}
-
-/// What an imported map says of a cell, as evidence.
-fn evidence(state: CellState) -> PackedCell {
-    let cell: Cell = super::nav2_map::evidence(state);
-    let packed = |weight: u32| u16::try_from(weight).unwrap_or(u16::MAX);
-    PackedCell { occupied: packed(cell.occupied), free: packed(cell.free) }
 }

@@ -64,8 +64,7 @@ impl DensePass<'_> {
     fn pairs(&self, poses: &[Placement]) -> Vec<Vec<usize>> {
         let mut pairs = vec![Vec::new(); self.segments.len()];
         let part = |node: usize| self.connectivity.part(self.nodes[node].trajectory);
-        let is_held = |node: &Node| node.is_open || node.is_given;
-        for (node, at) in poses.iter().enumerate().filter(|(node, _)| !is_held(&self.nodes[*node])) {
+        for (node, at) in poses.iter().enumerate().filter(|(node, _)| !self.nodes[*node].is_held()) {
             let mut near: Vec<(f64, usize)> = Vec::new();
             for (number, segment) in self.segments.iter().enumerate() {
                 // The node's own segment and the one before it were matched by the odometry already.

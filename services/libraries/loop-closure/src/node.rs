@@ -34,6 +34,13 @@ pub struct Node {
     pub is_given: bool,
 }
 
+impl Node {
+    /// Whether the passes over all nodes leave it where it is.
+    pub(crate) fn is_held(&self) -> bool {
+        self.is_open || self.is_given
+    }
+}
+
 /// A scan that becomes a node.
 #[derive(Clone, Copy, Debug)]
 pub struct NewNode {

@@ -75,9 +75,8 @@ impl Refinement<'_> {
         mut visit: impl FnMut(&mut MomentGrid, &Around, usize),
     ) {
         let block = |metres: f64| (metres / BLOCK_M).floor() as i32;
-        let is_held = |node: &Node| node.is_open || node.is_given;
         let mut blocks: BTreeMap<(i32, i32), Vec<usize>> = BTreeMap::new();
-        for i in (1..self.nodes.len()).filter(|i| self.in_map[*i] && !is_held(&self.nodes[*i])) {
+        for i in (1..self.nodes.len()).filter(|i| self.in_map[*i] && !self.nodes[*i].is_held()) {
             blocks.entry((block(poses[i].y_m), block(poses[i].x_m))).or_default().push(i);
         }
         for ((row, column), members) in blocks {
