@@ -46,6 +46,7 @@ pub(super) struct Carried {
 
 /// The nearest end of a view by direction from the eye, metres; infinite where it shows nothing.
 struct Outline {
+    eye: Point,
     nearest_m: [f64; SECTORS],
 }
 
@@ -64,8 +65,10 @@ impl Carried {
         let is_kicked = |from: Pose| fit.distance_m(from) <= KICKED.0 && fit.turn_rad(from) <= KICKED.1;
         let fit = Some(fit).filter(|_| is_kicked(predicted) || is_kicked(before));
         let places = [Some(predicted), Some(before), fit].into_iter().flatten();
+        let outlines = [&self.explained, &self.present].map(Outline::new);
         let is_judged = before.distance_m(predicted) <= APART_M;
-        let mut judged = places.filter_map(|place| self.contradict(before.inverse() * place)).peekable();
+        let mut judged =
+            places.filter_map(|place| self.contradict(&outlines, before.inverse() * place)).peekable();
         // Views that cannot be compared leave it as it was.
         let is_unexplained = if is_judged && judged.peek().is_some() {
             judged.all(|contradicts| contradicts)
@@ -95,29 +98,13 @@ impl Carried {
     }
 
     /// Whether the two views contradict each other, the present one from `before_from_now`; `None` when they show too little in common.
-    fn contradict(&self, before_from_now: Pose) -> Option<bool> {
-        let (before, now) = (&self.explained, &self.present);
-        let one = contradicted(before, now, before_from_now)?;
-        let other = contradicted(now, before, before_from_now.inverse())?;
+    /// `outlines` are theirs.
+    fn contradict(&self, [before, now]: &[Outline; 2], before_from_now: Pose) -> Option<bool> {
+        let one = before.contradicted(&self.present, before_from_now)?;
+        let other = now.contradicted(&self.explained, before_from_now.inverse())?;
         let (sum, lesser) = if self.unexplained > 0 { STILL_CONTRADICTED } else { CONTRADICTED };
         Some((one + other >= sum && one.min(other) >= lesser) || one + other >= CONTRADICTED_ALONE)
     }
-}
-
-/// The share of the ends of `other` that lie in free space of `view`, of those in directions that it shows.
-fn contradicted(view: &View, other: &View, view_from_other: Pose) -> Option<f64> {
-    let outline = Outline::new(view);
-    let (mut common, mut nearer) = (0u32, 0u32);
-    for end in &other.ends {
-        let (sector, range_m) = seen(view_from_other.apply(*end), view.eye);
-        let around = [sector + SECTORS - 1, sector, sector + 1].map(|at| outline.nearest_m[at % SECTORS]);
-        if around.iter().all(|range| range.is_finite()) {
-            let nearest_m = around.into_iter().fold(f64::INFINITY, f64::min);
-            common += 1;
-            nearer += u32::from(range_m < nearest_m - (NEARER.0 + NEARER.1 * nearest_m));
-        }
-    }
-    (common >= COMMON_MIN).then(|| f64::from(nearer) / f64::from(common))
 }
 
 impl Outline {
@@ -127,7 +114,22 @@ impl Outline {
             let (sector, range_m) = seen(*end, view.eye);
             nearest_m[sector] = nearest_m[sector].min(range_m);
         }
-        Self { nearest_m }
+        Self { eye: view.eye, nearest_m }
+    }
+
+    /// The share of the ends of another view that lie in free space of this one, of those in directions that it shows.
+    fn contradicted(&self, other: &View, view_from_other: Pose) -> Option<f64> {
+        let (mut common, mut nearer) = (0u32, 0u32);
+        for end in &other.ends {
+            let (sector, range_m) = seen(view_from_other.apply(*end), self.eye);
+            let around = [sector + SECTORS - 1, sector, sector + 1].map(|at| self.nearest_m[at % SECTORS]);
+            if around.iter().all(|range| range.is_finite()) {
+                let nearest_m = around.into_iter().fold(f64::INFINITY, f64::min);
+                common += 1;
+                nearer += u32::from(range_m < nearest_m - (NEARER.0 + NEARER.1 * nearest_m));
+            }
+        }
+        (common >= COMMON_MIN).then(|| f64::from(nearer) / f64::from(common))
     }
 }
 
@@ -157,7 +159,8 @@ mod tests {
     }
 
     fn contradict(explained: View, present: View, before_from_now: Pose) -> Option<bool> {
-        Carried { explained, present, unexplained: 0 }.contradict(before_from_now)
+        let outlines = [&explained, &present].map(Outline::new);
+        Carried { explained, present, unexplained: 0 }.contradict(&outlines, before_from_now)
     }
 
     const MIDDLE: Pose = Pose::IDENTITY;
