@@ -173,9 +173,10 @@ impl LocalizingManager {
     pub fn node(&mut self, scan: ScanView<'_>, pose: &PoseEstimate, moving: &[BeamRange]) {
         let Some(record) = self.records.iter().rposition(|r| r.id == pose.id) else { return };
         let PoseRecord { odom, trajectory, continues, .. } = self.records[record];
-        let is_due = self.last_view.is_none_or(|(last, of)| {
-            of != trajectory || last.distance_m(&odom) >= VIEW_M || last.turn_rad(&odom) >= VIEW_RAD
-        });
+        let is_due = pose.has(PoseFlags::MATCHED)
+            && self.last_view.is_none_or(|(last, of)| {
+                of != trajectory || last.distance_m(&odom) >= VIEW_M || last.turn_rad(&odom) >= VIEW_RAD
+            });
         if !is_due {
             return;
         }

@@ -15,7 +15,7 @@ use flockslam_loop_closure::finder::{
 use flockslam_loop_closure::node::NewNode;
 use flockslam_loop_closure::odometry_graph::OdometryGraph;
 use flockslam_loop_closure::open_finder::OpenFinder;
-use flockslam_loop_closure::place::{KeptScan, Placer};
+use flockslam_loop_closure::place::Placer;
 use flockslam_loop_closure::scans::ScanStore;
 use flockslam_loop_closure::segment::Segment;
 use flockslam_messages::{BeamRange, PoseEstimate, PoseFlags, ScanView};
@@ -24,6 +24,7 @@ use flockslam_pose_graph::{RobustSettings, solve};
 use flockslam_registration::cloud::Placement;
 use freeze::FrozenSubmap;
 use map_entries::Entries;
+use placed_stretch::Stretch;
 use std::collections::{BTreeMap, BTreeSet};
 use unpublished::Unpublished;
 
@@ -35,6 +36,7 @@ mod final_solution;
 mod freeze;
 mod imported;
 mod map_entries;
+mod placed_stretch;
 mod shown;
 mod unpublished;
 
@@ -63,6 +65,8 @@ struct Kept {
     /// The last node at or before it.
     node: usize,
     is_node: bool,
+    /// The front end has matched it.
+    is_matched: bool,
 }
 
 /// The back end of one robot: poses and inserted scans in, a correction after each of them, the solution at the
@@ -219,7 +223,7 @@ impl SyncManager {
             self.enter(pose);
         }
         if let Some(node) = self.odometry.nodes().len().checked_sub(1) {
-            self.kept.push(Kept { record, scan, node, is_node });
+            self.kept.push(Kept { record, scan, node, is_node, is_matched: pose.has(PoseFlags::MATCHED) });
         }
     }
 
@@ -401,15 +405,15 @@ impl SyncManager {
         if self.odometry.nodes().is_empty() {
             return self.solution(&filled(&self.records, &[], Between::FrontEnd));
         }
-        let kept = expected(&self.records, &self.kept, &self.placed_nodes());
+        let nodes = self.placed_nodes();
+        let stretch = Stretch { records: &self.records, kept: &self.kept, nodes: &nodes };
         let placer = Placer {
             nodes: self.odometry.nodes(),
             scans: &self.scans,
             poses: &self.poses,
             reach: FINAL_NODES,
         };
-        let placed = placer.place_all(&kept, self.finder.scratch());
-        let pairs: Vec<_> = self.kept.iter().zip(placed).map(|(k, pose)| (k.record, pose)).collect();
+        let pairs = stretch.placed(&placer, self.finder.scratch());
         self.solution(&filled(&self.records, &pairs, Between::Measured))
     }
 
@@ -417,29 +421,4 @@ impl SyncManager {
         let solved = self.kept.iter().filter(|k| k.is_node && k.node < self.poses.len());
         solved.map(|k| (k.record, self.poses[k.node])).collect()
     }
-}
-
-/// Where each kept scan is expected in the solution: by the front end's path between the nodes around it, and, should that have
-/// jumped, straight between them. Given are a stretch of records, scans kept of it, and its nodes as (record, pose).
-fn expected(records: &[PoseRecord], kept: &[Kept], nodes: &[(usize, Placement)]) -> Vec<KeptScan> {
-    let (Some(first), Some(from)) = (kept.first(), nodes.first()) else { return Vec::new() };
-    // The first scan kept is the first node.
-    let (first_record, first_node) = (first.record - from.0, first.node);
-    let guesses = filled(records, nodes, Between::FrontEnd);
-    let straight = |record: usize, node: usize| match (nodes.get(node), nodes.get(node + 1)) {
-        (Some(&(start, from)), Some(&(end, to))) if records[start].trajectory == records[end].trajectory => {
-            from.interpolate(&to, (record - start) as f64 / (end - start) as f64)
-        }
-        _ => guesses[record],
-    };
-    let expect = |k: &Kept| {
-        let record = k.record - first_record;
-        KeptScan {
-            scan: k.scan,
-            guesses: [guesses[record], straight(record, k.node - first_node)],
-            node: k.node,
-            is_node: k.is_node,
-        }
-    };
-    kept.iter().map(expect).collect()
 }

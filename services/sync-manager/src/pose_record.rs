@@ -1,6 +1,6 @@
 //! A published pose, as the back end keeps it.
 
-use flockslam_messages::{PoseEstimate, PoseFlags, Quality, ScanId};
+use flockslam_messages::{DropReason, PoseEstimate, PoseFlags, Quality, ScanId};
 use flockslam_registration::cloud::Placement;
 
 /// A published pose, as kept for the final trajectory.
@@ -41,4 +41,13 @@ impl PoseRecord {
             continues: pose.has(PoseFlags::CONTINUES),
         }
     }
+}
+
+/// Whether the points of the scan with this pose say where it lies: it was matched, or it was dropped without having been tried. A scan that
+/// the front end has tried in vain says nothing, nor does one that the source withheld.
+pub fn says_its_place(pose: &PoseEstimate) -> bool {
+    let untried = [DropReason::Correlated, DropReason::Motion, DropReason::Overload];
+    let is_untried =
+        !pose.has(PoseFlags::OVERRIDDEN) && untried.iter().any(|r| *r as u32 == pose.drop_reason);
+    pose.has(PoseFlags::MATCHED) || is_untried
 }

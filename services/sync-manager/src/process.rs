@@ -4,6 +4,7 @@
 //! Of several processes one is active. The others read the same inputs and compute the same results without publishing them, so that one of them
 //! goes on when it dies: recovering its state would take as long as all its searches.
 
+use crate::pose_record::says_its_place;
 use crate::{BackEnd, ClosureCounts, Settings};
 use clear_at_end::clear_at_end;
 use detached::write_detached;
@@ -250,7 +251,7 @@ impl SyncProcess {
             return Ok(());
         }
         self.local.end();
-        if let Some(scan) = scan.filter(|_| self.optimises && pose.has(PoseFlags::MATCHED)) {
+        if let Some(scan) = scan.filter(|_| self.optimises && says_its_place(pose)) {
             self.logic.node(scan, pose, moving);
         }
         Ok(())

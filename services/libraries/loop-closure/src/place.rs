@@ -12,8 +12,10 @@ use std::ops::Range;
 const INLIERS_MIN: f64 = 0.5;
 /// Largest root mean square distance of those from their lines, metres.
 const SPREAD_MAX_M: f64 = 0.055;
-/// Farthest that a match may move, metres and radians.
-const MOVE_MAX: (f64, f64) = (0.15, 0.06);
+/// Farthest that a match may move a scan that the front end has matched, metres and radians …
+pub const MATCHED_MOVE_MAX: (f64, f64) = (0.15, 0.06);
+/// … and one that it has not: odometry that lags behind in a turn is off by several degrees.
+pub const DROPPED_MOVE_MAX: (f64, f64) = (0.15, 0.2);
 
 /// A scan to be placed.
 #[derive(Clone, Copy, Debug)]
@@ -22,6 +24,8 @@ pub struct KeptScan {
     pub scan: usize,
     /// Where it is expected, the likelier first.
     pub guesses: [Placement; 2],
+    /// Farthest that its match may move from there, metres and radians.
+    pub move_max: (f64, f64),
     /// The last node at or before it.
     pub node: usize,
     /// Whether it is that node itself.
@@ -59,7 +63,7 @@ impl Placer<'_> {
             } else if node.is_open {
                 scan.guesses[0]
             } else {
-                place(&aligner, grid, self.scans.points(scan.scan), &scan.guesses)
+                place(&aligner, grid, self.scans.points(scan.scan), scan)
             });
             if scan.is_node {
                 grid.add_placed(held.of(scan.node));
@@ -107,22 +111,17 @@ impl Held {
 }
 
 /// The first accepted match, else the first guess.
-fn place(
-    aligner: &Aligner,
-    grid: &mut MomentGrid,
-    points: &[PackedPoint],
-    guesses: &[Placement; 2],
-) -> Placement {
-    let mut attempts = guesses.iter().filter_map(|guess| {
+fn place(aligner: &Aligner, grid: &mut MomentGrid, points: &[PackedPoint], scan: &KeptScan) -> Placement {
+    let mut attempts = scan.guesses.iter().filter_map(|guess| {
         let found = aligner.align(grid, points, *guess)?;
-        is_believed(&found, guess).then_some(found.placement)
+        is_believed(&found, guess, scan.move_max).then_some(found.placement)
     });
-    attempts.next().unwrap_or(guesses[0])
+    attempts.next().unwrap_or(scan.guesses[0])
 }
 
-fn is_believed(found: &Alignment, guess: &Placement) -> bool {
+fn is_believed(found: &Alignment, guess: &Placement, move_max: (f64, f64)) -> bool {
     found.inliers >= INLIERS_MIN
         && found.spread_m <= SPREAD_MAX_M
-        && found.placement.distance_m(guess) <= MOVE_MAX.0
-        && found.placement.turn_rad(guess) <= MOVE_MAX.1
+        && found.placement.distance_m(guess) <= move_max.0
+        && found.placement.turn_rad(guess) <= move_max.1
 }

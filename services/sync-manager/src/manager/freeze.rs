@@ -1,7 +1,8 @@
 //! What keeps the back end bounded: a stretch through a place that is known well is not kept. Its scans get their poses once
 //! and for all, relative to a node that stays, and its nodes leave the graph.
 
-use super::{FINAL_NODES, SyncManager, expected};
+use super::placed_stretch::Stretch;
+use super::{FINAL_NODES, SyncManager};
 use crate::filled_trajectory::{Between, filled};
 use crate::solution::FrozenScan;
 use flockslam_loop_closure::place::Placer;
@@ -108,16 +109,18 @@ impl SyncManager {
         let stretch = self.kept[kept.start..=kept.end].iter();
         let nodes: Vec<_> =
             stretch.filter(|k| k.is_node).map(|k| (k.record - first, self.poses[k.node])).collect();
-        let scans = expected(&self.records[first..=next.record], &self.kept[kept.clone()], &nodes);
         let placer = Placer {
             nodes: self.odometry.nodes(),
             scans: &self.scans,
             poses: &self.poses,
             reach: FINAL_NODES,
         };
-        let placed = placer.place_all(&scans, self.finder.scratch());
-        let mut pairs: Vec<_> =
-            self.kept[kept.clone()].iter().zip(placed).map(|(k, pose)| (k.record - first, pose)).collect();
+        let stretch = Stretch {
+            records: &self.records[first..=next.record],
+            kept: &self.kept[kept.clone()],
+            nodes: &nodes,
+        };
+        let mut pairs = stretch.placed(&placer, self.finder.scratch());
         pairs.push((next.record - first, self.poses[next.node]));
         let mut poses = filled(&self.records[first..=next.record], &pairs, Between::Measured);
         poses.truncate(records.len());
