@@ -197,14 +197,17 @@ impl SyncManager {
         self.records.push(record);
     }
 
-    /// Takes a scan whose pose has just been given. Inserted scans may become nodes of the graph; any matched
-    /// scan may be given, and is then placed by its own points at the end. `moving` are its beams on what moves, in order: they
+    /// Takes a scan whose pose has just been given. Inserted scans may become nodes of the graph. Any scan may be given that was matched, or
+    /// dropped untried: it is then placed by its own points at the end. `moving` are its beams on what moves, in order: they
     /// are not matched.
     pub fn node(&mut self, scan: ScanView<'_>, pose: &PoseEstimate, moving: &[BeamRange]) {
         let Some(record) = self.records.iter().rposition(|r| r.id == pose.id) else { return };
         let PoseRecord { odom, trajectory, odometry, is_given, .. } = self.records[record];
         let is_node = pose.has(PoseFlags::INSERT) && (is_given || self.is_due(&odom, trajectory));
-        if !is_node && self.rests(&odom) {
+        let is_matched = pose.has(PoseFlags::MATCHED);
+        let last_is_open = self.odometry.nodes().last().is_some_and(|last| last.is_open);
+        // In the open scans stay at the end where the front end's path puts them.
+        if !is_node && (self.rests(&odom) || (!is_matched && last_is_open)) {
             return;
         }
         let is_open = pose.has(PoseFlags::OPEN);
@@ -223,7 +226,7 @@ impl SyncManager {
             self.enter(pose);
         }
         if let Some(node) = self.odometry.nodes().len().checked_sub(1) {
-            self.kept.push(Kept { record, scan, node, is_node, is_matched: pose.has(PoseFlags::MATCHED) });
+            self.kept.push(Kept { record, scan, node, is_node, is_matched });
         }
     }
 

@@ -46,7 +46,7 @@ impl PoseRecord {
 /// Whether the points of the scan with this pose say where it lies: it was matched, or it was dropped without having been tried. A scan that
 /// the front end has tried in vain says nothing, nor does one that the source withheld.
 pub fn says_its_place(pose: &PoseEstimate) -> bool {
-    let untried = [DropReason::Correlated, DropReason::Motion, DropReason::Overload];
+    let untried = [DropReason::Correlated, DropReason::Unchanged, DropReason::Motion, DropReason::Overload];
     let is_untried =
         !pose.has(PoseFlags::OVERRIDDEN) && untried.iter().any(|r| *r as u32 == pose.drop_reason);
     pose.has(PoseFlags::MATCHED) || is_untried
