@@ -15,6 +15,7 @@ use flockslam_messages::{
 };
 use flockslam_registration::GridField;
 use judging::Judgement;
+use light_fit::LIGHT_BEAMS;
 use matcher_state::{Confidence, MapState};
 use open_place::fused_covariance;
 use points::{MoverMask, ScanPoints};
@@ -46,6 +47,7 @@ mod carried;
 mod fitting;
 mod flock_robots;
 mod judging;
+mod light_fit;
 mod matcher_state;
 mod movers;
 mod open_place;
@@ -121,6 +123,7 @@ impl ScanMatcher {
         let need = self.need(scan, verdict, &prediction);
         let predicted = self.predicted(scan, verdict, &prediction, need);
         if need == Need::None {
+            let predicted = self.lightly_fitted(scan, verdict, predicted, &prediction, grid);
             return self.followed(scan, predicted);
         }
         let points = self.points(scan, &prediction);
@@ -317,6 +320,34 @@ impl ScanMatcher {
         self.followed(scan, PoseEstimate { odom_from_base, covariance, quality, ..predicted })
     }
 
+    /// The pose of a scan that the filter dropped, by few of its beams where the grid holds scans.
+    fn lightly_fitted<H: Deref<Target = Tile>>(
+        &mut self,
+        scan: ScanView<'_>,
+        verdict: &Verdict,
+        predicted: PoseEstimate,
+        prediction: &Prediction,
+        grid: &TileGrid<H>,
+    ) -> PoseEstimate {
+        let is_ours = matches!(self.settings.strategy, Strategy::GaussNewton | Strategy::Correlative);
+        let is_asked = verdict.keep == 0 && scan.header().withheld == 0 && is_ours;
+        let is_held = self.confidence.has_started() && !self.confidence.is_in_the_open();
+        if !is_asked || !is_held || grid.is_empty() || self.map.begins_elsewhere {
+            return predicted;
+        }
+        let memory = std::mem::take(&mut self.buffers.points);
+        let mask = std::mem::take(&mut self.buffers.mask);
+        let points = memory.thinned(scan, prediction.twist, &mask, self.settings.range_max_m, LIGHT_BEAMS);
+        let field = GridField::new(grid, self.settings.unknown_score);
+        let fitted = self.fitter(scan, &mask, &field).lightly(&points, prediction);
+        (self.buffers.points, self.buffers.mask) = (points, mask);
+        fitted.map_or(predicted, |(odom_from_base, covariance)| PoseEstimate {
+            odom_from_base,
+            covariance,
+            ..predicted
+        })
+    }
+
     fn fit<H: Deref<Target = Tile>>(
         &mut self,
         scan: ScanView<'_>,
@@ -325,19 +356,23 @@ impl ScanMatcher {
         prediction: Prediction,
         grid: &TileGrid<H>,
     ) -> Fitted {
-        let fitter = Fitter {
+        let field = GridField::new(grid, self.settings.unknown_score);
+        self.fitter(scan, mask, &field).fit(points, prediction)
+    }
+
+    fn fitter<'a, F>(&'a mut self, scan: ScanView<'a>, mask: &'a MoverMask, field: &'a F) -> Fitter<'a, F> {
+        Fitter {
             settings: &self.settings,
             confidence: &self.confidence,
             before: self.motion.pose,
             rival: self.confidence.rival,
-            field: &GridField::new(grid, self.settings.unknown_score),
+            field,
             scan,
             mask,
             noise: self.motion.noise(),
             solvers: &mut self.buffers.solvers,
             surroundings: &mut self.surroundings,
-        };
-        fitter.fit(points, prediction)
+        }
     }
 
     /// Updates the state for the next scan.

@@ -324,7 +324,7 @@ impl<F: ScoreField> Fitter<'_, F> {
     }
 
     /// The covariance of a fit as its points claim it.
-    fn claimed(&self, covariance: Covariance, points: &ScanPoints, pose: Pose) -> Covariance {
+    pub(super) fn claimed(&self, covariance: Covariance, points: &ScanPoints, pose: Pose) -> Covariance {
         let cell_m = self.field.reader(Level::Full).cell_size_m();
         let rough = inflated_everywhere(covariance, CELL_ERROR * cell_m);
         inflated(rough, &points.ends, pose)

@@ -1,0 +1,36 @@
+//! The pose of a scan that the filter dropped: few of its beams, spread over the scan, are fitted to the grid as it stands. Nothing is inserted
+//! and nothing is learned from it, but odometry alone would turn the robot by degrees too far or too little.
+
+use super::fitting::{Fitter, PRIOR_SIGMA};
+use super::points::ScanPoints;
+use crate::motion::Prediction;
+use flockslam_geometry::{Covariance, Pose};
+use flockslam_registration::{GaussNewton, ScoreField};
+
+/// Beams of a scan that take part, about.
+pub(super) const LIGHT_BEAMS: usize = 48;
+/// With fewer points than this odometry is followed.
+const LIGHT_POINTS_MIN: usize = 16;
+/// Iterations on cells four times, twice and once as wide as the grid's.
+const LIGHT_ITERATIONS: [u32; 3] = [0, 2, 3];
+/// Farthest that such a fit may be from the predicted pose, metres and radians: a scan that resembles one kept before was taken near it.
+const LIGHT_MOVE_MAX: (f64, f64) = (0.15, 0.2);
+
+impl<F: ScoreField> Fitter<'_, F> {
+    /// Pose and covariance of a dropped scan, if its points fit about as well as scans usually do.
+    pub(super) fn lightly(self, points: &ScanPoints, prediction: &Prediction) -> Option<(Pose, Covariance)> {
+        if points.len() < LIGHT_POINTS_MIN {
+            return None;
+        }
+        let solver = GaussNewton { iterations: LIGHT_ITERATIONS };
+        let fit = solver.fit(self.field, &points.ends, prediction.pose, prediction.pose);
+        let is_usual = fit.score >= self.settings.rescue.below * self.confidence.mean_score;
+        let (moved_m, moved_rad) = (fit.pose.distance_m(prediction.pose), fit.pose.turn_rad(prediction.pose));
+        if !is_usual || moved_m > LIGHT_MOVE_MAX.0 || moved_rad > LIGHT_MOVE_MAX.1 {
+            return None;
+        }
+        let claimed = self.claimed(fit.covariance(PRIOR_SIGMA.0, PRIOR_SIGMA.1), points, fit.pose);
+        let covariance = if self.scan.odometry().is_some() { self.noise.inflated(claimed) } else { claimed };
+        Some(prediction.fused(fit.pose, covariance).unwrap_or((fit.pose, covariance)))
+    }
+}
