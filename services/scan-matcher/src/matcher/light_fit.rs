@@ -8,13 +8,16 @@ use flockslam_geometry::{Covariance, Pose};
 use flockslam_registration::{GaussNewton, ScoreField};
 
 /// Beams of a scan that take part, about.
-pub(super) const LIGHT_BEAMS: usize = 48;
+pub(super) const LIGHT_BEAMS: usize = 64;
 /// With fewer points than this odometry is followed.
 const LIGHT_POINTS_MIN: usize = 16;
 /// Iterations on cells four times, twice and once as wide as the grid's.
-const LIGHT_ITERATIONS: [u32; 3] = [0, 2, 3];
+const LIGHT_ITERATIONS: [u32; 3] = [3, 2, 3];
 /// Farthest that such a fit may be from the predicted pose, metres and radians: a scan that resembles one kept before was taken near it.
 const LIGHT_MOVE_MAX: (f64, f64) = (0.15, 0.2);
+/// Share of the way from the predicted position to the fitted one: over the short way since a kept scan odometry errs by less than the
+/// position by few beams, but its errors add up.
+const POSITION_SHARE: f64 = 0.25;
 
 impl<F: ScoreField> Fitter<'_, F> {
     /// Pose and covariance of a dropped scan, if its points fit about as well as scans usually do.
@@ -31,6 +34,13 @@ impl<F: ScoreField> Fitter<'_, F> {
         }
         let claimed = self.claimed(fit.covariance(PRIOR_SIGMA.0, PRIOR_SIGMA.1), points, fit.pose);
         let covariance = if self.scan.odometry().is_some() { self.noise.inflated(claimed) } else { claimed };
-        Some(prediction.fused(fit.pose, covariance).unwrap_or((fit.pose, covariance)))
+        let (fused, of_fit) = prediction.fused(fit.pose, covariance).unwrap_or((fit.pose, covariance));
+        let Pose { x_m, y_m, .. } = prediction.pose;
+        let pose = Pose {
+            x_m: x_m + POSITION_SHARE * (fused.x_m - x_m),
+            y_m: y_m + POSITION_SHARE * (fused.y_m - y_m),
+            heading_rad: fused.heading_rad,
+        };
+        Some((pose, Covariance { tt: of_fit.tt, xt: 0.0, yt: 0.0, ..prediction.covariance }))
     }
 }
