@@ -51,3 +51,19 @@ pub fn says_its_place(pose: &PoseEstimate) -> bool {
         !pose.has(PoseFlags::OVERRIDDEN) && untried.iter().any(|r| *r as u32 == pose.drop_reason);
     pose.has(PoseFlags::MATCHED) || is_untried
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn matched_and_untried_scans_say_their_place_and_no_others() {
+        let pose = |flags, drop_reason: u32| PoseEstimate { flags, drop_reason, ..PoseEstimate::default() };
+        let tried = pose(PoseFlags::OVERRIDDEN, DropReason::Correlated as u32);
+        let (kept, correlated) = (pose(0, 0), pose(0, DropReason::Correlated as u32));
+        let withheld = pose(0, DropReason::Withheld as u32);
+        let matched = pose(PoseFlags::MATCHED | PoseFlags::OVERRIDDEN, DropReason::Correlated as u32);
+        let says = [tried, kept, correlated, withheld, matched].map(|pose| says_its_place(&pose));
+        assert_eq!(says, [false, false, true, false, true]);
+    }
+}

@@ -142,6 +142,26 @@ fn a_dropped_scan_gets_a_predicted_pose_and_touches_nothing() {
 }
 
 #[test]
+fn few_beams_turn_a_dropped_scan_where_odometry_is_off_but_no_withheld_one() {
+    for (withheld, error_max_rad) in [(0, 0.005), (1, 0.11)] {
+        let mut front_end = FrontEnd::new(Settings::default());
+        for i in 0..40 {
+            front_end.step(&look(i, truth(i), Some(truth(i))), true);
+        }
+        let generation = front_end.mapper.generation();
+        let turned = truth(40) * Pose::new(0.0, 0.0, 0.1);
+        let mut scan = look(40, truth(40), Some(turned));
+        scan.header.withheld = withheld;
+        let dropped = front_end.step(&scan, false);
+        let error_rad = dropped.odom_from_base.turn_rad(truth(40));
+        assert!(error_rad <= error_max_rad && error_rad > error_max_rad - 0.02, "{withheld}: {error_rad}");
+        assert!(dropped.odom_from_base.distance_m(truth(40)) < 0.02);
+        assert_eq!((dropped.flags, dropped.score), (PoseFlags::HAS_ODOMETRY, 0.0));
+        assert_eq!(front_end.mapper.generation(), generation);
+    }
+}
+
+#[test]
 fn a_withheld_scan_is_never_matched() {
     let mut front_end = FrontEnd::new(Settings::default());
     for i in 0..20 {

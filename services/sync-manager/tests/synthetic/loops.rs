@@ -2,7 +2,7 @@
 
 use super::support::{Building, Noise, drifting, laps, path};
 use flockslam_geometry::{Point, Pose};
-use flockslam_messages::{Correction, PoseEstimate, PoseFlags, ScanId, SubmapClosed};
+use flockslam_messages::{Correction, DropReason, PoseEstimate, PoseFlags, ScanId, SubmapClosed};
 use flockslam_sync_manager::{FrozenScan, PlacedScan, Settings, Solution, SyncManager};
 use std::f64::consts::FRAC_PI_2;
 
@@ -92,6 +92,34 @@ fn a_drifting_front_end_is_straightened_by_its_loops() {
         let middle = (placed.number as usize * 60 + 30).min(odom.len() - 1);
         assert!((placed.map_from_odom * odom[middle]).distance_m(truth[middle]) < 0.05, "{placed:?}");
     }
+}
+
+#[test]
+fn dropped_scans_are_placed_by_their_own_points() {
+    let (building, way) = (Building::ring(), laps(1));
+    let odom = drifting(&way, 0.004, 1.01);
+    // The robot sways, and odometry does not tell.
+    let sways_rad = |i: usize| [0.0, 0.1, 0.0, -0.1][i % 4];
+    let swaying = way.iter().enumerate().map(|(i, at)| *at * Pose::new(0.0, 0.0, sways_rad(i)));
+    let truth: Vec<Pose> = swaying.collect();
+    let dropped = |i: usize, pose: &mut PoseEstimate| {
+        if i % 2 == 1 {
+            (pose.flags, pose.drop_reason) = (0, DropReason::Correlated as u32);
+        }
+    };
+    let (_, solution) = replay_poses(&building, &truth, &odom, dropped, Settings::default());
+    // The dropped scans whose points have arrived, and those without.
+    let errors_rad = |has_points: bool| {
+        let placed = solution.trajectory.iter().zip(&truth).enumerate();
+        let asked = placed.filter(|(i, _)| i % 2 == 1 && (i % 7 != 3) == has_points);
+        let mut errors: Vec<f64> =
+            asked.map(|(_, (placed, at))| placed.map_from_base.turn_rad(*at)).collect();
+        errors.sort_by(f64::total_cmp);
+        (errors[errors.len() / 2], errors[errors.len() * 98 / 100])
+    };
+    let (median_rad, almost_all_rad) = errors_rad(true);
+    assert!(median_rad < 0.002 && almost_all_rad < 0.02, "{median_rad} {almost_all_rad}");
+    assert!(errors_rad(false).0 > 0.05, "without points nothing says that the robot sways");
 }
 
 #[test]
