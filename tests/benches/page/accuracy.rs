@@ -42,13 +42,21 @@ pub fn section(bench: &mut Bench) -> String {
         "missing",
     ]);
     for log in bench.logs.clone() {
-        let headings = bench.plan.headings_rad.clone();
-        let runs: Vec<_> = headings.iter().map(|heading| bench.runs.of(&log, &start(*heading))).collect();
-        table_rows(&mut table, &log.name, "final", &runs, |run| Some(run.last));
-        table_rows(&mut table, &log.name, "online", &runs, |run| Some(run.online));
+        for (filter, mode) in [("", Some("correlation")), (", filter off", None)] {
+            let name = format!("{}{filter}", log.name);
+            let options = |heading: f64| {
+                let mode = mode.map(|mode| set(&[&format!("correlation_filter.mode={mode}")]));
+                mode.into_iter().flatten().chain(start(heading)).collect::<Vec<_>>()
+            };
+            let headings = bench.plan.headings_rad.clone();
+            let runs: Vec<_> =
+                headings.iter().map(|heading| bench.runs.of(&log, &options(*heading))).collect();
+            table_rows(&mut table, &name, "final", &runs, |run| Some(run.last));
+            table_rows(&mut table, &name, "online", &runs, |run| Some(run.online));
+        }
     }
     format!(
-        "{}`flockslam map LOG --set correlation_filter.mode=off`, all other settings at their defaults, the same for every log. Metres and degrees; means over \
+        "{}`flockslam map LOG`, and the same with `--set correlation_filter.mode=off`: all scans are matched. All other settings are the defaults, the same for every log. Metres and degrees; means over \
          {} start headings ({} rad, `--set lidar_ingest.start_pose=[0.0,0.0,H]`), which lay the log differently on the grid; beside them the worst of these runs. *Maximum* is \
          the largest error of any relation in any run, *missing* counts relations without a pose.\n\n{table}\n{}\n{}",
         bench.absence(),

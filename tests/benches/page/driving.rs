@@ -2,7 +2,7 @@
 
 use super::accuracy::start;
 use super::runs::{Measured, Outcome};
-use super::{Bench, Table, figure, greatest, mean};
+use super::{Bench, Table, duration, figure, greatest, mean, simulated};
 use flockslam::outputs::TrajectoryPoint;
 use flockslam_geometry::Pose;
 use std::rc::Rc;
@@ -15,6 +15,8 @@ const KNOWN_M: f64 = 2.0;
 const BACK_M: f64 = 15.0;
 /// Poses of the final trajectory are compared this far apart, metres of travel.
 const SPACING_M: f64 = 0.25;
+/// Length of the drives in hotel and warehouse, seconds: two laps and more.
+const WORLD_S: f64 = 1290.0;
 
 /// A jump of the published pose: a correction.
 #[derive(Clone, Copy, Debug)]
@@ -85,12 +87,17 @@ pub fn section(bench: &mut Bench) -> String {
         let runs: Vec<_> = headings.iter().map(|heading| bench.runs.of(&log, &start(*heading))).collect();
         table.row(row(&log.name, &runs));
     }
-    let building = bench.building.clone();
-    let runs = [bench.runs.of(&building, &[])];
-    table.row(row(&building.name, &runs));
+    let world = |name: &str| {
+        let (world, seconds) = (format!("simulation.world={name}"), duration(WORLD_S));
+        simulated(&format!("simulated {name}"), &["correlation_filter.mode=off", &world, &seconds])
+    };
+    for subject in [bench.building.clone(), world("hotel"), world("warehouse")] {
+        let runs = [bench.runs.of(&subject, &[])];
+        table.row(row(&subject.name, &runs));
+    }
     format!(
         "{}The pose that a robot had when a scan was handled: the front end's, with the correction known at the time (`trajectory_online.tum`); the final \
-         trajectory beside it. Runs as under *Accuracy*; metres and degrees, means over their start headings; in the simulated building *all* is the ATE. In replay a correction \
+         trajectory beside it. Runs as under *Accuracy*; metres and degrees, means over their start headings; in simulated buildings *all* is the ATE. In replay a correction \
          takes effect four scans after the one that it follows from; live it comes within milliseconds. A *jump* is a step of the published pose, more than {JUMP_M} m off the \
          step of the final trajectory: counted in all runs. The last columns say how far the robot had driven within {KNOWN_M} m of poses that lay {BACK_M} m of travel back, when a jump came \
          there. What was driven before the first loop was closed stays as far off as it was: no correction changes a pose that was published.\n\n{table}",
