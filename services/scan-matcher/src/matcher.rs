@@ -6,7 +6,8 @@
 use crate::motion::{Motion, Prediction};
 use crate::settings::{Settings, Strategy};
 use carried::Carried;
-use fitting::{Fitted, Fitter, Solvers};
+use fitted::Fitted;
+use fitting::{Fitter, Solvers};
 use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::{Covariance, Pose};
 use flockslam_messages::{
@@ -15,7 +16,7 @@ use flockslam_messages::{
 };
 use flockslam_registration::GridField;
 use judging::Judgement;
-use light_fit::LIGHT_BEAMS;
+use light_fit::{LIGHT_BEAMS, Light};
 use matcher_state::{Confidence, MapState};
 use open_place::fused_covariance;
 use points::{MoverMask, ScanPoints};
@@ -44,6 +45,7 @@ const SLIPPED: (f64, f64) = (0.15, 0.08);
 
 mod bodies;
 mod carried;
+mod fitted;
 mod fitting;
 mod flock_robots;
 mod judging;
@@ -339,10 +341,11 @@ impl ScanMatcher {
         let mask = std::mem::take(&mut self.buffers.mask);
         let points = memory.thinned(scan, prediction.twist, &mask, self.settings.range_max_m, LIGHT_BEAMS);
         let field = GridField::new(grid, self.settings.unknown_score);
-        let fitted = self.fitter(scan, &mask, &field).lightly(&points, prediction);
+        let (points, light) = self.fitter(scan, &mask, &field).lightly(points, *prediction);
         (self.buffers.points, self.buffers.mask) = (points, mask);
-        fitted.map_or(predicted, |(odom_from_base, covariance)| PoseEstimate {
-            odom_from_base,
+        light.map_or(predicted, |Light { pose, twist, covariance }| PoseEstimate {
+            odom_from_base: pose,
+            twist,
             covariance,
             ..predicted
         })

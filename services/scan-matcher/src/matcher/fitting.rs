@@ -1,6 +1,7 @@
 //! How a scan is fitted: strategy, velocity, and what the fit is worth.
 
 use super::POINTS_MIN_FOR_SHARE;
+use super::fitted::Fitted;
 use super::matcher_state::Confidence;
 use super::open_place::{Open, is_held};
 use super::points::{MoverMask, ScanPoints};
@@ -9,7 +10,7 @@ use crate::motion::{Coasting, Prediction, SLIP_COST};
 use crate::settings::{Settings, Strategy};
 use flockslam_evidence::Level;
 use flockslam_geometry::elementary::sin_cos;
-use flockslam_geometry::{Covariance, Point, Pose, Twist};
+use flockslam_geometry::{Covariance, Point, Pose};
 use flockslam_messages::ScanView;
 use flockslam_odometry_noise::OdometryNoise;
 use flockslam_published_methods::{beam_weight, hill_climbing, monte_carlo};
@@ -63,35 +64,6 @@ const COASTING_SIGMA: (f64, f64) = (0.1, 0.1);
 const PLAUSIBLE_COST: f64 = 2.0;
 /// Standard deviations of the prediction in directions that the scan does not determine.
 pub(super) const PRIOR_SIGMA: (f64, f64) = (0.3, 0.15);
-
-/// A scan fitted to the grid.
-#[derive(Debug)]
-pub(super) struct Fitted {
-    /// Where the fit began: by odometry, or by the velocity so far where odometry has jumped.
-    pub(super) prediction: Prediction,
-    /// The points that were fitted, straightened by `twist`.
-    pub(super) points: ScanPoints,
-    /// Pose in odom, with its score.
-    pub(super) fit: Fit,
-    /// Velocity during the scan, in the robot's own frame.
-    pub(super) twist: Twist,
-    /// Covariance of the pose.
-    pub(super) covariance: Covariance,
-    /// The pose that the scan alone gives near the prediction, and its covariance as the fit claims it.
-    pub(super) alone: Option<(Pose, Covariance)>,
-    /// Whether a wide search found it.
-    pub(super) is_rescued: bool,
-    /// Whether it is less certain than the prediction in some direction, and was fused with it.
-    pub(super) is_fused: bool,
-    /// Whether the scan fits nowhere so well that odometry would be disbelieved: it lies at the predicted pose.
-    pub(super) is_predicted: bool,
-    /// Centre of the last wide search, if no fit was good since.
-    pub(super) searched: Option<Pose>,
-    /// The pose that fits better than the predicted one, but is not believed yet.
-    pub(super) rival: Option<Rival>,
-    /// Whether the pose is that of the surfaces around, as the grid does not hold the scan.
-    pub(super) is_open: bool,
-}
 
 /// A pose that explains the last scans better than the one that odometry gives, as when wheels slip for some scans.
 #[derive(Clone, Copy, Debug)]
@@ -204,25 +176,22 @@ impl<F: ScoreField> Fitter<'_, F> {
         };
         let Placed { fit, is_rescued, is_predicted, searched } = placed;
         let covariance = fit.covariance(PRIOR_SIGMA.0, PRIOR_SIGMA.1);
-        let twist = prediction.twist;
         let fitted = Fitted {
-            prediction,
-            points,
-            fit,
-            twist,
-            covariance,
-            alone: None,
             is_rescued,
-            is_fused: false,
             is_predicted,
             searched,
             rival,
-            is_open: false,
+            ..Fitted::new(prediction, points, fit, covariance)
         };
         if is_predicted {
             let claimed = self.claimed(near_covariance, &fitted.points, near_pose);
             return Fitted { covariance: prediction.covariance, alone: Some((near_pose, claimed)), ..fitted };
         }
+        self.with_velocity(fitted)
+    }
+
+    /// A fit of the pose alone with the velocity during the scan, weighed against odometry.
+    pub(super) fn with_velocity(&self, fitted: Fitted) -> Fitted {
         let fits_velocity = self.descends() && self.settings.fits_velocity && self.scan.takes_time();
         let fitted = if fits_velocity { self.straightened(fitted) } else { fitted };
         self.weighed(fitted)
@@ -324,7 +293,7 @@ impl<F: ScoreField> Fitter<'_, F> {
     }
 
     /// The covariance of a fit as its points claim it.
-    pub(super) fn claimed(&self, covariance: Covariance, points: &ScanPoints, pose: Pose) -> Covariance {
+    fn claimed(&self, covariance: Covariance, points: &ScanPoints, pose: Pose) -> Covariance {
         let cell_m = self.field.reader(Level::Full).cell_size_m();
         let rough = inflated_everywhere(covariance, CELL_ERROR * cell_m);
         inflated(rough, &points.ends, pose)

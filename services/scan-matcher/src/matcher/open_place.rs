@@ -1,6 +1,7 @@
 //! How a scan is fitted that the grid does not hold: by the surfaces around.
 
-use super::fitting::{Fitted, Fitter, PRIOR_SIGMA};
+use super::fitted::Fitted;
+use super::fitting::{Fitter, PRIOR_SIGMA};
 use super::points::ScanPoints;
 use crate::motion::{Prediction, SLIP_COST, matrix};
 use crate::settings::Strategy;
