@@ -5,6 +5,7 @@
 #![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
 
 mod apart;
+mod arm64;
 mod as_it_was_again;
 mod bad_input;
 mod bad_recordings;

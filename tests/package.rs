@@ -101,6 +101,26 @@ fn the_tree_has_all_parts_of_the_package_and_they_name_each_other_rightly() {
 }
 
 #[test]
+fn what_is_missing_to_build_for_another_processor_is_named_in_one_line() {
+    let directory = tempfile::tempdir().unwrap();
+    for tool in ["dirname", "uname", "sed", "head"] {
+        std::os::unix::fs::symlink(Path::new("/usr/bin").join(tool), directory.path().join(tool)).unwrap();
+    }
+    let (other, compiler) = if cfg!(target_arch = "aarch64") {
+        ("amd64", "x86_64-linux-gnu-gcc")
+    } else {
+        ("arm64", "aarch64-linux-gnu-gcc")
+    };
+    let mut command = Command::new("/bin/bash");
+    command.arg(deploy("package.sh")).args(["--arch", other, "--build", "dev"]);
+    let output = command.env("PATH", directory.path()).output().unwrap();
+    let text = stderr(&output);
+    assert_eq!((output.status.code(), text.lines().count()), (Some(3), 1), "{text}");
+    assert!(text.starts_with(&format!("package.sh: {other} cannot be built here, missing: ")), "{text}");
+    assert!(text.contains(compiler), "{text}");
+}
+
+#[test]
 fn the_service_is_shut_off_from_the_rest_of_the_system() {
     let directory = tempfile::tempdir().unwrap();
     let unit = directory.path().join("flockslam@r1.service");

@@ -1,13 +1,12 @@
-"""Prints the licence texts of everything that is linked into the executable: licences.py ROOT.
+"""Prints the licence texts of everything that is linked into the executable: licences.py ROOT TARGET.
 
-Takes what cargo knows of the dependencies on Linux, without those of tests. Texts that are the same are printed once.
+Takes what cargo knows of the dependencies on the target, without those of tests. Texts that are the same are printed once.
 """
 import json
 import pathlib
 import subprocess
 import sys
 
-TARGET = "x86_64-unknown-linux-gnu"
 NAMES = ("licen", "copying", "notice", "unlicense")
 
 
@@ -36,8 +35,8 @@ def texts(package):
 
 
 def main():
-    root = sys.argv[1]
-    command = ["cargo", "metadata", "--format-version", "1", "--locked", "--offline", "--filter-platform", TARGET]
+    root, target = sys.argv[1:]
+    command = ["cargo", "metadata", "--format-version", "1", "--locked", "--offline", "--filter-platform", target]
     metadata = json.loads(subprocess.run(command, cwd=root, check=True, capture_output=True).stdout)
     inside = reachable(metadata)
     by_text, without = {}, []
