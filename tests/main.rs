@@ -24,6 +24,7 @@ mod idle;
 mod imported_maps;
 mod killed_stage;
 mod lidar_lines;
+mod limited_machines;
 mod live_calibration;
 mod live_set;
 mod localisation;

@@ -8,6 +8,7 @@ pub mod flocks;
 mod http_get;
 mod later_free;
 pub mod lidar_player;
+pub mod limited_machine;
 mod live;
 pub mod machine_share;
 mod montage;
