@@ -19,6 +19,9 @@ fn a_running_set_says_where_its_lidar_sits() {
     set.wait_until_handled(Stage::SyncManager, SCANS);
     let text = String::from_utf8(set.command_well(&["lidar", "calibrate"]).stdout).unwrap();
     println!("{text}");
+    // The simulated lidar sees nothing of its robot.
+    let mask = set.command_well(&["lidar", "learn-mask", "--seconds", "5"]).stdout;
+    assert_eq!(String::from_utf8(mask).unwrap(), "[lidar_ingest]\nself_mask = []\n");
     set.command_well(&["down"]);
     assert_eq!(set.wait(), Some(0));
 

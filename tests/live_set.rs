@@ -39,6 +39,10 @@ fn orders_are_carried_out_and_wrong_ones_refused() {
     assert_eq!(wrong.status.code(), Some(2));
     let too_many = set.command(&["scale", "sync-manager=5"]);
     assert_eq!((too_many.status.code(), support::stderr(&too_many).lines().count()), (Some(2), 1));
+    set.command_well(&["pause"]);
+    set.wait_until("a pause", |status| status.paused);
+    set.command_well(&["resume"]);
+    set.wait_until("an end of the pause", |status| !status.paused);
     let json = set.command_well(&["status", "--json"]).stdout;
     let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
     assert_eq!(json["state"], "running");

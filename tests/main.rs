@@ -13,6 +13,7 @@ mod benchmarks;
 mod checkers;
 mod dashboards;
 mod deployment;
+mod documented_commands;
 mod examination;
 mod faults;
 mod filter_stage;
