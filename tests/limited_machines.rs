@@ -9,7 +9,7 @@ const ERROR_MAX_M: f64 = 0.05;
 
 #[test]
 fn one_processor_and_256_mib_map_the_office_live_without_the_loss_of_a_scan() {
-    machine_share::alone();
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let machine = Machine { processors: 1.0, memory_mib: 256 };
     let Some(limited) = office_on(&machine, DURATION_S, directory.path()) else { return };
