@@ -38,9 +38,9 @@ impl MatcherRerun {
         inputs.process != self.process
     }
 
-    /// Goes on with the process of these inputs, which began after pose `last`; gives how many scans before are missing.
-    /// One that `has_followed` its predecessor has the same grid.
-    pub fn follow(&mut self, inputs: &StageInputs, last: Option<&PoseEstimate>, has_followed: bool) -> u64 {
+    /// Goes on with the process of these inputs, which began after the last of the poses `before`, in order; gives how many scans before are
+    /// missing. One that `has_followed` its predecessor has the same grid.
+    pub fn follow(&mut self, inputs: &StageInputs, before: &[PoseEstimate], has_followed: bool) -> u64 {
         if self.is_new(inputs) {
             (self.process, self.handled) = (inputs.process, 0);
             self.logic = ScanMatcher::new(self.settings.clone());
@@ -49,11 +49,12 @@ impl MatcherRerun {
             }
             self.correction = Correction::default();
             self.corrections_before = 0;
-            if let Some(last) = last {
+            if let Some(last) = before.last() {
                 self.corrections_before = last.corrections;
                 if inputs.start == StageStart::Continued as u32 {
                     self.logic.resume_elsewhere(last);
                 } else {
+                    before.iter().for_each(|pose| self.logic.remember(pose));
                     self.logic.resume(last);
                 }
             }

@@ -134,10 +134,10 @@ impl<'a> Rerun<'a> {
         let (sequence, is_first) = (inputs.id.sequence, self.poses.is_empty());
         let is_new = self.matcher.is_new(inputs);
         let began_anew = inputs.start == StageStart::Anew as u32;
-        let last = if began_anew { None } else { self.pose_at(inputs.resumed_after).copied() };
+        let before = if is_new && !began_anew { self.poses_until(inputs.resumed_after) } else { Vec::new() };
         let first_grid = self.recorded.place_of(inputs.first_grid);
         let has_followed = first_grid.is_some_and(|first| first < self.commits.len());
-        let missing = self.matcher.follow(inputs, last.as_ref(), has_followed);
+        let missing = self.matcher.follow(inputs, &before, has_followed);
         if is_first && (missing > 0 || inputs.start == StageStart::Resumed as u32) {
             self.comparison.lacks(Gap::BeginsLate { scan: sequence });
             return false;
@@ -149,6 +149,14 @@ impl<'a> Rerun<'a> {
         self.comparison.restarts += u64::from(is_new && !is_first);
         self.comparison.lacks_inputs(Stage::ScanMatcher, sequence, missing);
         true
+    }
+
+    /// The poses up to that of this scan, in order.
+    fn poses_until(&self, sequence: u64) -> Vec<PoseEstimate> {
+        let published = self.recorded.poses.range(..=sequence).map(|(sequence, pose)| (*sequence, *pose));
+        let mut poses: BTreeMap<u64, PoseEstimate> = published.collect();
+        poses.extend(self.poses.range(..=sequence).map(|(sequence, pose)| (*sequence, *pose)));
+        poses.into_values().collect()
     }
 
     fn pose_at(&self, sequence: u64) -> Option<&PoseEstimate> {

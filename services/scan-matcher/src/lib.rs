@@ -43,6 +43,7 @@
 mod contradiction;
 mod matcher;
 mod motion;
+mod prediction;
 pub mod process;
 mod settings;
 mod turn_scale;

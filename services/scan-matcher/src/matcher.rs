@@ -3,13 +3,14 @@
 //! [`ScanMatcher::handle`] is the whole path of a scan. Its steps pass values on: [`Prediction`],
 //! [`ScanPoints`], [`MoverMask`], [`Fitted`], [`Judgement`].
 
-use crate::motion::{Motion, Prediction};
+use crate::motion::Motion;
+use crate::prediction::Prediction;
 use crate::settings::{Settings, Strategy};
 use carried::Carried;
 use fitted::Fitted;
 use fitting::{Fitter, Solvers};
 use flockslam_evidence::{Tile, TileGrid};
-use flockslam_geometry::{Covariance, Pose};
+use flockslam_geometry::Pose;
 use flockslam_messages::{
     BeamRange, Commit, Correction, FlockRobots, PoseEstimate, PoseFlags, Quality, STARTS_ELSEWHERE, ScanView,
     Verdict,
@@ -169,19 +170,31 @@ impl ScanMatcher {
         }
     }
 
+    /// Takes in a pose that a predecessor has published, all in order, before [`Self::resume`]: without knowing how well scans usually fit
+    /// here, no fit can be called poor.
+    pub fn remember(&mut self, published: &PoseEstimate) {
+        if published.trajectory != self.map.trajectory {
+            self.confidence.begin_anew();
+            self.map.trajectory = published.trajectory;
+        }
+        self.confidence.remember(published, self.motion.pose);
+        self.motion.remember(published);
+    }
+
     /// Continues, after a restart, from the last pose that was published.
     pub fn resume(&mut self, last: &PoseEstimate) {
-        let odometry = last.has(PoseFlags::HAS_ODOMETRY).then_some(last.odometry);
-        self.motion.resume(last.odom_from_base, last.covariance, odometry, last.times.sensor_ns);
+        self.motion.resume(last);
         self.map.resume(last);
-        (self.confidence.mean_score, self.confidence.last_score) = (last.score, last.score);
+        if self.confidence.matched == 0 {
+            (self.confidence.mean_score, self.confidence.last_score) = (last.score, last.score);
+        }
     }
 
     /// Continues a saved map: the robot may be anywhere by now, so a new trajectory begins at its next scan, which a closure
     /// may attach.
     pub fn resume_elsewhere(&mut self, last: &PoseEstimate) {
         self.resume(last);
-        self.motion.resume(last.odom_from_base, Covariance::default(), None, last.times.sensor_ns);
+        self.motion.resume_elsewhere(last);
         self.map.trajectory = last.trajectory + 1;
         (self.map.detached, self.map.begins_elsewhere, self.map.inserted) = (true, true, None);
         (self.confidence.mean_score, self.confidence.last_score) = (0.0, 0.0);
@@ -467,5 +480,7 @@ impl ScanMatcher {
 
 #[cfg(test)]
 mod corridor;
+#[cfg(test)]
+mod restart;
 #[cfg(test)]
 mod tests;

@@ -1,6 +1,6 @@
-//! Prediction of the next pose from odometry or the last velocity, with its covariance, and its fusion with a fit (the
-//! update of a Kalman filter).
+//! Prediction of the next pose from odometry or the last velocity, with its covariance.
 
+use crate::prediction::{Coasting, Prediction, Steady, matrix};
 use crate::turn_scale::TurnScale;
 use crate::wheel_scale::WheelScale;
 use flockslam_geometry::elementary::hypot;
@@ -12,6 +12,8 @@ use nalgebra::{Matrix3, Vector3};
 
 /// Seconds between scans, assumed before two stamps are known and for steps that are not positive.
 const PERIOD_START_S: f64 = 0.1;
+/// Weight of the newest step in their running mean.
+const PERIOD_RATE: f64 = 0.05;
 /// Longest step between stamps that is accepted, seconds.
 const PERIOD_MAX_S: f64 = 2.0;
 /// A first odometry pose farther from the origin than this is not taken over, metres.
@@ -25,12 +27,6 @@ const STEP_SIGMA: (f64, f64) = (0.01, 0.005);
 const STEP_SIGMA_BLIND: (f64, f64) = (0.15, 0.1);
 /// The same of the heading where a gyroscope measures it, radians.
 const STEP_SIGMA_GYRO_RAD: f64 = 0.01;
-
-/// Error of the grid itself, standard deviations in metres and radians: a pose this near to the prediction is as probable.
-const GRID_SIGMA: (f64, f64) = (0.01, 0.003);
-/// Cost of the assumption that wheels have slipped, in units of the negative logarithm of a probability: errors of odometry are
-/// normally distributed for the most part, but any error is possible at this cost.
-pub(crate) const SLIP_COST: f64 = 10.0;
 
 /// Greatest scales of the variances of odometry, of positions and of headings, where surfaces that move with the robot, as the ground
 /// does, could pass poor fits off as poor wheels: 0.03 m and 0.7° over a metre.
@@ -64,6 +60,8 @@ pub(crate) struct Motion {
     /// The heading by the gyroscope, where there is no odometry.
     gyro_rad: Option<f64>,
     stamp_ns: Option<i64>,
+    /// Sequence of the last scan.
+    sequence: Option<u64>,
     /// The lidar of the last scan.
     lidar: u32,
     period_s: f64,
@@ -95,80 +93,6 @@ fn is_near(pose: Pose) -> bool {
     pose.x_m.abs() < START_MAX_M && pose.y_m.abs() < START_MAX_M
 }
 
-/// A predicted pose with its uncertainty.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Prediction {
-    pub(crate) pose: Pose,
-    /// Velocity since the scan before, in the robot's own frame.
-    pub(crate) twist: Twist,
-    /// How sure the velocity is where odometry measured it during the scan.
-    pub(crate) measured: Option<TwistSigma>,
-    /// Scans are missing between this one and the one before: the robot may have gone anywhere near.
-    pub(crate) after_gap: bool,
-    pub(crate) covariance: Covariance,
-    /// Covariance that the motion since the scan before adds.
-    pub(crate) step: Covariance,
-    /// The pose by the velocity so far, if it differs much from odometry, which may have jumped.
-    pub(crate) steady: Option<Steady>,
-    /// The motion since the scan before if the robot went on at its velocity, where it has odometry.
-    pub(crate) coasting: Option<Coasting>,
-}
-
-/// A motion from one scan to the next at a constant velocity.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Coasting {
-    pub(crate) pose: Pose,
-    pub(crate) twist: Twist,
-}
-
-/// The pose if the robot went on at its velocity.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Steady {
-    pub(crate) pose: Pose,
-    pub(crate) twist: Twist,
-}
-
-pub(crate) fn matrix(c: Covariance) -> Matrix3<f64> {
-    Matrix3::new(c.xx, c.xy, c.xt, c.xy, c.yy, c.yt, c.xt, c.yt, c.tt)
-}
-
-impl Prediction {
-    /// How improbable a pose is by the prediction alone: the negative logarithm of its probability density relative to the
-    /// predicted pose's, at most [`SLIP_COST`].
-    pub(crate) fn cost(&self, pose: Pose) -> f64 {
-        let grid = Covariance::diagonal(GRID_SIGMA.0, GRID_SIGMA.1);
-        let missed = Vector3::new(
-            pose.x_m - self.pose.x_m,
-            pose.y_m - self.pose.y_m,
-            wrap_angle(pose.heading_rad - self.pose.heading_rad),
-        );
-        let Some(factor) = (matrix(self.covariance) + matrix(grid)).cholesky() else { return 0.0 };
-        (0.5 * missed.dot(&factor.solve(&missed))).min(SLIP_COST)
-    }
-
-    /// Fuses a fit that is less certain than the prediction in some direction with it (the update of a Kalman filter):
-    /// pose and covariance. `None` where the fit is more certain in all directions: then slipping wheels shall not pull the pose.
-    pub(crate) fn fused(&self, fit: Pose, covariance: Covariance) -> Option<(Pose, Covariance)> {
-        let of_fit = matrix(covariance);
-        let of_motion = matrix(self.covariance);
-        let holds_in_all_directions = (of_motion - of_fit).cholesky().is_some();
-        if holds_in_all_directions {
-            return None;
-        }
-        let gain = of_fit * (of_fit + of_motion).try_inverse()?;
-        let missed = Vector3::new(
-            self.pose.x_m - fit.x_m,
-            self.pose.y_m - fit.y_m,
-            wrap_angle(self.pose.heading_rad - fit.heading_rad),
-        );
-        let shift = gain * missed;
-        let left = of_fit - gain * of_fit;
-        let pose = Pose::new(fit.x_m + shift.x, fit.y_m + shift.y, fit.heading_rad + shift.z);
-        let [xy, xt, yt] = [(0, 1), (0, 2), (1, 2)].map(|(i, j)| 0.5 * (left[(i, j)] + left[(j, i)]));
-        Some((pose, Covariance { xx: left[(0, 0)], xy, xt, yy: left[(1, 1)], yt, tt: left[(2, 2)] }))
-    }
-}
-
 impl Motion {
     pub(crate) fn new() -> Self {
         Self {
@@ -177,6 +101,7 @@ impl Motion {
             odometry: None,
             gyro_rad: None,
             stamp_ns: None,
+            sequence: None,
             lidar: 0,
             period_s: PERIOD_START_S,
             is_lost: false,
@@ -189,15 +114,40 @@ impl Motion {
         }
     }
 
-    /// Continues at a pose whose scan had this odometry and stamp.
-    pub(crate) fn resume(
-        &mut self,
-        pose: Pose,
-        covariance: Covariance,
-        odometry: Option<Pose>,
-        stamp_ns: i64,
-    ) {
-        *self = Self { pose, covariance, odometry, stamp_ns: Some(stamp_ns), ..Self::new() };
+    /// Continues at the last published pose, whose robot may have gone on as it moved there.
+    pub(crate) fn resume(&mut self, last: &PoseEstimate) {
+        let is_lost = last.quality == Quality::Lost as u32;
+        *self = Self {
+            pose: last.odom_from_base,
+            covariance: last.covariance,
+            odometry: last.has(PoseFlags::HAS_ODOMETRY).then_some(last.odometry),
+            stamp_ns: Some(last.times.sensor_ns),
+            sequence: Some(last.id.sequence),
+            lidar: last.id.lidar,
+            is_lost,
+            velocity: if is_lost { Twist::default() } else { last.twist },
+            period_s: self.period_s,
+            ..Self::new()
+        };
+    }
+
+    /// Takes in when a predecessor's scan was taken, before [`Self::resume`].
+    pub(crate) fn remember(&mut self, published: &PoseEstimate) {
+        let (stamp_ns, sequence) = (published.times.sensor_ns, published.id.sequence);
+        let is_next = self.sequence.is_some_and(|before| before.checked_add(1) == Some(sequence));
+        let elapsed_s = self.stamp_ns.map(|before| stamp_ns.saturating_sub(before) as f64 * 1e-9);
+        let step_s = elapsed_s.filter(|step_s| is_next && (0.0..=PERIOD_MAX_S).contains(step_s));
+        if let Some(step_s) = step_s {
+            self.period_s += PERIOD_RATE * (step_s - self.period_s);
+        }
+        (self.pose, self.stamp_ns, self.sequence) =
+            (published.odom_from_base, Some(stamp_ns), Some(sequence));
+    }
+
+    /// Continues at a pose from which the robot may have gone anywhere.
+    pub(crate) fn resume_elsewhere(&mut self, last: &PoseEstimate) {
+        let (pose, stamp_ns) = (last.odom_from_base, Some(last.times.sensor_ns));
+        *self = Self { pose, stamp_ns, ..Self::new() };
     }
 
     /// Nothing connects the next scan with the last one. What was learned of the robot's odometry holds.
@@ -206,6 +156,7 @@ impl Motion {
         self.is_lost = false;
         (self.covariance, self.velocity) = (Covariance::default(), Twist::default());
         (self.odometry, self.gyro_rad, self.stamp_ns, self.odometry_turn_rad_s) = (None, None, None, None);
+        self.sequence = None;
         self.to_middle = (Pose::IDENTITY, 0.0);
     }
 
@@ -231,7 +182,8 @@ impl Motion {
         }
         let step_s = self.step_s(scan);
         let (to_middle, middle_s) = self.to_middle;
-        let unchanged = to_middle * self.velocity.motion_after(self.even(scan, step_s) - middle_s);
+        let unchanged_s = self.even(scan, step_s).min(PERIOD_MAX_S);
+        let unchanged = to_middle * self.velocity.motion_after(unchanged_s - middle_s);
         let is_brief = self.is_brief(scan, step_s);
         let (motion, twist) = match (self.odometry, scan.odometry()) {
             (Some(before), Some(now)) => {
@@ -252,7 +204,11 @@ impl Motion {
                 None => (unchanged, self.velocity),
             },
         };
-        let surprises = motion.distance_m(unchanged) > SURPRISE.0 || motion.turn_rad(unchanged) > SURPRISE.1;
+        let after_gap = self.elapsed_s(scan).is_some_and(|elapsed_s| elapsed_s > PERIOD_MAX_S);
+        // A velocity holds for a while only.
+        let goes_on = !(after_gap && self.missing(scan) > 0);
+        let surprises =
+            goes_on && (motion.distance_m(unchanged) > SURPRISE.0 || motion.turn_rad(unchanged) > SURPRISE.1);
         let steady = surprises.then(|| Steady { pose: self.pose * unchanged, twist: self.velocity });
         let (travel, turn) = (hypot(motion.x_m, motion.y_m), motion.heading_rad.abs());
         let mut covariance = self.covariance;
@@ -261,12 +217,12 @@ impl Motion {
         covariance.xx += position;
         covariance.yy += position;
         covariance.tt += drift_rad2;
-        let coasting = self.odometry.map(|_| Coasting { pose: unchanged, twist: self.velocity });
+        let coasting =
+            self.odometry.filter(|_| goes_on).map(|_| Coasting { pose: unchanged, twist: self.velocity });
         let scales = self.noise.scales();
         let position = drift_m2 * (STEP_SCALES_MAX.0 / scales.0).min(1.0);
         let heading = drift_rad2 * (STEP_SCALES_MAX.1 / scales.1).min(1.0);
         let step = Covariance { xx: position, yy: position, tt: heading, ..Covariance::default() };
-        let after_gap = self.elapsed_s(scan).is_some_and(|elapsed_s| elapsed_s > PERIOD_MAX_S);
         let pose = self.pose * motion;
         let measured = self.measured(scan).map(|_| self.measured_sigma(twist));
         Prediction { pose, twist, measured, after_gap, covariance, step, steady, coasting }
@@ -371,7 +327,7 @@ impl Motion {
                 .odometry
                 .zip(scan.odometry())
                 .map(|(before, now)| self.turn_scale.factor() * before.to(now).heading_rad / step_s);
-            self.period_s += 0.05 * (step_s - self.period_s);
+            self.period_s += PERIOD_RATE * (step_s - self.period_s);
         }
         self.is_lost = lost;
         self.pose = pose;
@@ -380,6 +336,7 @@ impl Motion {
         self.odometry = scan.odometry();
         self.gyro_rad = scan.gyro_heading_rad();
         self.stamp_ns = Some(scan.header().times.sensor_ns);
+        self.sequence = Some(scan.header().id.sequence);
         self.lidar = scan.header().id.lidar;
     }
 
@@ -406,10 +363,22 @@ impl Motion {
     /// A step between stamps that jitter, kept near the nominal period: scans of a lidar come at even times even if their stamps do
     /// not, and a velocity over a step far too short would be far too great.
     fn even(&self, scan: ScanView<'_>, step_s: f64) -> f64 {
+        let longest_s = self.longest_s(scan);
         if self.is_of_another(scan) {
-            return step_s.min(2.0 * self.period_s);
+            return step_s.min(longest_s);
         }
-        step_s.clamp(0.5 * self.period_s, 2.0 * self.period_s)
+        step_s.clamp(0.5 * self.period_s, longest_s)
+    }
+
+    /// The longest step since the scan before that is even, seconds: scans that were lost on the way here have taken their time.
+    fn longest_s(&self, scan: ScanView<'_>) -> f64 {
+        (2.0 + self.missing(scan) as f64) * self.period_s
+    }
+
+    /// How many scans were lost between the one before and this one.
+    fn missing(&self, scan: ScanView<'_>) -> u64 {
+        let sequence = scan.header().id.sequence;
+        self.sequence.map_or(0, |before| sequence.saturating_sub(before.saturating_add(1)))
     }
 
     /// Whether a scan is of another lidar than the one before.
@@ -426,7 +395,8 @@ impl Motion {
     fn step_s(&self, scan: ScanView<'_>) -> f64 {
         let Some(step_s) = self.elapsed_s(scan) else { return self.period_s };
         let is_forward = step_s > 0.0 || (step_s == 0.0 && self.is_of_another(scan));
-        if is_forward && step_s <= PERIOD_MAX_S { step_s } else { self.period_s }
+        let longest_s = PERIOD_MAX_S.max(self.longest_s(scan));
+        if is_forward && step_s <= longest_s { step_s } else { self.period_s }
     }
 
     /// Seconds since the scan before, by the stamps.
@@ -439,6 +409,56 @@ impl Motion {
 mod tests {
     use super::*;
     use flockslam_messages::ScanBuffer;
+
+    /// A scan so many scans after the first, of a robot whose odometry moves 0.1 m from scan to scan and by `slipped` beyond.
+    fn scan_after(number: u64, slipped: Pose) -> ScanBuffer {
+        let mut scan = ScanBuffer::from_ranges(&[2.0; 101], -1.0, 0.02);
+        scan.header.id.sequence = number;
+        scan.header.times.sensor_ns = number as i64 * 100_000_000;
+        scan.header.odometry = Pose::new(0.1 * number as f64, 0.0, 0.0) * slipped;
+        scan.header.has_odometry = 1;
+        scan
+    }
+
+    /// What a robot that went 1 m/s published of a scan.
+    fn published(number: u64) -> PoseEstimate {
+        let pose = Pose::new(0.1 * number as f64, 0.0, 0.0);
+        let mut estimate = PoseEstimate {
+            odom_from_base: pose,
+            odometry: pose,
+            twist: Twist { x_m_s: 1.0, ..Twist::default() },
+            flags: PoseFlags::HAS_ODOMETRY | PoseFlags::MATCHED,
+            ..PoseEstimate::default()
+        };
+        (estimate.id.sequence, estimate.times.sensor_ns) = (number, number as i64 * 100_000_000);
+        estimate
+    }
+
+    #[test]
+    fn a_robot_goes_on_at_its_velocity_while_a_restart_loses_scans() {
+        let mut motion = Motion::new();
+        motion.resume(&published(20));
+        let slip = Pose::new(0.4, 0.0, 0.5);
+        let prediction = motion.predict(scan_after(36, slip).view().unwrap());
+        let steady = prediction.steady.unwrap().pose;
+        assert!(steady.distance_m(Pose::new(3.6, 0.0, 0.0)) < 1e-6, "{steady:?}");
+        let prediction = motion.predict(scan_after(60, slip).view().unwrap());
+        assert!(prediction.steady.is_none() && prediction.after_gap, "nobody knows for how long");
+        assert!(prediction.twist.x_m_s < 1.2, "it drove 4.4 m in 4 s: {:?}", prediction.twist);
+    }
+
+    #[test]
+    fn the_period_of_a_predecessor_is_remembered() {
+        let mut motion = Motion::new();
+        let every_half_second = |number: u64| {
+            let mut estimate = published(number);
+            estimate.times.sensor_ns *= 5;
+            estimate
+        };
+        (0..100).for_each(|number| motion.remember(&every_half_second(number)));
+        motion.resume(&every_half_second(100));
+        assert!((motion.period_s - 0.5).abs() < 0.01, "{}", motion.period_s);
+    }
 
     /// A robot without odometry stands, and is taken to move. Each scan takes as long as the time between two, so that a false velocity
     /// moves the pose at its stamp by half a step, the other way.

@@ -149,6 +149,9 @@ impl Matcher {
         while let Some(record) = self.past.read_next()? {
             context.alive();
             let pose = record.pose;
+            if pose.id.sequence >= context.first_sequence && !failpoint("no-resume") {
+                self.logic.remember(&pose);
+            }
             if pose.has(PoseFlags::INSERT) {
                 self.accepted = Some(pose.id.sequence);
                 if pose.trajectory != self.trajectory {

@@ -3,6 +3,7 @@
 use super::tests::FrontEnd;
 use super::*;
 use crate::settings::Strategy;
+use flockslam_geometry::Covariance;
 use flockslam_messages::ScanBuffer;
 
 /// Where the corridor, 2 m wide and open behind, ends.

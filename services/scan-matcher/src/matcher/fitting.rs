@@ -6,7 +6,7 @@ use super::matcher_state::Confidence;
 use super::open_place::{Open, is_held};
 use super::points::{MoverMask, ScanPoints};
 use super::surroundings::Surroundings;
-use crate::motion::{Coasting, Prediction, SLIP_COST};
+use crate::prediction::{Coasting, Prediction, SLIP_COST};
 use crate::settings::{Settings, Strategy};
 use flockslam_evidence::Level;
 use flockslam_geometry::elementary::sin_cos;

@@ -2,7 +2,7 @@
 
 use super::{Fitted, MoverMask, ScanMatcher};
 use crate::contradiction::{contradicted, in_the_unknown};
-use crate::motion::Prediction;
+use crate::prediction::Prediction;
 use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::{Covariance, Pose, Twist};
 use flockslam_messages::{Quality, ScanView};

@@ -1,10 +1,10 @@
 //! The state that the matcher keeps from scan to scan: the map, and how well the robot is localised in it.
 
 use super::fitting::Rival;
-use super::open_place::is_held;
+use super::open_place::{DENSE, is_held};
 use super::{Fitted, Judgement, MEAN_RATE, POINTS_MIN_FOR_SHARE, SLIPPED, START_SCANS};
 use flockslam_geometry::Pose;
-use flockslam_messages::{PoseEstimate, Quality};
+use flockslam_messages::{PoseEstimate, PoseFlags, Quality};
 
 /// Weight of the newest fit in the mean of the residuals: what a scan sees changes within some metres.
 const NOISE_RATE: f64 = 0.2;
@@ -128,19 +128,47 @@ impl Confidence {
         self.found =
             (quality == Quality::Lost && fitted.is_rescued).then(|| (place, 1 + self.found_near(place)));
         self.last_score = fitted.fit.score;
-        let open = if is_held(&fitted.fit, fitted.points.of_beams(beams)) { 0.0 } else { 1.0 };
-        let moved = (pose.distance_m(before) / OPEN_STEP.0).max(pose.turn_rad(before) / OPEN_STEP.1);
-        self.open += OPEN_RATE * moved.min(1.0) * (open - self.open);
+        self.count_open(is_held(&fitted.fit, fitted.points.of_beams(beams)), before, pose);
         if quality == Quality::Lost {
             self.lost_after_gap = fitted.prediction.after_gap || (self.lost > 0 && self.lost_after_gap);
             self.lost += u32::from(fitted.points.len() >= POINTS_MIN_FOR_SHARE);
             return;
         }
+        // The noise of a predecessor's fits is not known.
+        let is_first = self.matched == 0 || self.noise == 0.0;
+        self.count_score(fitted.fit.score);
+        let noise_rate = if is_first { 1.0 } else { NOISE_RATE.max(1.0 / self.matched as f64) };
+        self.noise += noise_rate * (fitted.fit.noise - self.noise);
+    }
+
+    /// Counts a fit that a predecessor has published; `before` is the pose of the scan before.
+    pub(super) fn remember(&mut self, published: &PoseEstimate, before: Pose) {
+        let is_lost = published.quality == Quality::Lost as u32;
+        if !is_lost && !published.has(PoseFlags::MATCHED) {
+            return;
+        }
+        self.count_open(published.score >= DENSE, before, published.odom_from_base);
+        self.last_score = published.score;
+        if is_lost {
+            self.lost += 1;
+        } else {
+            self.count_score(published.score);
+        }
+    }
+
+    /// Counts whether the grid holds a scan here.
+    fn count_open(&mut self, is_held: bool, before: Pose, pose: Pose) {
+        let open = if is_held { 0.0 } else { 1.0 };
+        let moved = (pose.distance_m(before) / OPEN_STEP.0).max(pose.turn_rad(before) / OPEN_STEP.1);
+        self.open += OPEN_RATE * moved.min(1.0) * (open - self.open);
+    }
+
+    /// Counts the score of an accepted fit.
+    fn count_score(&mut self, score: f64) {
         self.lost = 0;
         self.matched += 1;
         let rate = MEAN_RATE.max(1.0 / self.matched as f64);
-        self.noise += NOISE_RATE.max(1.0 / self.matched as f64) * (fitted.fit.noise - self.noise);
-        let off = fitted.fit.score - self.mean_score;
+        let off = score - self.mean_score;
         self.mean_score += rate * off;
         // The first fits are to a thin map.
         if self.has_started() {

@@ -3,7 +3,7 @@
 use super::bodies::without_bodies;
 use super::points::add_beams;
 use super::{MoverMask, POINTS_MIN_FOR_SHARE, ScanMatcher, ScanPoints};
-use crate::motion::Prediction;
+use crate::prediction::Prediction;
 use flockslam_evidence::{CellIndex, PackedCell, TILE_SIDE, Tile, TileGrid, WEIGHT_SCALE};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::ScanView;

@@ -3,7 +3,7 @@
 use super::fitted::Fitted;
 use super::fitting::{Fitter, PRIOR_SIGMA};
 use super::points::ScanPoints;
-use crate::motion::{Prediction, SLIP_COST, matrix};
+use crate::prediction::{Prediction, SLIP_COST, matrix};
 use crate::settings::Strategy;
 use flockslam_geometry::{Covariance, Point, Pose};
 use flockslam_registration::{Fit, ScoreField, SurfaceFit};
@@ -11,7 +11,7 @@ use nalgebra::{Matrix3, Vector3};
 
 /// A fit to the grid below this score, 0 … 1, is no proof of a place: beams that are far apart, or surfaces that do not repeat,
 /// leave gaps between the cells. There the surfaces of the last scans hold the scan.
-const DENSE: f64 = 0.4;
+pub(super) const DENSE: f64 = 0.4;
 /// Nor is one of fewer points than this, weighted by their scores, or, of a scan with few beams, than this share of them.
 const HELD_POINTS: f64 = 50.0;
 const HELD_SHARE: f64 = 0.22;

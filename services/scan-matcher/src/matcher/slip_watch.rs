@@ -4,7 +4,7 @@
 //! one explains them clearly better.
 
 use super::surroundings::prior;
-use crate::motion::{Prediction, SLIP_COST};
+use crate::prediction::{Prediction, SLIP_COST};
 use flockslam_geometry::elementary::hypot;
 use flockslam_geometry::{Covariance, Point, Pose, Twist};
 use flockslam_messages::ScanView;

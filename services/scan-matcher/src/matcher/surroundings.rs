@@ -2,7 +2,7 @@
 
 use super::points::{MoverMask, ScanPoints};
 use super::slip_watch::SlipWatch;
-use crate::motion::{Prediction, SLIP_COST, matrix};
+use crate::prediction::{Prediction, SLIP_COST, matrix};
 use flockslam_geometry::{Covariance, Pose, Twist, wrap_angle};
 use flockslam_messages::ScanView;
 use flockslam_registration::{SURFACE_RANGE_MAX_M, SurfaceFit, SurfaceMap, SurfacePrior};

@@ -32,7 +32,7 @@ fn look(sequence: u64, pose: Pose, odometry: Option<Pose>) -> ScanBuffer {
 }
 
 pub(super) struct FrontEnd {
-    matcher: ScanMatcher,
+    pub(super) matcher: ScanMatcher,
     mapper: Mapper,
     grid: TileGrid<Box<Tile>>,
 }
@@ -42,6 +42,15 @@ impl FrontEnd {
         let mapper = flockslam_mapper::Settings::default();
         let grid = TileGrid::new(mapper.cell_size_m);
         Self { matcher: ScanMatcher::new(settings), mapper: Mapper::new(mapper), grid }
+    }
+
+    /// Its matcher is another process from here on, which knows what its predecessor has published.
+    pub(super) fn start_again(&mut self, published: &[PoseEstimate]) {
+        let MapState { generation, active_submap, .. } = self.matcher.map;
+        self.matcher = ScanMatcher::new(self.matcher.settings.clone());
+        published.iter().for_each(|pose| self.matcher.remember(pose));
+        published.iter().last().iter().for_each(|last| self.matcher.resume(last));
+        self.matcher.committed(&Commit { generation, active_submap, ..Commit::default() });
     }
 
     pub(super) fn step(&mut self, scan: &ScanBuffer, keep: bool) -> PoseEstimate {
