@@ -306,8 +306,12 @@ impl ScanMatcher {
     ) -> PoseEstimate {
         // After a restart the grid may arrive late. A scan inserted without it would be placed by odometry alone.
         let grid_is_missing = grid_is_empty && self.map.generation > 0 && !self.map.begins_elsewhere;
-        let is_blind = points.len() < POINTS_MIN || grid_is_missing;
+        let is_blind = points.len() < POINTS_MIN;
         self.buffers.points = points;
+        if grid_is_missing {
+            // Nothing has shown whether odometry is right: the next scan is predicted from where the robot was known to be.
+            return PoseEstimate { quality: Quality::Degraded as u32, ..predicted };
+        }
         if is_blind {
             return self.followed(scan, PoseEstimate { quality: Quality::Degraded as u32, ..predicted });
         }

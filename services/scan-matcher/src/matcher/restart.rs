@@ -37,6 +37,22 @@ fn wheels_that_slip_while_scans_are_lost_leave_no_false_pose_behind() {
 }
 
 #[test]
+fn scans_before_the_grid_is_there_leave_no_false_pose_behind_either() {
+    let drive = drive();
+    let start = drive[0].1;
+    let (mut front_end, published) = driven(&drive[..201]);
+    front_end.start_again(&published);
+    for (number, (scan, truth)) in drive.iter().enumerate().skip(212) {
+        let estimate =
+            if number < 218 { front_end.step_without_grid(scan) } else { front_end.step(scan, true) };
+        let off_m = (start * estimate.odom_from_base).distance_m(*truth);
+        let is_said = estimate.quality != Quality::Tracking as u32;
+        assert!(off_m < 0.15 || is_said, "{number}: {off_m} m, {estimate:?}");
+        assert!(number < 232 || off_m < 0.15, "{number}: {off_m} m, {estimate:?}");
+    }
+}
+
+#[test]
 fn what_a_predecessor_knew_of_its_fits_is_remembered() {
     let (mut front_end, published) = driven(&drive()[..150]);
     let before = std::mem::take(&mut front_end.matcher.confidence);

@@ -53,6 +53,15 @@ impl FrontEnd {
         self.matcher.committed(&Commit { generation, active_submap, ..Commit::default() });
     }
 
+    /// As [`FrontEnd::step`], of a scan that is handled before the grid has arrived.
+    pub(super) fn step_without_grid(&mut self, scan: &ScanBuffer) -> PoseEstimate {
+        let nothing = TileGrid::new(self.grid.cell_size_m());
+        let there = std::mem::replace(&mut self.grid, nothing);
+        let estimate = self.step(scan, true);
+        self.grid = there;
+        estimate
+    }
+
     pub(super) fn step(&mut self, scan: &ScanBuffer, keep: bool) -> PoseEstimate {
         let view = scan.view().unwrap();
         let reason = if keep { 0 } else { DropReason::Correlated as u32 };
