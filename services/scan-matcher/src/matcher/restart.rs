@@ -40,7 +40,7 @@ fn wheels_that_slip_while_scans_are_lost_leave_no_false_pose_behind() {
 fn scans_before_the_grid_is_there_leave_no_false_pose_behind_either() {
     let drive = drive();
     let start = drive[0].1;
-    let (mut front_end, published) = driven(&drive[..201]);
+    let (mut front_end, published) = driven(&drive[..197]);
     front_end.start_again(&published);
     for (number, (scan, truth)) in drive.iter().enumerate().skip(212) {
         let estimate =
