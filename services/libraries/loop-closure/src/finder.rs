@@ -40,6 +40,9 @@ pub const SIGHT_M: f64 = 4.0;
 pub const ANYWHERE: Window = Window { reach_m: 14.0, turn_rad: std::f64::consts::PI };
 /// Squares that such a search visits before it returns its best result so far.
 const ANYWHERE_SUMS_MAX: u64 = 150_000;
+/// Squares that the search for a runner-up visits there before the match counts as ambiguous: it shows that nothing else is as good, which
+/// takes longer, and is made for the few segments that match.
+const RUNNER_UP_SUMS_MAX: u64 = 3_000_000;
 /// Most segments that one query is looked for in so.
 const ANYWHERE_MAX: usize = 50;
 /// The first window: a robot that was lost only briefly is near its predicted pose.
@@ -73,6 +76,8 @@ pub struct ClosureFinder {
     fields: FieldCache,
     searcher: Searcher,
     searcher_anywhere: Searcher,
+    /// Of runner-ups anywhere.
+    searcher_runner_up: Searcher,
     aligner: Aligner,
     grid: MomentGrid,
     counts: SearchCounts,
@@ -97,6 +102,7 @@ impl Default for ClosureFinder {
             fields: FieldCache::new(FIELDS_MAX),
             searcher: Searcher::default(),
             searcher_anywhere: Searcher::bounded(ANYWHERE_SUMS_MAX),
+            searcher_runner_up: Searcher::bounded(RUNNER_UP_SUMS_MAX),
             aligner: Aligner::new(align),
             grid: MomentGrid::default(),
             counts: SearchCounts::default(),
@@ -107,8 +113,8 @@ impl Default for ClosureFinder {
 impl ClosureFinder {
     /// A finder that looks at so many squares in a search anywhere before it gives up, and that keeps so many segments ready.
     pub fn thorough(sums_max: u64, fields: usize) -> Self {
-        let searcher_anywhere = Searcher::bounded(sums_max);
-        Self { searcher_anywhere, fields: FieldCache::new(fields), ..Self::default() }
+        let [searcher_anywhere, searcher_runner_up] = [0; 2].map(|_| Searcher::bounded(sums_max));
+        Self { searcher_anywhere, searcher_runner_up, fields: FieldCache::new(fields), ..Self::default() }
     }
 
     /// An empty grid to work with, lent between searches: it must be given back empty.
@@ -250,6 +256,7 @@ impl ClosureFinder {
         self.counts.matches += 1;
         if window.reach_m > WIDE_M {
             let exclude = Some((found.placement, APART));
+            let searcher = if anywhere { &mut self.searcher_runner_up } else { searcher };
             let second = searcher.best(field, &few, guess, window, RUNNER_UP * found.score, exclude);
             if second.is_some() || searcher.gave_up() {
                 return None;
