@@ -2,7 +2,7 @@
 
 use super::fitting::Rival;
 use super::points::ScanPoints;
-use crate::motion::Prediction;
+use crate::prediction::Prediction;
 use flockslam_geometry::{Covariance, Pose, Twist};
 use flockslam_registration::Fit;
 

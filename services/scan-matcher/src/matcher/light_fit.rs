@@ -4,7 +4,7 @@
 use super::fitted::Fitted;
 use super::fitting::{Fitter, PRIOR_SIGMA};
 use super::points::ScanPoints;
-use crate::motion::Prediction;
+use crate::prediction::Prediction;
 use flockslam_geometry::{Covariance, Pose, Twist};
 use flockslam_registration::{GaussNewton, ScoreField};
 
