@@ -1,7 +1,7 @@
 //! The three benchmark logs with one configuration: accuracy against their relations, every scan present, the same
 //! bytes again, and the published program reproduced by its profile.
 
-use crate::support::public_logs::{ACES, FR079, INTEL, LOGS, Log};
+use crate::support::public_logs::{ACES, FR079, INTEL, LOGS, Log, assert_no_worse};
 use crate::support::{Outputs, data_dir, evaluate_relations, not_tested};
 use std::path::Path;
 use std::process::Command;
@@ -9,9 +9,6 @@ use std::process::Command;
 /// What default settings reach at start heading 0: mean errors over all relations, metres and degrees, and over loops, metres.
 const REACHED: [(Log, f64, f64, f64); 3] =
     [(INTEL, 0.0127, 0.2075, 0.0151), (FR079, 0.0299, 0.419, 0.0403), (ACES, 0.0332, 0.315, 0.0483)];
-/// A tenth more is a regression.
-const TOLERANCE: f64 = 1.1;
-
 /// Stamps of the log's scans as they stand in the file, in its order: the third field from the end.
 fn stamps(log: &Log) -> Vec<String> {
     let text = std::fs::read(log.file("clf").unwrap()).unwrap();
@@ -25,18 +22,9 @@ fn default_settings_map_each_log_as_accurately_as_before() {
     for (log, reached_m, reached_deg, reached_loop_m) in REACHED {
         let Some(run) = log.shared_run(&[]) else { return };
         let errors = log.errors(run.wait());
-        println!("{}: {errors:?}", log.name);
-        assert!(errors.mean_m <= TOLERANCE * reached_m, "{}: {errors:?}, {reached_m} m before", log.name);
-        assert!(
-            errors.mean_deg <= TOLERANCE * reached_deg,
-            "{}: {errors:?}, {reached_deg}° before",
-            log.name
-        );
-        assert!(
-            errors.loop_m <= TOLERANCE * reached_loop_m,
-            "{}: {errors:?}, loops {reached_loop_m} m before",
-            log.name
-        );
+        let figures =
+            [(errors.mean_m, reached_m), (errors.mean_deg, reached_deg), (errors.loop_m, reached_loop_m)];
+        assert_no_worse(&log, &errors, &figures);
     }
 }
 

@@ -50,6 +50,17 @@ impl Errors {
     }
 }
 
+/// A tenth more than before is a regression.
+const TOLERANCE: f64 = 1.1;
+
+/// Fails where an error of a log, given as (now, before), has grown.
+pub fn assert_no_worse(log: &Log, errors: &Errors, figures: &[(f64, f64)]) {
+    println!("{}: {errors:?}", log.name);
+    for (now, before) in figures {
+        assert!(*now <= TOLERANCE * before, "{}: {now}, {before} before; {errors:?}", log.name);
+    }
+}
+
 /// A run that several tests look at.
 type Shared = Arc<OnceLock<Outputs>>;
 
