@@ -12,8 +12,8 @@ use fitting::{Fitter, Solvers};
 use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::Pose;
 use flockslam_messages::{
-    BeamRange, Commit, Correction, FlockRobots, PoseEstimate, PoseFlags, Quality, STARTS_ELSEWHERE, ScanView,
-    Verdict,
+    BeamRange, Commit, Correction, DropReason, FlockRobots, PoseEstimate, PoseFlags, Quality,
+    STARTS_ELSEWHERE, ScanView, Verdict,
 };
 use flockslam_registration::GridField;
 use judging::Judgement;
@@ -349,7 +349,8 @@ impl ScanMatcher {
         grid: &TileGrid<H>,
     ) -> PoseEstimate {
         let is_ours = matches!(self.settings.strategy, Strategy::GaussNewton | Strategy::Correlative);
-        let is_asked = verdict.keep == 0 && scan.header().withheld == 0 && is_ours;
+        let moves = verdict.drop_reason() != DropReason::Unchanged as u32;
+        let is_asked = verdict.keep == 0 && scan.header().withheld == 0 && moves && is_ours;
         let is_held = self.confidence.has_started() && !self.confidence.is_in_the_open();
         if !is_asked || !is_held || grid.is_empty() || self.map.begins_elsewhere {
             return predicted;
