@@ -1,11 +1,9 @@
 //! The benchmark logs with every scan processed, as they are and made harder: accuracy, odometry that jumps, false beams,
 //! scans that are missing, and a robot that is carried elsewhere.
 
+use crate::support::carried_log::carried;
 use crate::support::data_dir;
 use crate::support::public_logs::{ACES, FILTER_OFF, FR079, INTEL, LOGS, Log};
-use flockslam_geometry::Pose;
-use std::fmt::Write;
-use std::path::Path;
 
 /// A tenth more than what was reached with the same settings and start heading is a regression.
 const TOLERANCE: f64 = 1.1;
@@ -24,9 +22,10 @@ const POOR_WHEELS: Hardship =
 
 const NO_WHEELS: Hardship = (&["lidar_ingest.odometry=false"], &[(FR079, 0.0298), (ACES, 0.0344)]);
 
-/// Where a log is cut, so that the robot is carried from before the first scan to the second, and the mean error then, metres.
+/// Where a log is cut, so that the robot is carried from before the first scan to the second, and the mean error then, metres. In FR079 it gets
+/// from one corridor to another of the same width, in ACES to one that looks the same from 0.7 m farther.
 const CUTS: [(Log, (usize, usize), f64); 3] =
-    [(INTEL, (4000, 7000), 0.0140), (FR079, (2000, 2600), 0.0305), (ACES, (3500, 4500), 0.0345)];
+    [(INTEL, (4000, 7000), 0.0140), (FR079, (548, 1041), 0.0305), (ACES, (5735, 6472), 0.0345)];
 
 fn settings(more: &[&'static str]) -> Vec<&'static str> {
     [FILTER_OFF].iter().chain(more).flat_map(|assignment| ["--set", assignment]).collect()
@@ -117,36 +116,4 @@ fn a_short_drive_before_a_gap_of_the_recording_is_found_in_the_map() {
     assert_eq!((report.scans, report.detached_scans), (962, 0));
     // The map that is consistent; with a stretch out of place it is larger by a third.
     assert!(report.map_area_m2 < 85.0, "{} m²", report.map_area_m2);
-}
-
-/// The log without the scans between, while its odometry notices nothing.
-fn carried(log: &Path, (first, second): (usize, usize)) -> String {
-    let text = String::from_utf8_lossy(&std::fs::read(log).unwrap()).into_owned();
-    let scans: Vec<&str> = text.lines().filter(|line| line.starts_with("FLASER ")).collect();
-    let (before, after) = (odometry(scans[first - 1]), odometry(scans[second]));
-    let change = before * after.inverse();
-    let mut out = String::new();
-    scans[..first].iter().for_each(|line| writeln!(out, "{line}").unwrap());
-    for line in &scans[second..] {
-        let words: Vec<&str> = line.split_ascii_whitespace().collect();
-        let ranges = 2 + words[1].parse::<usize>().unwrap();
-        let at = |i: usize| Pose::new(number(words[i]), number(words[i + 1]), number(words[i + 2]));
-        out.push_str(&words[..ranges].join(" "));
-        for pose in [change * at(ranges), change * at(ranges + 3)] {
-            write!(out, " {:.6} {:.6} {:.6}", pose.x_m, pose.y_m, pose.heading_rad).unwrap();
-        }
-        writeln!(out, " {}", words[ranges + 6..].join(" ")).unwrap();
-    }
-    out
-}
-
-fn number(word: &str) -> f64 {
-    word.parse().unwrap()
-}
-
-/// Pose by odometry in a FLASER line.
-fn odometry(line: &str) -> Pose {
-    let words: Vec<&str> = line.split_ascii_whitespace().collect();
-    let place = 5 + words[1].parse::<usize>().unwrap();
-    Pose::new(number(words[place]), number(words[place + 1]), number(words[place + 2]))
 }

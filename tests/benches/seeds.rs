@@ -1,5 +1,5 @@
-//! How outcomes that depend on a seed are spread: `cargo bench -p flockslam --bench seeds -- [yard|campus|people|flat] [SEEDS]`, twenty seeds
-//! of each by default. Tests judge a few of these drives; their limits come from here.
+//! How outcomes that depend on a seed are spread: `cargo bench -p flockslam --bench seeds -- [yard|campus|people|flat|cuts] [SEEDS]`, twenty seeds
+//! of each by default; cuts: the robot is carried at eight places of each public log. Tests judge a few of these drives; their limits come from here.
 
 #![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
 
@@ -8,6 +8,8 @@
 mod support;
 
 use flockslam_drives::experiments::BEARING_SIGMA_RAD;
+use support::carried_log::{carried, cut_at};
+use support::public_logs::{FILTER_OFF, LOGS, Log};
 use support::seeded_drives::{YardDrive, alone_and_among_twenty_m, campus_drive, flat_worst};
 
 fn main() {
@@ -43,6 +45,9 @@ fn main() {
         spread("campus: ATE, m", drives.iter().map(|(ate_m, _)| *ate_m));
         spread("campus: scans that are not in the map", drives.iter().map(|(_, detached)| *detached as f64));
     }
+    if wants("cuts") {
+        LOGS.iter().for_each(print_cuts);
+    }
     if wants("people") {
         for building in [None, Some("stata_basement")] {
             let name = building.unwrap_or("office");
@@ -55,6 +60,29 @@ fn main() {
                 drives.iter().map(|[alone, among]| 1e3 * (among - alone)),
             );
         }
+    }
+}
+
+/// Prints what becomes of a robot that is carried on its way, unnoticed by its odometry.
+fn print_cuts(log: &Log) {
+    let Some(file) = log.file("clf") else { return };
+    let text = String::from_utf8_lossy(&std::fs::read(&file).unwrap()).into_owned();
+    let scans = text.lines().filter(|line| line.starts_with("FLASER ")).count();
+    for k in 1..=8 {
+        let directory = tempfile::tempdir().unwrap();
+        let (cut_log, cut) = (directory.path().join("cut.clf"), cut_at(k, scans));
+        std::fs::write(&cut_log, carried(&file, cut)).unwrap();
+        let outputs = Log::map(&cut_log, &directory.path().join("out"), &["--set", FILTER_OFF]);
+        let errors = log.errors_of_a_part(&outputs);
+        println!(
+            "{}, carried at scan {}: {} trajectories, {} scans unattached, error mean {:.4} m, greatest {:.2} m",
+            log.name,
+            cut.0,
+            outputs.report.trajectories,
+            outputs.report.detached_scans,
+            errors.mean_m,
+            errors.max_m
+        );
     }
 }
 

@@ -3,6 +3,7 @@
 
 mod benchmark;
 mod browser;
+pub mod carried_log;
 pub mod faults;
 pub mod flocks;
 mod http_get;

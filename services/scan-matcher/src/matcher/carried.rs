@@ -1,6 +1,6 @@
 //! Whether a robot was carried: two scans contradict each other wherever it may have driven between them.
 
-use super::{Fitted, ScanPoints};
+use super::ScanPoints;
 use flockslam_geometry::elementary::{atan2, hypot};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::ScanView;
@@ -18,6 +18,11 @@ const COMMON_MIN: u32 = 20;
 /// wrong or people went by; of 24 pairs from before and after the robot was carried, 23.
 const CONTRADICTED: (f64, f64) = (0.4, 0.1);
 const CONTRADICTED_ALONE: f64 = 0.8;
+/// So many scans in a row that fit badly and contradict the last explained one by these shares at the predicted pose, and by this sum wherever
+/// else the robot may be, show the same. No three in a row did in three logs.
+const DOUBTS: u32 = 3;
+const DOUBTED: (f64, f64) = (0.2, 0.03);
+const DOUBTED_ELSEWHERE: f64 = 0.15;
 /// Once a view is unexplained, a later one is too with these shares.
 const STILL_CONTRADICTED: (f64, f64) = (0.25, 0.08);
 /// A kick, or wheels that jump, leave a robot no farther than this from where odometry has it, or from where it was, metres and radians.
@@ -42,6 +47,15 @@ pub(super) struct Carried {
     present: View,
     /// Scans in a row that the way does not explain.
     unexplained: u32,
+    /// Scans in a row that contradict it a little.
+    doubted: u32,
+}
+
+/// How far two views contradict each other: the shares of their points that lie in the other's free space, both together and the lesser.
+#[derive(Clone, Copy, Debug)]
+struct Contradiction {
+    sum: f64,
+    lesser: f64,
 }
 
 /// The nearest end of a view by direction from the eye, metres; infinite where it shows nothing.
@@ -57,24 +71,28 @@ impl Carried {
         self.present.eye = scan.header().base_from_laser.position();
     }
 
-    /// Whether the present scan cannot have been taken where the robot may have driven to since the last one that its way explains.
-    /// Asked of scans that fit badly, with odometry.
-    pub(super) fn is_unexplained(&mut self, fitted: &Fitted) -> bool {
-        let (before, predicted, fit) =
-            (self.explained.odom_from_base, fitted.prediction.pose, fitted.fit.pose);
+    /// Whether the present scan cannot have been taken where the robot may have driven to since the last one that its way explains: the pose
+    /// predicted by odometry, the pose of before, and the pose of its fit. Asked of scans that fit badly, with odometry.
+    pub(super) fn is_unexplained(&mut self, predicted: Pose, fit: Pose) -> bool {
+        let before = self.explained.odom_from_base;
         let is_kicked = |from: Pose| fit.distance_m(from) <= KICKED.0 && fit.turn_rad(from) <= KICKED.1;
         let fit = Some(fit).filter(|_| is_kicked(predicted) || is_kicked(before));
-        let places = [Some(predicted), Some(before), fit].into_iter().flatten();
         let outlines = [&self.explained, &self.present].map(Outline::new);
+        let found = |place: Pose| self.contradiction(&outlines, before.inverse() * place);
         let is_judged = before.distance_m(predicted) <= APART_M;
-        let mut judged =
-            places.filter_map(|place| self.contradict(&outlines, before.inverse() * place)).peekable();
+        let (found_there, found_elsewhere) =
+            (found(predicted), [Some(before), fit].map(|place| place.and_then(found)));
+        let judged = found_there.iter().chain(found_elsewhere.iter().flatten());
         // Views that cannot be compared leave it as it was.
-        let is_unexplained = if is_judged && judged.peek().is_some() {
-            judged.all(|contradicts| contradicts)
-        } else {
-            self.unexplained > 0
-        };
+        if !is_judged || judged.clone().next().is_none() {
+            return self.unexplained > 0;
+        }
+        let is_doubted = found_there.is_some_and(|found| found.is_at_least(DOUBTED))
+            && judged.clone().all(|found| found.sum >= DOUBTED_ELSEWHERE);
+        self.doubted = if is_doubted { self.doubted + 1 } else { 0 };
+        let limit = if self.unexplained > 0 { STILL_CONTRADICTED } else { CONTRADICTED };
+        let is_plain = |found: &Contradiction| found.is_at_least(limit) || found.sum >= CONTRADICTED_ALONE;
+        let is_unexplained = judged.clone().all(is_plain) || self.doubted >= DOUBTS;
         self.unexplained = if is_unexplained { self.unexplained + 1 } else { 0 };
         is_unexplained
     }
@@ -83,7 +101,7 @@ impl Carried {
     pub(super) fn explains(&mut self, odom_from_base: Pose) {
         std::mem::swap(&mut self.explained, &mut self.present);
         self.explained.odom_from_base = odom_from_base;
-        self.unexplained = 0;
+        (self.unexplained, self.doubted) = (0, 0);
     }
 
     /// Whether the last scans, more than one, were not taken where the robot may have driven to.
@@ -94,16 +112,21 @@ impl Carried {
     /// Forgets what was seen.
     pub(super) fn clear(&mut self) {
         self.explained.ends.clear();
-        self.unexplained = 0;
+        (self.unexplained, self.doubted) = (0, 0);
     }
 
-    /// Whether the two views contradict each other, the present one from `before_from_now`; `None` when they show too little in common.
+    /// How far the two views contradict each other, the present one from `before_from_now`; `None` when they show too little in common.
     /// `outlines` are theirs.
-    fn contradict(&self, [before, now]: &[Outline; 2], before_from_now: Pose) -> Option<bool> {
+    fn contradiction(&self, [before, now]: &[Outline; 2], before_from_now: Pose) -> Option<Contradiction> {
         let one = before.contradicted(&self.present, before_from_now)?;
         let other = now.contradicted(&self.explained, before_from_now.inverse())?;
-        let (sum, lesser) = if self.unexplained > 0 { STILL_CONTRADICTED } else { CONTRADICTED };
-        Some((one + other >= sum && one.min(other) >= lesser) || one + other >= CONTRADICTED_ALONE)
+        Some(Contradiction { sum: one + other, lesser: one.min(other) })
+    }
+}
+
+impl Contradiction {
+    fn is_at_least(&self, (sum, lesser): (f64, f64)) -> bool {
+        self.sum >= sum && self.lesser >= lesser
     }
 }
 
@@ -160,7 +183,9 @@ mod tests {
 
     fn contradict(explained: View, present: View, before_from_now: Pose) -> Option<bool> {
         let outlines = [&explained, &present].map(Outline::new);
-        Carried { explained, present, unexplained: 0 }.contradict(&outlines, before_from_now)
+        let carried = Carried { explained, present, ..Carried::default() };
+        let found = carried.contradiction(&outlines, before_from_now)?;
+        Some(found.is_at_least(CONTRADICTED) || found.sum >= CONTRADICTED_ALONE)
     }
 
     const MIDDLE: Pose = Pose::IDENTITY;
@@ -195,5 +220,23 @@ mod tests {
         let mut now = view(4.0, 3.0, MIDDLE, NOBODY);
         now.ends.truncate(180);
         assert_eq!(contradict(before, now, Pose::new(0.0, 0.0, 3.0)), None);
+    }
+
+    /// Whether four scans in a row are unexplained after one of the middle of a room.
+    fn unexplained(mut present: impl FnMut() -> View) -> [bool; 4] {
+        let mut carried = Carried { explained: view(4.0, 3.0, MIDDLE, NOBODY), ..Carried::default() };
+        [(); 4].map(|()| {
+            carried.present = present();
+            carried.is_unexplained(MIDDLE, MIDDLE)
+        })
+    }
+
+    #[test]
+    fn a_slight_contradiction_counts_from_the_third_scan_in_a_row() {
+        let near = || view(4.0, 3.0, MIDDLE, 20..70);
+        assert_eq!(unexplained(near), [false; 4], "people hide the room");
+        let shifted = || view(4.0, 3.0, Pose::new(0.0, 0.48, 0.0), NOBODY);
+        assert_eq!(contradict(view(4.0, 3.0, MIDDLE, NOBODY), shifted(), MIDDLE), Some(false), "taken alone");
+        assert_eq!(unexplained(shifted), [false, false, true, true]);
     }
 }

@@ -57,6 +57,10 @@ impl ScanMatcher {
         }
         let as_fitted = Judgement { pose: fitted.fit.pose, twist, covariance, quality: self.quality(fitted) };
         let is_poor = fitted.fit.score < self.least_score(fitted, CONTRADICTED.0);
+        // Without a gap a robot was not driven where odometry rules it out, even if that place looks like the scan.
+        if is_carried && !self.confidence.lost_after_gap {
+            return Judgement { quality: Quality::Lost, ..as_fitted };
+        }
         if self.is_found_again(fitted) && !is_contradicted(fitted, mask, grid) {
             return Judgement { quality: Quality::Degraded, ..as_fitted };
         }
@@ -85,7 +89,7 @@ impl ScanMatcher {
             && !self.confidence.is_in_the_open()
             && !fitted.is_open
             && (is_poor || fitted.is_rescued)
-            && self.carried.is_unexplained(fitted)
+            && self.carried.is_unexplained(fitted.prediction.pose, fitted.fit.pose)
     }
 
     /// Whether wide searches find one scan after the other along one way, though none of them well: the robot looks at what the map
