@@ -18,6 +18,8 @@ const PERIOD_RATE: f64 = 0.05;
 const PERIOD_MAX_S: f64 = 2.0;
 /// A first odometry pose farther from the origin than this is not taken over, metres.
 const START_MAX_M: f64 = 1e4;
+/// By less than this its odometry says that a robot has stood, metres and radians.
+const STOOD: (f64, f64) = (0.3, 0.3);
 /// Odometry that differs by more than this from the velocity so far, metres and radians within one scan, may have jumped.
 const SURPRISE: (f64, f64) = (0.15, 0.15);
 
@@ -204,9 +206,13 @@ impl Motion {
                 None => (unchanged, self.velocity),
             },
         };
-        let after_gap = self.elapsed_s(scan).is_some_and(|elapsed_s| elapsed_s > PERIOD_MAX_S);
+        let is_gap = self.elapsed_s(scan).is_some_and(|elapsed_s| elapsed_s > PERIOD_MAX_S);
+        let has_stood = scan.odometry().is_some()
+            && motion.distance_m(Pose::IDENTITY) < STOOD.0
+            && motion.turn_rad(Pose::IDENTITY) < STOOD.1;
+        let after_gap = is_gap && !has_stood;
         // A velocity holds for a while only.
-        let goes_on = !(after_gap && self.missing(scan) > 0);
+        let goes_on = !(is_gap && self.missing(scan) > 0);
         let surprises =
             goes_on && (motion.distance_m(unchanged) > SURPRISE.0 || motion.turn_rad(unchanged) > SURPRISE.1);
         let steady = surprises.then(|| Steady { pose: self.pose * unchanged, twist: self.velocity });

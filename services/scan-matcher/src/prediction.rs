@@ -18,7 +18,7 @@ pub(crate) struct Prediction {
     pub(crate) twist: Twist,
     /// How sure the velocity is where odometry measured it during the scan.
     pub(crate) measured: Option<TwistSigma>,
-    /// Scans are missing between this one and the one before: the robot may have gone anywhere near.
+    /// Scans are missing between this one and the one before, and odometry does not say that the robot stood: it may have gone anywhere near.
     pub(crate) after_gap: bool,
     pub(crate) covariance: Covariance,
     /// Covariance that the motion since the scan before adds.
