@@ -41,10 +41,10 @@ const STARTS: usize = 6;
 const APART: (f64, f64) = (1.0, 0.06);
 /// How far a refinement may move a start, standard deviations in metres and radians.
 const START_SIGMA: (f64, f64) = (1.0, 0.06);
-/// Least share of inliers.
-const INLIERS_MIN: f64 = 0.5;
+/// Least share of inliers: with half of the points a wrong place along a hedge explains them too.
+const INLIERS_MIN: f64 = 0.6;
 /// A pose elsewhere that explains the query nearly as well makes the match ambiguous: difference of costs per point.
-const AMBIGUOUS_PER_POINT: f64 = 0.02;
+const AMBIGUOUS_PER_POINT: f64 = 0.04;
 /// Greatest standard deviations of a match, metres and radians.
 const SIGMA_MAX: (f64, f64) = (0.15, 0.015);
 /// Errors of a closure beyond those of its points: both stretches bend.
