@@ -13,6 +13,8 @@ use nalgebra::{SMatrix, SVector};
 
 /// x, y, heading, offset; scales of odometry's ways and turns, and its drift of the heading, radians per metre.
 const UNKNOWNS: usize = PARAMETERS + 3;
+/// Place of the offset among them.
+const OFFSET: usize = 3;
 /// What is known before: as wide as anything that people build, so that only what a drive does not show stays at it.
 const PRIOR: [f64; UNKNOWNS] = [1.0, 1.0, 1.0, 0.3, 0.1, 0.1, 0.1];
 /// Two scans are compared when they are so far apart in time, nanoseconds: over less the noise of fits hides the motion, over more odometry
@@ -141,11 +143,19 @@ struct Normal {
 impl Problem<'_> {
     /// How the lidar has moved by odometry, less how it has by its fits; `None` where odometry has a gap.
     fn residual(&self, pair: &Pair, state: &Unknowns) -> Option<SVector<f64, 3>> {
-        let [dx, dy, dh, offset_s, ways, turns, drift] = (*state).into();
-        let offset_ns = (offset_s * 1e9).round() as i64;
+        Some(self.residual_of(pair, self.moved(pair, state)?, state))
+    }
+
+    /// How the robot has moved by odometry.
+    fn moved(&self, pair: &Pair, state: &Unknowns) -> Option<Pose> {
+        let offset_ns = (state[OFFSET] * 1e9).round() as i64;
         let from = self.samples.odometry_at(pair.from_ns + offset_ns)?;
         let to = self.samples.odometry_at(pair.to_ns + offset_ns)?;
-        let moved = from.to(to);
+        Some(from.to(to))
+    }
+
+    fn residual_of(&self, pair: &Pair, moved: Pose, state: &Unknowns) -> SVector<f64, 3> {
+        let [dx, dy, dh, _, ways, turns, drift] = (*state).into();
         // A turn that odometry has wrong is made on the way: half of it turns the way.
         let wrong_rad = turns * moved.heading_rad + drift * hypot(moved.x_m, moved.y_m);
         let (sin, cos) = sin_cos(0.5 * wrong_rad);
@@ -153,11 +163,11 @@ impl Problem<'_> {
         let right = Pose::new((1.0 + ways) * x_m, (1.0 + ways) * y_m, moved.heading_rad + wrong_rad);
         let mounted = self.mounted(dx, dy, dh);
         let expected = mounted.to(right * mounted);
-        Some(SVector::from([
+        SVector::from([
             expected.x_m - pair.motion.x_m,
             expected.y_m - pair.motion.y_m,
             wrap_angle(expected.heading_rad - pair.motion.heading_rad),
-        ]))
+        ])
     }
 
     fn mounted(&self, dx: f64, dy: f64, dh: f64) -> Pose {
@@ -170,9 +180,9 @@ impl Problem<'_> {
         let (mut of_pairs, mut gradient) = (Information::zeros(), Unknowns::zeros());
         let (mut blocks, mut block, mut block_ns) = (Information::zeros(), Unknowns::zeros(), i64::MIN);
         for pair in &self.pairs {
-            let Some(residual) = self.residual(pair, state) else { continue };
-            let Some(rows) = self.derivatives(pair, state) else { continue };
-            let residual = residual.component_mul(&weights);
+            let Some(moved) = self.moved(pair, state) else { continue };
+            let Some(rows) = self.derivatives(pair, moved, state) else { continue };
+            let residual = self.residual_of(pair, moved, state).component_mul(&weights);
             let rows = Rows::from_fn(|row, column| weights[row] * rows[(row, column)]);
             let weight = 1.0 / (1.0 + residual.norm_squared() / (WIDE * WIDE));
             let share = weight * rows.transpose() * residual;
@@ -189,15 +199,17 @@ impl Problem<'_> {
         Normal { information: of_pairs + prior, of_pairs, gradient: gradient + prior * state, blocks }
     }
 
-    fn derivatives(&self, pair: &Pair, state: &Unknowns) -> Option<Rows> {
+    /// `moved` is how the robot has moved: only another offset in time changes it.
+    fn derivatives(&self, pair: &Pair, moved: Pose, state: &Unknowns) -> Option<Rows> {
         let mut rows = Rows::zeros();
         for (unknown, nudge) in NUDGE.into_iter().enumerate() {
-            let moved = |by: f64| {
+            let nudged = |by: f64| {
                 let mut state = *state;
                 state[unknown] += by;
-                self.residual(pair, &state)
+                let moved = if unknown == OFFSET { self.moved(pair, &state)? } else { moved };
+                Some(self.residual_of(pair, moved, &state))
             };
-            let slope = (moved(nudge)? - moved(-nudge)?) / (2.0 * nudge);
+            let slope = (nudged(nudge)? - nudged(-nudge)?) / (2.0 * nudge);
             rows.set_column(unknown, &slope);
         }
         Some(rows)
