@@ -13,6 +13,10 @@ const OCCUPIED_SCORE: u16 = u16::MAX / 2;
 /// Cells along a side of the blocks whose greatest score a tile holds.
 const BLOCK: usize = 4;
 const BLOCKS: usize = TILE_SIDE / BLOCK;
+/// Along a side of the parts of a tile that are left out as wholes: cells, blocks, and how many there are of them in a tile.
+const PART: usize = 16;
+const PART_BLOCKS: usize = PART / BLOCK;
+const PARTS: usize = TILE_SIDE / PART;
 
 /// The cells that a scan may judge.
 #[derive(Clone, Copy, Debug)]
@@ -23,10 +27,12 @@ pub(crate) struct Reach {
 }
 
 /// Calls `visit` for each occupied cell with its centre within reach, in a fixed order: with the cell, its centre, and its place in
-/// that order among all cells that could be within the radius, whatever the wedge.
+/// that order among all cells that could be within the radius, whatever the wedge. Those in rectangles that `hides` names, which is given
+/// two corners as seen from the middle, may be left out.
 pub(crate) fn for_each_occupied<H: Deref<Target = Tile>>(
     grid: &TileGrid<H>,
     reach: Reach,
+    hides: impl Fn(Point, Point) -> bool,
     mut visit: impl FnMut(CellIndex, Point, u32),
 ) {
     let Reach { around, radius_m, wedge } = reach;
@@ -37,15 +43,30 @@ pub(crate) fn for_each_occupied<H: Deref<Target = Tile>>(
         for x in first.x..=last.x {
             let key = TileKey { x, y };
             let middle = grid.center(key.cell(TILE_CELLS / 2 + TILE_SIDE / 2));
-            if let Some(tile) =
-                grid.tile(key).filter(|_| !wedge.misses(middle, half_diagonal_m + grid.cell_size_m()))
-            {
-                visit_tile(grid, key, tile, |cell, center, place| {
-                    let (dx, dy) = (center.x_m - around.x_m, center.y_m - around.y_m);
-                    if dx * dx + dy * dy <= radius_m * radius_m && wedge.has(center) {
-                        visit(cell, center, before.saturating_add(place));
-                    }
-                });
+            let hides = |offset: usize, side: usize| {
+                let (low, side_m) = (grid.center(key.cell(offset)), side as f64 * grid.cell_size_m());
+                let seen = |beside_m: f64| {
+                    let beside_m = beside_m - 0.5 * grid.cell_size_m();
+                    Point::new(low.x_m + beside_m - around.x_m, low.y_m + beside_m - around.y_m)
+                };
+                hides(seen(0.0), seen(side_m))
+            };
+            let tile = grid.tile(key).filter(|_| {
+                !wedge.misses(middle, half_diagonal_m + grid.cell_size_m()) && !hides(0, TILE_SIDE)
+            });
+            if let Some(tile) = tile {
+                visit_tile(
+                    grid,
+                    key,
+                    tile,
+                    |part| hides(part, PART),
+                    |cell, center, place| {
+                        let (dx, dy) = (center.x_m - around.x_m, center.y_m - around.y_m);
+                        if dx * dx + dy * dy <= radius_m * radius_m && wedge.has(center) {
+                            visit(cell, center, before.saturating_add(place));
+                        }
+                    },
+                );
             }
             before = before.saturating_add(TILE_CELLS as u32);
         }
@@ -91,9 +112,15 @@ fn visit_tile<H: Deref<Target = Tile>>(
     grid: &TileGrid<H>,
     key: TileKey,
     tile: &Tile,
+    hides: impl Fn(usize) -> bool,
     mut visit: impl FnMut(CellIndex, Point, u32),
 ) {
+    let hidden: [bool; PARTS * PARTS] =
+        std::array::from_fn(|part| hides((part / PARTS * TILE_SIDE + part % PARTS) * PART));
     for (block, _) in tile.score_quarter.iter().enumerate().filter(|(_, score)| **score > OCCUPIED_SCORE) {
+        if hidden[block / BLOCKS / PART_BLOCKS * PARTS + block % BLOCKS / PART_BLOCKS] {
+            continue;
+        }
         let first = (block / BLOCKS) * BLOCK * TILE_SIDE + (block % BLOCKS) * BLOCK;
         for (row, column) in (0..BLOCK).flat_map(|row| (0..BLOCK).map(move |column| (row, column))) {
             let offset = first + row * TILE_SIDE + column;
@@ -157,7 +184,7 @@ mod tests {
             let mut last = None;
             let wedge = |sector: Sector| sector.wedge(Pose::new(x, y, turn));
             let whole = Reach { around, radius_m: radius, wedge: wedge(Sector::WHOLE) };
-            for_each_occupied(&grid, whole, |cell, _, place| {
+            for_each_occupied(&grid, whole, |_, _| false, |cell, _, place| {
                 assert!(found.insert((cell.x, cell.y)) && last < Some(place));
                 at.insert(place, cell);
                 last = Some(place);
@@ -166,7 +193,7 @@ mod tests {
             let mut in_parts = BTreeMap::new();
             for part in 0..3 {
                 let reach = Reach { wedge: wedge(Sector::new(part, 3)), ..whole };
-                for_each_occupied(&grid, reach, |cell, _, place| assert!(in_parts.insert(place, cell).is_none()));
+                for_each_occupied(&grid, reach, |_, _| false, |cell, _, place| assert!(in_parts.insert(place, cell).is_none()));
             }
             prop_assert_eq!(at, in_parts);
             let near = |(x, y): &(i32, i32)| grid.center(CellIndex::new(*x, *y)).distance_m(around) <= radius;

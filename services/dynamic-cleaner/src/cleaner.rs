@@ -204,7 +204,11 @@ impl DynamicCleaner {
         let mut seen_through = 0;
         let reach =
             Reach { around: at.position(), radius_m: self.settings.radius_m, wedge: sector.wedge(at) };
-        for_each_occupied(grid, reach, |cell, center, place| {
+        // What is hidden is judged open.
+        let hides = |low: Point, high: Point| {
+            self.settings.method == Method::Beams && self.horizon.hides_all(low, high)
+        };
+        for_each_occupied(grid, reach, hides, |cell, center, place| {
             let is_through = match judge(center) {
                 Visibility::SeenThrough => true,
                 Visibility::Supported => false,

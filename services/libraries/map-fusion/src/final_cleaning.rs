@@ -2,12 +2,13 @@
 //! all scans have their final poses, and was not when they were taken.
 
 use crate::FusedMap;
-use crate::rays::Rays;
+use crate::rays::{BLOCK_SIDE, Rays};
 use flockslam_evidence::{CellIndex, TILE_SIDE, TileKey, floor};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::{Deskew, ScanView};
 use flockslam_visibility::{Horizon, Margins, PassThrough, PolarRangeImage, Visibility};
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 /// Cells farther from the lidar are not judged, metres: beams are too far apart there.
 const REACH_M: f64 = 12.0;
@@ -25,6 +26,9 @@ const PASSES: u8 = 2;
 pub const APART_NS: u64 = 300_000_000;
 /// Scans that pass through more than this share of the judged cells have a wrong pose.
 const CONTRADICTED_MAX: f64 = 0.2;
+/// Blocks of cells along the side of a tile: those that a scan cannot see, nor cross, are passed over as wholes.
+const BLOCKS_SIDE: usize = TILE_SIDE / BLOCK_SIDE as usize;
+const BLOCKS: usize = BLOCKS_SIDE * BLOCKS_SIDE;
 /// Final poses of scans are known this well among each other.
 const MARGINS: Margins = Margins { behind_m: 0.15, behind_share: 0.015, beside_m: 0.06, beside_rad: 0.005 };
 
@@ -34,7 +38,7 @@ const MARGINS: Margins = Margins { behind_m: 0.15, behind_share: 0.015, beside_m
 #[derive(Debug)]
 pub struct FinalCleaning {
     cell_size_m: f64,
-    tiles: BTreeMap<TileKey, Vec<Watched>>,
+    tiles: BTreeMap<TileKey, WatchedTile>,
     sight: PolarRangeImage,
     /// What the present scan cannot see.
     horizon: Horizon,
@@ -42,6 +46,35 @@ pub struct FinalCleaning {
     rays: Rays,
     /// Cells that a beam of the present scan passes, and whether all beams near do.
     through: Vec<(TileKey, usize, bool)>,
+}
+
+/// The occupied cells of a tile, block by block, and in each of these in the order of their offsets.
+#[derive(Debug)]
+struct WatchedTile {
+    cells: Vec<Watched>,
+    /// Where each block begins, and where the last one ends.
+    starts: [u16; BLOCKS + 1],
+}
+
+impl WatchedTile {
+    fn new(cells: impl Iterator<Item = Watched>) -> Self {
+        let mut cells: Vec<_> = cells.collect();
+        cells.shrink_to_fit();
+        cells.sort_by_key(|watched| (block(watched.offset), watched.offset));
+        let before = |number: usize| cells.partition_point(|watched| block(watched.offset) < number) as u16;
+        Self { starts: std::array::from_fn(before), cells }
+    }
+
+    /// The places of the cells of a block.
+    fn of_block(&self, number: usize) -> Range<usize> {
+        usize::from(self.starts[number])..usize::from(self.starts[number + 1])
+    }
+}
+
+/// The number of the block that a cell of a tile is in.
+fn block(offset: u16) -> usize {
+    let side = BLOCK_SIDE as usize;
+    usize::from(offset) / TILE_SIDE / side * BLOCKS_SIDE + usize::from(offset) % TILE_SIDE / side
 }
 
 /// An occupied cell, and how often it was looked through since it was last seen to stand.
@@ -70,14 +103,12 @@ impl FinalCleaning {
                 scans: 0,
                 last_ns: i64::MIN,
             };
-            let mut watched: Vec<_> = occupied.map(watch).collect();
-            watched.shrink_to_fit();
-            watched
+            WatchedTile::new(occupied.map(watch))
         };
         let tiles = map.tiles().map(|(key, cells)| (key, occupied(&cells[..])));
         Self {
             cell_size_m: map.cell_size_m(),
-            tiles: tiles.filter(|(_, watched)| !watched.is_empty()).collect(),
+            tiles: tiles.filter(|(_, tile)| !tile.cells.is_empty()).collect(),
             sight: PolarRangeImage::new(),
             horizon: Horizon::new(),
             rays: Rays::new(map.cell_size_m(), REACH_M, PASSED_BEHIND_M, NEAR_CELLS),
@@ -101,30 +132,46 @@ impl FinalCleaning {
         let (mut supported, mut seen_through) = (0, 0);
         for key in rows.flat_map(|y| (left..=right).map(move |x| TileKey { x, y })) {
             let Some(tile) = self.tiles.get_mut(&key) else { continue };
-            for (place, watched) in tile.iter_mut().enumerate() {
-                let cell = key.cell(usize::from(watched.offset));
-                let center = center(cell, size_m);
-                if center.distance_m(at) > REACH_M {
+            for number in 0..BLOCKS {
+                let places = tile.of_block(number);
+                let first = key.cell(block_offset(number));
+                let last =
+                    CellIndex::new(first.x.saturating_add(BLOCK_SIDE), first.y.saturating_add(BLOCK_SIDE));
+                let seen = |corner: CellIndex| {
+                    Point::new(f64::from(corner.x) * size_m - at.x_m, f64::from(corner.y) * size_m - at.y_m)
+                };
+                if places.is_empty()
+                    || (!self.rays.have_touched_block_of(first)
+                        && self.horizon.hides_all(seen(first), seen(last)))
+                {
                     continue;
                 }
-                let (is_end_near, is_crossed) = self.rays.at(cell);
-                if is_end_near {
-                    (watched.passes, watched.scans) = (0, 0);
-                }
-                match view.judge(center) {
-                    Visibility::SeenThrough => {
-                        seen_through += 1;
-                        self.through.push((key, place, true));
+                for place in places {
+                    let watched = &mut tile.cells[place];
+                    let cell = key.cell(usize::from(watched.offset));
+                    let center = center(cell, size_m);
+                    if center.distance_m(at) > REACH_M {
                         continue;
                     }
-                    Visibility::Supported | Visibility::Touched => {
-                        supported += 1;
-                        watched.views = 0;
+                    let (is_end_near, is_crossed) = self.rays.at(cell);
+                    if is_end_near {
+                        (watched.passes, watched.scans) = (0, 0);
                     }
-                    Visibility::Passed | Visibility::Open => (),
-                }
-                if !is_end_near && is_crossed {
-                    self.through.push((key, place, false));
+                    match view.judge(center) {
+                        Visibility::SeenThrough => {
+                            seen_through += 1;
+                            self.through.push((key, place, true));
+                            continue;
+                        }
+                        Visibility::Supported | Visibility::Touched => {
+                            supported += 1;
+                            watched.views = 0;
+                        }
+                        Visibility::Passed | Visibility::Open => (),
+                    }
+                    if !is_end_near && is_crossed {
+                        self.through.push((key, place, false));
+                    }
                 }
             }
         }
@@ -136,7 +183,7 @@ impl FinalCleaning {
 
     fn count(&mut self, now_ns: i64, views: u8) {
         for (key, place, is_clear) in &self.through {
-            let watched = self.tiles.get_mut(key).map(|tile| &mut tile[*place]);
+            let watched = self.tiles.get_mut(key).map(|tile| &mut tile.cells[*place]);
             if let Some(watched) = watched.filter(|watched| now_ns.abs_diff(watched.last_ns) >= APART_NS) {
                 watched.views = watched.views.saturating_add(views * u8::from(*is_clear));
                 watched.passes = watched.passes.saturating_add(views);
@@ -154,8 +201,8 @@ impl FinalCleaning {
                 || (watched.passes >= VIEWS && watched.scans >= SCANS)
                 || (watched.passes >= PASSES && self.something_stands_near(cell))
         };
-        let free_of = |(key, watched): (&TileKey, &Vec<Watched>)| {
-            let cells = watched.iter().map(|watched| (watched, key.cell(usize::from(watched.offset))));
+        let free_of = |(key, tile): (&TileKey, &WatchedTile)| {
+            let cells = tile.cells.iter().map(|watched| (watched, key.cell(usize::from(watched.offset))));
             cells.filter(|(watched, cell)| is_free(watched, *cell)).map(|(_, cell)| cell).collect::<Vec<_>>()
         };
         self.tiles.iter().flat_map(free_of).collect()
@@ -172,10 +219,15 @@ impl FinalCleaning {
 
     fn watched(&self, cell: CellIndex) -> Option<&Watched> {
         let tile = self.tiles.get(&cell.tile())?;
-        // They are in the order of their offsets.
-        let place = tile.binary_search_by_key(&cell.offset(), |watched| usize::from(watched.offset));
-        place.ok().map(|place| &tile[place])
+        let block = &tile.cells[tile.of_block(block(cell.offset() as u16))];
+        let place = block.binary_search_by_key(&cell.offset(), |watched| usize::from(watched.offset));
+        place.ok().map(|place| &block[place])
     }
+}
+
+/// The offset of the first cell of a block.
+fn block_offset(number: usize) -> usize {
+    (number / BLOCKS_SIDE * TILE_SIDE + number % BLOCKS_SIDE) * BLOCK_SIDE as usize
 }
 
 fn center(cell: CellIndex, cell_size_m: f64) -> Point {

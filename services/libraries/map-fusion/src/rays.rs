@@ -9,6 +9,10 @@ use flockslam_ray_insertion::Ray;
 /// Cells around the lidar, to each side.
 const REACH_CELLS: i32 = 512;
 const SIDE: usize = 2 * REACH_CELLS as usize;
+/// Cells along the side of a block, a power of two.
+pub const BLOCK_SIDE: i32 = 16;
+/// Blocks along the side of the square; the lidar is in one, and half of another may stand out on either side.
+const BLOCKS_SIDE: usize = SIDE / BLOCK_SIDE as usize + 1;
 
 /// The cells of a square around the lidar; those farther away nothing crosses, and nothing ends near them.
 #[derive(Debug)]
@@ -24,6 +28,8 @@ pub struct Rays {
     middle: CellIndex,
     /// The number of the last scan of which a beam ended near, and of the last of which one went through; numbers begin again after 255.
     marks: Vec<Marks>,
+    /// By block: the number of the last scan that has left a mark in it.
+    blocks: Vec<u8>,
     scan: u8,
 }
 
@@ -38,13 +44,15 @@ impl Rays {
     /// Of no scan.
     pub fn new(cell_size_m: f64, reach_m: f64, before_m: f64, near: i32) -> Self {
         let (middle, marks) = (CellIndex::new(0, 0), vec![Marks::default(); SIDE * SIDE]);
-        Self { cell_size_m, reach_m, before_m, near, middle, marks, scan: 0 }
+        let blocks = vec![0; BLOCKS_SIDE * BLOCKS_SIDE];
+        Self { cell_size_m, reach_m, before_m, near, middle, marks, blocks, scan: 0 }
     }
 
     /// Those of a scan from `at`, in place of those before.
     pub fn look(&mut self, scan: ScanView<'_>, deskew: &Deskew, map_from_base: Pose, at: Point) {
         if self.scan == u8::MAX {
             self.marks.fill(Marks::default());
+            self.blocks.fill(0);
             self.scan = 0;
         }
         self.scan += 1;
@@ -67,9 +75,15 @@ impl Rays {
 
     fn cross(&mut self, from: Point, to: Point) {
         let in_cells = |at: Point| Point::new(at.x_m / self.cell_size_m, at.y_m / self.cell_size_m);
+        let mut last = None;
         for cell in Ray::new(in_cells(from), in_cells(to)) {
             if let Some(place) = self.place(cell) {
                 self.marks[place].crossed = self.scan;
+                let block = Some(block_of(cell));
+                if block != last {
+                    last = block;
+                    self.mark_block(cell);
+                }
             }
         }
     }
@@ -82,6 +96,22 @@ impl Rays {
                 self.marks[place].ended = self.scan;
             }
         }
+        // What is near an end is less wide than a block.
+        for (dx, dy) in [(-1, -1), (1, -1), (-1, 1), (1, 1)] {
+            let (x, y) = (end.x.saturating_add(dx * self.near), end.y.saturating_add(dy * self.near));
+            self.mark_block(CellIndex::new(x, y));
+        }
+    }
+
+    fn mark_block(&mut self, cell: CellIndex) {
+        if let Some(block) = self.block_place(block_of(cell)) {
+            self.blocks[block] = self.scan;
+        }
+    }
+
+    /// Whether a beam of the last scan may have crossed, or ended near, a cell of the block that holds this one.
+    pub fn have_touched_block_of(&self, cell: CellIndex) -> bool {
+        self.block_place(block_of(cell)).is_some_and(|block| self.blocks[block] == self.scan)
     }
 
     /// Whether a beam ends near a cell, and whether one goes through it and ends well behind it.
@@ -95,6 +125,16 @@ impl Rays {
         CellIndex::new(floor(at.x_m / self.cell_size_m), floor(at.y_m / self.cell_size_m))
     }
 
+    /// Every block with cells of the square has a place.
+    fn block_place(&self, (x, y): (i32, i32)) -> Option<usize> {
+        let middle = block_of(self.middle);
+        let place = |index: i32, middle: i32| {
+            let away = i64::from(index) - i64::from(middle) + i64::from(REACH_CELLS / BLOCK_SIDE);
+            usize::try_from(away).ok().filter(|away| *away < BLOCKS_SIDE)
+        };
+        Some(place(y, middle.1)? * BLOCKS_SIDE + place(x, middle.0)?)
+    }
+
     fn place(&self, cell: CellIndex) -> Option<usize> {
         let place = |index: i32, middle: i32| {
             let away = i64::from(index) - i64::from(middle) + i64::from(REACH_CELLS);
@@ -102,6 +142,12 @@ impl Rays {
         };
         Some(place(cell.y, self.middle.y)? * SIDE + place(cell.x, self.middle.x)?)
     }
+}
+
+/// Column and row of the block of a cell.
+#[inline]
+fn block_of(cell: CellIndex) -> (i32, i32) {
+    (cell.x.div_euclid(BLOCK_SIDE), cell.y.div_euclid(BLOCK_SIDE))
 }
 
 #[cfg(test)]
@@ -118,7 +164,12 @@ mod tests {
             let view = scan.view().unwrap();
             rays.look(view, &Deskew::new(view, Twist::default()), at, at.position());
             [34, 35, 38, 39, 43, 44].map(|x| {
-                let is = |y: i32| rays.at(CellIndex::new(x, y));
+                let is = |y: i32| {
+                    let cell = CellIndex::new(x, y);
+                    let (near, crossed) = rays.at(cell);
+                    assert!(rays.have_touched_block_of(cell) || !(near || crossed), "{cell:?}");
+                    (near, crossed)
+                };
                 assert!(!is(1).1 && !is(3).0, "the beam goes along the lowest row");
                 is(0)
             })

@@ -1,6 +1,7 @@
 //! Which places a scan cannot see for certain: a bound of its ranges by coarse direction, without an arc tangent for each place.
 
 use crate::PolarRangeImage;
+use flockslam_geometry::Point;
 use flockslam_geometry::elementary::{atan2, hypot};
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -10,6 +11,8 @@ const DIRECTIONS: usize = 256;
 const NEAR_M: f64 = 1.0;
 /// Rounding of angles stays below this, radians.
 const ROUNDING_RAD: f64 = 1e-6;
+/// Slack for the rounding of distances.
+const ROUNDING_M: f64 = 1e-6;
 
 /// The farthest range of a scan in each coarse direction around the lidar.
 #[derive(Clone, Debug)]
@@ -56,12 +59,39 @@ impl Horizon {
     /// [`crate::PassThrough::judge`] says that it is open.
     #[inline]
     pub fn hides(&self, dx_m: f64, dy_m: f64) -> bool {
-        let share = dy_m / (dx_m.abs() + dy_m.abs());
-        let along = if dx_m >= 0.0 { share + 1.0 } else { 3.0 - share };
-        let direction = ((along * (DIRECTIONS as f64 / 4.0)) as usize).min(DIRECTIONS - 1);
         let distance_m = hypot(dx_m, dy_m);
-        distance_m >= NEAR_M && self.farthest_m[direction] < distance_m - self.near_m
+        distance_m >= NEAR_M && self.farthest_m[direction(dx_m, dy_m)] < distance_m - self.near_m
     }
+
+    /// Whether [`Self::hides`] is true of every place well within the rectangle between two corners, which are given as seen from the
+    /// lidar.
+    pub fn hides_all(&self, low: Point, high: Point) -> bool {
+        let away_m = |low_m: f64, high_m: f64| low_m.max(-high_m).max(0.0);
+        let nearest_m = hypot(away_m(low.x_m, high.x_m), away_m(low.y_m, high.y_m)) - ROUNDING_M;
+        if nearest_m < NEAR_M {
+            return false;
+        }
+        let corners = [(low.x_m, low.y_m), (high.x_m, low.y_m), (low.x_m, high.y_m), (high.x_m, high.y_m)];
+        let corners = corners.map(|(x_m, y_m)| direction(x_m, y_m));
+        let (first, last) =
+            corners.iter().fold((DIRECTIONS, 0), |(first, last), d| (first.min(*d), last.max(*d)));
+        let hidden = |directions: &[f64]| directions.iter().all(|far_m| *far_m < nearest_m - self.near_m);
+        // It is seen within less than half a turn. Where its corners are farther apart the directions begin anew in between.
+        if last - first <= DIRECTIONS / 2 {
+            return hidden(&self.farthest_m[first..=last]);
+        }
+        let least = |from: usize| corners.into_iter().filter(|d| *d >= from).min().unwrap_or(from);
+        let most = |to: usize| corners.into_iter().filter(|d| *d < to).max().unwrap_or(0);
+        hidden(&self.farthest_m[least(DIRECTIONS / 2)..]) && hidden(&self.farthest_m[..=most(DIRECTIONS / 2)])
+    }
+}
+
+/// The number of the direction of a place.
+#[inline]
+fn direction(dx_m: f64, dy_m: f64) -> usize {
+    let share = dy_m / (dx_m.abs() + dy_m.abs());
+    let along = if dx_m >= 0.0 { share + 1.0 } else { 3.0 - share };
+    ((along * (DIRECTIONS as f64 / 4.0)) as usize).min(DIRECTIONS - 1)
 }
 
 /// The direction so far behind the negative axis of x, in the measure that is the share of y in |x| + |y|.
@@ -73,7 +103,7 @@ fn turned(along: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::{Margins, PassThrough, Visibility};
-    use flockslam_geometry::{Point, Pose, Twist};
+    use flockslam_geometry::{Pose, Twist};
     use flockslam_messages::{Deskew, ScanBuffer};
     use proptest::prelude::*;
 
@@ -106,6 +136,19 @@ mod tests {
             }
             // About two fifths of the circle are out of view.
             prop_assert!(hidden > 60, "{}", hidden);
+            let mut hidden = 0;
+            for (x, y) in (-12..12).flat_map(|y| (-12..12).map(move |x| (x, y))) {
+                let corner = |x: i32, y: i32| Point::new(0.8 * f64::from(x) - laser.x_m, 0.8 * f64::from(y) - laser.y_m);
+                if horizon.hides_all(corner(x, y), corner(x + 1, y + 1)) {
+                    hidden += 1;
+                    for (column, row) in (0..16).flat_map(|row| (0..16).map(move |column| (column, row))) {
+                        let away = |cell: i32, part: i32| (f64::from(16 * cell + part) + 0.5) * CELL_M;
+                        let (dx, dy) = (away(x, column) - laser.x_m, away(y, row) - laser.y_m);
+                        prop_assert!(horizon.hides(dx, dy), "{} {}", dx, dy);
+                    }
+                }
+            }
+            prop_assert!(hidden > 100, "{}", hidden);
         }
     }
 }
