@@ -8,6 +8,7 @@ use rustix::fs::{FallocateFlags, FsWord, fallocate, fstat, fstatfs, ftruncate as
 use rustix::io::Errno;
 use rustix::mm::{Advice, madvise};
 use std::cell::Cell;
+use std::collections::BTreeMap;
 use std::ffi::c_int;
 use std::fmt;
 use std::os::fd::BorrowedFd;
@@ -88,6 +89,32 @@ pub(crate) fn give_pages<T>(memory: &mut [T]) -> bool {
         // Kernels before 5.14 cannot tell.
         Ok(()) | Err(Errno::INVAL) => true,
         Err(_) => false,
+    }
+}
+
+/// The pages that the messages of one sender have got so far: those that are lent again have them already.
+#[derive(Debug, Default)]
+pub(crate) struct GivenPages {
+    /// By address of a message's memory: how many bytes of it have pages.
+    bytes: BTreeMap<usize, usize>,
+    /// The longest message, bytes. For a longer one memory grows: what lies where is not known any more.
+    longest: usize,
+}
+
+impl GivenPages {
+    /// As [`give_pages`].
+    pub(crate) fn give<T>(&mut self, memory: &mut [T]) -> bool {
+        let (address, bytes) = (memory.as_ptr().addr(), size_of_val(memory));
+        if bytes > self.longest {
+            (self.longest, self.bytes) = (bytes, BTreeMap::new());
+        }
+        let given = self.bytes.entry(address).or_insert(0);
+        if *given >= bytes {
+            return true;
+        }
+        let has_pages = give_pages(memory);
+        *given = if has_pages { bytes } else { *given };
+        has_pages
     }
 }
 
@@ -191,5 +218,10 @@ mod tests {
         let mut memory = vec![7_u64; 10_000];
         assert!(give_pages(&mut memory[3..9_000]));
         assert!(memory.iter().all(|word| *word == 7));
+        let mut pages = GivenPages::default();
+        for (range, known) in [(3..500, 1), (3..900, 1), (1000..1500, 2), (3..900, 2), (0..2000, 1)] {
+            assert!(pages.give(&mut memory[range]));
+            assert_eq!(pages.bytes.len(), known);
+        }
     }
 }

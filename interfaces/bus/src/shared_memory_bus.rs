@@ -2,7 +2,7 @@
 
 use crate::event::{Listener, Notifier};
 use crate::patience::Patience;
-use crate::room::{give_pages, take_refused_bytes, with_first_bytes};
+use crate::room::{GivenPages, take_refused_bytes, with_first_bytes};
 use crate::service::Service;
 use crate::shared_event::{SharedListener, SharedNotifier};
 use crate::shared_sample::SharedSample;
@@ -16,6 +16,7 @@ use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 use std::any::Any;
+use std::cell::RefCell;
 
 type Factory = publish_subscribe::PortFactory<Service, Words, ()>;
 
@@ -110,7 +111,8 @@ impl Transport for SharedBus {
             .override_sample_preallocation(move |worst| worst.min(limit));
         let created = with_first_bytes(topic.reserved_bytes(), || builder.create());
         let port = made(topic.name, created)?;
-        Ok(Box::new(SharedLender { topic: topic.name, port, is_whole: topic.is_whole() }))
+        let pages = (!topic.is_whole()).then(|| RefCell::new(GivenPages::default()));
+        Ok(Box::new(SharedLender { topic: topic.name, port, pages }))
     }
 
     fn source(&self, topic: &TopicSpec) -> Result<Box<dyn Source>, BusError> {
@@ -138,15 +140,16 @@ impl Transport for SharedBus {
 struct SharedLender {
     topic: &'static str,
     port: publisher::Publisher<Service, Words, ()>,
-    /// All of its memory was there when it was made.
-    is_whole: bool,
+    /// Pages that its messages have got; `None` when all of its memory was there when it was made.
+    pages: Option<RefCell<GivenPages>>,
 }
 
 impl Lender for SharedLender {
     fn send(&self, words: usize, fill: &mut dyn FnMut(&mut Words)) -> Result<(), BusError> {
         let wrong = |error: &dyn std::fmt::Debug| BusError::transfer(self.topic, error);
         let mut slot = self.port.loan_slice_uninit(words).map_err(|e| wrong(&e))?;
-        if !self.is_whole && !give_pages(slot.payload_mut()) {
+        let is_given = |pages: &RefCell<GivenPages>| pages.borrow_mut().give(slot.payload_mut());
+        if !self.pages.as_ref().is_none_or(is_given) {
             return Err(BusError::out_of_room(self.topic, (words * size_of::<u64>()) as u64));
         }
         slot.payload_mut().iter_mut().for_each(|word| {

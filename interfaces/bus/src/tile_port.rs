@@ -63,6 +63,7 @@ impl TileHandle {
 impl Deref for TileHandle {
     type Target = Tile;
 
+    #[inline]
     fn deref(&self) -> &Tile {
         &self.0.tile
     }
