@@ -48,6 +48,7 @@ pub fn shell(context: &mut StageContext, settings: Settings) -> Result<Box<dyn A
     Ok(Box::new(Filter {
         verdicts: context.bus.publisher()?,
         matcher: context.bus.notifier(Stage::ScanMatcher.name())?,
+        unrung: false,
         acknowledger: Acknowledger::open(context, 0)?,
         load: if context.mode == Mode::Live { Some(MatcherLoad::open(context)?) } else { None },
         kept: KeptCounts::new(context),
@@ -63,6 +64,8 @@ struct Filter {
     describer: Describer,
     verdicts: Publisher<Verdict>,
     matcher: Notifier,
+    /// Verdicts were sent that the matcher has not been woken for.
+    unrung: bool,
     acknowledger: Acknowledger,
     load: Option<MatcherLoad>,
     kept: KeptCounts,
@@ -133,7 +136,10 @@ impl Filter {
         context: &mut StageContext,
     ) -> Result<(), StageError> {
         self.verdicts.send(verdict)?;
-        self.matcher.ring();
+        self.unrung = true;
+        if context.mode == Mode::Live {
+            self.ring();
+        }
         match DropReason::from_number(verdict.reason) {
             Some(reason) => context.dropped(reason.name()),
             None => KeepReason::from_number(verdict.reason).into_iter().for_each(|r| self.kept.count(r)),
@@ -143,10 +149,14 @@ impl Filter {
         context.handled(id.sequence, started_ns, verdict.times.monotonic_ns);
         self.acknowledger.finished(verdict.id.sequence + 1)
     }
-}
 
-impl Actor for Filter {
-    fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
+    fn ring(&mut self) {
+        self.unrung = false;
+        self.matcher.ring();
+    }
+
+    /// Judges all scans that are there; whether there was any.
+    fn judge_all(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
         let mut any = self.finish_shared(context)?;
         while !self.shares.waits() {
             let Some(sample) = self.describer.scans.receive()? else { break };
@@ -156,6 +166,17 @@ impl Actor for Filter {
                 self.begin(sample, context)?;
                 self.finish_shared(context)?;
             }
+        }
+        Ok(any)
+    }
+}
+
+impl Actor for Filter {
+    fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
+        let any = self.judge_all(context)?;
+        // In exact replay one wake is for all verdicts on what the source has sent at once.
+        if self.unrung {
+            self.ring();
         }
         Ok(any)
     }

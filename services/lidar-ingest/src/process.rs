@@ -151,6 +151,8 @@ struct Ingest {
     /// It has been announced.
     announced: bool,
     sequence: u64,
+    /// Scans were sent that the first stages have not been woken for.
+    unrung: bool,
     pause: Pause,
     /// The set was paused at the last look.
     rests: bool,
@@ -187,6 +189,7 @@ impl Ingest {
             loaded: false,
             announced: false,
             sequence: resumed,
+            unrung: false,
             pause: Pause::of(&context.status_dir),
             rests: false,
             stream: StreamEnd::open(context)?,
@@ -253,16 +256,19 @@ impl Ingest {
         header.times.utc_ns = utc_ns();
         let view = self.scan.view().map_err(|problem| StageError::Source(problem.to_string()))?;
         self.scans.send(view)?;
+        self.unrung = true;
         // A stage that waits awake needs the processor rather than the notification.
-        if !self.announced {
-            self.first.ring();
+        let wakes =
+            context.mode == Mode::Live || (self.sequence + 1).is_multiple_of(self.rung_scans(context));
+        if wakes && !self.announced {
+            self.ring();
         }
         if context.mode == Mode::Live {
             // A stage that was woken may wait for this very processor: reading the next scan has time.
             step_aside();
         }
         if self.announced {
-            self.first.ring();
+            self.ring();
         }
         (self.loaded, self.announced) = (false, false);
         self.sequence += 1;
@@ -273,6 +279,47 @@ impl Ingest {
         self.watch.gave(self.scan.header.id.lidar, now_ns, |number| self.feed.lidar_name(number));
         context.handled(self.sequence - 1, now_ns, now_ns);
         Ok(())
+    }
+
+    /// Exact replay: a wake costs about as much as handling a scan, so it is for so many, or for as many as there is credit for.
+    fn rung_scans(&self, context: &StageContext) -> u64 {
+        (context.capacity.window as u64 / 8).max(1)
+    }
+
+    fn ring(&mut self) {
+        self.unrung = false;
+        self.first.ring();
+    }
+
+    /// Sends what is due; whether there was anything.
+    fn send_due(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
+        let mut any = false;
+        while !self.end.is_said() && !context.stop.is_set() {
+            if !self.loaded {
+                match self.feed.next(&mut self.scan)? {
+                    Fed::Scan => self.loaded = true,
+                    Fed::NotYet => return Ok(any),
+                    Fed::End => {
+                        self.announce_end(context)?;
+                        return Ok(true);
+                    }
+                }
+            }
+            if self.rests(context) {
+                if self.loaded {
+                    return Ok(any);
+                }
+                continue;
+            }
+            if !self.is_due(context) {
+                self.announce(context.now_ns());
+                return Ok(any);
+            }
+            self.publish(context)?;
+            any = true;
+            self.hear_progress()?;
+        }
+        Ok(any)
     }
 
     fn announce_end(&mut self, context: &mut StageContext) -> Result<(), StageError> {
@@ -319,31 +366,9 @@ impl Actor for Ingest {
         if self.stream.end_wanted && !self.end.is_said() {
             self.announce_end(context)?;
         }
-        let mut any = false;
-        while !self.end.is_said() && !context.stop.is_set() {
-            if !self.loaded {
-                match self.feed.next(&mut self.scan)? {
-                    Fed::Scan => self.loaded = true,
-                    Fed::NotYet => return Ok(any),
-                    Fed::End => {
-                        self.announce_end(context)?;
-                        return Ok(true);
-                    }
-                }
-            }
-            if self.rests(context) {
-                if self.loaded {
-                    return Ok(any);
-                }
-                continue;
-            }
-            if !self.is_due(context) {
-                self.announce(context.now_ns());
-                return Ok(any);
-            }
-            self.publish(context)?;
-            any = true;
-            self.hear_progress()?;
+        let any = self.send_due(context)?;
+        if self.unrung {
+            self.ring();
         }
         Ok(any)
     }
