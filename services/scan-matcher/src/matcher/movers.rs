@@ -7,6 +7,7 @@ use crate::prediction::Prediction;
 use flockslam_evidence::{CellIndex, PackedCell, TILE_SIDE, Tile, TileGrid, WEIGHT_SCALE};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::ScanView;
+use flockslam_registration::cloud::Placement;
 use std::ops::{Deref, Range};
 
 /// A cell with this much evidence for "free", nat, was passed through by several scans.
@@ -76,12 +77,13 @@ fn without_movers<H: Deref<Target = Tile>>(
 ) -> (ScanPoints, MoverMask) {
     let companions = mask.moving.len();
     mask.unmark(points.len());
+    let placement = Placement::from(pose);
     let (mut first, mut wide) = (0, 0);
     for end in 1..=points.len() {
         if points.ends.get(end).is_some_and(|next| next.distance_m(points.ends[end - 1]) < JOIN_M) {
             continue;
         }
-        let aside = mark_piece(&points, first..end, &mut mask, companions, pose, grid);
+        let aside = mark_piece(&points, first..end, &mut mask, companions, &placement, grid);
         if points.ends[first].distance_m(points.ends[end - 1]) > WIDE_M {
             wide += aside;
         }
@@ -106,13 +108,13 @@ fn mark_piece<H: Deref<Target = Tile>>(
     piece: Range<usize>,
     mask: &mut MoverMask,
     companions: usize,
-    pose: Pose,
+    pose: &Placement,
     grid: &TileGrid<H>,
 ) -> usize {
     let body = is_new_body(grid, pose, &points.ends[piece.clone()]);
     let mut marked = 0;
     for i in piece {
-        if body || ends_where_nothing_stood(grid, pose.apply(points.ends[i])) {
+        if body || ends_where_nothing_stood(grid, in_odom(pose, points.ends[i])) {
             marked += 1;
             mask.marks[i] = true;
             add_beams(&mut mask.moving, companions, points.beams[i], points.stride);
@@ -122,7 +124,7 @@ fn mark_piece<H: Deref<Target = Tile>>(
 }
 
 /// Whether points beside each other, in the robot's frame, are as wide as somebody who stands free, where nothing is established.
-fn is_new_body<H: Deref<Target = Tile>>(grid: &TileGrid<H>, pose: Pose, points: &[Point]) -> bool {
+fn is_new_body<H: Deref<Target = Tile>>(grid: &TileGrid<H>, pose: &Placement, points: &[Point]) -> bool {
     let (Some(first), Some(last)) = (points.first(), points.last()) else { return false };
     if points.len() < BODY_POINTS_MIN
         || first.distance_m(*last) > BODY_WIDTH_MAX_M
@@ -130,9 +132,14 @@ fn is_new_body<H: Deref<Target = Tile>>(grid: &TileGrid<H>, pose: Pose, points: 
     {
         return false;
     }
-    let is_established = |point: &&Point| something_stands_near(grid, grid.cell_at(pose.apply(**point)));
+    let is_established = |point: &&Point| something_stands_near(grid, grid.cell_at(in_odom(pose, **point)));
     let established = points.iter().filter(is_established).count();
     established as f64 <= BODY_ESTABLISHED_MAX * points.len() as f64
+}
+
+fn in_odom(pose: &Placement, point: Point) -> Point {
+    let (x_m, y_m) = pose.apply(point.x_m, point.y_m);
+    Point::new(x_m, y_m)
 }
 
 /// Whether a point lies in space that is known to be free, with nothing established near it.
