@@ -59,8 +59,16 @@ pub struct RecordReader {
     /// Where the next record begins: the end of the last good one.
     offset: u64,
     buffer: Vec<u8>,
+    /// Length of the file when it was looked at last, bytes.
+    length: u64,
+    /// Bytes from `ahead_offset` on that were read together.
+    ahead: Vec<u8>,
+    ahead_offset: u64,
     ending: Ending,
 }
+
+/// So many bytes are read together: a record of a scan is a fraction of that.
+const AHEAD_BYTES: usize = 32 << 10;
 
 impl RecordReader {
     /// Opens the journal at `path` for reading. A file that ends within its head (its writer died while making it)
@@ -82,15 +90,18 @@ impl RecordReader {
                 return Err(JournalError::NotAJournal { path });
             }
             let ending = Ending::Torn { offset: 0, bytes: count as u64 };
-            return Ok(Self { file, path, offset: 0, buffer: Vec::new(), ending });
+            return Ok(Self::at(file, path, 0, ending));
         }
         match read_head(&bytes) {
-            Head::Journal => {
-                Ok(Self { file, path, offset: HEAD_BYTES as u64, buffer: Vec::new(), ending: Ending::Clean })
-            }
+            Head::Journal => Ok(Self::at(file, path, HEAD_BYTES as u64, Ending::Clean)),
             Head::OtherVersion(found) => Err(JournalError::UnknownVersion { path, found, known: VERSION }),
             Head::Foreign => Err(JournalError::NotAJournal { path }),
         }
+    }
+
+    fn at(file: File, path: PathBuf, offset: u64, ending: Ending) -> Self {
+        let (buffer, ahead) = (Vec::new(), Vec::new());
+        Self { file, path, offset, buffer, length: 0, ahead, ahead_offset: 0, ending }
     }
 
     /// The next good record, or `None` at the end; [`Self::ending`] then gives the state of the end.
@@ -121,7 +132,19 @@ impl RecordReader {
 
     /// Reads the record at the offset into the buffer and gives its kind.
     fn advance(&mut self) -> io::Result<Option<u32>> {
-        let left = self.file.metadata()?.len().saturating_sub(self.offset);
+        // What was read ahead may be older than the end of a journal that is being written.
+        let kind = self.advance_within_length()?;
+        if kind.is_some() {
+            return Ok(kind);
+        }
+        self.length = self.file.metadata()?.len();
+        self.ahead.clear();
+        self.advance_within_length()
+    }
+
+    /// The same in a file of the length that was read last.
+    fn advance_within_length(&mut self) -> io::Result<Option<u32>> {
+        let left = self.length.saturating_sub(self.offset);
         let torn = Ending::Torn { offset: self.offset, bytes: left };
         self.ending = if left == 0 { Ending::Clean } else { torn };
         if self.offset < HEAD_BYTES as u64 {
@@ -129,7 +152,7 @@ impl RecordReader {
             return self.skip_head(left);
         }
         let mut bytes = [0; RECORD_HEAD_BYTES];
-        if read_up_to(&self.file, &mut bytes, self.offset)? < RECORD_HEAD_BYTES {
+        if left < RECORD_HEAD_BYTES as u64 || self.read_up_to(&mut bytes, self.offset)? < RECORD_HEAD_BYTES {
             return Ok(None);
         }
         let found = RecordHead::decode(&bytes);
@@ -138,8 +161,11 @@ impl RecordReader {
         if length > RECORD_BYTES_MAX || left < (RECORD_HEAD_BYTES + length) as u64 {
             return Ok(None);
         }
-        self.buffer.resize(length, 0);
-        if read_up_to(&self.file, &mut self.buffer, self.offset + RECORD_HEAD_BYTES as u64)? < length
+        let mut buffer = std::mem::take(&mut self.buffer);
+        buffer.resize(length, 0);
+        let count = self.read_up_to(&mut buffer, self.offset + RECORD_HEAD_BYTES as u64)?;
+        self.buffer = buffer;
+        if count < length
             || found != RecordHead::of(found.length, found.kind, self.offset, [self.buffer.as_slice()])
         {
             return Ok(None);
@@ -147,6 +173,31 @@ impl RecordReader {
         self.offset += (RECORD_HEAD_BYTES + length) as u64;
         self.ending = Ending::Clean;
         Ok(Some(found.kind))
+    }
+
+    /// Fills as much of `to` as the file has at `offset`, and gives the number of bytes; reads ahead.
+    fn read_up_to(&mut self, to: &mut [u8], offset: u64) -> io::Result<usize> {
+        if to.len() > AHEAD_BYTES {
+            return read_up_to(&self.file, to, offset);
+        }
+        let held = |ahead: &[u8], from: u64| {
+            let start = usize::try_from(offset.checked_sub(from)?).ok()?;
+            Some(start).filter(|start| start + to.len() <= ahead.len())
+        };
+        let start = match held(&self.ahead, self.ahead_offset) {
+            Some(start) => start,
+            None => {
+                self.ahead.resize(AHEAD_BYTES, 0);
+                let count = read_up_to(&self.file, &mut self.ahead, offset)?;
+                self.ahead.truncate(count);
+                self.ahead_offset = offset;
+                0
+            }
+        };
+        let bytes = &self.ahead[start..];
+        let count = to.len().min(bytes.len());
+        to[..count].copy_from_slice(&bytes[..count]);
+        Ok(count)
     }
 
     /// A journal that was opened before its head was whole: goes on once the head is there.
@@ -159,7 +210,7 @@ impl RecordReader {
             return Ok(None);
         }
         self.offset = HEAD_BYTES as u64;
-        self.advance()
+        self.advance_within_length()
     }
 }
 
