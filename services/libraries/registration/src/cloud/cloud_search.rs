@@ -26,6 +26,7 @@ pub struct Found {
 #[derive(Default)]
 pub struct Searcher {
     headings: Vec<f64>,
+    points: Vec<(f64, f64)>,
     cells: Vec<(i16, i16)>,
     open: Vec<Branch>,
     sums_max: Option<u64>,
@@ -40,6 +41,9 @@ struct Branch {
     dx: i32,
     dy: i32,
 }
+
+/// Squares beside each other that are looked at together.
+const ALONG: usize = 8;
 
 /// Level to start from: squares of about a quarter of the reach.
 fn top_level(reach: i32) -> usize {
@@ -117,18 +121,26 @@ impl Searcher {
         let steps = (window.turn_rad / step).ceil() as i32;
         self.headings.clear();
         self.cells.clear();
+        mix(points, &mut self.points);
         for i in 0..=2 * steps {
             // 0, 1, -1, 2, -2 …: among equals the heading nearest to the guess wins.
             let signed = if i % 2 == 1 { (i + 1) / 2 } else { -(i / 2) };
             let turn = f64::from(signed) * step;
             let at = Placement::new(guess.x_m, guess.y_m, guess.heading_rad + turn);
             self.headings.push(turn);
-            self.cells.extend(points.iter().map(|&(x, y)| {
+            self.cells.extend(self.points.iter().map(|&(x, y)| {
                 let (x, y) = at.apply(x, y);
                 (PooledField::cell(x) as i16, PooledField::cell(y) as i16)
             }));
         }
     }
+}
+
+/// The points in an order in which those beside each other lie far apart: a few of them tell soon that a square holds nothing.
+fn mix(points: &[(f64, f64)], mixed: &mut Vec<(f64, f64)>) {
+    let stride = (points.len() as f64).sqrt().ceil().max(1.0) as usize;
+    mixed.clear();
+    mixed.extend((0..stride).flat_map(|first| points.iter().skip(first).step_by(stride)));
 }
 
 /// The guess, turned and shifted by whole cells.
@@ -168,22 +180,27 @@ impl Descent<'_> {
     fn open_squares(&mut self, level: usize, heading: u32, open: &mut Vec<Branch>) {
         let stride = 1 << level;
         for dy in (-self.reach..=self.reach).step_by(stride) {
-            for dx in (-self.reach..=self.reach).step_by(stride) {
-                let bound = self.sum(level, heading, dx, dy);
-                if bound > self.best.bound {
-                    open.push(Branch { bound, heading, dx, dy });
+            for first in (-self.reach..=self.reach).step_by(ALONG * stride) {
+                if self.sums_left == 0 {
+                    return;
+                }
+                let enough = self.best.bound + 1;
+                let [bounds] = self.field.sums::<ALONG, 1>(level, self.cells_at(heading), first, dy, enough);
+                for (dx, bound) in (first..=self.reach).step_by(stride).zip(bounds) {
+                    let bound = self.allowed(bound);
+                    if bound > self.best.bound {
+                        open.push(Branch { bound, heading, dx, dy });
+                    }
                 }
             }
         }
     }
 
-    /// Bound of a square; 0, which no search follows, when the work allowed is done.
-    fn sum(&mut self, level: usize, heading: u32, dx: i32, dy: i32) -> u32 {
-        if self.sums_left == 0 {
-            return 0;
-        }
-        self.sums_left -= 1;
-        self.field.sum(level, self.cells_at(heading), dx, dy, self.best.bound + 1)
+    /// Counts a square that was looked at, and gives its bound; 0, which no search follows, when the work allowed is done.
+    fn allowed(&mut self, bound: u32) -> u32 {
+        let is_allowed = self.sums_left > 0;
+        self.sums_left -= u64::from(is_allowed);
+        if is_allowed { bound } else { 0 }
     }
 
     /// Searches a square; true when it holds a new best.
@@ -195,12 +212,17 @@ impl Descent<'_> {
             }
             return better;
         }
+        if self.sums_left == 0 {
+            return false;
+        }
         let half = 1 << (level - 1);
+        let (cells, enough) = (self.cells_at(branch.heading), self.best.bound + 1);
+        let bounds = self.field.sums::<2, 2>(level - 1, cells, branch.dx, branch.dy, enough);
         let mut children = [Branch::default(); 4];
         for (i, child) in children.iter_mut().enumerate() {
             let (dx, dy) = (branch.dx + half * (i as i32 & 1), branch.dy + half * (i as i32 >> 1));
             let inside = dx <= self.reach && dy <= self.reach;
-            let bound = if inside { self.sum(level - 1, branch.heading, dx, dy) } else { 0 };
+            let bound = if inside { self.allowed(bounds[i >> 1][i & 1]) } else { 0 };
             *child = Branch { bound, heading: branch.heading, dx, dy };
         }
         children.sort_by_key(|branch| std::cmp::Reverse(branch.bound));
@@ -282,7 +304,7 @@ mod tests {
         let cells: Vec<_> =
             cells.iter().map(|&(x, y)| (PooledField::cell(x) as i16, PooledField::cell(y) as i16)).collect();
         let tried = (-10..=10).flat_map(|dy| (-10..=10).map(move |dx| (dx, dy)));
-        let most = tried.map(|(dx, dy)| field.sum(0, &cells, dx, dy, 0)).max().unwrap();
+        let most = tried.map(|(dx, dy)| field.sums::<1, 1>(0, &cells, dx, dy, 0)[0][0]).max().unwrap();
         assert!((found.score - f64::from(most) / (255.0 * cells.len() as f64)).abs() < 1e-12);
     }
 

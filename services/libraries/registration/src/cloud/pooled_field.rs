@@ -15,6 +15,8 @@ const LEVELS: usize = 7;
 /// Points farther than this from the frame's origin are left out, metres: a submap's memory stays bounded whatever poses it
 /// was made from.
 const EXTENT_MAX_M: f64 = 60.0;
+/// Points that are added up between two looks at what is left: their values fit into 16 bits.
+const CHUNK: usize = 16;
 /// Steps of the influence table per m² of squared distance.
 const STEPS_PER_M2: f64 = 8000.0;
 
@@ -73,31 +75,61 @@ impl PooledField {
         self.levels.len() - 1
     }
 
-    /// Sum of values over `cells` shifted by (dx, dy) cells: exact on level 0, on level k an upper bound for
-    /// all shifts of up to 2ᵏ - 1 cells more in both directions. Stops early, with some value below `enough`,
-    /// when `enough` is out of reach.
-    pub(super) fn sum(&self, level: usize, cells: &[(i16, i16)], dx: i32, dy: i32, enough: u32) -> u32 {
+    /// Sums of values over `cells` shifted by (dx, dy) cells, and by multiples of 2ᵏ cells more in both directions: exact on level 0, on
+    /// level k upper bounds for all shifts of up to 2ᵏ - 1 cells more. Stops early, with some values below `enough`, when `enough` is
+    /// out of reach for all.
+    ///
+    /// What a cell adds to sums beside each other lies side by side.
+    #[inline]
+    pub(super) fn sums<const COLUMNS: usize, const ROWS: usize>(
+        &self,
+        level: usize,
+        cells: &[(i16, i16)],
+        dx: i32,
+        dy: i32,
+        enough: u32,
+    ) -> [[u32; COLUMNS]; ROWS] {
         let Level { width, height, values } = &self.levels[level];
         // Pooled levels hold one more column and row in front: squares that begin outside and reach in.
         let pad = i32::from(level > 0);
         let (dx, dy) = (dx - self.origin_column, dy - self.origin_row);
-        let mut sum = 0;
+        let mut sums = [[0_u32; COLUMNS]; ROWS];
         let mut left = cells.len() as u32;
-        for chunk in cells.chunks(32) {
+        for chunk in cells.chunks(CHUNK) {
+            let mut parts = [[0_u16; COLUMNS]; ROWS];
             for &(x, y) in chunk {
-                let column = (((i32::from(x) + dx) >> level) + pad) as usize;
-                let row = (((i32::from(y) + dy) >> level) + pad) as usize;
-                if column < *width && row < *height {
-                    sum += u32::from(values[row * width + column]);
+                // Wrapped numbers are outside, as all others that are too large.
+                let column = (i32::from(x).wrapping_add(dx) >> level).wrapping_add(pad);
+                let row = (i32::from(y).wrapping_add(dy) >> level).wrapping_add(pad);
+                for (k, part) in (0..).zip(&mut parts) {
+                    let row = row.wrapping_add(k) as usize;
+                    if row < *height {
+                        let seen = seen::<COLUMNS>(&values[row * width..][..*width], column);
+                        part.iter_mut()
+                            .zip(seen)
+                            .for_each(|(part, value)| *part = part.wrapping_add(value.into()));
+                    }
                 }
             }
+            for (sum, part) in sums.iter_mut().flatten().zip(parts.iter().flatten()) {
+                *sum += u32::from(*part);
+            }
             left -= chunk.len() as u32;
-            if sum + 255 * left < enough {
-                return sum;
+            if sums.iter().flatten().all(|sum| sum + 255 * left < enough) {
+                return sums;
             }
         }
-        sum
+        sums
     }
+}
+
+/// Values beside each other in a row, from a column on; those outside are 0.
+#[inline]
+fn seen<const COLUMNS: usize>(row: &[u8], column: i32) -> [u8; COLUMNS] {
+    let inside = row.get(column as usize..).and_then(|row| row.first_chunk());
+    inside.copied().unwrap_or_else(|| {
+        std::array::from_fn(|k| row.get(column.wrapping_add(k as i32) as usize).copied().unwrap_or(0))
+    })
 }
 
 /// exp(-d²/2σ²) as a byte, by squared distance.
@@ -154,6 +186,10 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    fn sum(field: &PooledField, level: usize, cells: &[(i16, i16)], dx: i32, dy: i32) -> u32 {
+        field.sums::<1, 1>(level, cells, dx, dy, 0)[0][0]
+    }
+
     proptest! {
         #[test]
         fn a_level_bounds_all_shifts_within_its_stride(
@@ -162,17 +198,23 @@ mod tests {
         ) {
             let field = PooledField::new(&points);
             let stride = 1 << level;
-            let bound = field.sum(level, &[(x, y)], 0, 0, 0);
-            let exact = field.sum(0, &[(x, y)], sx % stride, sy % stride, 0);
+            let bound = sum(&field, level, &[(x, y)], 0, 0);
+            let exact = sum(&field, 0, &[(x, y)], sx % stride, sy % stride);
             prop_assert!(exact <= bound, "{exact} > {bound}");
+            // Beside each other they are what each is alone.
+            let together = field.sums::<8, 2>(level, &[(x, y), (y, x)], sx, sy, 0);
+            for (row, column) in (0..2).flat_map(|row| (0..8).map(move |column| (row, column))) {
+                let alone = sum(&field, level, &[(x, y), (y, x)], sx + stride * column, sy + stride * row);
+                prop_assert_eq!(together[row as usize][column as usize], alone);
+            }
         }
     }
 
     #[test]
     fn is_high_on_a_point_and_zero_far_from_it() {
         let field = PooledField::new(&[(0.05, 0.05), (3.0, 3.0)]);
-        assert_eq!(field.sum(0, &[(0, 0)], 0, 0, 0), 255);
-        assert_eq!(field.sum(0, &[(10, 0)], 0, 0, 0), 0);
-        assert_eq!(field.sum(0, &[(0, 0), (10, 0), (-2000, 7)], 0, 0, 0), 255);
+        assert_eq!(sum(&field, 0, &[(0, 0)], 0, 0), 255);
+        assert_eq!(sum(&field, 0, &[(10, 0)], 0, 0), 0);
+        assert_eq!(sum(&field, 0, &[(0, 0), (10, 0), (-2000, 7)], 0, 0), 255);
     }
 }
