@@ -10,10 +10,13 @@ use flockslam_registration::cloud::{
 };
 use std::collections::BTreeMap;
 
-/// Side of the squares that scans are matched in together, metres: around each, all points within reach fit on a grid's torus.
-const BLOCK_M: f64 = 8.0;
-/// Points are in reach of a block within this of its centre along both axes, metres.
-const REACH_M: f64 = 25.4;
+/// Side of the squares that scans are matched in together, metres: around each, all points within reach fit on a grid's torus. In larger ones
+/// fewer points are brought in several times.
+const SQUARE_M: f64 = 16.0;
+/// Points are in reach of a square within this of its centre along both axes, metres: a scan in a corner of it has all points near its own.
+const REACH_M: f64 = 29.4;
+/// Side of the squares in whose order matches come, metres.
+const ORDER_M: f64 = 8.0;
 /// Share of points on lines that a match needs.
 const INLIERS_MIN: f64 = 0.5;
 /// Largest root mean square distance of those from their lines, metres.
@@ -42,7 +45,7 @@ pub struct Refinement<'a> {
     pub in_map: &'a [bool],
 }
 
-/// Points of the map around a block, at their places, by node.
+/// Points of the map around a square, at their places, by node.
 type Around = Vec<(usize, Vec<PlacedPoint>)>;
 
 impl Refinement<'_> {
@@ -51,6 +54,7 @@ impl Refinement<'_> {
         let aligner = Aligner::new(AlignSettings { iterations: 6, ..AlignSettings::default() });
         let mut edges = self.odometry.to_vec();
         edges.extend_from_slice(self.constraints);
+        let mut matches = Vec::new();
         self.for_each_node(grid, poses, |grid, around, node| {
             let points = self.scans.points(self.nodes[node].scan);
             let place = around.binary_search_by_key(&node, |(i, _)| *i);
@@ -60,8 +64,10 @@ impl Refinement<'_> {
             let found = aligner.align(grid, points, poses[node]);
             grid.add_placed(own);
             let believed = found.filter(|found| is_believed(found, &poses[node]));
-            edges.extend(believed.and_then(|found| held(&found, &poses[0], node)));
+            matches.extend(believed.and_then(|found| held(&found, &poses[0], node)));
         });
+        matches.sort_by_key(|edge| (square(&poses[edge.to], ORDER_M), edge.to));
+        edges.extend(matches);
         let settings =
             RobustSettings { chi_squared_max: CHI_SQUARED_MAX, growth: 2.0, rounds: 12, warm_up: 2 };
         solve(self.nodes.len(), &edges, self.odometry.len(), &settings, poses);
@@ -74,13 +80,12 @@ impl Refinement<'_> {
         poses: &[Placement],
         mut visit: impl FnMut(&mut MomentGrid, &Around, usize),
     ) {
-        let block = |metres: f64| (metres / BLOCK_M).floor() as i32;
-        let mut blocks: BTreeMap<(i32, i32), Vec<usize>> = BTreeMap::new();
+        let mut squares: BTreeMap<(i32, i32), Vec<usize>> = BTreeMap::new();
         for i in (1..self.nodes.len()).filter(|i| self.in_map[*i] && !self.nodes[*i].is_held()) {
-            blocks.entry((block(poses[i].y_m), block(poses[i].x_m))).or_default().push(i);
+            squares.entry(square(&poses[i], SQUARE_M)).or_default().push(i);
         }
-        for ((row, column), members) in blocks {
-            let centre = ((f64::from(column) + 0.5) * BLOCK_M, (f64::from(row) + 0.5) * BLOCK_M);
+        for ((row, column), members) in squares {
+            let centre = ((f64::from(column) + 0.5) * SQUARE_M, (f64::from(row) + 0.5) * SQUARE_M);
             let around = self.around(poses, centre);
             around.iter().for_each(|(_, points)| grid.add_placed(points));
             members.into_iter().for_each(|i| visit(grid, &around, i));
@@ -88,7 +93,7 @@ impl Refinement<'_> {
         }
     }
 
-    /// The map's points in reach of a block, by node in ascending order.
+    /// The map's points in reach of a square, by node in ascending order.
     fn around(&self, poses: &[Placement], (x_m, y_m): (f64, f64)) -> Around {
         let in_reach = |i: usize| {
             let at = poses[i];
@@ -102,6 +107,12 @@ impl Refinement<'_> {
         let nodes = (0..self.nodes.len()).filter(|i| self.in_map[*i]);
         nodes.map(|i| (i, in_reach(i))).filter(|(_, points)| !points.is_empty()).collect()
     }
+}
+
+/// Row and column of the square of this side that a pose is in.
+fn square(at: &Placement, side_m: f64) -> (i32, i32) {
+    let number = |metres: f64| (metres / side_m).floor() as i32;
+    (number(at.y_m), number(at.x_m))
 }
 
 /// A match as an edge from node 0, whose pose is held.
