@@ -60,6 +60,24 @@ pub fn cloud_points(points: &[PackedPoint]) -> impl Iterator<Item = &PackedPoint
 pub struct ScanStore {
     points: Vec<PackedPoint>,
     ends: Vec<usize>,
+    directions: Directions,
+}
+
+/// Sines and cosines of the beams of the last scan: those of the next one mostly leave at the same angles.
+#[derive(Default)]
+struct Directions(Vec<(f64, (f64, f64))>);
+
+impl Directions {
+    /// Sine and cosine of a beam's angle.
+    fn of(&mut self, beam: usize, angle_rad: f64) -> (f64, f64) {
+        if self.0.len() <= beam {
+            self.0.resize(beam + 1, (f64::NAN, (0.0, 0.0)));
+        }
+        if self.0[beam].0 != angle_rad {
+            self.0[beam] = (angle_rad, sin_cos(angle_rad));
+        }
+        self.0[beam].1
+    }
 }
 
 impl ScanStore {
@@ -80,7 +98,7 @@ impl ScanStore {
         // Scans with very many beams are read in strides before anything else.
         let stride = scan.len().div_ceil(8 * POINTS_MAX).max(1);
         let mut moving = moving.iter().peekable();
-        for i in (0..scan.len()).step_by(stride) {
+        for (place, i) in (0..scan.len()).step_by(stride).enumerate() {
             while moving.next_if(|range| range.end as usize <= i).is_some() {}
             if moving.peek().is_some_and(|range| range.first as usize <= i) {
                 continue;
@@ -92,7 +110,7 @@ impl ScanStore {
             if !is_open && scan.is_isolated(i) {
                 continue;
             }
-            let (sin, cos) = sin_cos(scan.angle_rad(i));
+            let (sin, cos) = self.directions.of(place, scan.angle_rad(i));
             let (mut x, mut y) = mount.apply(range_m * cos, range_m * sin);
             if takes_time {
                 (x, y) = velocity.after(scan.time_s(i)).apply(x, y);
