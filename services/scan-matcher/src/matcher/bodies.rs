@@ -4,6 +4,7 @@
 
 use super::points::{MoverMask, ScanPoints, add_beams};
 use flockslam_geometry::Point;
+use std::ops::Range;
 
 /// Points of neighbouring beams belong to one cluster when they are nearer to each other than this, metres, …
 const JOIN_M: f64 = 0.08;
@@ -29,8 +30,9 @@ pub(super) fn without_bodies(points: ScanPoints, mut mask: MoverMask) -> (ScanPo
     }
     mask.unmark(points.len());
     let mut left_out = 0;
+    let pieces = pieces(&points.ends);
     for _ in 0..PASSES {
-        left_out += mark_bodies(&points.ends, &mut mask.marks);
+        left_out += mark_bodies(&points.ends, &pieces, &mut mask.marks);
     }
     if left_out as f64 > SHARE_MAX * points.len() as f64 {
         return (points, mask);
@@ -41,25 +43,34 @@ pub(super) fn without_bodies(points: ScanPoints, mut mask: MoverMask) -> (ScanPo
     (points.without(&mask.marks), mask)
 }
 
-/// Marks the points of bodies, of points in the order of their beams; gives how many were not marked yet.
-fn mark_bodies(points: &[Point], marked: &mut [bool]) -> usize {
-    assert_eq!(points.len(), marked.len(), "a mark for each point");
-    let (mut first, mut count) = (0, 0);
+/// The clusters of points, which are in the order of their beams: where each begins and ends.
+fn pieces(points: &[Point]) -> Vec<Range<usize>> {
+    let (mut pieces, mut first) = (Vec::new(), 0);
+    let mut last_m = points.first().map_or(0.0, |point| point.norm_m());
     for end in 1..=points.len() {
-        if points.get(end).is_some_and(|next| belong_together(points[end - 1], *next)) {
-            continue;
+        let is_next = points.get(end).is_some_and(|next| {
+            let before_m = std::mem::replace(&mut last_m, next.norm_m());
+            points[end - 1].distance_m(*next) < JOIN_M + JOIN_SHARE * before_m.min(last_m)
+        });
+        if !is_next {
+            pieces.push(first..end);
+            first = end;
         }
-        if !marked[first] && is_body(points, marked, first, end) {
-            marked[first..end].fill(true);
-            count += end - first;
-        }
-        first = end;
     }
-    count
+    pieces
 }
 
-fn belong_together(one: Point, next: Point) -> bool {
-    one.distance_m(next) < JOIN_M + JOIN_SHARE * one.norm_m().min(next.norm_m())
+/// Marks the points of those pieces that are bodies; gives how many were not marked yet.
+fn mark_bodies(points: &[Point], pieces: &[Range<usize>], marked: &mut [bool]) -> usize {
+    assert_eq!(points.len(), marked.len(), "a mark for each point");
+    let mut count = 0;
+    for piece in pieces {
+        if !marked[piece.start] && is_body(points, marked, piece.start, piece.end) {
+            marked[piece.clone()].fill(true);
+            count += piece.len();
+        }
+    }
+    count
 }
 
 fn is_body(points: &[Point], marked: &[bool], first: usize, end: usize) -> bool {
@@ -93,7 +104,8 @@ mod tests {
 
     fn marked(points: &[Point]) -> Vec<usize> {
         let mut marked = vec![false; points.len()];
-        let counts: usize = (0..PASSES).map(|_| mark_bodies(points, &mut marked)).sum();
+        let pieces = pieces(points);
+        let counts: usize = (0..PASSES).map(|_| mark_bodies(points, &pieces, &mut marked)).sum();
         assert_eq!(counts, marked.iter().filter(|marked| **marked).count());
         (0..points.len()).filter(|i| marked[*i]).collect()
     }
