@@ -44,10 +44,15 @@ impl Canvas {
 
     /// A filled rectangle with sharp edges on whole pixels.
     pub fn rectangle(&mut self, x: i64, y: i64, width: i64, height: i64, colour: Colour) {
-        for row in y..y + height {
-            for column in x..x + width {
-                self.blend(column, row, colour, 1.0);
-            }
+        let within = |from: i64, length: i64, size: u32| {
+            let limit = |place: i64| place.clamp(0, size.into()) as usize;
+            limit(from)..limit(from + length.max(0))
+        };
+        let (rows, columns) = (within(y, height, self.image.height()), within(x, width, self.image.width()));
+        let pixels_in_row = self.image.width() as usize;
+        let (pixels, _) = self.image.as_chunks_mut();
+        for row in rows {
+            pixels[row * pixels_in_row..][columns.clone()].fill(colour);
         }
     }
 
@@ -87,6 +92,9 @@ impl Canvas {
     }
 
     fn blend(&mut self, x: i64, y: i64, colour: Colour, share: f64) {
+        if share == 0.0 {
+            return;
+        }
         let (Ok(x), Ok(y)) = (u32::try_from(x), u32::try_from(y)) else { return };
         if let Some(Rgb(pixel)) = self.image.get_pixel_mut_checked(x, y) {
             *pixel = mix(*pixel, colour, share);
