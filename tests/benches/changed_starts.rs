@@ -14,7 +14,7 @@ use flockslam_evidence::{CellIndex, CellState};
 use flockslam_geometry::Point;
 use flockslam_lidar_ingest::process::read_world;
 use flockslam_localisation::{KnownMap, Localizer, Surroundings};
-use flockslam_loop_closure::scans::{ScanStore, Velocity};
+use flockslam_loop_closure::scans::ScanStore;
 use flockslam_messages::{BeamRange, ScanBuffer};
 use flockslam_random::Random;
 use flockslam_registration::cloud::Placement;
@@ -110,7 +110,7 @@ fn trials(name: &str, starts: usize, is_drawn: bool) -> Result<String, Box<dyn E
             let twist = simulation.twist();
             // The front end does not match what moves.
             let moving = moving(simulation.labels());
-            scans.push(store.keep(scan.view()?, Velocity::from(twist), &moving, false));
+            scans.push(store.keep(scan.view()?, twist, &moving, false));
         }
         for k in 0..10.min(starts - all.len()) {
             let first = way.len() * k / 10;

@@ -12,7 +12,7 @@ use flockslam::store::read_nav2_map;
 use flockslam_evidence::CellState;
 use flockslam_geometry::Pose;
 use flockslam_localisation::{KnownMap, Localizer, Surroundings};
-use flockslam_loop_closure::scans::{ScanStore, Velocity};
+use flockslam_loop_closure::scans::ScanStore;
 use flockslam_messages::ScanBuffer;
 use flockslam_registration::cloud::Placement;
 use start_trials::{StartTrial, start_trial};
@@ -35,7 +35,7 @@ fn scans(log: &str, store: &mut ScanStore) -> Result<Vec<usize>, Box<dyn Error>>
         scan.header.range_max_m = 49.9;
         let (laser, robot) = (Pose::new(tail[0], tail[1], tail[2]), Pose::new(tail[3], tail[4], tail[5]));
         scan.header.base_from_laser = robot.to(laser);
-        numbers.push(store.keep(scan.view()?, Velocity::default(), &[], false));
+        numbers.push(store.keep(scan.view()?, Twist::default(), &[], false));
     }
     Ok(numbers)
 }

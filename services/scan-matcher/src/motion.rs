@@ -252,11 +252,10 @@ impl Motion {
     fn measured_sigma(&self, twist: Twist) -> TwistSigma {
         let (noise_m_s, noise_rad_s) = MEASURED_NOISE;
         let speed_m_s = hypot(noise_m_s, MEASURED_SHARE * twist.x_m_s);
-        let share = MEASURED_SHARE.max(self.turn_scale.sigma());
         TwistSigma {
             x_m_s: speed_m_s,
             y_m_s: speed_m_s,
-            turn_rad_s: hypot(noise_rad_s, share * twist.turn_rad_s),
+            turn_rad_s: hypot(noise_rad_s, self.turn_scale.share() * twist.turn_rad_s),
         }
     }
 

@@ -8,6 +8,11 @@ const CORRECTION_MAX: f64 = 0.2;
 const FIT_SIGMA_RAD: f64 = 0.01;
 /// Turns that fits and odometry see more differently than this, radians, are slips.
 const SLIP_RAD: f64 = 0.05;
+/// The share of a turn that odometry misses beyond its scale, before anything is learned, and how firmly that is assumed: as by so many
+/// turns of a tenth of a radian.
+const START_SHARE: f64 = 0.02;
+const START_TURNS: f64 = 20.0;
+const START_TURN_RAD: f64 = 0.1;
 
 /// The learned scale of turns: the state of a Kalman filter that never forgets.
 ///
@@ -17,11 +22,20 @@ const SLIP_RAD: f64 = 0.05;
 pub(crate) struct TurnScale {
     correction: f64,
     information: f64,
+    /// Sums of what turns have missed, squared, and of these turns, squared: each turn weighs by its square, since fits miss small ones too.
+    missed: f64,
+    turned: f64,
 }
 
 impl Default for TurnScale {
     fn default() -> Self {
-        Self { correction: 0.0, information: START_SIGMA.powi(-2) }
+        let turned = START_TURNS * START_TURN_RAD.powi(4);
+        Self {
+            correction: 0.0,
+            information: START_SIGMA.powi(-2),
+            missed: START_SHARE * START_SHARE * turned,
+            turned,
+        }
     }
 }
 
@@ -31,9 +45,11 @@ impl TurnScale {
         1.0 + self.correction
     }
 
-    /// Standard deviation of the factor.
-    pub(crate) fn sigma(&self) -> f64 {
-        self.information.sqrt().recip()
+    /// Standard deviation of a turn by odometry times the factor, as a share of it. What fits themselves miss counts as missed by odometry, but
+    /// never so that more is than was assumed at first.
+    pub(crate) fn share(&self) -> f64 {
+        let missed = (self.missed / self.turned).sqrt().min(START_SHARE);
+        missed.max(self.information.sqrt().recip())
     }
 
     /// The robot has turned by `fitted_rad` where odometry says `odometry_rad`.
@@ -42,6 +58,9 @@ impl TurnScale {
         if missed_rad.abs() > SLIP_RAD {
             return;
         }
+        let weight = odometry_rad * odometry_rad;
+        self.missed += weight * missed_rad * missed_rad;
+        self.turned += weight * weight;
         let per_fit = FIT_SIGMA_RAD.powi(-2);
         self.information += per_fit * odometry_rad * odometry_rad;
         let step = per_fit * odometry_rad * missed_rad / self.information;

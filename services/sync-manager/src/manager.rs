@@ -211,7 +211,7 @@ impl SyncManager {
             return;
         }
         let is_open = pose.has(PoseFlags::OPEN);
-        let scan = self.scans.keep(scan, pose.twist.into(), moving, is_open);
+        let scan = self.scans.keep(scan, pose.twist, moving, is_open);
         if is_node {
             let sequence = pose.id.sequence;
             let of_trajectory =

@@ -1,7 +1,7 @@
 //! The store of scan points: valid points of each kept scan, thinned out, without the robot's own motion during the scan, four bytes each.
 
 use crate::segment::CLOUD_RANGE_M;
-use flockslam_geometry::Twist;
+use flockslam_geometry::{Point, Twist};
 use flockslam_geometry::elementary::sin_cos;
 use flockslam_messages::{BeamRange, ScanView};
 use flockslam_registration::cloud::{PackedPoint, Placement};
@@ -18,30 +18,6 @@ const SPARSE_POINTS: usize = 80;
 const RANGE_MIN_M: f64 = 0.3;
 /// Most points kept of one scan.
 const POINTS_MAX: usize = 720;
-
-/// Velocity of the robot in its own frame while a scan was taken: metres and radians per second.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Velocity {
-    /// Forward.
-    pub x_m_s: f64,
-    /// To the left.
-    pub y_m_s: f64,
-    /// Counter-clockwise.
-    pub turn_rad_s: f64,
-}
-
-impl Velocity {
-    /// Where the robot is after `seconds`, seen from where it was; for the short time of a scan.
-    fn after(&self, seconds: f64) -> Placement {
-        Placement::new(self.x_m_s * seconds, self.y_m_s * seconds, self.turn_rad_s * seconds)
-    }
-}
-
-impl From<Twist> for Velocity {
-    fn from(twist: Twist) -> Self {
-        Self { x_m_s: twist.x_m_s, y_m_s: twist.y_m_s, turn_rad_s: twist.turn_rad_s }
-    }
-}
 
 /// Whether a scan has few points near the robot, as in the open.
 fn is_sparse(points: &[PackedPoint]) -> bool {
@@ -81,19 +57,20 @@ impl Directions {
 }
 
 impl ScanStore {
-    /// Keeps the valid points of a scan but those on what moves, thinned out, as seen from where the robot was at its stamp; gives
+    /// Keeps the valid points of a scan but those on what moves, thinned out, as seen from where the robot, which had this velocity, was at its
+    /// stamp; gives
     /// its number in the store. `moving` is in order. In the open far points and lone ones, as those of trees are, are kept.
     pub fn keep(
         &mut self,
         scan: ScanView<'_>,
-        velocity: Velocity,
+        twist: Twist,
         moving: &[BeamRange],
         is_open: bool,
     ) -> usize {
         let first = self.points.len();
         let mount = Placement::from(scan.header().base_from_laser);
         let takes_time =
-            !scan.is_empty() && scan.time_s(scan.len() - 1) != 0.0 && velocity != Velocity::default();
+            !scan.is_empty() && scan.time_s(scan.len() - 1) != 0.0 && twist != Twist::default();
         let mut last = (f64::INFINITY, f64::INFINITY);
         // Scans with very many beams are read in strides before anything else.
         let stride = scan.len().div_ceil(8 * POINTS_MAX).max(1);
@@ -113,7 +90,7 @@ impl ScanStore {
             let (sin, cos) = self.directions.of(place, scan.angle_rad(i));
             let (mut x, mut y) = mount.apply(range_m * cos, range_m * sin);
             if takes_time {
-                (x, y) = velocity.after(scan.time_s(i)).apply(x, y);
+                Point { x_m: x, y_m: y } = twist.carried(Point::new(x, y), scan.time_s(i));
             }
             let (dx, dy) = (x - last.0, y - last.1);
             if dx * dx + dy * dy >= SPACING_M * SPACING_M
@@ -211,7 +188,7 @@ mod tests {
             ScanBuffer::from_ranges(&[1.0, f32::NAN, 1.9, 50.0, 0.1], 0.0, std::f64::consts::FRAC_PI_2);
         scan.header.base_from_laser.x_m = 0.5;
         let mut store = ScanStore::default();
-        assert_eq!(store.keep(scan.view().unwrap(), Velocity::default(), &[], false), 0);
+        assert_eq!(store.keep(scan.view().unwrap(), Twist::default(), &[], false), 0);
         let metres: Vec<_> = store.points(0).iter().map(|p| (p.x_m(), p.y_m())).collect();
         let expected = [(1.5, 0.0), (-1.4, 0.0)];
         assert_eq!(metres.len(), 2);
@@ -226,7 +203,7 @@ mod tests {
         let scan = ScanBuffer::from_ranges(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], 0.0, 0.5);
         let moving = [BeamRange { first: 1, end: 3 }, BeamRange { first: 4, end: 5 }];
         let mut store = ScanStore::default();
-        store.keep(scan.view().unwrap(), Velocity::default(), &moving, false);
+        store.keep(scan.view().unwrap(), Twist::default(), &moving, false);
         let kept = store.points(0).iter().map(|p| p.x_m().hypot(p.y_m()).round());
         assert_eq!(kept.collect::<Vec<_>>(), [1.0, 4.0, 6.0]);
     }
@@ -237,9 +214,9 @@ mod tests {
         scan.header.time_increment_s = 0.05;
         // Driving at 1 m/s towards a wall, whose ranges shrink by 5 cm a beam; the second beam came early.
         scan.numbers[1] = 1.95;
-        let velocity = Velocity { x_m_s: 1.0, ..Velocity::default() };
+        let twist = Twist { x_m_s: 1.0, ..Twist::default() };
         let mut store = ScanStore::default();
-        store.keep(scan.view().unwrap(), velocity, &[], false);
+        store.keep(scan.view().unwrap(), twist, &[], false);
         assert_eq!(store.points(0).len(), 1, "all three beams hit the same point");
     }
 
@@ -248,7 +225,7 @@ mod tests {
         let mut store = ScanStore::default();
         for range in [2.0, 3.0, 4.0, 5.0] {
             let scan = ScanBuffer::from_ranges(&[range, range + 0.1, range], 0.0, 0.3);
-            store.keep(scan.view().unwrap(), Velocity::default(), &[], false);
+            store.keep(scan.view().unwrap(), Twist::default(), &[], false);
         }
         let (second, fourth) = (store.points(1).to_vec(), store.points(3).to_vec());
         let renamed = store.retain(&[false, true, false, true]);
@@ -260,7 +237,7 @@ mod tests {
     fn bounds_what_it_keeps_of_a_huge_scan() {
         let scan = ScanBuffer::from_ranges(&vec![15.0; 100_000], 0.0, std::f64::consts::TAU / 1e5);
         let mut store = ScanStore::default();
-        store.keep(scan.view().unwrap(), Velocity::default(), &[], false);
+        store.keep(scan.view().unwrap(), Twist::default(), &[], false);
         let kept = store.points(0).len();
         assert!((POINTS_MAX / 2..=POINTS_MAX).contains(&kept), "{kept}");
     }
