@@ -24,6 +24,7 @@ use flockslam_pose_graph::{RobustSettings, solve};
 use flockslam_registration::cloud::Placement;
 use freeze::FrozenSubmap;
 use map_entries::Entries;
+use middles::Middle;
 use placed_stretch::Stretch;
 use std::collections::{BTreeMap, BTreeSet};
 use unpublished::Unpublished;
@@ -36,6 +37,7 @@ mod final_solution;
 mod freeze;
 mod imported;
 mod map_entries;
+mod middles;
 mod placed_stretch;
 mod shown;
 mod unpublished;
@@ -67,6 +69,7 @@ struct Kept {
     is_node: bool,
     /// The front end has matched it.
     is_matched: bool,
+    middle: Middle,
 }
 
 /// The back end of one robot: poses and inserted scans in, a correction after each of them, the solution at the
@@ -211,6 +214,7 @@ impl SyncManager {
             return;
         }
         let is_open = pose.has(PoseFlags::OPEN);
+        let middle = Middle::of(scan, pose.twist);
         let scan = self.scans.keep(scan, pose.twist, moving, is_open);
         if is_node {
             let sequence = pose.id.sequence;
@@ -226,7 +230,7 @@ impl SyncManager {
             self.enter(pose);
         }
         if let Some(node) = self.odometry.nodes().len().checked_sub(1) {
-            self.kept.push(Kept { record, scan, node, is_node, is_matched });
+            self.kept.push(Kept { record, scan, node, is_node, is_matched, middle });
         }
     }
 

@@ -1,8 +1,8 @@
 //! The store of scan points: valid points of each kept scan, thinned out, without the robot's own motion during the scan, four bytes each.
 
 use crate::segment::CLOUD_RANGE_M;
-use flockslam_geometry::{Point, Twist};
 use flockslam_geometry::elementary::sin_cos;
+use flockslam_geometry::{Point, Twist};
 use flockslam_messages::{BeamRange, ScanView};
 use flockslam_registration::cloud::{PackedPoint, Placement};
 
@@ -60,17 +60,10 @@ impl ScanStore {
     /// Keeps the valid points of a scan but those on what moves, thinned out, as seen from where the robot, which had this velocity, was at its
     /// stamp; gives
     /// its number in the store. `moving` is in order. In the open far points and lone ones, as those of trees are, are kept.
-    pub fn keep(
-        &mut self,
-        scan: ScanView<'_>,
-        twist: Twist,
-        moving: &[BeamRange],
-        is_open: bool,
-    ) -> usize {
+    pub fn keep(&mut self, scan: ScanView<'_>, twist: Twist, moving: &[BeamRange], is_open: bool) -> usize {
         let first = self.points.len();
         let mount = Placement::from(scan.header().base_from_laser);
-        let takes_time =
-            !scan.is_empty() && scan.time_s(scan.len() - 1) != 0.0 && twist != Twist::default();
+        let takes_time = !scan.is_empty() && scan.time_s(scan.len() - 1) != 0.0 && twist != Twist::default();
         let mut last = (f64::INFINITY, f64::INFINITY);
         // Scans with very many beams are read in strides before anything else.
         let stride = scan.len().div_ceil(8 * POINTS_MAX).max(1);

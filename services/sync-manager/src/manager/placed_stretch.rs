@@ -1,6 +1,7 @@
 //! Poses of the kept scans of a stretch from those of its nodes: by their own points.
 
 use super::Kept;
+use super::middles::{Sample, at_stamps};
 use crate::filled_trajectory::{Between, filled};
 use crate::pose_record::PoseRecord;
 use flockslam_loop_closure::place::{DROPPED_MOVE_MAX, KeptScan, MATCHED_MOVE_MAX, Placer};
@@ -25,17 +26,19 @@ impl Stretch<'_> {
         let record = |kept: &Kept| kept.record - first_record;
         let (matched, dropped): (Vec<Kept>, Vec<Kept>) = self.kept.iter().partition(|kept| kept.is_matched);
         let mut place = |kept: &[Kept], expected: Vec<KeptScan>| {
-            let placed = placer.place_all(&expected, grid);
-            kept.iter().map(record).zip(placed).collect::<Vec<_>>()
+            let placed = kept.iter().zip(placer.place_all(&expected, grid));
+            let sample =
+                |(kept, pose): (&Kept, Placement)| Sample { record: record(kept), pose, middle: kept.middle };
+            placed.map(sample).collect::<Vec<_>>()
         };
-        let mut pairs = place(&matched, self.expected(&matched));
+        let mut samples = place(&matched, self.expected(&matched));
         if !dropped.is_empty() {
-            let between = filled(self.records, &pairs, Between::Measured);
+            let between = filled(self.records, &at_stamps(self.records, &samples), Between::Measured);
             let expect = |kept: &Kept| kept.expected([between[record(kept)]; 2]);
-            pairs.extend(place(&dropped, dropped.iter().map(expect).collect()));
-            pairs.sort_by_key(|(record, _)| *record);
+            samples.extend(place(&dropped, dropped.iter().map(expect).collect()));
+            samples.sort_by_key(|sample| sample.record);
         }
-        pairs
+        at_stamps(self.records, &samples)
     }
 
     /// Where scans that the front end has matched are expected: by its path between the nodes around them, and, should that have

@@ -1,0 +1,106 @@
+//! Poses at the stamps of scans that take time, from where the robot was in the middle of each: that its points show best.
+
+use crate::pose_record::PoseRecord;
+use flockslam_geometry::Twist;
+use flockslam_messages::ScanView;
+use flockslam_registration::cloud::Placement;
+
+/// The scans before and after must be so near, in times that the scan takes: then the robot does much the same during all three.
+const NEAR: f64 = 2.5;
+/// A pose that this would move farther stays, metres and radians: one of the three lies wrong.
+const MOVE_MAX: (f64, f64) = (0.03, 0.02);
+
+/// The middle of a scan.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Middle {
+    /// Seconds after the stamp; 0 where all beams are taken at once.
+    after_s: f32,
+    /// The motion until then by the velocity that has straightened the scan: metres, metres, radians.
+    motion: [f32; 3],
+}
+
+/// A scan at its place.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sample {
+    /// Its record.
+    pub(super) record: usize,
+    /// The pose at its stamp.
+    pub(super) pose: Placement,
+    pub(super) middle: Middle,
+}
+
+impl Middle {
+    /// Of a scan that was straightened by this velocity.
+    pub(super) fn of(scan: ScanView<'_>, twist: Twist) -> Self {
+        if !scan.takes_time() || scan.is_empty() {
+            return Self::default();
+        }
+        let after_s = 0.5 * scan.time_s(scan.len() - 1);
+        let motion = twist.motion_after(after_s);
+        let motion = [motion.x_m, motion.y_m, motion.heading_rad].map(|value| value as f32);
+        Self { after_s: after_s as f32, motion }
+    }
+
+    fn motion(&self) -> Placement {
+        let [x_m, y_m, heading_rad] = self.motion.map(f64::from);
+        Placement::new(x_m, y_m, heading_rad)
+    }
+}
+
+/// Poses at the stamps, as (record, pose). The velocity by which a scan is straightened is noisy. An error of it moves the pose at the stamp one
+/// way and that at the end of the scan the other way, and leaves that in its middle as it is. So where scans follow on each other, the pose
+/// at a stamp is that of the parabola through the middles of the scan, the one before and the one after.
+pub(super) fn at_stamps(records: &[PoseRecord], samples: &[Sample]) -> Vec<(usize, Placement)> {
+    let middles: Vec<Placement> = samples.iter().map(|s| s.pose.compose(s.middle.motion())).collect();
+    let at_stamp = |(i, sample): (usize, &Sample)| {
+        let pose = by_parabola(records, samples, &middles, i).filter(|pose| {
+            pose.distance_m(&sample.pose) <= MOVE_MAX.0 && pose.turn_rad(&sample.pose) <= MOVE_MAX.1
+        });
+        (sample.record, pose.unwrap_or(sample.pose))
+    };
+    samples.iter().enumerate().map(at_stamp).collect()
+}
+
+fn by_parabola(
+    records: &[PoseRecord],
+    samples: &[Sample],
+    middles: &[Placement],
+    i: usize,
+) -> Option<Placement> {
+    let after_s = f64::from(samples[i].middle.after_s);
+    if after_s <= 0.0 {
+        return None;
+    }
+    let of = |j: usize| &records[samples[j].record];
+    // Seconds from the middle of this scan to that of another.
+    let later_s = |j: usize| {
+        let stamps_s = of(j).stamp_ns.saturating_sub(of(i).stamp_ns) as f64 * 1e-9;
+        stamps_s + f64::from(samples[j].middle.after_s) - after_s
+    };
+    let belongs = |j: &usize| {
+        let (it, this) = (of(*j), of(i));
+        it.id.lidar == this.id.lidar && it.trajectory == this.trajectory && samples[*j].middle.after_s > 0.0
+    };
+    let before = (0..i).rev().find(belongs)?;
+    let after = (i + 1..samples.len()).find(belongs)?;
+    let (before_s, next_s) = (later_s(before), later_s(after));
+    let reach_s = NEAR * 2.0 * after_s;
+    if !(-reach_s..0.0).contains(&before_s) || !(after_s..=reach_s).contains(&next_s) {
+        return None;
+    }
+    // Lagrange's form at the stamp, in the frame of the middle of this scan, whose own share is thus 0.
+    let at_s = -after_s;
+    let of_before = at_s * (at_s - next_s) / (before_s * (before_s - next_s));
+    let of_after = at_s * (at_s - before_s) / (next_s * (next_s - before_s));
+    let [left, right] = [before, after].map(|j| middles[i].to(middles[j]));
+    let mixed = |pick: fn(&Placement) -> f64, bend: f64| {
+        (of_before - bend / before_s) * pick(&left) + (of_after + bend / next_s) * pick(&right)
+    };
+    // A heading in the middle is the mean of those during the scan, which a robot that begins to turn leaves along a parabola of its own.
+    let bend = after_s * after_s / 3.0 / (before_s - next_s);
+    Some(middles[i].compose(Placement::new(
+        mixed(|pose| pose.x_m, 0.0),
+        mixed(|pose| pose.y_m, 0.0),
+        mixed(|pose| pose.heading_rad, bend),
+    )))
+}
