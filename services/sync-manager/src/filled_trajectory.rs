@@ -38,8 +38,11 @@ pub fn filled(records: &[PoseRecord], known: &[(usize, Placement)], between: Bet
     let blended = |start: (usize, Placement), end: (usize, Placement), i: usize, share: f64| {
         carried(start, i).interpolate(&carried(end, i), share)
     };
+    // Scans of several lidars are neither evenly spaced, nor do their stamps step forward.
+    let is_of_several = records.windows(2).any(|pair| pair[0].id.lidar != pair[1].id.lidar);
     let way = match between {
         Between::FrontEnd => Way::Odometry,
+        Between::Measured if is_of_several => Way::Odometry,
         Between::Measured => Way::chosen(records, known, |middle| {
             let (start, end, i) = (known[middle - 1], known[middle + 1], known[middle].0);
             blended(start, end, i, shares_of_way(&records[start.0..=end.0])[i - start.0])

@@ -44,6 +44,8 @@ mod unpublished;
 
 /// A scan this close to the last one kept is not kept, metres and radians.
 const REST: (f64, f64) = (0.01, 0.005);
+/// Scans of a lidar are at most so many apart among those of all.
+const LIDARS_MAX: usize = 16;
 /// A scan becomes a node of the graph after this much travel, metres …
 const NODE_DISTANCE_M: f64 = 0.3;
 /// … or this much turning, radians.
@@ -210,7 +212,7 @@ impl SyncManager {
         let is_matched = pose.has(PoseFlags::MATCHED);
         let last_is_open = self.odometry.nodes().last().is_some_and(|last| last.is_open);
         // In the open scans stay at the end where the front end's path puts them.
-        if !is_node && (self.rests(&odom) || (!is_matched && last_is_open)) {
+        if !is_node && (self.rests(&odom, pose.id.lidar) || (!is_matched && last_is_open)) {
             return;
         }
         let is_open = pose.has(PoseFlags::OPEN);
@@ -234,11 +236,11 @@ impl SyncManager {
         }
     }
 
-    /// Whether the robot is still where the last scan was kept: nothing is stored while it stands.
-    fn rests(&self, odom: &Placement) -> bool {
-        self.kept.last().is_some_and(|last| {
-            let last = &self.records[last.record].odom;
-            last.distance_m(odom) < REST.0 && last.turn_rad(odom) < REST.1
+    /// Whether the robot is still where the last scan of this lidar was kept: nothing is stored while it stands.
+    fn rests(&self, odom: &Placement, lidar: u32) -> bool {
+        let kept = self.kept.iter().rev().take(LIDARS_MAX).map(|kept| &self.records[kept.record]);
+        kept.filter(|record| record.id.lidar == lidar).take(1).any(|record| {
+            record.odom.distance_m(odom) < REST.0 && record.odom.turn_rad(odom) < REST.1
         })
     }
 
