@@ -132,19 +132,21 @@ fn errors(place: &Path, turning: Turning, beams: Beams) -> (f64, f64) {
     (error_m, error_deg)
 }
 
-/// Mean errors that were reached, metres and degrees, and a tenth more: without straightening a scan is off by up to 11°. Of scans whose
-/// beams are taken at once they are 0.0014 m and 0.046°.
-const ONE_WAY: (f64, f64) = (0.0020, 0.22);
-const TO_AND_FRO: (f64, f64) = (0.0022, 0.136);
+/// An error of scans whose beams leave one after the other may be so many times that of scans taken at once. Without straightening a scan is
+/// off by up to 11°.
+const RATIO_MAX: f64 = 1.2;
+/// The error of the heading, degrees, may be so much more instead: a few hundredths of a degree are the noise of scans taken at once.
+const HEADING_MORE_DEG: f64 = 0.03;
 
 #[test]
 fn scans_of_a_robot_that_turns_fast_are_straightened() {
     let directory = tempfile::tempdir().unwrap();
-    for (turning, limits) in [(Turning::OneWay, ONE_WAY), (Turning::ToAndFro, TO_AND_FRO)] {
+    for turning in [Turning::OneWay, Turning::ToAndFro] {
         let at_once = errors(directory.path(), turning, Beams::AtOnce);
         let one_by_one = errors(directory.path(), turning, Beams::OneAfterTheOther);
         println!("at once {at_once:.4?}, one after the other {one_by_one:.4?}");
-        assert!(one_by_one.0 < limits.0 && one_by_one.1 < limits.1, "{one_by_one:?}");
+        assert!(one_by_one.0 < RATIO_MAX * at_once.0, "{one_by_one:?}");
+        assert!(one_by_one.1 < (RATIO_MAX * at_once.1).max(at_once.1 + HEADING_MORE_DEG), "{one_by_one:?}");
     }
 }
 

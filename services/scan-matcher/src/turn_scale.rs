@@ -83,6 +83,21 @@ mod tests {
     }
 
     #[test]
+    fn turns_that_odometry_never_misses_are_believed_more_and_others_never_less_than_at_first() {
+        let learned = |missed_rad: f64| {
+            let mut scale = TurnScale::default();
+            for k in 0..300 {
+                let turn_rad = if k % 40 < 20 { 0.2 } else { -0.2 };
+                scale.learn(turn_rad, turn_rad + if k % 2 == 0 { missed_rad } else { -missed_rad });
+            }
+            scale.share()
+        };
+        assert_eq!(TurnScale::default().share(), START_SIGMA);
+        assert!(learned(0.0005) < 0.006, "{}", learned(0.0005));
+        assert!((learned(0.02) - START_SHARE).abs() < 1e-3, "{}", learned(0.02));
+    }
+
+    #[test]
     fn a_robot_that_goes_straight_and_one_that_slips_teach_nothing() {
         let mut scale = TurnScale::default();
         scale.learn(0.0, 0.01);

@@ -239,9 +239,9 @@ impl SyncManager {
     /// Whether the robot is still where the last scan of this lidar was kept: nothing is stored while it stands.
     fn rests(&self, odom: &Placement, lidar: u32) -> bool {
         let kept = self.kept.iter().rev().take(LIDARS_MAX).map(|kept| &self.records[kept.record]);
-        kept.filter(|record| record.id.lidar == lidar).take(1).any(|record| {
-            record.odom.distance_m(odom) < REST.0 && record.odom.turn_rad(odom) < REST.1
-        })
+        kept.filter(|record| record.id.lidar == lidar)
+            .take(1)
+            .any(|record| record.odom.distance_m(odom) < REST.0 && record.odom.turn_rad(odom) < REST.1)
     }
 
     /// Whether the robot has moved enough for a new node.

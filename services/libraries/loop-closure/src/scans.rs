@@ -57,9 +57,9 @@ impl Directions {
 }
 
 impl ScanStore {
-    /// Keeps the valid points of a scan but those on what moves, thinned out, as seen from where the robot, which had this velocity, was at its
-    /// stamp; gives
-    /// its number in the store. `moving` is in order. In the open far points and lone ones, as those of trees are, are kept.
+    /// Keeps the valid points of a scan but those on what moves, thinned out, as seen from where the robot, which had this velocity, was
+    /// at its stamp; gives its number in the store. `moving` is in order. In the open far points and lone ones, as those of trees are, are
+    /// kept.
     pub fn keep(&mut self, scan: ScanView<'_>, twist: Twist, moving: &[BeamRange], is_open: bool) -> usize {
         let first = self.points.len();
         let mount = Placement::from(scan.header().base_from_laser);
@@ -211,6 +211,22 @@ mod tests {
         let mut store = ScanStore::default();
         store.keep(scan.view().unwrap(), twist, &[], false);
         assert_eq!(store.points(0).len(), 1, "all three beams hit the same point");
+    }
+
+    #[test]
+    fn a_robot_that_turns_while_it_drives_moves_along_an_arc() {
+        let twist = Twist { x_m_s: 0.4, turn_rad_s: 2.0, ..Twist::default() };
+        // A post, and where the lidar has it after a tenth of a second.
+        let post = Point::new(2.0, 1.0);
+        let then = twist.motion_after(0.1).inverse().apply(post);
+        let mut scan = ScanBuffer::from_ranges(&[3.0, then.norm_m() as f32, then.norm_m() as f32], 0.0, 0.0);
+        scan.header.angle_min_rad = then.y_m.atan2(then.x_m);
+        scan.header.time_increment_s = 0.1;
+        scan.numbers[0] = f32::NAN;
+        let mut store = ScanStore::default();
+        store.keep(scan.view().unwrap(), twist, &[], false);
+        let seen = store.points(0)[0];
+        assert!(Point::new(seen.x_m(), seen.y_m()).distance_m(post) < 0.001, "{} {}", seen.x_m(), seen.y_m());
     }
 
     #[test]

@@ -104,3 +104,68 @@ fn by_parabola(
         mixed(|pose| pose.heading_rad, bend),
     )))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockslam_messages::{PoseEstimate, ScanId};
+
+    /// Where a robot is that turns on the spot, faster and faster.
+    fn truth(time_s: f64) -> Placement {
+        Placement::new(1.0, 2.0, time_s * time_s)
+    }
+
+    fn record(number: usize, lidar: u32) -> PoseRecord {
+        let id = ScanId { sequence: number as u64, lidar, ..ScanId::default() };
+        let mut pose = PoseEstimate { id, ..PoseEstimate::default() };
+        pose.times.sensor_ns = number as i64 * 100_000_000;
+        PoseRecord::new(&pose)
+    }
+
+    /// A scan of a tenth of a second, straightened by a velocity of turning that is off by so much.
+    fn sample(number: usize, off_rad_s: f64) -> Sample {
+        let (stamp_s, after_s) = (0.1 * number as f64, 0.05);
+        let there = truth(stamp_s + after_s);
+        // A fit finds the mean heading of a scan.
+        let middle = Placement::new(there.x_m, there.y_m, there.heading_rad + 2.0 * 0.1 * 0.1 / 24.0);
+        let turn_rad_s = 2.0 * (stamp_s + after_s) + off_rad_s;
+        let motion = Twist { turn_rad_s, ..Twist::default() }.motion_after(after_s);
+        let motion = [motion.x_m, motion.y_m, motion.heading_rad];
+        let pose = middle.compose(Placement::new(motion[0], motion[1], motion[2]).inverse());
+        let middle = Middle { after_s: after_s as f32, motion: motion.map(|value| value as f32) };
+        Sample { record: number, pose, middle }
+    }
+
+    fn off_rad(number: usize) -> f64 {
+        if number.is_multiple_of(2) { 0.1 } else { -0.1 }
+    }
+
+    #[test]
+    fn a_wrong_velocity_does_not_move_the_pose_at_the_stamp() {
+        let records: Vec<_> = (0..20).map(|number| record(number, 0)).collect();
+        let samples: Vec<_> = (0..20).map(|number| sample(number, off_rad(number))).collect();
+        let poses = at_stamps(&records, &samples);
+        for (number, pose) in &poses[1..19] {
+            let truth = truth(0.1 * *number as f64);
+            assert!(pose.distance_m(&truth) < 1e-3, "{number}: {pose:?} {truth:?}");
+            assert!(pose.turn_rad(&truth) < 3e-4, "{number}: {pose:?} {truth:?}");
+            assert!(samples[*number].pose.turn_rad(&truth) > 2e-3);
+        }
+    }
+
+    #[test]
+    fn a_pose_stays_where_scans_are_missing_or_of_another_lidar_or_taken_at_once() {
+        let stays = |records: &[PoseRecord], samples: &[Sample]| {
+            let poses = at_stamps(records, samples);
+            poses.iter().zip(samples).all(|((_, pose), sample)| *pose == sample.pose)
+        };
+        let records: Vec<_> = (0..20).map(|number| record(number, number as u32 % 3)).collect();
+        let samples: Vec<_> = (0..20).map(|number| sample(number, off_rad(number))).collect();
+        assert!(stays(&records, &samples), "the next scan of a lidar comes after three tenths of a second");
+        let records: Vec<_> = (0..20).map(|number| record(number, 0)).collect();
+        let few: Vec<_> = (0..20).step_by(4).map(|number| sample(number, off_rad(number))).collect();
+        assert!(stays(&records, &few));
+        let at_once: Vec<_> = samples.iter().map(|s| Sample { middle: Middle::default(), ..*s }).collect();
+        assert!(stays(&records, &at_once));
+    }
+}
