@@ -10,7 +10,7 @@ mod start_trials;
 
 use flockslam::store::read_nav2_map;
 use flockslam_evidence::CellState;
-use flockslam_geometry::Pose;
+use flockslam_geometry::{Pose, Twist};
 use flockslam_localisation::{KnownMap, Localizer, Surroundings};
 use flockslam_loop_closure::scans::ScanStore;
 use flockslam_messages::ScanBuffer;

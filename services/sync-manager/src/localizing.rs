@@ -187,7 +187,7 @@ impl LocalizingManager {
         self.last_view = Some((odom, trajectory));
         self.stamp_ns = self.records[record].stamp_ns;
         let mut store = ScanStore::default();
-        let number = store.keep(scan, pose.twist.into(), moving, pose.has(PoseFlags::OPEN));
+        let number = store.keep(scan, pose.twist, moving, pose.has(PoseFlags::OPEN));
         let was_localized = self.is_localized && !breaks;
         self.localizer.see(odom, store.points(number));
         self.is_localized = self.localizer.belief().knowledge == Knowledge::Localized;
