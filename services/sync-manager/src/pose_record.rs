@@ -43,13 +43,13 @@ impl PoseRecord {
     }
 }
 
-/// Whether the points of the scan with this pose say where it lies: it was matched, or it was dropped without having been tried, or a map begins
-/// with it. A scan that the front end has tried in vain says nothing, nor does one that the source withheld.
+/// Whether the points of the scan with this pose say where it lies: it was matched, or it was dropped without having been tried. A scan that
+/// the front end has tried in vain says nothing, nor does one that the source withheld.
 pub fn says_its_place(pose: &PoseEstimate) -> bool {
     let untried = [DropReason::Correlated, DropReason::Unchanged, DropReason::Motion, DropReason::Overload];
     let is_untried =
         !pose.has(PoseFlags::OVERRIDDEN) && untried.iter().any(|r| *r as u32 == pose.drop_reason);
-    pose.has(PoseFlags::MATCHED) || pose.has(PoseFlags::INSERT) || is_untried
+    pose.has(PoseFlags::MATCHED) || is_untried
 }
 
 #[cfg(test)]
@@ -57,14 +57,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn matched_and_untried_scans_and_the_first_of_a_map_say_their_place_and_no_others() {
+    fn matched_and_untried_scans_say_their_place_and_no_others() {
         let pose = |flags, drop_reason: u32| PoseEstimate { flags, drop_reason, ..PoseEstimate::default() };
         let tried = pose(PoseFlags::OVERRIDDEN, DropReason::Correlated as u32);
         let (kept, correlated) = (pose(0, 0), pose(0, DropReason::Correlated as u32));
         let withheld = pose(0, DropReason::Withheld as u32);
         let matched = pose(PoseFlags::MATCHED | PoseFlags::OVERRIDDEN, DropReason::Correlated as u32);
-        let first = pose(PoseFlags::INSERT, 0);
-        let says = [tried, kept, correlated, withheld, matched, first].map(|pose| says_its_place(&pose));
-        assert_eq!(says, [false, false, true, false, true, true]);
+        let says = [tried, kept, correlated, withheld, matched].map(|pose| says_its_place(&pose));
+        assert_eq!(says, [false, false, true, false, true]);
     }
 }
