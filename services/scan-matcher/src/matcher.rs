@@ -349,8 +349,9 @@ impl ScanMatcher {
         grid: &TileGrid<H>,
     ) -> PoseEstimate {
         let is_ours = matches!(self.settings.strategy, Strategy::GaussNewton | Strategy::Correlative);
-        let moves = verdict.drop_reason() != DropReason::Unchanged as u32;
-        let is_asked = verdict.keep == 0 && scan.header().withheld == 0 && moves && is_ours;
+        // Without odometry a robot that creeps looks as if it stood.
+        let stands = verdict.drop_reason() == DropReason::Unchanged as u32 && scan.odometry().is_some();
+        let is_asked = verdict.keep == 0 && scan.header().withheld == 0 && !stands && is_ours;
         let is_held = self.confidence.has_started() && !self.confidence.is_in_the_open();
         if !is_asked || !is_held || grid.is_empty() || self.map.begins_elsewhere {
             return predicted;
