@@ -9,6 +9,7 @@ use std::process::Command;
 /// What default settings reach at start heading 0: mean errors over all relations, metres and degrees, and over loops, metres.
 const REACHED: [(Log, f64, f64, f64); 3] =
     [(INTEL, 0.0127, 0.2075, 0.0151), (FR079, 0.0299, 0.419, 0.0403), (ACES, 0.0332, 0.315, 0.0483)];
+
 /// Stamps of the log's scans as they stand in the file, in its order: the third field from the end.
 fn stamps(log: &Log) -> Vec<String> {
     let text = std::fs::read(log.file("clf").unwrap()).unwrap();

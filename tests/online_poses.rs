@@ -8,6 +8,7 @@ const REACHED: [(Log, f64, f64); 3] =
 /// What they reach with default settings: mean errors over all relations, metres and degrees.
 const REACHED_BY_DEFAULT: [(Log, f64, f64); 3] =
     [(INTEL, 0.0426, 0.365), (FR079, 0.0351, 0.653), (ACES, 0.0914, 0.593)];
+
 #[test]
 fn published_poses_of_each_log_are_as_accurate_as_before() {
     for (log, reached_m, reached_loop_m) in REACHED {

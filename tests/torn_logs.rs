@@ -23,7 +23,7 @@ const POOR_WHEELS: Hardship =
 const NO_WHEELS: Hardship = (&["lidar_ingest.odometry=false"], &[(FR079, 0.0298), (ACES, 0.0344)]);
 
 /// Where a log is cut, so that the robot is carried from before the first scan to the second, and the mean error then, metres. In FR079 it gets
-/// from one corridor to another of the same width, in ACES to one that looks the same from 0.7 m farther.
+/// from one corridor to another of the same width; in ACES the map nearby looks like where it gets to.
 const CUTS: [(Log, (usize, usize), f64); 3] =
     [(INTEL, (4000, 7000), 0.0140), (FR079, (548, 1041), 0.0305), (ACES, (5735, 6472), 0.0345)];
 

@@ -41,7 +41,7 @@ const STARTS: usize = 6;
 const APART: (f64, f64) = (1.0, 0.06);
 /// How far a refinement may move a start, standard deviations in metres and radians.
 const START_SIGMA: (f64, f64) = (1.0, 0.06);
-/// Least share of inliers: with half of the points a wrong place along a hedge explains them too.
+/// Least share of inliers; with 0.5 one of eight drives over the simulated campus is bent by 0.8 m.
 const INLIERS_MIN: f64 = 0.6;
 /// A pose elsewhere that explains the query nearly as well makes the match ambiguous: difference of costs per point.
 const AMBIGUOUS_PER_POINT: f64 = 0.04;

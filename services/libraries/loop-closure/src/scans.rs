@@ -63,7 +63,7 @@ impl ScanStore {
     pub fn keep(&mut self, scan: ScanView<'_>, twist: Twist, moving: &[BeamRange], is_open: bool) -> usize {
         let first = self.points.len();
         let mount = Placement::from(scan.header().base_from_laser);
-        let takes_time = !scan.is_empty() && scan.time_s(scan.len() - 1) != 0.0 && twist != Twist::default();
+        let takes_time = scan.takes_time() && twist != Twist::default();
         let mut last = (f64::INFINITY, f64::INFINITY);
         // Scans with very many beams are read in strides before anything else.
         let stride = scan.len().div_ceil(8 * POINTS_MAX).max(1);

@@ -30,9 +30,9 @@ pub(super) fn without_bodies(points: ScanPoints, mut mask: MoverMask) -> (ScanPo
     }
     mask.unmark(points.len());
     let mut left_out = 0;
-    let pieces = pieces(&points.ends);
+    find_pieces(&points.ends, &mut mask.pieces);
     for _ in 0..PASSES {
-        left_out += mark_bodies(&points.ends, &pieces, &mut mask.marks);
+        left_out += mark_bodies(&points.ends, &mask.pieces, &mut mask.marks);
     }
     if left_out as f64 > SHARE_MAX * points.len() as f64 {
         return (points, mask);
@@ -43,9 +43,10 @@ pub(super) fn without_bodies(points: ScanPoints, mut mask: MoverMask) -> (ScanPo
     (points.without(&mask.marks), mask)
 }
 
-/// The clusters of points, which are in the order of their beams: where each begins and ends.
-fn pieces(points: &[Point]) -> Vec<Range<usize>> {
-    let (mut pieces, mut first) = (Vec::new(), 0);
+/// Finds the clusters of points, which are in the order of their beams: where each begins and ends.
+fn find_pieces(points: &[Point], pieces: &mut Vec<Range<usize>>) {
+    pieces.clear();
+    let mut first = 0;
     let mut last_m = points.first().map_or(0.0, |point| point.norm_m());
     for end in 1..=points.len() {
         let is_next = points.get(end).is_some_and(|next| {
@@ -57,7 +58,6 @@ fn pieces(points: &[Point]) -> Vec<Range<usize>> {
             first = end;
         }
     }
-    pieces
 }
 
 /// Marks the points of those pieces that are bodies; gives how many were not marked yet.
@@ -104,7 +104,8 @@ mod tests {
 
     fn marked(points: &[Point]) -> Vec<usize> {
         let mut marked = vec![false; points.len()];
-        let pieces = pieces(points);
+        let mut pieces = Vec::new();
+        find_pieces(points, &mut pieces);
         let counts: usize = (0..PASSES).map(|_| mark_bodies(points, &pieces, &mut marked)).sum();
         assert_eq!(counts, marked.iter().filter(|marked| **marked).count());
         (0..points.len()).filter(|i| marked[*i]).collect()

@@ -77,14 +77,16 @@ impl Carried {
         let before = self.explained.odom_from_base;
         let is_kicked = |from: Pose| fit.distance_m(from) <= KICKED.0 && fit.turn_rad(from) <= KICKED.1;
         let fit = Some(fit).filter(|_| is_kicked(predicted) || is_kicked(before));
+        // Views that cannot be compared leave it as it was.
+        if before.distance_m(predicted) > APART_M {
+            return self.unexplained > 0;
+        }
         let outlines = [&self.explained, &self.present].map(Outline::new);
         let found = |place: Pose| self.contradiction(&outlines, before.inverse() * place);
-        let is_judged = before.distance_m(predicted) <= APART_M;
         let (found_there, found_elsewhere) =
             (found(predicted), [Some(before), fit].map(|place| place.and_then(found)));
         let judged = found_there.iter().chain(found_elsewhere.iter().flatten());
-        // Views that cannot be compared leave it as it was.
-        if !is_judged || judged.clone().next().is_none() {
+        if judged.clone().next().is_none() {
             return self.unexplained > 0;
         }
         let is_doubted = found_there.is_some_and(|found| found.is_at_least(DOUBTED))

@@ -58,10 +58,8 @@ impl ScanMatcher {
         let as_fitted = Judgement { pose: fitted.fit.pose, twist, covariance, quality: self.quality(fitted) };
         let is_poor = fitted.fit.score < self.least_score(fitted, CONTRADICTED.0);
         // Without a gap a robot was not driven where odometry rules it out, even if that place looks like the scan.
-        if is_carried && !self.confidence.lost_after_gap {
-            return Judgement { quality: Quality::Lost, ..as_fitted };
-        }
-        if self.is_found_again(fitted) && !is_contradicted(fitted, mask, grid) {
+        let may_be_there = !is_carried || self.confidence.lost_after_gap;
+        if may_be_there && self.is_found_again(fitted) && !is_contradicted(fitted, mask, grid) {
             return Judgement { quality: Quality::Degraded, ..as_fitted };
         }
         if is_carried {

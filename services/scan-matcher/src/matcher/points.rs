@@ -5,7 +5,7 @@ use crate::settings::Settings;
 use flockslam_geometry::{Point, Twist};
 use flockslam_messages::{BeamRange, Deskew, ScanView};
 use std::iter::Peekable;
-use std::ops::RangeInclusive;
+use std::ops::{Range, RangeInclusive};
 
 /// Where the matched beams of a scan end, in the order of the beams. All lists are of the same length.
 #[derive(Debug, Default)]
@@ -33,6 +33,8 @@ pub(super) struct MoverMask {
     pub(super) bodies: Vec<BeamRange>,
     /// For each point at hand, whether it is to be left out.
     pub(super) marks: Vec<bool>,
+    /// Clusters of the points at hand: memory of the search for bodies.
+    pub(super) pieces: Vec<Range<usize>>,
 }
 
 impl ScanPoints {
