@@ -97,7 +97,7 @@ pub(crate) fn give_pages<T>(memory: &mut [T]) -> bool {
 pub(crate) struct GivenPages {
     /// By address of a message's memory: how many bytes of it have pages.
     bytes: BTreeMap<usize, usize>,
-    /// The longest message, bytes. For a longer one memory grows: what lies where is not known any more.
+    /// The longest message, bytes. For a longer one memory grows, and the old addresses mean nothing.
     longest: usize,
 }
 

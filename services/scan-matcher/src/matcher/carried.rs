@@ -51,7 +51,7 @@ pub(super) struct Carried {
     doubted: u32,
 }
 
-/// How far two views contradict each other: the shares of their points that lie in the other's free space, both together and the lesser.
+/// How far two views contradict each other: the shares of their points in the other's free space, both together and the lesser.
 #[derive(Clone, Copy, Debug)]
 struct Contradiction {
     sum: f64,

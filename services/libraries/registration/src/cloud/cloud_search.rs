@@ -136,7 +136,7 @@ impl Searcher {
     }
 }
 
-/// The points in an order in which those beside each other lie far apart: a few of them tell soon that a square holds nothing.
+/// The points in an order in which those beside each other are far apart: a few of them tell soon that a square holds nothing.
 fn mix(points: &[(f64, f64)], mixed: &mut Vec<(f64, f64)>) {
     let stride = (points.len() as f64).sqrt().ceil().max(1.0) as usize;
     mixed.clear();

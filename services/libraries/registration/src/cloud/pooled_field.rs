@@ -79,7 +79,7 @@ impl PooledField {
     /// level k upper bounds for all shifts of up to 2ᵏ - 1 cells more. Stops early, with some values below `enough`, when `enough` is
     /// out of reach for all.
     ///
-    /// What a cell adds to sums beside each other lies side by side.
+    /// What a cell adds to sums beside each other is side by side in memory.
     #[inline]
     pub(super) fn sums<const COLUMNS: usize, const ROWS: usize>(
         &self,
