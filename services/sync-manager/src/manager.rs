@@ -367,12 +367,16 @@ impl SyncManager {
 
     /// Solves the graph of the first `known` nodes, from the odometry, with all eligible loops on trial again.
     fn solve(&mut self, known: usize) {
+        self.solve_with(known, &eligible(&self.closures, &self.odometry.nodes()[..known]));
+    }
+
+    /// Solves the graph of the first `known` nodes with these loops on trial.
+    fn solve_with(&mut self, known: usize, eligible: &[bool]) {
         let mut edges: Vec<Edge> = self.odometry.edges()[..known - 1].to_vec();
         edges.extend(self.odometry.given());
         let trusted = edges.len();
-        let eligible = eligible(&self.closures, &self.odometry.nodes()[..known]);
         edges.extend(
-            self.closures.iter().zip(&eligible).filter(|(_, eligible)| **eligible).map(|(c, _)| c.edge),
+            self.closures.iter().zip(eligible).filter(|(_, eligible)| **eligible).map(|(c, _)| c.edge),
         );
         let closures_end = edges.len();
         edges.extend(self.entry_edges(known));

@@ -18,6 +18,9 @@ const EXTENT_PER_SHIFT: f64 = 2.0;
 const EXTENT_PER_SURPRISE: f64 = 5.0;
 const USUAL_SHARE: f64 = 0.25;
 const USUAL_SHARE_OPEN: f64 = 0.5;
+/// At the end a closure in the open that would move the robot by no more than this share of its window needs no other: of matches that
+/// lie anywhere in a window, one of a hundred lies so near the pose that was expected.
+const EXPECTED_SHARE: f64 = 0.1;
 /// Two closures are compared when the odometry between them is no longer than this, both sides together, metres.
 const COMPARED_WITHIN_M: f64 = 20.0;
 /// Two closures agree when their cycle closes within this, plus a share of the odometry in it, and this turn.
@@ -34,6 +37,19 @@ const CYCLE: (f64, f64, f64) = (0.2, 0.02, 0.05);
 /// In a long corridor with a door every few metres a single match is wrong easily, and what the odometry knows
 /// after a hundred metres cannot contradict it.
 pub fn eligible(closures: &[Closure], nodes: &[Node]) -> Vec<bool> {
+    judged(closures, nodes, |_| false)
+}
+
+/// Which loop closures may take part in the last solution: those that are [`eligible`], and those in the open that lie where they were
+/// expected. While driving these wait for others: one that is wrong after all bends the map, and what would contradict it is then
+/// looked for elsewhere.
+pub fn eligible_at_the_end(closures: &[Closure], nodes: &[Node]) -> Vec<bool> {
+    let is_expected = |closure: &Closure| closure.shift_m <= EXPECTED_SHARE * closure.reach_m;
+    judged(closures, nodes, |closure| nodes[closure.edge.to].is_open && is_expected(closure))
+}
+
+/// Which closures are eligible where those that are `expected` need no others.
+fn judged(closures: &[Closure], nodes: &[Node], is_expected: impl Fn(&Closure) -> bool) -> Vec<bool> {
     let neighbours = Neighbours::new(closures, nodes);
     let mut groups = Groups::new(closures, nodes);
     let is_wide = |closure: &Closure| closure.reach_m > WIDE_M;
@@ -54,13 +70,18 @@ pub fn eligible(closures: &[Closure], nodes: &[Node]) -> Vec<bool> {
             }
         }
         eligible[i] = if is_open(a) {
-            let partners_min = if is_wide(a) { PARTNERS_MIN } else { 1 };
+            let partners_min = match is_wide(a) {
+                _ if is_expected(a) => 0,
+                true => PARTNERS_MIN,
+                false => 1,
+            };
             agreeing >= partners_min && agreeing >= united(&contradicting, closures, nodes)
         } else {
             agreeing >= PARTNERS_MIN && 2 * contradicting.len() <= agreeing + 1
         };
     }
-    for (i, closure) in closures.iter().enumerate().filter(|(_, closure)| is_wide(closure)) {
+    let needs_extent = |closure: &Closure| is_wide(closure) && !is_expected(closure);
+    for (i, closure) in closures.iter().enumerate().filter(|(_, closure)| needs_extent(closure)) {
         eligible[i] &= groups.extent_m(i) >= extent_needed_m(closure, nodes[closure.edge.to].is_open);
     }
     eligible
@@ -215,6 +236,19 @@ mod tests {
         // The first and the last are too far apart to be compared: those between connect them.
         closures.push(Closure { shift_m: 3.5, ..closure(26, 96, 0.0, 8.0) });
         assert_eq!(eligible(&closures, &nodes), [true; 9]);
+    }
+
+    #[test]
+    fn at_the_end_one_match_in_the_open_where_it_was_expected_is_enough() {
+        let mut nodes = nodes();
+        nodes.iter_mut().for_each(|node| node.is_open = true);
+        let lone = |shift_m: f64| Closure { shift_m, ..closure(10, 90, 0.0, 8.0) };
+        assert_eq!(eligible_at_the_end(&[lone(0.7)], &nodes), [true]);
+        assert_eq!(eligible(&[lone(0.7)], &nodes), [false]);
+        assert_eq!(eligible_at_the_end(&[lone(0.9)], &nodes), [false]);
+        // Another that contradicts it makes both doubtful.
+        let contradicted = [lone(0.7), closure(11, 91, 3.0, 8.0)];
+        assert_eq!(eligible_at_the_end(&contradicted, &nodes), [false, false]);
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The passes over all nodes at the end: they match the nodes again and solve the graph of these matches.
 
 use super::SyncManager;
+use flockslam_loop_closure::agreement::eligible_at_the_end;
 use flockslam_loop_closure::attachment::AttachmentFinder;
 use flockslam_loop_closure::dense::DensePass;
 use flockslam_loop_closure::finder::{World, graph_distances};
@@ -35,19 +36,19 @@ impl SyncManager {
     /// in the windows that the solution leaves fewer places can be mistaken for each other.
     pub(super) fn close_again_in_the_open(&mut self) {
         let known = self.odometry.nodes().len();
+        if !self.odometry.nodes().iter().any(|node| node.is_open) {
+            return;
+        }
         let (nodes, connections) = (self.odometry.nodes(), self.connections(known));
         let world = World { nodes, scans: &self.scans, segments: &self.segments, poses: &self.poses };
         let found = self.open_finder.find_again(&world, |query| graph_distances(nodes, &connections, query));
-        if found.is_empty() {
-            return;
-        }
         let again: BTreeSet<usize> = found.iter().map(|closure| closure.edge.to).collect();
         self.closures.retain(|closure| {
             let query = closure.edge.to;
             !nodes[query].is_open || !again.contains(&query)
         });
         self.closures.extend(found);
-        self.solve(known);
+        self.solve_with(known, &eligible_at_the_end(&self.closures, self.odometry.nodes()));
     }
 
     /// The nodes of the largest trajectory that does not belong to the map, except those tried.
