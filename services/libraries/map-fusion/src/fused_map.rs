@@ -8,6 +8,7 @@ use flockslam_evidence::{
 };
 use flockslam_geometry::{Point, Pose};
 use flockslam_results::{MapShape, StoredMap};
+use std::collections::BTreeSet;
 
 /// The sum of submaps at the poses of a solution, in a lattice of its own.
 ///
@@ -39,6 +40,15 @@ pub struct FusedMap {
     tiles: TileDirectory<Box<BlockTile>>,
 }
 
+/// Where a submap that was added has evidence.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Added {
+    /// Evidence of any kind, cleared or not.
+    pub known: Footprint,
+    /// Evidence for "occupied" that is not cleared.
+    pub occupied: Footprint,
+}
+
 /// A submap cannot be taken out: it is not in the map at this pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("submap {0} is not in the fused map at this pose")]
@@ -64,13 +74,17 @@ impl FusedMap {
     ///
     /// # Errors
     /// When the submap is absurdly far from the others; then nothing changes.
-    pub fn add(&mut self, submap: &Submap, map_from_submap: Pose) -> Result<Footprint, TooFar> {
+    pub fn add(&mut self, submap: &Submap, map_from_submap: Pose) -> Result<Added, TooFar> {
         let resampling = Resampling::new(submap, map_from_submap, self.cell_size_m);
-        let mut parts = Vec::new();
+        let (mut parts, mut occupied) = (Vec::new(), Vec::new());
         let (mut done, mut result) = (0, Ok(()));
         for tile in &submap.tiles {
             resampling.for_each(tile, |part| {
                 parts.push((part.key, part.blocks));
+                match part.occupied_blocks() {
+                    0 => {}
+                    blocks => occupied.push((part.key, blocks)),
+                }
                 if result.is_ok() && !part.cells.is_empty() {
                     result = self.tile_mut(part.key).map(|cells| add(cells, part.cells));
                     done += if result.is_ok() { part.cells.len() } else { 0 };
@@ -83,7 +97,41 @@ impl FusedMap {
             });
             self.drop_empty(parts.iter().map(|(key, _)| *key).collect());
         }
-        result.map(|()| Footprint::new(parts))
+        result.map(|()| Added { known: Footprint::new(parts), occupied: Footprint::new(occupied) })
+    }
+
+    /// Clears cells of a submap that was added at this pose as it is, here and in the submap.
+    ///
+    /// # Errors
+    /// When it cannot have been added so; then nothing changes.
+    pub fn clear(
+        &mut self,
+        submap: &mut Submap,
+        map_from_submap: Pose,
+        cells: &BTreeSet<CellIndex>,
+    ) -> Result<(), NotFused> {
+        let resampling = Resampling::new(submap, map_from_submap, self.cell_size_m);
+        let mut evidence = Vec::new();
+        for source in cells {
+            match submap.cell(*source) {
+                cell if cell.is_unknown() => {}
+                cell => evidence.extend(resampling.targets(*source).map(|target| (target, cell))),
+            }
+        }
+        let mut left = Vec::with_capacity(evidence.len());
+        for (target, cell) in &evidence {
+            left.push(self.cell(*target).withdraw(cell.unpack()).ok_or(NotFused(submap.number))?);
+        }
+        for ((target, _), left) in evidence.iter().zip(left) {
+            if let Some(tile) = self.tiles.get_mut(target.tile()) {
+                tile.set_cell(target.offset(), left);
+            }
+        }
+        cells.iter().for_each(|cell| {
+            submap.clear(*cell);
+        });
+        self.drop_empty(evidence.iter().map(|(target, _)| target.tile()).collect());
+        Ok(())
     }
 
     /// Takes out a submap that was added at this pose with these cells cleared.
@@ -149,7 +197,7 @@ impl FusedMap {
         submap: &Submap,
         map_from_submap: Pose,
         cells: &[CellIndex],
-    ) -> Vec<CellIndex> {
+    ) -> BTreeSet<CellIndex> {
         let resampling = Resampling::new(submap, map_from_submap, self.cell_size_m);
         let sources = cells.iter().filter_map(|cell| resampling.source_cell(*cell));
         sources.filter(|source| submap.cell(*source).occupied > 0).collect()
@@ -316,7 +364,7 @@ mod tests {
             a in submap(), b in submap(), pose_a in pose(), pose_b in pose()
         ) {
             let (mut ab, mut ba, mut only_b) = (FusedMap::new(0.05), FusedMap::new(0.05), FusedMap::new(0.05));
-            let footprint = ab.add(&a, pose_a).unwrap();
+            let footprint = ab.add(&a, pose_a).unwrap().known;
             for (key, cells) in ab.tiles() {
                 let blocks = footprint.tiles().iter().find(|(of, _)| *of == key).map_or(0, |(_, blocks)| *blocks);
                 for (place, _) in cells.iter().enumerate().filter(|(_, cell)| !cell.is_unknown()) {

@@ -3,6 +3,7 @@
 
 use crate::coverage::Coverage;
 use crate::footprint::KnownCells;
+use crate::fused_map::{Added, NotFused};
 use crate::{Footprint, FusedMap};
 use flockslam_evidence::{CellIndex, ClearedCells, Submap, TILE_SIDE, TooFar};
 use flockslam_geometry::{Point, Pose};
@@ -56,6 +57,8 @@ struct Fused {
     /// The cells that were masked when it was brought in: others may be by now.
     cleared: ClearedCells,
     footprint: Footprint,
+    /// Where it has evidence for "occupied"; nothing while no evidence is summed.
+    occupied: Footprint,
     /// What a step needs of a submap while no evidence is summed: so it need not be read again.
     known: Option<KnownCells>,
     /// Corners of the box around it, in odom.
@@ -134,16 +137,31 @@ impl Fusion {
         self.wanted(submaps_in_map, closed).rev().copied().map(Step::Place).collect()
     }
 
-    /// The submaps of a solution that are in the map and know something in the blocks of these cells, each as the step that leaves it
-    /// where it is.
-    pub fn present(&self, submaps_in_map: &[PlacedSubmap], cells: &[CellIndex]) -> Vec<Step> {
+    /// The submaps of a solution that are in the map and have evidence for "occupied" in the blocks of these cells.
+    pub fn occupying(&self, submaps_in_map: &[PlacedSubmap], cells: &[CellIndex]) -> Vec<PlacedSubmap> {
         let blocks = Footprint::of_cells(cells);
         let is_there = |placed: &&PlacedSubmap| {
             self.fused.get(&placed.number).is_some_and(|fused| {
-                fused.map_from_odom == placed.map_from_odom && fused.footprint.overlaps(&blocks)
+                fused.map_from_odom == placed.map_from_odom && fused.occupied.overlaps(&blocks)
             })
         };
-        submaps_in_map.iter().filter(is_there).copied().map(Step::Place).collect()
+        submaps_in_map.iter().filter(is_there).copied().collect()
+    }
+
+    /// Clears, here and in a submap that is in the map as it is, its evidence that makes these cells of the map occupied; gives
+    /// whether there was any.
+    ///
+    /// # Errors
+    /// When it is not in the map as it is; then nothing changes.
+    pub fn clear(&mut self, submap: &mut Submap, cells: &[CellIndex]) -> Result<bool, NotFused> {
+        let not_fused = NotFused(submap.number);
+        let fused = self.fused.get_mut(&submap.number).ok_or(not_fused)?;
+        let map = self.map.as_mut().filter(|_| fused.cleared == submap.cleared()).ok_or(not_fused)?;
+        let map_from_submap = fused.map_from_odom * submap.odom_from_submap;
+        let sources = map.occupied_sources(submap, map_from_submap, cells);
+        map.clear(submap, map_from_submap, &sources)?;
+        fused.cleared = submap.cleared();
+        Ok(!sources.is_empty())
     }
 
     /// Does a step for which the submap is not needed; gives whether it was one.
@@ -242,15 +260,16 @@ impl Fusion {
     fn add(&mut self, submap: &Submap, cleared: ClearedCells, map_from_odom: Pose) -> Result<(), TooFar> {
         let (size_m, map_from_submap) =
             (*self.cell_size_m.get_or_insert(submap.cell_size_m), map_from_odom * submap.odom_from_submap);
-        let footprint = if self.sums {
+        let Added { known: footprint, occupied } = if self.sums {
             self.map.get_or_insert_with(|| FusedMap::new(size_m)).add(submap, map_from_submap)?
         } else {
-            Footprint::of(submap, map_from_submap, size_m)
+            let known = Footprint::of(submap, map_from_submap, size_m);
+            Added { known, occupied: Footprint::default() }
         };
         self.coverage.add(submap.number, &footprint);
         let (corners, cell_size_m) = (corners(submap), submap.cell_size_m);
         let known = (!self.sums).then(|| KnownCells::of(submap));
-        let fused = Fused { map_from_odom, cleared, footprint, known, corners, cell_size_m };
+        let fused = Fused { map_from_odom, cleared, footprint, occupied, known, corners, cell_size_m };
         self.fused.insert(submap.number, fused);
         Ok(())
     }
@@ -444,6 +463,27 @@ mod tests {
         assert!(fusion.map() == Some(&from_scratch(&submaps, &moved, &[])), "the next step fills it");
         finish(&mut fusion, &submaps, &moved);
         assert!(fusion.map() == Some(&from_scratch(&submaps, &moved, &[])));
+    }
+
+    #[test]
+    fn cells_are_cleared_in_the_map_and_in_the_submap_as_if_it_had_been_added_so() {
+        let mut submaps = store(2);
+        submaps[1].tiles[0].clear(CellIndex::new(8, 8).offset());
+        let submaps_in_map: Vec<_> = (0..2).map(|number| placed(number, 0.03, -0.02, 0.4)).collect();
+        let mut fusion = Fusion::new(0);
+        finish(&mut fusion, &submaps, &submaps_in_map);
+        let map = fusion.map().unwrap();
+        let all = map.tiles().flat_map(|(tile, _)| (0..TILE_CELLS).map(move |offset| tile.cell(offset)));
+        let cells: Vec<_> = all.filter(|cell| map.cell(*cell).occupied > 0).step_by(7).collect();
+        assert!(cells.len() > 20);
+        assert_eq!(fusion.occupying(&submaps_in_map, &cells), submaps_in_map);
+        for submap in &mut submaps {
+            assert!(fusion.clear(submap, &cells).unwrap());
+            assert!(!fusion.clear(submap, &cells).unwrap(), "nothing is left to clear");
+        }
+        let map = fusion.map().unwrap();
+        assert!(cells.iter().all(|cell| map.cell(*cell).occupied == 0));
+        assert!(map == &from_scratch(&submaps, &submaps_in_map, &[]));
     }
 
     #[test]

@@ -13,6 +13,6 @@ mod stale;
 
 pub use final_cleaning::{APART_NS, FinalCleaning, VIEWS};
 pub use footprint::Footprint;
-pub use fused_map::{FusedMap, NotFused, stored_map};
+pub use fused_map::{Added, FusedMap, NotFused, stored_map};
 pub use fusion::{Fusion, PlacedSubmap, Step};
 pub use stale::stale_cells;

@@ -40,6 +40,14 @@ pub struct Resampled<'a> {
     pub blocks: u64,
 }
 
+impl Resampled<'_> {
+    /// Blocks of 8 × 8 cells with evidence for "occupied" that is not cleared.
+    pub(crate) fn occupied_blocks(&self) -> u64 {
+        let occupied = self.cells.iter().filter(|(_, cell)| cell.occupied > 0);
+        occupied.fold(0, |blocks, (target, _)| blocks | 1 << block(usize::from(*target)))
+    }
+}
+
 impl Resampling {
     /// For a submap with its reference pose at `map_from_submap`.
     pub fn new(submap: &Submap, map_from_submap: Pose, target_size_m: f64) -> Self {
@@ -174,6 +182,19 @@ impl Resampling {
         let (u, v) = self.source(i64::from(target.x), i64::from(target.y));
         let index = |fixed: i64| i32::try_from(fixed >> FRACTION).ok();
         Some(CellIndex::new(index(u)?, index(v)?))
+    }
+
+    /// The target cells that take their evidence from a cell of the submap's lattice.
+    pub fn targets(&self, source: CellIndex) -> impl Iterator<Item = CellIndex> {
+        // The centre of such a cell lies within half a diagonal of the source's centre.
+        let reach = 1 + floor(std::f64::consts::FRAC_1_SQRT_2 * self.source_size_m / self.target_size_m);
+        let centre = |cell: i32| (f64::from(cell) + 0.5) * self.source_size_m;
+        let at = self.map_from_odom.apply(Point::new(centre(source.x), centre(source.y)));
+        let (x, y) = (floor(at.x_m / self.target_size_m), floor(at.y_m / self.target_size_m));
+        let around = (-reach..=reach).flat_map(move |dy| {
+            (-reach..=reach).map(move |dx| CellIndex::new(x.saturating_add(dx), y.saturating_add(dy)))
+        });
+        around.filter(move |target| self.source_cell(*target) == Some(source))
     }
 
     /// Fixed-point source coordinates of a target cell's centre.

@@ -111,22 +111,14 @@ impl Fuser {
     /// # Errors
     /// When the store fails.
     pub fn clear(&mut self, cells: &[CellIndex], submaps_in_map: &[PlacedSubmap]) -> Result<(), StageError> {
-        for step in self.fusion.present(submaps_in_map, cells) {
-            let (Some(map), Step::Place(placed)) = (self.fusion.map(), step) else { continue };
-            if placed.number < self.kept_below {
-                continue;
-            }
+        let occupying = self.fusion.occupying(submaps_in_map, cells);
+        for placed in occupying.into_iter().filter(|placed| placed.number >= self.kept_below) {
             let mut submap = self.store.load(placed.number)?;
-            let map_from_submap = placed.map_from_odom * submap.odom_from_submap;
-            let sources = map.occupied_sources(&submap, map_from_submap, cells);
-            if sources.is_empty() {
-                continue;
+            match self.fusion.clear(&mut submap, cells) {
+                Ok(false) => {}
+                Ok(true) => self.store.save_cleared(&submap)?,
+                Err(error) => tracing::warn!(%error, "what was moved since stays in it"),
             }
-            for cell in sources {
-                submap.clear(cell);
-            }
-            self.store.save_cleared(&submap)?;
-            self.fusion.take(step, submap).map_err(|far| StageError::file("the fused map", far))?;
         }
         Ok(())
     }
