@@ -3,13 +3,22 @@
 use super::glyphs::{HEIGHT, glyph, text_width};
 use flockslam_geometry::elementary::hypot;
 use image::{Rgb, RgbImage};
+use png::{ColorType, Compression, Encoder, EncodingError};
+use std::io::Write;
+use std::ops::Range;
 
 /// A colour, red, green and blue.
 pub(super) type Colour = [u8; 3];
 
-/// A picture with smooth lines and shapes; coordinates in pixels, y down, pixel (0, 0) covers 0 … 1.
+/// Rows of a picture that are drawn at a time: a whole one takes more memory than the map that it shows.
+const BAND: u32 = 128;
+
+/// A band of rows of a picture, with smooth lines and shapes; coordinates in pixels of the whole picture, y down, pixel (0, 0) covers
+/// 0 … 1. What lies outside of the band is left out.
 pub(super) struct Canvas {
-    pub image: RgbImage,
+    image: RgbImage,
+    /// Its first row.
+    top: u32,
 }
 
 /// A position on the canvas.
@@ -19,9 +28,42 @@ pub(super) struct Spot {
     pub y: f64,
 }
 
+/// Writes a picture as a PNG, band by band; `draw` draws the whole of it on each.
+///
+/// # Errors
+/// When `to` refuses, or the picture is too large for a PNG.
+pub(super) fn write_png(
+    to: impl Write,
+    (width, height): (u32, u32),
+    background: Colour,
+    draw: impl Fn(&mut Canvas),
+) -> Result<(), EncodingError> {
+    let mut encoder = Encoder::new(to, width, height);
+    encoder.set_color(ColorType::Rgb);
+    encoder.set_compression(Compression::Fast);
+    let mut png = encoder.write_header()?;
+    let mut rows = png.stream_writer()?;
+    for top in (0..height).step_by(BAND as usize) {
+        let mut canvas = Canvas::new(width, top..height.min(top + BAND), background);
+        draw(&mut canvas);
+        rows.write_all(canvas.image.as_raw())?;
+    }
+    rows.finish()?;
+    png.finish()
+}
+
 impl Canvas {
-    pub fn new(width: u32, height: u32, background: Colour) -> Self {
-        Self { image: RgbImage::from_pixel(width, height, Rgb(background)) }
+    fn new(width: u32, rows: Range<u32>, background: Colour) -> Self {
+        Self { image: RgbImage::from_pixel(width, rows.end - rows.start, Rgb(background)), top: rows.start }
+    }
+
+    fn rows(&self) -> Range<u32> {
+        self.top..self.top + self.image.height()
+    }
+
+    /// Whether one of these rows of the picture is in the band.
+    pub fn shows(&self, rows: Range<i64>) -> bool {
+        rows.start < self.rows().end.into() && rows.end > self.rows().start.into()
     }
 
     /// A line with round ends, `width` pixels wide, smoothed at its edge.
@@ -44,11 +86,13 @@ impl Canvas {
 
     /// A filled rectangle with sharp edges on whole pixels.
     pub fn rectangle(&mut self, x: i64, y: i64, width: i64, height: i64, colour: Colour) {
-        let within = |from: i64, length: i64, size: u32| {
-            let limit = |place: i64| place.clamp(0, size.into()) as usize;
+        let within = |from: i64, length: i64, shown: Range<u32>| {
+            let limit = |place: i64| {
+                (place.clamp(shown.start.into(), shown.end.into()) as u32 - shown.start) as usize
+            };
             limit(from)..limit(from + length.max(0))
         };
-        let (rows, columns) = (within(y, height, self.image.height()), within(x, width, self.image.width()));
+        let (rows, columns) = (within(y, height, self.rows()), within(x, width, 0..self.image.width()));
         let pixels_in_row = self.image.width() as usize;
         let (pixels, _) = self.image.as_chunks_mut();
         for row in rows {
@@ -78,13 +122,14 @@ impl Canvas {
     /// Blends every pixel by how far `outside` (signed distance to the shape's edge, pixels) leaves it inside, within
     /// the box around two spots inflated by `reach`.
     fn shape(&mut self, a: Spot, b: Spot, reach: f64, colour: Colour, outside: impl Fn(Spot) -> f64) {
-        let limits = |p: f64, q: f64, size: u32| {
-            let first = (p.min(q) - reach - 1.0).floor().clamp(0.0, f64::from(size)) as i64;
-            let last = (p.max(q) + reach + 1.0).ceil().clamp(0.0, f64::from(size)) as i64;
+        let limits = |p: f64, q: f64, shown: Range<u32>| {
+            let (least, most) = (f64::from(shown.start), f64::from(shown.end));
+            let first = (p.min(q) - reach - 1.0).floor().clamp(least, most) as i64;
+            let last = (p.max(q) + reach + 1.0).ceil().clamp(least, most) as i64;
             first..last
         };
-        for y in limits(a.y, b.y, self.image.height()) {
-            for x in limits(a.x, b.x, self.image.width()) {
+        for y in limits(a.y, b.y, self.rows()) {
+            for x in limits(a.x, b.x, 0..self.image.width()) {
                 let centre = Spot { x: x as f64 + 0.5, y: y as f64 + 0.5 };
                 self.blend(x, y, colour, (0.5 - outside(centre)).clamp(0.0, 1.0));
             }
@@ -95,7 +140,7 @@ impl Canvas {
         if share == 0.0 {
             return;
         }
-        let (Ok(x), Ok(y)) = (u32::try_from(x), u32::try_from(y)) else { return };
+        let (Ok(x), Ok(y)) = (u32::try_from(x), u32::try_from(y - i64::from(self.top))) else { return };
         if let Some(Rgb(pixel)) = self.image.get_pixel_mut_checked(x, y) {
             *pixel = mix(*pixel, colour, share);
         }
@@ -122,7 +167,7 @@ mod tests {
 
     #[test]
     fn a_line_covers_its_middle_and_is_clipped_at_the_border() {
-        let mut canvas = Canvas::new(20, 10, [255; 3]);
+        let mut canvas = Canvas::new(20, 0..10, [255; 3]);
         canvas.line(Spot { x: -50.0, y: 5.0 }, Spot { x: 50.0, y: 5.0 }, 3.0, [0; 3]);
         for x in 0..20 {
             assert_eq!(canvas.image.get_pixel(x, 4).0, [0; 3]);
@@ -133,8 +178,23 @@ mod tests {
     }
 
     #[test]
+    fn a_picture_of_several_bands_is_the_one_drawn_at_once() {
+        let draw = |canvas: &mut Canvas| {
+            canvas.line(Spot { x: 3.0, y: 2.0 }, Spot { x: 60.0, y: 295.0 }, 5.0, [0, 90, 0]);
+            canvas.disc(Spot { x: 30.0, y: f64::from(BAND) }, 20.0, [200, 0, 0]);
+            canvas.rectangle(-5, 2 * i64::from(BAND) - 3, 40, 8, [0, 0, 200]);
+            canvas.text(8, i64::from(BAND) - 9, 3, "12.5 m", [0; 3]);
+        };
+        let mut bytes = Vec::new();
+        write_png(&mut bytes, (70, 300), [255; 3], draw).unwrap();
+        let mut whole = Canvas::new(70, 0..300, [255; 3]);
+        draw(&mut whole);
+        assert!(image::load_from_memory(&bytes).unwrap().into_rgb8() == whole.image);
+    }
+
+    #[test]
     fn shapes_far_outside_are_harmless() {
-        let mut canvas = Canvas::new(4, 4, [9; 3]);
+        let mut canvas = Canvas::new(4, 0..4, [9; 3]);
         canvas.disc(Spot { x: 1e9, y: -1e9 }, 5.0, [0; 3]);
         canvas.diamond(Spot { x: f64::NAN, y: 0.0 }, 5.0, [0; 3]);
         canvas.text(-30, 2, 2, "12.5 m", [0; 3]);

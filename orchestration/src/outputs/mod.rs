@@ -33,7 +33,7 @@ pub enum OutputError {
     Write(#[from] JournalError),
     /// The picture could not be encoded.
     #[error("cannot encode the picture of the map: {0}")]
-    Picture(#[from] image::ImageError),
+    Picture(#[from] png::EncodingError),
     /// The report could not be encoded.
     #[error("cannot encode the report: {0}")]
     Report(#[from] serde_json::Error),

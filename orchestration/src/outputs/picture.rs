@@ -1,12 +1,12 @@
 //! The map and trajectories as a PNG for people. Takes an occupancy image and trajectories; gives the bytes of the picture.
 
-use super::canvas::{Canvas, Colour, Spot, mix};
+use super::canvas::{Canvas, Colour, Spot, mix, write_png};
 use super::glyphs::text_width;
-use super::{CellState, OccupancyImage, OutputError, TrajectoryPoint, put};
+use super::{CellState, OccupancyImage, OutputError, TrajectoryPoint, put_by};
 use flockslam_geometry::Point;
 use flockslam_geometry::elementary::hypot;
-use image::ImageFormat;
-use std::io::Cursor;
+use png::EncodingError;
+use std::io::Write;
 use std::path::Path;
 
 const WALL: Colour = [28, 32, 40];
@@ -57,7 +57,7 @@ pub fn write_picture(
     map: &OccupancyImage,
     tracks: PictureTracks<'_>,
 ) -> Result<(), OutputError> {
-    put(path, &render_picture(map, tracks)?)
+    put_by(path, |file| Ok(draw_picture(file, map, tracks)?))
 }
 
 /// The known part of the map as a PNG for people: walls, free space, trajectory, start (disc), end (diamond), a scale
@@ -66,18 +66,25 @@ pub fn write_picture(
 /// # Errors
 /// When the picture is too large to encode.
 pub fn render_picture(map: &OccupancyImage, tracks: PictureTracks<'_>) -> Result<Vec<u8>, OutputError> {
+    let mut bytes = Vec::new();
+    draw_picture(&mut bytes, map, tracks)?;
+    Ok(bytes)
+}
+
+fn draw_picture(
+    to: impl Write,
+    map: &OccupancyImage,
+    tracks: PictureTracks<'_>,
+) -> Result<(), EncodingError> {
     let view = View::of(map, tracks);
-    let mut canvas =
-        Canvas::new((view.width + 2 * MARGIN) as u32, (view.height + MARGIN + STRIP) as u32, UNKNOWN);
-    draw_cells(&mut canvas, map, &view);
-    draw_track(&mut canvas, &view, tracks.other, 0.55, |_| OTHER_TRACK);
-    draw_track(&mut canvas, &view, tracks.main, 1.0, time_colour);
-    draw_marks(&mut canvas, &view, tracks.main);
-    draw_scale_bar(&mut canvas, &view);
-    draw_time_bar(&mut canvas, &view, tracks.main);
-    let mut png = Cursor::new(Vec::new());
-    canvas.image.write_to(&mut png, ImageFormat::Png)?;
-    Ok(png.into_inner())
+    write_png(to, view.pixels(), UNKNOWN, |canvas| {
+        draw_cells(canvas, map, &view);
+        draw_track(canvas, &view, tracks.other, 0.55, |_| OTHER_TRACK);
+        draw_track(canvas, &view, tracks.main, 1.0, time_colour);
+        draw_marks(canvas, &view, tracks.main);
+        draw_scale_bar(canvas, &view);
+        draw_time_bar(canvas, &view, tracks.main);
+    })
 }
 
 /// The known part of the map as a PNG with the trajectory of each robot in a colour of its own, with marks where it starts and ends.
@@ -91,17 +98,15 @@ pub fn write_flock_picture(
 ) -> Result<(), OutputError> {
     let all: Vec<TrajectoryPoint> = robots.iter().flatten().copied().collect();
     let view = View::of(map, PictureTracks { main: &all, other: &[] });
-    let mut canvas =
-        Canvas::new((view.width + 2 * MARGIN) as u32, (view.height + MARGIN + STRIP) as u32, UNKNOWN);
-    draw_cells(&mut canvas, map, &view);
-    for (track, colour) in robots.iter().zip(ROBOTS.iter().cycle()) {
-        draw_track(&mut canvas, &view, track, 1.0, |_| *colour);
-    }
-    robots.iter().for_each(|track| draw_marks(&mut canvas, &view, track));
-    draw_scale_bar(&mut canvas, &view);
-    let mut png = Cursor::new(Vec::new());
-    canvas.image.write_to(&mut png, ImageFormat::Png)?;
-    put(path, &png.into_inner())
+    let draw = |canvas: &mut Canvas| {
+        draw_cells(canvas, map, &view);
+        for (track, colour) in robots.iter().zip(ROBOTS.iter().cycle()) {
+            draw_track(canvas, &view, track, 1.0, |_| *colour);
+        }
+        robots.iter().for_each(|track| draw_marks(canvas, &view, track));
+        draw_scale_bar(canvas, &view);
+    };
+    put_by(path, |file| Ok(write_png(file, view.pixels(), UNKNOWN, draw)?))
 }
 
 /// Which part of the plane is shown, and how large. One cell is `zoom` pixels, or `shrink` cells are one pixel.
@@ -139,6 +144,11 @@ impl View {
         }
     }
 
+    /// Width and height of the whole picture.
+    fn pixels(&self) -> (u32, u32) {
+        ((self.width + 2 * MARGIN) as u32, (self.height + MARGIN + STRIP) as u32)
+    }
+
     /// Where a point of the map frame is on the canvas.
     fn spot(&self, point: Point) -> Spot {
         Spot {
@@ -170,6 +180,10 @@ fn shown_box(map: &OccupancyImage, tracks: PictureTracks<'_>) -> (i64, i64, i64,
 fn draw_cells(canvas: &mut Canvas, map: &OccupancyImage, view: &View) {
     let (zoom, shrink) = (view.zoom, view.shrink);
     for row in 0..view.height / zoom {
+        let top = (MARGIN + view.height - (row + 1) * zoom) as i64;
+        if !canvas.shows(top..top + zoom as i64) {
+            continue;
+        }
         for column in 0..view.width / zoom {
             let x = view.first.0 + (column * shrink) as i64;
             let y = view.first.1 + (row * shrink) as i64;
@@ -177,7 +191,6 @@ fn draw_cells(canvas: &mut Canvas, map: &OccupancyImage, view: &View) {
             if state != CellState::Unknown {
                 let colour = if state == CellState::Occupied { WALL } else { FREE };
                 let left = (MARGIN + column * zoom) as i64;
-                let top = (MARGIN + view.height - (row + 1) * zoom) as i64;
                 canvas.rectangle(left, top, zoom as i64, zoom as i64, colour);
             }
         }
