@@ -33,8 +33,10 @@ const STANDING_M: f64 = 0.7;
 const STANDING: (f64, f64) = (0.9, 0.04);
 const STANDING_ALONE: (f64, f64) = (0.8, 0.06);
 /// Where furniture stands that the map does not show, as in the plan of an architect, much contradicts it, but hardly anything is seen through
-/// a wall: least share explained, greatest contradicted and behind walls, …
-const FURNISHED: (f64, f64, f64) = (0.55, 0.4, 0.04);
+/// a wall: least share explained, greatest behind walls, …
+const WALLS: (f64, f64) = (0.55, 0.04);
+/// … greatest share contradicted, …
+const FURNISHED_CONTRADICTED_MAX: f64 = 0.4;
 /// … and elsewhere walls agree so much less with what was seen over at least this much travel, metres.
 const FURNISHED_ALONE_MAX: f64 = 0.5;
 const FURNISHED_M: f64 = 6.0;
@@ -77,10 +79,10 @@ const BESIDE_REACH: (f64, f64) = (1.0, 0.15);
 const BESIDE_BETTER: f64 = 0.1;
 /// How far a robot may be from where a predecessor of this process had it: standard deviations, metres and radians.
 const RESUMED_SIGMA: (f64, f64) = (0.1, 0.03);
-/// A robot has lost its place when more than this of what it has seen contradicts the map, and less than three times as much is explained.
+/// A robot has lost its place when more than this of what it has seen contradicts the map, and less than three times as much is explained …
 const LOST_CONTRADICTED: f64 = 0.1;
 const LOST_EXPLAINED: f64 = 3.0;
-/// … over at least this much travel, metres.
+/// … over at least this much travel, metres, and not by furniture alone: what it sees now does not show the map's walls.
 const LOST_M: f64 = 2.0;
 
 /// Finds and follows a robot in a known map. A pure function of its calls; work per call is bounded.
@@ -274,7 +276,7 @@ impl Localizer {
             agreement.contradicted > LOST_CONTRADICTED
                 && agreement.explained < LOST_EXPLAINED * agreement.contradicted
         };
-        if is_against(&agreement) {
+        if is_against(&agreement) && !shows_walls(&agreement) {
             let wider = self.recent.cloud(LOST_M, POINTS);
             if is_against(&self.surroundings.agreement(&wider, &at)) {
                 self.relocalize(None);
@@ -385,12 +387,10 @@ impl Localizer {
 
     /// Whether all walls say that the robot is here, and only things between them that the map does not show say otherwise.
     fn is_among_furniture(&self, best: &Judged, others: &[Judged]) -> bool {
-        let (explained, contradicted, behind) = FURNISHED;
         let by_walls = |judged: &Judged| judged.agreement.explained - judged.agreement.behind;
         self.recent.travel_m() >= FURNISHED_M
-            && best.agreement.explained >= explained
-            && best.agreement.contradicted <= contradicted
-            && best.agreement.behind <= behind
+            && shows_walls(&best.agreement)
+            && best.agreement.contradicted <= FURNISHED_CONTRADICTED_MAX
             && others.iter().all(|other| by_walls(other) <= FURNISHED_ALONE_MAX * by_walls(best))
     }
 
@@ -449,6 +449,12 @@ fn carried(information: &Symmetric, position: f64, heading: f64) -> Symmetric {
     covariance[3] += position;
     covariance[5] += heading;
     inverse(&covariance).unwrap_or(*information)
+}
+
+/// Whether the map's walls are seen, and nothing through them.
+fn shows_walls(agreement: &Agreement) -> bool {
+    let (explained, behind) = WALLS;
+    agreement.explained >= explained && agreement.behind <= behind
 }
 
 /// The variance of the position in its widest direction, m².
