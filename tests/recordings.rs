@@ -8,8 +8,8 @@ use flockslam::evaluation::{evaluate_truth, parse_tum};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Mean error of the drive under motion capture, metres: a tenth more than 0.0121 m.
-const CAPTURED_ERROR_M: f64 = 0.0133;
+/// Mean error of the drive under motion capture, metres; 0.0115 m was reached, and 0.0107 to 0.0120 m where the grid lies at other angles.
+const CAPTURED_ERROR_M: f64 = 0.012;
 
 /// Lines of a public log that are enough to close loops in one of them.
 const LINES_OF_LOGS: usize = 6000;

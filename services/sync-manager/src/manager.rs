@@ -66,7 +66,7 @@ const SOLVING_PER_SUBMAP: u64 = 1_000_000;
 struct Kept {
     record: usize,
     scan: usize,
-    /// The last node at or before it.
+    /// The last node at or before it; of a scan before all nodes the first one.
     node: usize,
     is_node: bool,
     /// The front end has matched it.
@@ -228,12 +228,15 @@ impl SyncManager {
             let sigmas = (pose.covariance.position_std_m(), pose.covariance.tt.max(0.0).sqrt());
             let new =
                 NewNode { sequence, scan, odom, trajectory, odometry, continues, is_open, is_given, sigmas };
+            if self.odometry.nodes().is_empty() {
+                // Nothing connects scans before the first node with it that are of another trajectory.
+                self.kept.retain(|kept| self.records[kept.record].trajectory == trajectory);
+            }
             self.odometry.extend(new, &self.scans);
             self.enter(pose);
         }
-        if let Some(node) = self.odometry.nodes().len().checked_sub(1) {
-            self.kept.push(Kept { record, scan, node, is_node, is_matched, middle });
-        }
+        let node = self.odometry.nodes().len().saturating_sub(1);
+        self.kept.push(Kept { record, scan, node, is_node, is_matched, middle });
     }
 
     /// Whether the robot is still where the last scan of this lidar was kept: nothing is stored while it stands.
@@ -419,7 +422,7 @@ impl SyncManager {
             return self.solution(&filled(&self.records, &[], Between::FrontEnd));
         }
         let nodes = self.placed_nodes();
-        let stretch = Stretch { records: &self.records, kept: &self.kept, nodes: &nodes };
+        let stretch = Stretch { first: (0, 0), records: &self.records, kept: &self.kept, nodes: &nodes };
         let placer = Placer {
             nodes: self.odometry.nodes(),
             scans: &self.scans,

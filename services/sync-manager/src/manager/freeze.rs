@@ -116,6 +116,7 @@ impl SyncManager {
             reach: FINAL_NODES,
         };
         let stretch = Stretch {
+            first: (first, self.kept[kept.start].node),
             records: &self.records[first..=next.record],
             kept: &self.kept[kept.clone()],
             nodes: &nodes,

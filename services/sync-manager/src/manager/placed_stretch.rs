@@ -9,9 +9,11 @@ use flockslam_registration::cloud::{MomentGrid, Placement};
 
 /// A stretch of the drive whose nodes have their final poses.
 pub(super) struct Stretch<'a> {
-    /// The records.
+    /// Numbers of its first record and its first node among all.
+    pub first: (usize, usize),
+    /// Its records.
     pub records: &'a [PoseRecord],
-    /// The scans kept of it; the first is a node.
+    /// The scans kept of it. Before the first node are those that were taken before all nodes.
     pub kept: &'a [Kept],
     /// Its nodes: the number of the record in `records`, and the pose.
     pub nodes: &'a [(usize, Placement)],
@@ -21,9 +23,7 @@ impl Stretch<'_> {
     /// The kept scans, as (record, pose) in order. First those that the front end has matched; where these lie tells best where those
     /// between them are, which it has not. `grid` is lent empty and given back so.
     pub fn placed(&self, placer: &Placer<'_>, grid: &mut MomentGrid) -> Vec<(usize, Placement)> {
-        let (Some(first), Some(from)) = (self.kept.first(), self.nodes.first()) else { return Vec::new() };
-        let first_record = first.record - from.0;
-        let record = |kept: &Kept| kept.record - first_record;
+        let record = |kept: &Kept| kept.record - self.first.0;
         let (matched, dropped): (Vec<Kept>, Vec<Kept>) = self.kept.iter().partition(|kept| kept.is_matched);
         let mut place = |kept: &[Kept], expected: Vec<KeptScan>| {
             let placed = kept.iter().zip(placer.place_all(&expected, grid));
@@ -44,13 +44,12 @@ impl Stretch<'_> {
     /// Where scans that the front end has matched are expected: by its path between the nodes around them, and, should that have
     /// jumped, straight between these.
     fn expected(&self, kept: &[Kept]) -> Vec<KeptScan> {
-        let (Some(first), Some(from)) = (self.kept.first(), self.nodes.first()) else { return Vec::new() };
-        let (first_record, first_node) = (first.record - from.0, first.node);
+        let (first_record, first_node) = self.first;
         let guesses = filled(self.records, self.nodes, Between::FrontEnd);
         let (records, nodes) = (self.records, self.nodes);
         let straight = |record: usize, node: usize| match (nodes.get(node), nodes.get(node + 1)) {
             (Some(&(start, from)), Some(&(end, to)))
-                if records[start].trajectory == records[end].trajectory =>
+                if start <= record && records[start].trajectory == records[end].trajectory =>
             {
                 from.interpolate(&to, (record - start) as f64 / (end - start) as f64)
             }

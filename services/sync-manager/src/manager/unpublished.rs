@@ -50,9 +50,10 @@ impl SyncManager {
         let first =
             nodes.partition_point(|node| unpublished.last.is_some_and(|(last, _)| node.sequence <= last));
         let submap_of = |node: usize| {
-            // Nodes stand among the kept scans in their order, each before the scans that follow it.
+            // Nodes stand among the kept scans in their order, each before the scans that follow it; the first has some before it.
             let place = self.kept.partition_point(|kept| kept.node < node);
-            self.records[self.kept[place].record].submap
+            let place = (place..self.kept.len()).find(|place| self.kept[*place].is_node);
+            place.map_or(0, |place| self.records[self.kept[place].record].submap)
         };
         let recorded = |i: usize| {
             let node = &nodes[i];

@@ -122,6 +122,31 @@ fn dropped_scans_are_placed_by_their_own_points() {
     assert!(errors_rad(false).0 > 0.05, "without points nothing says that the robot sways");
 }
 
+/// The front end inserts nothing while the robot stands at the start of a drive.
+#[test]
+fn scans_before_the_first_node_are_placed_by_their_own_points() {
+    let (building, mut truth) = (Building::ring(), laps(1));
+    truth.splice(0..0, [truth[0]; 20]);
+    // It has the robot beside the place where it stands.
+    let beside = |i: usize| if i < 20 { Pose::new(0.0, 0.04, 0.01) } else { Pose::IDENTITY };
+    let odom: Vec<Pose> = truth.iter().enumerate().map(|(i, at)| *at * beside(i)).collect();
+    let inserted = |i: usize, pose: &mut PoseEstimate| {
+        if i < 20 {
+            pose.flags = if i == 0 { PoseFlags::INSERT } else { PoseFlags::MATCHED };
+        }
+    };
+    let (_, solution) = replay_poses(&building, &truth, &odom, inserted, Settings::default());
+    let poses: Vec<Pose> = solution.trajectory.iter().map(|placed| placed.map_from_base).collect();
+    for i in 0..20 {
+        let off = poses[40].to(poses[i]);
+        let expected = truth[40].to(truth[i]);
+        assert!(
+            off.distance_m(expected) < 0.008 && off.turn_rad(expected) < 0.003,
+            "{i}: {off:?} {expected:?}"
+        );
+    }
+}
+
 #[test]
 fn a_robot_that_was_carried_away_is_found_by_its_own_past() {
     let (building, truth) = (Building::ring(), laps(2));
