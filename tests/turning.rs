@@ -48,6 +48,9 @@ fn cast(from: Pose) -> f64 {
     hits.fold(f64::INFINITY, f64::min)
 }
 
+/// Drives whose mean errors are compared.
+const SEEDS: std::ops::Range<u64> = 1..7;
+
 /// How the beams of a scan are taken, and how a driver describes it.
 #[derive(Clone, Copy, PartialEq)]
 enum Beams {
@@ -117,26 +120,34 @@ fn record(path: &Path, seed: u64, turning: Turning, beams: Beams) -> Vec<Traject
     truth
 }
 
-/// Mean error of position and heading over some drives, metres and degrees.
+/// Mean error of position and heading over some drives, metres and degrees: that of the heading beside its own mean, by which the whole map is
+/// turned.
 fn errors(place: &Path, turning: Turning, beams: Beams) -> (f64, f64) {
     let (mut error_m, mut error_deg) = (0.0, 0.0);
-    for seed in 1..4 {
+    for seed in SEEDS {
         let file = place.join("turning.mcap");
         let truth = record(&file, seed, turning, beams);
         let args = ["map".to_owned(), file.display().to_string()];
-        let outputs = run_well("turning", &place.join("out"), &args);
-        let report = evaluate_truth(&outputs.trajectory("trajectory.tum"), &truth).unwrap();
-        error_m += report.absolute.translation_m.unwrap().mean / 3.0;
-        error_deg += report.absolute.rotation_deg.unwrap().mean / 3.0;
+        let found = run_well("turning", &place.join("out"), &args).trajectory("trajectory.tum");
+        let report = evaluate_truth(&found, &truth).unwrap();
+        error_m += report.absolute.translation_m.unwrap().mean / (SEEDS.end - SEEDS.start) as f64;
+        let off_rad = |(found, truth): (&TrajectoryPoint, &TrajectoryPoint)| {
+            assert!((found.stamp_ns - truth.stamp_ns).abs() < 10_000);
+            truth.map_from_base.to(found.map_from_base).heading_rad
+        };
+        assert_eq!(found.len(), truth.len());
+        let off_rad: Vec<f64> = found.iter().zip(&truth).map(off_rad).collect();
+        let mean_rad = off_rad.iter().sum::<f64>() / off_rad.len() as f64;
+        let beside_rad = off_rad.iter().map(|rad| (rad - mean_rad).abs());
+        error_deg +=
+            (beside_rad.sum::<f64>() / off_rad.len() as f64).to_degrees() / (SEEDS.end - SEEDS.start) as f64;
     }
     (error_m, error_deg)
 }
 
 /// An error of scans whose beams leave one after the other may be so many times that of scans taken at once. Without straightening a scan is
-/// off by up to 11°.
+/// off by up to 11°. Over twelve seeds the heading's is 1.17 times as great where the robot turns to and fro, else all are at most 1.05 times.
 const RATIO_MAX: f64 = 1.2;
-/// The error of the heading, degrees, may be so much more instead: a few hundredths of a degree are the noise of scans taken at once.
-const HEADING_MORE_DEG: f64 = 0.03;
 
 #[test]
 fn scans_of_a_robot_that_turns_fast_are_straightened() {
@@ -146,7 +157,7 @@ fn scans_of_a_robot_that_turns_fast_are_straightened() {
         let one_by_one = errors(directory.path(), turning, Beams::OneAfterTheOther);
         println!("at once {at_once:.4?}, one after the other {one_by_one:.4?}");
         assert!(one_by_one.0 < RATIO_MAX * at_once.0, "{one_by_one:?}");
-        assert!(one_by_one.1 < (RATIO_MAX * at_once.1).max(at_once.1 + HEADING_MORE_DEG), "{one_by_one:?}");
+        assert!(one_by_one.1 < RATIO_MAX * at_once.1, "{one_by_one:?}");
     }
 }
 

@@ -49,11 +49,12 @@ impl Middle {
 
 /// Poses at the stamps, as (record, pose). The velocity by which a scan is straightened is noisy. An error of it moves the pose at the stamp one
 /// way and that at the end of the scan the other way, and leaves that in its middle as it is. So where scans follow on each other, the pose
-/// at a stamp is that of the parabola through the middles of the scan, the one before and the one after.
+/// at a stamp is that of the cubic through the middles of the scan, the two before and the one after: as many on either side of the stamp, so
+/// that a robot that begins to turn there does not bend it. Where only one came before, it is that of the parabola.
 pub(super) fn at_stamps(records: &[PoseRecord], samples: &[Sample]) -> Vec<(usize, Placement)> {
     let middles: Vec<Placement> = samples.iter().map(|s| s.pose.compose(s.middle.motion())).collect();
     let at_stamp = |(i, sample): (usize, &Sample)| {
-        let pose = by_parabola(records, samples, &middles, i).filter(|pose| {
+        let pose = by_curve(records, samples, &middles, i).filter(|pose| {
             pose.distance_m(&sample.pose) <= MOVE_MAX.0 && pose.turn_rad(&sample.pose) <= MOVE_MAX.1
         });
         (sample.record, pose.unwrap_or(sample.pose))
@@ -61,7 +62,7 @@ pub(super) fn at_stamps(records: &[PoseRecord], samples: &[Sample]) -> Vec<(usiz
     samples.iter().enumerate().map(at_stamp).collect()
 }
 
-fn by_parabola(
+fn by_curve(
     records: &[PoseRecord],
     samples: &[Sample],
     middles: &[Placement],
@@ -88,21 +89,31 @@ fn by_parabola(
     if !(-reach_s..0.0).contains(&before_s) || !(after_s..=reach_s).contains(&next_s) {
         return None;
     }
-    // Lagrange's form at the stamp, in the frame of the middle of this scan, whose own share is thus 0.
-    let at_s = -after_s;
-    let of_before = at_s * (at_s - next_s) / (before_s * (before_s - next_s));
-    let of_after = at_s * (at_s - before_s) / (next_s * (next_s - before_s));
-    let [left, right] = [before, after].map(|j| middles[i].to(middles[j]));
-    let mixed = |pick: fn(&Placement) -> f64, bend: f64| {
-        (of_before - bend / before_s) * pick(&left) + (of_after + bend / next_s) * pick(&right)
-    };
-    // A heading in the middle is the mean of those during the scan, which a robot that begins to turn leaves along a parabola of its own.
-    let bend = after_s * after_s / 3.0 / (before_s - next_s);
-    Some(middles[i].compose(Placement::new(
-        mixed(|pose| pose.x_m, 0.0),
-        mixed(|pose| pose.y_m, 0.0),
-        mixed(|pose| pose.heading_rad, bend),
-    )))
+    let earlier = (0..before).rev().find(belongs).map(|j| (j, later_s(j)));
+    let earlier = earlier.filter(|(_, earlier_s)| (before_s - reach_s..before_s).contains(earlier_s));
+    let known = [Some((before, before_s)), Some((after, next_s)), earlier];
+    // In the frame of the middle of this scan, whose own share is thus 0.
+    let mut at = [0.0; 3];
+    for (j, time_s) in known.into_iter().flatten() {
+        let others =
+            known.into_iter().flatten().map(|(_, other_s)| other_s).filter(|other_s| *other_s != time_s);
+        let (share, bend) = shares(-after_s, time_s, others.chain([0.0]));
+        let pose = middles[i].to(middles[j]);
+        // A heading in the middle is the mean of those during the scan, which a robot that begins to turn leaves along a curve of its own.
+        let of_heading = share - after_s * after_s / 6.0 * bend;
+        at = [at[0] + share * pose.x_m, at[1] + share * pose.y_m, at[2] + of_heading * pose.heading_rad];
+    }
+    Some(middles[i].compose(Placement::new(at[0], at[1], at[2])))
+}
+
+/// Lagrange's polynomial that is 1 at a time and 0 at two or three others: its value at `at_s`, and its second derivative there.
+fn shares(at_s: f64, time_s: f64, others_s: impl Iterator<Item = f64>) -> (f64, f64) {
+    // Value, first and second derivative of the product so far.
+    let product = others_s.fold((1.0, 0.0, 0.0), |(value, slope, bend), other_s| {
+        let (factor, of_factor) = ((at_s - other_s) / (time_s - other_s), 1.0 / (time_s - other_s));
+        (value * factor, slope * factor + value * of_factor, bend * factor + 2.0 * slope * of_factor)
+    });
+    (product.0, product.2)
 }
 
 #[cfg(test)]
@@ -150,6 +161,29 @@ mod tests {
             assert!(pose.distance_m(&truth) < 1e-3, "{number}: {pose:?} {truth:?}");
             assert!(pose.turn_rad(&truth) < 3e-4, "{number}: {pose:?} {truth:?}");
             assert!(samples[*number].pose.turn_rad(&truth) > 2e-3);
+        }
+    }
+
+    #[test]
+    fn a_robot_that_begins_to_turn_at_a_stamp_has_its_heading_there() {
+        // It turns faster and faster from the tenth scan on.
+        let truth_rad = |time_s: f64| 2.0 * (time_s - 1.0).max(0.0) * (time_s - 1.0).max(0.0);
+        let records: Vec<_> = (0..20).map(|number| record(number, 0)).collect();
+        let seen = |number: usize| {
+            let beams = (0..100).map(|beam| truth_rad(0.1 * number as f64 + 0.001 * f64::from(beam)));
+            let heading_rad = beams.sum::<f64>() / 100.0;
+            let turn_rad = 0.05 * 4.0 * (0.1 * number as f64 - 0.95).max(0.0);
+            let middle = Middle { after_s: 0.05, motion: [0.0, 0.0, turn_rad as f32] };
+            Sample { record: number, pose: Placement::new(1.0, 2.0, heading_rad - turn_rad), middle }
+        };
+        let samples: Vec<_> = (0..20).map(seen).collect();
+        let off_rad = |number: usize| {
+            let (_, pose) = at_stamps(&records, &samples)[number];
+            (pose.heading_rad - truth_rad(0.1 * number as f64)).abs()
+        };
+        // The parabola is off by 0.0024.
+        for number in 9..12 {
+            assert!(off_rad(number) < 0.0012, "{number}: {}", off_rad(number));
         }
     }
 
