@@ -3,8 +3,10 @@
 
 use crate::support;
 use crate::support::flocks::FlockRobot;
+use crate::support::lidar_player::{LidarPlayer, Played};
 use crate::support::{
-    Browser, Drive, LiveSet, RunningSet, free_port, http_get, keep_picture, of, processes_of, send, wait_for,
+    Browser, Drive, LiveSet, RunningSet, free_port, http_get, keep_picture, machine_share, of, processes_of,
+    send, wait_for,
 };
 use flockslam_bus::RuntimeDir;
 use flockslam_messages::Stage;
@@ -156,6 +158,26 @@ fn a_browser_shows_the_run_and_what_happens_to_it() {
     set.wait_until_handled(Stage::ScanMatcher, 20);
     browser.wait_until("the map again", &format!("{view}.map.tiles.size > 20 && {view}.robot"));
     assert_eq!(browser.errors(), [""; 0]);
+    set.command_well(&["down"]);
+    assert_eq!(set.wait(), Some(0));
+}
+
+/// A robot that stands gives its mapper one scan: the page has to ask for the tiles that came before it.
+#[test]
+fn the_map_of_a_robot_that_stands_is_shown_to_whoever_comes_later() {
+    machine_share::mostly_waits();
+    let Some(browser) = Browser::start("the map of a robot that stands") else { return };
+    let directory = tempfile::tempdir().unwrap();
+    let (robot, lidar, port) = (support::robot("stands"), directory.path().join("lidar"), free_port());
+    let _player = LidarPlayer::plug(&lidar, Played::ld06());
+    let description = format!(
+        "robot = \"{robot}\"\nset = [\"page.listen=127.0.0.1:{port}\"]\n[source]\nkind = \"ld06\"\nport = {lidar:?}\n"
+    );
+    std::fs::write(directory.path().join("set.toml"), description).unwrap();
+    let mut set = LiveSet::start_again(robot, directory.path(), &[]);
+    set.wait_until_handled(Stage::ScanMatcher, 10);
+    browser.open(&format!("http://localhost:{port}/"));
+    browser.wait_until("tiles", "Number(document.body.dataset.tiles) > 0");
     set.command_well(&["down"]);
     assert_eq!(set.wait(), Some(0));
 }

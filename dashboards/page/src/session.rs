@@ -52,8 +52,10 @@ pub struct Session {
     loops: Option<(u64, u64)>,
     shader: Shader,
     ticks: u64,
+    /// What all tiles were asked for with: the question goes with its publisher.
+    _asked: Publisher<Control>,
     // The bus goes last.
-    bus: Bus,
+    _bus: Bus,
 }
 
 impl Session {
@@ -64,10 +66,12 @@ impl Session {
     pub fn open(place: &Place) -> Result<Self, StageError> {
         let runtime = RuntimeDir::open(&place.set_dir)?;
         let bus = Bus::join(&runtime, "page", place.capacity)?;
-        let session = Self {
+        Ok(Self {
             poses: bus.subscriber()?,
             scans: bus.scan_subscriber()?,
             tiles: bus.subscriber()?,
+            // Once they are heard.
+            _asked: ask_for_tiles(&bus)?,
             tracks: bus.slice_subscriber()?,
             companions: bus.subscriber()?,
             waiting_scans: VecDeque::new(),
@@ -77,17 +81,8 @@ impl Session {
             loops: None,
             shader: Shader::default(),
             ticks: 0,
-            bus,
-        };
-        session.ask_for_tiles()?;
-        Ok(session)
-    }
-
-    fn ask_for_tiles(&self) -> Result<(), StageError> {
-        let control: Publisher<Control> = self.bus.publisher()?;
-        control.send(&Control { kind: ControlKind::TilesWanted as u32, run: 0, value: 0 })?;
-        self.bus.notifier(Stage::Mapper.name())?.ring();
-        Ok(())
+            _bus: bus,
+        })
     }
 
     /// Reads what is new and puts it into the view that browsers get.
@@ -259,6 +254,14 @@ impl Session {
             shared.view().map.set(key, &shades);
         }
     }
+}
+
+/// The mapper sends all its tiles once more; otherwise only those came that change.
+fn ask_for_tiles(bus: &Bus) -> Result<Publisher<Control>, StageError> {
+    let control = bus.publisher()?;
+    control.send(&Control { kind: ControlKind::TilesWanted as u32, run: 0, value: 0 })?;
+    bus.notifier(Stage::Mapper.name())?.ring();
+    Ok(control)
 }
 
 fn robot_now(pose: &PoseEstimate, length_m: f64) -> RobotNow {

@@ -1,7 +1,9 @@
 //! Reads the bus and the log stream of a running set, and gives what it has read as messages of a recording.
 
 use super::{LiveGrid, RecordError, Recorded, bus_scan, log, pose, scan, set_record, tracks, transforms};
-use flockslam_bus::{Bus, BusError, Capacity, RuntimeDir, ScanSubscriber, SliceSubscriber, Subscriber};
+use flockslam_bus::{
+    Bus, BusError, Capacity, Publisher, RuntimeDir, ScanSubscriber, SliceSubscriber, Subscriber,
+};
 use flockslam_geometry::Pose;
 use flockslam_messages::{
     Commit, Control, ControlKind, MarksHeader, PoseEstimate, Stage, StageInputs, TileMessage, TracksHeader,
@@ -42,6 +44,7 @@ pub struct SetReader {
     /// Sequences of the next scan and the next pose, when nothing is missed.
     expected: [Option<u64>; 2],
     missed: u64,
+    _asked: Publisher<Control>,
     // The ports go before the bus.
     _bus: Bus,
 }
@@ -72,9 +75,9 @@ impl SetReader {
             base_from_laser: Pose::IDENTITY,
             expected: [None; 2],
             missed: 0,
+            _asked: ask_for_tiles(&bus)?,
             _bus: bus,
         };
-        ask_for_tiles(&reader._bus)?;
         Ok(reader)
     }
 
@@ -169,15 +172,16 @@ impl SetReader {
     }
 }
 
-/// The mapper sends all its tiles once more; otherwise only those came that change.
+/// The mapper sends all its tiles once more; otherwise only those came that change. What is returned has to be kept until they have come:
+/// the question goes with its publisher.
 ///
 /// # Errors
 /// When the bus refuses.
-pub fn ask_for_tiles(bus: &Bus) -> Result<(), BusError> {
+pub fn ask_for_tiles(bus: &Bus) -> Result<Publisher<Control>, BusError> {
     let control = bus.publisher::<Control>()?;
     control.send(&Control { kind: ControlKind::TilesWanted as u32, run: 0, value: 0 })?;
     bus.notifier(Stage::Mapper.name())?.ring();
-    Ok(())
+    Ok(control)
 }
 
 /// What is added to the stream of log lines.

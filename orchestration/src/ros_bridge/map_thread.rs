@@ -130,6 +130,8 @@ struct MapKeeper<'p> {
     place: &'p MapPlace,
     publishers: &'p MapPublishers,
     tiles: Subscriber<TileMessage>,
+    /// What all tiles were asked for with: the question goes with its publisher.
+    asked: Option<flockslam_bus::Publisher<Control>>,
     commits: Subscriber<Commit>,
     poses: Subscriber<PoseEstimate>,
     runtime: RuntimeDir,
@@ -194,10 +196,11 @@ impl<'p> MapKeeper<'p> {
     fn join(place: &'p MapPlace, publishers: &'p MapPublishers) -> Result<Self, BridgeError> {
         let runtime = RuntimeDir::open(&place.set_dir).map_err(std::io::Error::other)?;
         let bus = Bus::join(&runtime, "ros-map", place.capacity)?;
-        let keeper = Self {
+        let mut keeper = Self {
             place,
             publishers,
             tiles: bus.subscriber()?,
+            asked: None,
             commits: bus.subscriber()?,
             poses: bus.subscriber()?,
             followed: FollowedMap::new(&runtime, place.optimises, place.cell_size_m),
@@ -224,10 +227,12 @@ impl<'p> MapKeeper<'p> {
     }
 
     /// The mapper sends all its tiles once more; otherwise only those came that change.
-    fn ask_for_tiles(&self) -> Result<(), BridgeError> {
+    fn ask_for_tiles(&mut self) -> Result<(), BridgeError> {
+        self.asked = None;
         let control = self.bus.publisher::<Control>()?;
         control.send(&Control { kind: ControlKind::TilesWanted as u32, run: 0, value: 0 })?;
         self.bus.notifier(Stage::Mapper.name())?.ring();
+        self.asked = Some(control);
         Ok(())
     }
 
