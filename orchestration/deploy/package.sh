@@ -109,7 +109,9 @@ lay_out() {
     (cd "$root/dashboards" && find . -path ./page -prune -o -type f -print) | while read -r file; do
         put 0644 "$root/dashboards/$file" "usr/share/flockslam/dashboards/${file#./}"
     done
-    for file in "$root"/docs/*.md "$root/README.md"; do put 0644 "$file" "$doc/$(basename "$file")"; done
+    # As they lie in the repository: they link to each other.
+    for file in README.md ARCHITECTURE.md CHANGELOG.md CONTRIBUTING.md dashboards/README.md; do put 0644 "$root/$file" "$doc/$file"; done
+    for file in "$root"/docs/*.md; do put 0644 "$file" "$doc/docs/$(basename "$file")"; done
     put 0644 "$root/LICENSE-MIT" "$doc/LICENSE-MIT"
     put 0644 "$root/LICENSE-APACHE" "$doc/LICENSE-APACHE"
     put 0644 "$here/package/copyright" "$doc/copyright"

@@ -93,6 +93,11 @@ impl LiveSet {
     /// Starts the set that is described in `directory` by such a command.
     pub fn start_described(mut command: Command, robot: String, directory: &Path) -> Self {
         command.arg("up").arg(directory.join("set.toml")).arg("--out").arg(directory.join("out"));
+        Self::of_command(command, robot, directory)
+    }
+
+    /// Starts a set by a command that is complete.
+    pub fn of_command(mut command: Command, robot: String, directory: &Path) -> Self {
         let child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
         Self {
             child,

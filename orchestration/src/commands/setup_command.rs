@@ -14,6 +14,7 @@ use crate::supervisor::SetDescription;
 use flockslam_journal::{Durability, replace_file};
 use flockslam_lidar_ingest::process::{FoundLidar, LidarPlace, identify, serial_ports};
 use std::io::{self, IsTerminal};
+use std::net::SocketAddr;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -68,7 +69,8 @@ pub fn run(args: &SetupArgs) -> Result<(), CommandError> {
             .map_err(|error| CommandError::user(format!("{}: {error}", directory.display())))?;
     }
     replace_file(&path, answers.text().as_bytes(), Durability::Power).map_err(CommandError::failed)?;
-    SetDescription::read(&path)?.configuration(&[])?;
+    let page = SetDescription::read(&path)?.configuration(&[])?.page;
+    let page = page.enabled.then_some(page.listen);
     let path_shown = path.display();
     say(&format!("written: {path_shown}\n"));
     if !others.start {
@@ -77,7 +79,7 @@ pub fn run(args: &SetupArgs) -> Result<(), CommandError> {
         ));
         return Ok(());
     }
-    start(&path, &others.robot)
+    start(&path, &others.robot, page)
 }
 
 /// What is asked beside the lidar.
@@ -279,14 +281,15 @@ fn show(lidar: &AnsweredLidar) -> Result<(), CommandError> {
 }
 
 /// Starts the set: by the service manager where the description is one of its units, else in the place of this process.
-fn start(path: &Path, robot: &str) -> Result<(), CommandError> {
+fn start(path: &Path, robot: &str, page: Option<SocketAddr>) -> Result<(), CommandError> {
+    let map = page.map(|address| format!("; its map is at http://{address}/")).unwrap_or_default();
     let of_service = path.parent() == Some(Path::new(SERVICE_DIR));
     if of_service && Path::new("/run/systemd/system").exists() {
         let unit = format!("flockslam@{robot}");
         let status = Command::new("systemctl").args(["enable", "--now", &unit]).status();
         return match status {
             Ok(status) if status.success() => {
-                say(&format!("{unit} runs: flockslam status, flockslam top\n"));
+                say(&format!("{unit} runs: flockslam status, flockslam top{map}\n"));
                 Ok(())
             }
             Ok(status) => Err(CommandError::failed(format!("systemctl enable --now {unit}: {status}"))),
@@ -294,6 +297,6 @@ fn start(path: &Path, robot: &str) -> Result<(), CommandError> {
         };
     }
     let own = std::env::current_exe().map_err(CommandError::failed)?;
-    say("the set runs until Ctrl-C; the page is at http://127.0.0.1:8470/\n");
+    say(&format!("the set runs until Ctrl-C{map}\n"));
     Err(CommandError::failed(Command::new(own).arg("up").arg(path).exec()))
 }
