@@ -30,13 +30,13 @@ const UNFINISHED: [ErrorKind; 3] = [
 const BETWEEN: [&str; 7] = ["|", "&", "&&", ";", ">", "#", "2>"];
 
 /// A command as a document has it.
-struct Documented {
+pub(crate) struct Documented {
     file: String,
-    words: Vec<String>,
+    pub(crate) words: Vec<String>,
     /// In a block of its own: all is there that it needs.
-    whole: bool,
+    pub(crate) whole: bool,
     /// The line behind it.
-    answer: String,
+    pub(crate) answer: String,
 }
 
 impl Documented {
@@ -113,7 +113,7 @@ fn commands_of(path: &PathBuf, program: &str) -> Vec<Documented> {
     found
 }
 
-fn all_commands(program: &str) -> Vec<Documented> {
+pub(crate) fn all_commands(program: &str) -> Vec<Documented> {
     documents().iter().flat_map(|path| commands_of(path, program)).collect()
 }
 
