@@ -134,8 +134,8 @@ impl Topic for Control {
     const NAME: &'static str = "control";
 
     fn limits(capacity: &Capacity) -> Limits {
-        // All stages, the supervisor and viewers publish on it.
-        Limits { publishers: 6 * (capacity.replicas + 1) + 4, ..Limits::small(capacity) }
+        // All stages, the supervisor and viewers publish on it; viewers keep their port.
+        Limits { publishers: 6 * (capacity.replicas + 1) + 8, ..Limits::small(capacity) }
     }
 }
 impl Topic for Progress {
