@@ -5,9 +5,10 @@ use super::bridge_parameters::LiveNumber;
 use super::graph_markers::GraphMarkers;
 use super::map_change::map_change;
 use super::map_picture::{MapPainter, MapPicture};
+use crate::recording::ask_for_tiles;
 use flockslam_bus::{Bus, Capacity, RuntimeDir, Subscriber};
 use flockslam_geometry::Pose;
-use flockslam_messages::{Commit, Control, ControlKind, PoseEstimate, Stage, TileMessage};
+use flockslam_messages::{Commit, Control, PoseEstimate, TileMessage};
 use flockslam_page::{FollowedMap, Version, version_of};
 use flockslam_results::SetMode;
 use flockslam_ros::messages::{MapMetaData, MarkerArray, OccupancyGrid, OccupancyGridUpdate};
@@ -229,10 +230,7 @@ impl<'p> MapKeeper<'p> {
     /// The mapper sends all its tiles once more; otherwise only those came that change.
     fn ask_for_tiles(&mut self) -> Result<(), BridgeError> {
         self.asked = None;
-        let control = self.bus.publisher::<Control>()?;
-        control.send(&Control { kind: ControlKind::TilesWanted as u32, run: 0, value: 0 })?;
-        self.bus.notifier(Stage::Mapper.name())?.ring();
-        self.asked = Some(control);
+        self.asked = Some(ask_for_tiles(&self.bus)?);
         Ok(())
     }
 
