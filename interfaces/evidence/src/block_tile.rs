@@ -126,7 +126,12 @@ fn leave_place<T>(blocks: &mut Vec<T>, at: u8, places: &mut [u8], first: u8) -> 
     if let Some(moved) = places.iter_mut().find(|place| **place == last) {
         *moved = at;
     }
-    blocks.swap_remove(usize::from(at - first))
+    let left = blocks.swap_remove(usize::from(at - first));
+    // Room that evidence of another kind will not need again: most blocks leave once.
+    if blocks.capacity() - blocks.len() > BLOCKS_AT_A_TIME {
+        blocks.shrink_to_fit();
+    }
+    left
 }
 
 /// A cell in the form of one submap, where its weights are no larger.
