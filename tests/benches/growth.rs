@@ -1,5 +1,5 @@
 //! What grows with the way through ever new corridors: `cargo bench -p flockslam --bench growth -- [KM]`, 10 km by default. Drives of a
-//! quarter, a half and the whole of it are simulated in one plan of 38 km of corridors, and mapped by a whole set that writes all outputs.
+//! quarter, a half and the whole of it are simulated in one plan of 150 km of corridors, and mapped by a whole set that writes all outputs.
 
 #![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
 
@@ -15,8 +15,8 @@ use support::run_well;
 use support::seeded_drives::absolute_error_m;
 
 /// Side of the plan, metres.
-const SIDE_M: f64 = 480.0;
-const CELL_M: f64 = 0.05;
+const SIDE_M: f64 = 960.0;
+const CELL_M: f64 = 0.1;
 /// Solid rim of the plan, metres.
 const RIM_M: f64 = 2.0;
 /// From one corridor to the next, metres.
