@@ -9,9 +9,8 @@ use driven::Driven;
 use flockslam_loop_closure::agreement::eligible;
 use flockslam_loop_closure::closure::{CHI_SQUARED_MAX, Closure};
 use flockslam_loop_closure::connectivity::{self, TrajectoryConnectivity};
-use flockslam_loop_closure::finder::{
-    CLOSURE_M, ClosureFinder, EVERY_M, JOINT_M, LEAST_TRAVEL_M, QUERY_NODES, World, graph_distances,
-};
+use flockslam_loop_closure::finder::{ClosureFinder, EVERY_M, LEAST_TRAVEL_M, QUERY_NODES, World, in_reach};
+use flockslam_loop_closure::graph_distances::{CLOSURE_M, JOINT_M, graph_distances, graph_distances_to};
 use flockslam_loop_closure::node::NewNode;
 use flockslam_loop_closure::odometry_graph::OdometryGraph;
 use flockslam_loop_closure::open_finder::OpenFinder;
@@ -351,8 +350,14 @@ impl SyncManager {
 
     fn search(&mut self, query: usize, known: usize) {
         let nodes = &self.odometry.nodes()[..known];
-        let distances_m = graph_distances(nodes, &self.connections(known), query);
         let world = World { nodes, scans: &self.scans, segments: &self.segments, poses: &self.poses };
+        let connections = self.connections(known);
+        let is_one_trajectory = nodes.last().is_some_and(|last| last.trajectory == nodes[0].trajectory);
+        let distances_m = if is_one_trajectory && !nodes[query].is_open {
+            graph_distances_to(nodes, &connections, query, &in_reach(&world, query))
+        } else {
+            graph_distances(nodes, &connections, query)
+        };
         let found = if nodes[query].is_open {
             self.open_finder.find(&world, query, &distances_m)
         } else {

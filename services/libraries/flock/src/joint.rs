@@ -5,7 +5,8 @@ use super::flock_solution::Solved;
 use super::inspection::Inspected;
 use flockslam_loop_closure::agreement::eligible;
 use flockslam_loop_closure::closure::Closure;
-use flockslam_loop_closure::finder::{CLOSURE_M, graph_distances, window};
+use flockslam_loop_closure::finder::window;
+use flockslam_loop_closure::graph_distances::{CLOSURE_M, graph_distances};
 use std::collections::BTreeMap;
 
 /// Closures that are looked at in one go: the work is bounded whatever somebody claims.

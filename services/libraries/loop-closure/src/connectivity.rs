@@ -20,6 +20,9 @@ impl TrajectoryConnectivity {
     /// The trajectories of these nodes as `loops` (pairs of nodes) connect them.
     pub fn new(nodes: &[Node], loops: impl Iterator<Item = (usize, usize)>) -> Self {
         let count = nodes.last().map_or(0, |node| node.trajectory + 1);
+        if count == 1 {
+            return Self { root: vec![0], main: 0 };
+        }
         let mut root: Vec<u32> = (0..count).collect();
         for (a, b) in loops {
             let (a, b) = (root[nodes[a].trajectory as usize], root[nodes[b].trajectory as usize]);

@@ -45,6 +45,8 @@ const ANYWHERE_SUMS_MAX: u64 = 150_000;
 const RUNNER_UP_SUMS_MAX: u64 = 3_000_000;
 /// Most segments that one query is looked for in so.
 const ANYWHERE_MAX: usize = 50;
+/// The widest window after driving, metres.
+const REACH_MAX_M: f64 = 25.0;
 /// The first window: a robot that was lost only briefly is near its predicted pose.
 const NEARBY: Window = Window { reach_m: 4.0, turn_rad: 0.7 };
 /// A runner-up must lie at least this far away from the best match to count.
@@ -128,7 +130,7 @@ impl ClosureFinder {
     }
 
     /// Looks for the surroundings of node `query` in older segments; `distances_m` are its distances along
-    /// the graph to all nodes.
+    /// the graph to all nodes, or to those [`in_reach`] where there is one trajectory.
     pub fn find(&mut self, world: &World<'_>, query: usize, distances_m: &[f64]) -> Vec<Closure> {
         let candidates = self.candidates(world, query, distances_m);
         self.find_in(world, query, QUERY_NODES, &candidates)
@@ -154,11 +156,8 @@ impl ClosureFinder {
 
     /// The segments that the query may see, nearest first, with the search window in each.
     fn candidates(&self, world: &World<'_>, query: usize, distances_m: &[f64]) -> Vec<(usize, Window)> {
-        let old = |s: &Segment| {
-            world.nodes[query].travel_m - world.nodes[s.nodes.end - 1].travel_m >= LEAST_TRAVEL_M
-        };
         let mut near = Vec::new();
-        for (number, segment) in world.segments.iter().enumerate().filter(|(_, s)| old(s)) {
+        for (number, segment) in world.segments.iter().enumerate().filter(|(_, s)| is_old(world, s, query)) {
             if distances_m[segment.anchor] >= BROKEN_M {
                 continue;
             }
@@ -266,6 +265,17 @@ impl ClosureFinder {
     }
 }
 
+/// Whether a segment lies so far back that a query is looked for in it.
+fn is_old(world: &World<'_>, segment: &Segment, query: usize) -> bool {
+    world.nodes[query].travel_m - world.nodes[segment.nodes.end - 1].travel_m >= LEAST_TRAVEL_M
+}
+
+/// The anchors of the old segments that lie within the widest window around a query: distances to others do not matter to a search.
+pub fn in_reach(world: &World<'_>, query: usize) -> Vec<usize> {
+    let old = world.segments.iter().filter(|segment| is_old(world, segment, query));
+    old.filter(|segment| apart_m(world, segment, query) <= REACH_MAX_M + SIGHT_M).map(|s| s.anchor).collect()
+}
+
 /// Whether a refined match is good enough by itself.
 pub(crate) fn holds(refined: &Alignment, found: &Found) -> bool {
     let [xx, xy, _, yy, ..] = refined.information;
@@ -292,7 +302,10 @@ pub fn apart_m(world: &World<'_>, segment: &Segment, query: usize) -> f64 {
 
 /// The search window after `distance_m` along the graph.
 pub fn window(distance_m: f64) -> Window {
-    Window { reach_m: (0.3 + 0.06 * distance_m).min(25.0), turn_rad: (0.06 + 0.002 * distance_m).min(0.7) }
+    Window {
+        reach_m: (0.3 + 0.06 * distance_m).min(REACH_MAX_M),
+        turn_rad: (0.06 + 0.002 * distance_m).min(0.7),
+    }
 }
 
 pub(crate) fn nearest_node(segment: &Segment, to: &Placement, at: impl Fn(usize) -> Placement) -> usize {
@@ -348,48 +361,4 @@ pub(crate) fn edge(query: usize, nearest: usize, at: &Placement, refined: &Align
     let information = inflated(&refined.information.map(|v| v * POINT_INFORMATION), SLACK.0, SLACK.1)?;
     let motion = at.to(refined.placement);
     Some(Edge { from: nearest, to: query, motion, information: in_frame(&information, at) })
-}
-
-/// What a closure adds to a distance along the graph, metres.
-pub const CLOSURE_M: f64 = 1.0;
-/// What odometry between two trajectories adds, metres: the window behind it reaches 9 m and 0.36 rad.
-pub const JOINT_M: f64 = 150.0;
-
-/// Distances along the graph from `from` to every node, metres: along the odometry, and across loops that are inliers.
-///
-/// `loops` are pairs of nodes with the uncertainty between them as a length of path, metres.
-pub fn graph_distances(nodes: &[Node], loops: &[(usize, usize, f64)], from: usize) -> Vec<f64> {
-    let mut across = vec![Vec::new(); nodes.len()];
-    for &(a, b, length_m) in loops {
-        across[a].push((b, length_m));
-        across[b].push((a, length_m));
-    }
-    let mut distances = vec![f64::INFINITY; nodes.len()];
-    let mut queue = std::collections::BinaryHeap::new();
-    distances[from] = 0.0;
-    // Whole micrometres order the queue: floats have no total order.
-    queue.push((std::cmp::Reverse(0u64), from));
-    while let Some((std::cmp::Reverse(key), node)) = queue.pop() {
-        if key > (distances[node] * 1e6) as u64 {
-            continue;
-        }
-        let mut relax = |next: usize, step_m: f64| {
-            let distance = distances[node] + step_m;
-            if distance < distances[next] {
-                distances[next] = distance;
-                queue.push((std::cmp::Reverse((distance * 1e6) as u64), next));
-            }
-        };
-        let step = |a: usize, b: usize| (nodes[a].drift_bound_m - nodes[b].drift_bound_m).abs();
-        if node > 0 {
-            relax(node - 1, step(node, node - 1));
-        }
-        if node + 1 < nodes.len() {
-            relax(node + 1, step(node, node + 1));
-        }
-        for &(next, length_m) in &across[node] {
-            relax(next, length_m);
-        }
-    }
-    distances
 }

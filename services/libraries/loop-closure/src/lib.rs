@@ -10,6 +10,7 @@ pub mod connectivity;
 pub mod dense;
 mod fields;
 pub mod finder;
+pub mod graph_distances;
 pub mod node;
 pub mod odometry_graph;
 pub mod open_finder;
