@@ -125,6 +125,12 @@ impl RecordReader {
         self.offset
     }
 
+    /// Goes back to where a record begins that was read: it is read next.
+    pub fn go_back_to(&mut self, offset: u64) {
+        debug_assert!(offset <= self.offset, "it was read");
+        self.offset = offset;
+    }
+
     /// Goes on behind what was read before: up to there the journal is good.
     pub(crate) fn skip_to(&mut self, good_bytes: u64) {
         self.offset = self.offset.max(good_bytes);

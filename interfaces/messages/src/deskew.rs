@@ -63,9 +63,14 @@ impl Deskew {
 
     /// Where beam `beam` of `scan` ends at `range_m`, in `base_link` at the stamp.
     pub fn end_in_base(&self, scan: ScanView<'_>, beam: usize, range_m: f64) -> Point {
+        self.ends_in_base(scan, beam)(range_m)
+    }
+
+    /// The same for several ranges along a beam.
+    pub fn ends_in_base(&self, scan: ScanView<'_>, beam: usize) -> impl Fn(f64) -> Point + use<> {
         let laser = self.laser_at(if self.moves { scan.time_s(beam) } else { 0.0 });
         let (sin, cos) = sin_cos(laser.heading_rad + scan.angle_rad(beam));
-        Point::new(laser.x_m + range_m * cos, laser.y_m + range_m * sin)
+        move |range_m| Point::new(laser.x_m + range_m * cos, laser.y_m + range_m * sin)
     }
 
     /// A point in the base's frame as the lidar at the stamp has it.

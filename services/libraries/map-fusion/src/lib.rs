@@ -2,6 +2,7 @@
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
 
+mod aim;
 mod coverage;
 mod final_cleaning;
 mod footprint;

@@ -1,5 +1,6 @@
 //! The cells that the beams of a scan cross, and the cells near their end points.
 
+use crate::aim::Aim;
 use flockslam_evidence::{CellIndex, floor};
 use flockslam_geometry::elementary::sin_cos;
 use flockslam_geometry::{Point, Pose};
@@ -48,8 +49,8 @@ impl Rays {
         Self { cell_size_m, reach_m, before_m, near, middle, marks, blocks, scan: 0 }
     }
 
-    /// Those of a scan from `at`, in place of those before.
-    pub fn look(&mut self, scan: ScanView<'_>, deskew: &Deskew, map_from_base: Pose, at: Point) {
+    /// Those of a scan from `at` that go where something is looked for, in place of those before.
+    pub fn look(&mut self, scan: ScanView<'_>, deskew: &Deskew, map_from_base: Pose, at: Point, aim: &Aim) {
         if self.scan == u8::MAX {
             self.marks.fill(Marks::default());
             self.blocks.fill(0);
@@ -65,10 +66,16 @@ impl Rays {
         };
         for beam in 0..scan.len() {
             let Some(range_m) = scan.valid_range_m(beam) else { continue };
-            let end = |range_m: f64| in_map(deskew.end_in_base(scan, beam, range_m));
-            self.cross(at, end((range_m - self.before_m).clamp(0.0, self.reach_m)));
+            let end_at = deskew.ends_in_base(scan, beam);
+            let free = in_map(end_at((range_m - self.before_m).clamp(0.0, self.reach_m)));
+            let end = in_map(end_at(range_m));
+            let is_wanted = |to: Point| aim.has(to.x_m - at.x_m, to.y_m - at.y_m);
+            if !is_wanted(free) && !is_wanted(end) {
+                continue;
+            }
+            self.cross(at, free);
             if range_m <= self.reach_m {
-                self.end(self.cell(end(range_m)));
+                self.end(self.cell(end));
             }
         }
     }
@@ -159,10 +166,12 @@ mod tests {
     #[test]
     fn cells_are_crossed_or_near_the_ends_of_the_last_scan() {
         let mut rays = Rays::new(0.05, 12.0, 0.3, 2);
+        let mut aim = Aim::new();
+        aim.add(Point::new(0.0, 0.0), Point::new(0.0, 0.0), 0.0);
         let mut look = |range_m: f32, at: Pose| {
             let scan = ScanBuffer::from_ranges(&[range_m, f32::INFINITY], 0.0, 0.1);
             let view = scan.view().unwrap();
-            rays.look(view, &Deskew::new(view, Twist::default()), at, at.position());
+            rays.look(view, &Deskew::new(view, Twist::default()), at, at.position(), &aim);
             [34, 35, 38, 39, 43, 44].map(|x| {
                 let is = |y: i32| {
                     let cell = CellIndex::new(x, y);

@@ -148,6 +148,23 @@ impl JournalReader {
         self.records.as_ref().map_or(Ending::Clean, RecordReader::ending)
     }
 
+    /// Where the next record begins.
+    pub fn position(&self) -> u64 {
+        self.records.as_ref().map_or(0, RecordReader::good_bytes)
+    }
+
+    /// The record that begins at this position, which was that of a record that has been read. Afterwards comes the one behind it.
+    ///
+    /// # Errors
+    /// As [`Self::read_next`].
+    pub fn read_at(&mut self, position: u64) -> Result<Option<Journaled>, StageError> {
+        self.ahead = None;
+        if let Some(records) = &mut self.records {
+            records.go_back_to(position);
+        }
+        self.read_next()
+    }
+
     /// The next record if it is of a scan before this sequence: the records that a reader at `sequence` has missed.
     ///
     /// # Errors

@@ -5,8 +5,8 @@ use flockslam_geometry::Point;
 use flockslam_geometry::elementary::{atan2, hypot};
 use std::f64::consts::FRAC_1_SQRT_2;
 
-/// Coarse directions around the lidar; a quarter of them in each quadrant.
-const DIRECTIONS: usize = 256;
+/// Coarse directions around a place; a quarter of them in each quadrant.
+pub const COARSE_DIRECTIONS: usize = 256;
 /// Nearer places fill too much of the view to be called hidden here, metres.
 const NEAR_M: f64 = 1.0;
 /// Rounding of angles stays below this, radians.
@@ -18,8 +18,8 @@ const ROUNDING_M: f64 = 1e-6;
 #[derive(Clone, Debug)]
 pub struct Horizon {
     /// Directions at which the coarse ones begin, radians, and where the last one ends.
-    borders_rad: Box<[f64; DIRECTIONS + 1]>,
-    farthest_m: Box<[f64; DIRECTIONS]>,
+    borders_rad: Box<[f64; COARSE_DIRECTIONS + 1]>,
+    farthest_m: Box<[f64; COARSE_DIRECTIONS]>,
     /// Cells closer in front of what is seen may be part of it, metres.
     near_m: f64,
 }
@@ -34,12 +34,12 @@ impl Horizon {
     /// Of a scan that sees nothing.
     pub fn new() -> Self {
         let border = |number: usize| {
-            let along = number as f64 * (4.0 / DIRECTIONS as f64) - 1.0;
+            let along = number as f64 * (4.0 / COARSE_DIRECTIONS as f64) - 1.0;
             if along <= 1.0 { atan2(along, 1.0 - along.abs()) } else { turned(along - 2.0) }
         };
         Self {
             borders_rad: Box::new(std::array::from_fn(border)),
-            farthest_m: Box::new([0.0; DIRECTIONS]),
+            farthest_m: Box::new([0.0; COARSE_DIRECTIONS]),
             near_m: 0.0,
         }
     }
@@ -60,7 +60,7 @@ impl Horizon {
     #[inline]
     pub fn hides(&self, dx_m: f64, dy_m: f64) -> bool {
         let distance_m = hypot(dx_m, dy_m);
-        distance_m >= NEAR_M && self.farthest_m[direction(dx_m, dy_m)] < distance_m - self.near_m
+        distance_m >= NEAR_M && self.farthest_m[coarse_direction(dx_m, dy_m)] < distance_m - self.near_m
     }
 
     /// Whether [`Self::hides`] is true of every place well within the rectangle between two corners, which are given as seen from the
@@ -72,26 +72,27 @@ impl Horizon {
             return false;
         }
         let corners = [(low.x_m, low.y_m), (high.x_m, low.y_m), (low.x_m, high.y_m), (high.x_m, high.y_m)];
-        let corners = corners.map(|(x_m, y_m)| direction(x_m, y_m));
+        let corners = corners.map(|(x_m, y_m)| coarse_direction(x_m, y_m));
         let (first, last) =
-            corners.iter().fold((DIRECTIONS, 0), |(first, last), d| (first.min(*d), last.max(*d)));
+            corners.iter().fold((COARSE_DIRECTIONS, 0), |(first, last), d| (first.min(*d), last.max(*d)));
         let hidden = |directions: &[f64]| directions.iter().all(|far_m| *far_m < nearest_m - self.near_m);
         // It is seen within less than half a turn. Where its corners are farther apart the directions begin anew in between.
-        if last - first <= DIRECTIONS / 2 {
+        if last - first <= COARSE_DIRECTIONS / 2 {
             return hidden(&self.farthest_m[first..=last]);
         }
         let least = |from: usize| corners.into_iter().filter(|d| *d >= from).min().unwrap_or(from);
         let most = |to: usize| corners.into_iter().filter(|d| *d < to).max().unwrap_or(0);
-        hidden(&self.farthest_m[least(DIRECTIONS / 2)..]) && hidden(&self.farthest_m[..=most(DIRECTIONS / 2)])
+        hidden(&self.farthest_m[least(COARSE_DIRECTIONS / 2)..])
+            && hidden(&self.farthest_m[..=most(COARSE_DIRECTIONS / 2)])
     }
 }
 
-/// The number of the direction of a place.
+/// The number of the direction of what is so far away along x and y.
 #[inline]
-fn direction(dx_m: f64, dy_m: f64) -> usize {
+pub fn coarse_direction(dx_m: f64, dy_m: f64) -> usize {
     let share = dy_m / (dx_m.abs() + dy_m.abs());
     let along = if dx_m >= 0.0 { share + 1.0 } else { 3.0 - share };
-    ((along * (DIRECTIONS as f64 / 4.0)) as usize).min(DIRECTIONS - 1)
+    ((along * (COARSE_DIRECTIONS as f64 / 4.0)) as usize).min(COARSE_DIRECTIONS - 1)
 }
 
 /// The direction so far behind the negative axis of x, in the measure that is the share of y in |x| + |y|.

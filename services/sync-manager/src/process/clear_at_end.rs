@@ -1,11 +1,12 @@
-//! The final cleaning: reads the journal once more at the end, at the final poses.
+//! The final cleaning: reads the journal once more at the end, from the last scan back, at the final poses.
 
 use super::fuser::Fuser;
 use flockslam_map_fusion::PlacedSubmap;
 use flockslam_map_fusion::{APART_NS, FinalCleaning, VIEWS};
 use flockslam_messages::{Deskew, PoseFlags};
 use flockslam_results::flock_files::NamedPose;
-use flockslam_stage::{JournalReader, Journaled, StageContext, StageError};
+use flockslam_stage::{JournalReader, StageContext, StageError};
+use std::ops::Range;
 
 /// Of more accepted scans than this an evenly spaced selection is used: the work is bounded.
 const SCANS_MAX: u64 = 20_000;
@@ -23,17 +24,36 @@ pub(super) fn clear_at_end(
     context: &mut StageContext,
 ) -> Result<(), StageError> {
     let Some(mut final_cleaning) = fuser.map().map(FinalCleaning::new) else { return Ok(()) };
-    let every = accepted.div_ceil(SCANS_MAX).max(1);
     let mut journal = JournalReader::open(&context.journal_dir)?;
-    let (mut number, mut next) = (0, 0);
-    // The scan that was read last, with its place: how long it stood for what was seen is known when the next one is read.
-    let mut held: Option<(Journaled, usize)> = None;
-    let mut look = |record: &Journaled, rows: &[NamedPose]| {
+    let accepted = accepted_scans(&mut journal, submaps_in_map, scans, accepted, context)?;
+    for (position, rows) in accepted.iter().rev() {
+        context.alive();
+        let Some(record) = journal.read_at(*position)? else { continue };
         if let Some(scan) = record.scan.as_ref().and_then(|scan| scan.view().ok()) {
+            let rows = &scans[rows.clone()];
             final_cleaning.look(scan, &Deskew::new(scan, record.pose.twist), rows[0].pose, views(rows));
         }
-    };
-    while let Some(record) = journal.read_next()? {
+    }
+    let free = final_cleaning.free();
+    tracing::debug!(cells = free.len(), scans = accepted.len(), "looked back");
+    fuser.clear(&free, submaps_in_map)
+}
+
+/// The accepted scans that are looked at, in order: where each is in the journal, and which of `scans` it stands for, itself first: how long
+/// it stood for what was seen is known from the next one.
+fn accepted_scans(
+    journal: &mut JournalReader,
+    submaps_in_map: &[PlacedSubmap],
+    scans: &[NamedPose],
+    accepted: u64,
+    context: &mut StageContext,
+) -> Result<Vec<(u64, Range<usize>)>, StageError> {
+    let every = accepted.div_ceil(SCANS_MAX).max(1);
+    let (mut number, mut next) = (0, 0);
+    let mut found: Vec<(u64, Range<usize>)> = Vec::new();
+    loop {
+        let position = journal.position();
+        let Some(record) = journal.read_next()? else { return Ok(found) };
         context.alive();
         let sequence = record.pose.id.sequence;
         if record.scan.is_none() || record.pose.has(PoseFlags::LOCALIZING) {
@@ -46,16 +66,11 @@ pub(super) fn clear_at_end(
         }
         next = sequence + 1;
         let Ok(place) = scans.binary_search_by_key(&sequence, |row| row.sequence) else { continue };
-        if let Some((before, at)) = held.replace((record, place)) {
-            look(&before, &scans[at..place]);
+        if let Some((_, before)) = found.last_mut() {
+            before.end = place;
         }
+        found.push((position, place..scans.len()));
     }
-    if let Some((last, at)) = held {
-        look(&last, &scans[at..]);
-    }
-    let free = final_cleaning.free();
-    tracing::debug!(cells = free.len(), scans = number, "looked back");
-    fuser.clear(&free, submaps_in_map)
 }
 
 /// Number of views that a scan counts for: scans that showed about the same are not in the journal.

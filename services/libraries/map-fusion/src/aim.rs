@@ -1,0 +1,73 @@
+//! The directions around a lidar in which something is looked for: beams elsewhere need not be followed.
+
+use flockslam_geometry::Point;
+use flockslam_visibility::{COARSE_DIRECTIONS, coarse_direction};
+
+/// Coarse directions around a place.
+#[derive(Clone, Debug)]
+pub struct Aim {
+    is_wanted: Box<[bool; COARSE_DIRECTIONS]>,
+}
+
+impl Aim {
+    /// Nowhere.
+    pub fn new() -> Self {
+        Self { is_wanted: Box::new([false; COARSE_DIRECTIONS]) }
+    }
+
+    /// Nowhere again.
+    pub fn clear(&mut self) {
+        self.is_wanted.fill(false);
+    }
+
+    /// At all that is at most so far beside the rectangle between two corners, which are given as seen from the lidar.
+    pub fn add(&mut self, low: Point, high: Point, beside_m: f64) {
+        let (left, bottom) = (low.x_m - beside_m, low.y_m - beside_m);
+        let (right, top) = (high.x_m + beside_m, high.y_m + beside_m);
+        if left <= 0.0 && right >= 0.0 && bottom <= 0.0 && top >= 0.0 {
+            return self.is_wanted.fill(true);
+        }
+        let corners = [(left, bottom), (right, bottom), (left, top), (right, top)];
+        let corners = corners.map(|(x_m, y_m)| coarse_direction(x_m, y_m));
+        let (first, last) =
+            corners.iter().fold((COARSE_DIRECTIONS, 0), |(first, last), d| (first.min(*d), last.max(*d)));
+        // It is seen within less than half a turn. Where its corners are farther apart the directions begin anew in between.
+        let half = COARSE_DIRECTIONS / 2;
+        if last - first <= half {
+            self.is_wanted[first..=last].fill(true);
+        } else {
+            let least = corners.into_iter().filter(|d| *d >= half).min().unwrap_or(half);
+            let most = corners.into_iter().filter(|d| *d < half).max().unwrap_or(0);
+            self.is_wanted[least..].fill(true);
+            self.is_wanted[..=most].fill(true);
+        }
+    }
+
+    /// Whether something that is so far from the lidar along x and y is looked for.
+    #[inline]
+    pub fn has(&self, dx_m: f64, dy_m: f64) -> bool {
+        self.is_wanted[coarse_direction(dx_m, dy_m)]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn every_place_in_a_rectangle_and_beside_it_is_looked_at(
+            x in -6.0..6.0f64, y in -6.0..6.0f64, along in 0.0..1.0f64, across in 0.0..1.0f64,
+        ) {
+            let mut aim = Aim::new();
+            aim.add(Point::new(x, y), Point::new(x + 0.8, y + 0.8), 0.2);
+            prop_assert!(aim.has(x - 0.2 + 1.2 * along, y - 0.2 + 1.2 * across));
+            // Not all around, unless the lidar is there.
+            let is_here = |low: f64| (-1.0..=0.2).contains(&low);
+            prop_assert!(is_here(x) && is_here(y) || !aim.is_wanted.iter().all(|wanted| *wanted));
+            aim.clear();
+            prop_assert!(!aim.has(x, y));
+        }
+    }
+}
