@@ -260,15 +260,15 @@ impl Fusion {
     fn add(&mut self, submap: &Submap, cleared: ClearedCells, map_from_odom: Pose) -> Result<(), TooFar> {
         let (size_m, map_from_submap) =
             (*self.cell_size_m.get_or_insert(submap.cell_size_m), map_from_odom * submap.odom_from_submap);
-        let Added { known: footprint, occupied } = if self.sums {
-            self.map.get_or_insert_with(|| FusedMap::new(size_m)).add(submap, map_from_submap)?
-        } else {
-            let known = Footprint::of(submap, map_from_submap, size_m);
-            Added { known, occupied: Footprint::default() }
+        let known = (!self.sums).then(|| KnownCells::of(submap));
+        let Added { known: footprint, occupied } = match &known {
+            Some(known) => {
+                Added { known: known.footprint(map_from_odom, size_m), occupied: Footprint::default() }
+            }
+            None => self.map.get_or_insert_with(|| FusedMap::new(size_m)).add(submap, map_from_submap)?,
         };
         self.coverage.add(submap.number, &footprint);
         let (corners, cell_size_m) = (corners(submap), submap.cell_size_m);
-        let known = (!self.sums).then(|| KnownCells::of(submap));
         let fused = Fused { map_from_odom, cleared, footprint, occupied, known, corners, cell_size_m };
         self.fused.insert(submap.number, fused);
         Ok(())

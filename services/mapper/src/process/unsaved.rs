@@ -55,7 +55,10 @@ impl Unsaved {
     /// In exact replay when the disk refuses.
     pub fn save(&mut self, output: &Output) -> Result<(), StageError> {
         while let Some((submap, is_new)) = self.submaps.front() {
-            if let Err(error) = self.store.save(submap) {
+            // What is stored already is not coded anew, unless it is gone, or the submap has retired since.
+            let is_marked = !is_new && self.store.save_cleared(submap).is_ok();
+            let saved = if is_marked { Ok(()) } else { self.store.save(submap) };
+            if let Err(error) = saved {
                 if !self.may_wait {
                     return Err(error.into());
                 }
