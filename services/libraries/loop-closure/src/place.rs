@@ -47,7 +47,8 @@ pub struct Placer<'a> {
 impl Placer<'_> {
     /// Places `kept`, which are in order. `grid` is lent empty and given back so.
     pub fn place_all(&self, kept: &[KeptScan], grid: &mut MomentGrid) -> Vec<Placement> {
-        let aligner = Aligner::new(AlignSettings { iterations: 6, ..AlignSettings::default() });
+        let aligner =
+            Aligner::new(AlignSettings { iterations: 6, is_quick: true, ..AlignSettings::default() });
         let Some(first) = kept.first().map(|scan| self.around(scan.node).start) else { return Vec::new() };
         let mut held = Held { nodes: first..first, points: VecDeque::new() };
         let mut placed = Vec::with_capacity(kept.len());
@@ -112,11 +113,14 @@ impl Held {
 
 /// The first accepted match, else the first guess.
 fn place(aligner: &Aligner, grid: &mut MomentGrid, points: &[PackedPoint], scan: &KeptScan) -> Placement {
-    let mut attempts = scan.guesses.iter().filter_map(|guess| {
+    // The second guess may be the first one again.
+    let [first, second] = &scan.guesses;
+    let guesses = std::iter::once(first).chain(Some(second).filter(|second| *second != first));
+    let mut attempts = guesses.filter_map(|guess| {
         let found = aligner.align(grid, points, *guess)?;
         is_believed(&found, guess, scan.move_max).then_some(found.placement)
     });
-    attempts.next().unwrap_or(scan.guesses[0])
+    attempts.next().unwrap_or(*first)
 }
 
 fn is_believed(found: &Alignment, guess: &Placement, move_max: (f64, f64)) -> bool {

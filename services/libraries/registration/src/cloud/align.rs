@@ -8,6 +8,11 @@ const FACING_MIN: f64 = 0.1;
 /// Flatness from which on a line is a face of a wall; less is a corner, which has no sides.
 const FLAT_MIN: f64 = 0.8;
 
+/// Of a quick fit steps shorter than this end the first half and the second, metres and radians …
+const QUICK_STEPS: [(f64, f64); 2] = [(1e-3, 2e-4), (2e-4, 3e-5)];
+/// … and of any other the second.
+const LAST_STEP: (f64, f64) = (1e-4, 1e-5);
+
 /// How a cloud is fitted to a grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AlignSettings {
@@ -24,6 +29,9 @@ pub struct AlignSettings {
     pub prior: f64,
     /// Length that makes a turn comparable with a shift in the prior, metres.
     pub prior_lever_m: f64,
+    /// Whether it ends where it hardly moves: enough for a pose that nothing else is measured from. Where points leave a direction nearly
+    /// open short steps may still lead far.
+    pub is_quick: bool,
 }
 
 impl Default for AlignSettings {
@@ -35,6 +43,7 @@ impl Default for AlignSettings {
             kernel_m: 0.05,
             prior: 0.002,
             prior_lever_m: 2.0,
+            is_quick: false,
         }
     }
 }
@@ -104,22 +113,33 @@ impl Aligner {
     ) -> Option<Alignment> {
         let settings = &self.settings;
         let mut at = guess;
-        for step in 0..settings.iterations {
-            let gate_m = if 2 * step < settings.iterations { settings.gate_wide_m } else { settings.gate_m };
+        let (mut step, mut last) = (0, None);
+        while step < settings.iterations {
+            let is_wide = 2 * step < settings.iterations;
+            let gate_m = if is_wide { settings.gate_wide_m } else { settings.gate_m };
             let normal = self.sum(grid, points, at, gate_m);
             if normal.inliers == 0 {
                 return None;
             }
             let Some(delta) = self.step(&normal, points.len(), at, guess) else { break };
             at = Placement::new(at.x_m + delta[0], at.y_m + delta[1], at.heading_rad + delta[2]);
-            if delta[0] * delta[0] + delta[1] * delta[1] < 1e-8
-                && delta[2].abs() < 1e-5
-                && 2 * step >= settings.iterations
-            {
-                break;
+            step += 1;
+            let is_over = match (settings.is_quick, is_wide) {
+                (true, _) => is_short(delta, QUICK_STEPS[usize::from(!is_wide)]),
+                (false, true) => false,
+                (false, false) => is_short(delta, LAST_STEP),
+            };
+            match (is_over, is_wide) {
+                (true, true) => step = settings.iterations.div_ceil(2),
+                (true, false) => {
+                    // So near it is the same.
+                    last = settings.is_quick.then_some(normal);
+                    break;
+                }
+                (false, _) => {}
             }
         }
-        let normal = self.sum(grid, points, at, settings.gate_m);
+        let normal = last.unwrap_or_else(|| self.sum(grid, points, at, settings.gate_m));
         let share = 1.0 / points.len() as f64;
         (normal.inliers > 0).then(|| Alignment {
             placement: at,
@@ -178,6 +198,10 @@ impl Aligner {
         let delta = solve(&h, &g)?;
         Some([-delta[0].clamp(-0.3, 0.3), -delta[1].clamp(-0.3, 0.3), -delta[2].clamp(-0.2, 0.2)])
     }
+}
+
+fn is_short(delta: [f64; 3], (step_m, step_rad): (f64, f64)) -> bool {
+    delta[0] * delta[0] + delta[1] * delta[1] < step_m * step_m && delta[2].abs() < step_rad
 }
 
 /// Whether a point seen in the direction (x, y) lies on the other face of the wall that the line is one face of.
