@@ -21,6 +21,8 @@ const EXPLAINED_M: f64 = 0.15;
 const CONTRADICTED_M: f64 = 0.3;
 /// What lies before a point by less than this is not in its beam, metres.
 const BEFORE_M: f64 = 0.4;
+/// A surface that beams pass is counted in squares of this side, metres, as points of a cloud are.
+const THROUGH_M: f64 = 0.1;
 /// Steps along a beam, metres.
 const BEAM_STEP_M: f64 = 0.1;
 
@@ -54,10 +56,11 @@ pub struct Fit {
 pub struct Agreement {
     /// Points near something occupied.
     pub explained: f64,
-    /// Points in known-free space, or behind something that their beam would have met.
+    /// Points in known-free space, and what the map shows and beams have passed.
     pub contradicted: f64,
-    /// Of the latter those behind something: furniture stands in free space, but nobody sees through a wall.
-    pub behind: f64,
+    /// Of the latter what beams have passed, each square of its surface once, however many points lie behind it: furniture is moved, but
+    /// nobody sees through a wall.
+    pub through: f64,
 }
 
 /// The known map in the forms that search, refinement and judgement read.
@@ -145,36 +148,43 @@ impl Surroundings {
 
     /// How points agree with the map at a pose.
     pub fn agreement(&self, points: &[SeenPoint], map_from_cloud: &Placement) -> Agreement {
-        let (mut explained, mut contradicted, mut behind) = (0, 0, 0);
+        let (mut explained, mut in_free) = (0, 0);
+        let mut through: Vec<(i32, i32)> = Vec::new();
         for point in points {
             let (x, y) = map_from_cloud.apply(point.x_m, point.y_m);
             let place = self.map.at(x, y);
-            let is_explained = place.distance_m <= EXPLAINED_M;
             let is_in_free = place.state == CellState::Free && place.distance_m > CONTRADICTED_M;
-            let is_behind = !is_in_free && self.is_behind(point, map_from_cloud);
-            explained += u32::from(is_explained && !is_behind);
-            contradicted += u32::from(is_in_free || is_behind);
-            behind += u32::from(is_behind);
+            explained += u32::from(place.distance_m <= EXPLAINED_M);
+            in_free += u32::from(is_in_free);
+            if !is_in_free {
+                through.extend(self.seen_through(point, map_from_cloud));
+            }
         }
+        through.sort_unstable();
+        through.dedup();
+        let through = through.len() as u32;
         let share = |count: u32| f64::from(count) / points.len().max(1) as f64;
-        Agreement { explained: share(explained), contradicted: share(contradicted), behind: share(behind) }
+        Agreement {
+            explained: share(explained),
+            contradicted: share(in_free + through),
+            through: share(through),
+        }
     }
 
-    /// Whether a beam to a point would have ended at something before it.
-    fn is_behind(&self, point: &SeenPoint, map_from_cloud: &Placement) -> bool {
+    /// The square of the map in which a beam to a point would have ended at something before it.
+    fn seen_through(&self, point: &SeenPoint, map_from_cloud: &Placement) -> Option<(i32, i32)> {
         let from = map_from_cloud.apply(point.from_x_m, point.from_y_m);
         let to = map_from_cloud.apply(point.x_m, point.y_m);
         let (dx, dy) = (to.0 - from.0, to.1 - from.1);
         let range_m = hypot(dx, dy);
         let steps = ((range_m - BEFORE_M) / BEAM_STEP_M).floor().max(0.0) as u32;
         let (dx, dy) = (dx / range_m * BEAM_STEP_M, dy / range_m * BEAM_STEP_M);
+        let at = |step: u32| (from.0 + dx * f64::from(step), from.1 + dy * f64::from(step));
         // A beam that grazes a corner meets it in a step or two.
-        let mut met = 0;
-        for step in 2..steps {
-            let at = (from.0 + dx * f64::from(step), from.1 + dy * f64::from(step));
-            met += u32::from(self.map.at(at.0, at.1).state == CellState::Occupied);
-        }
-        met >= 2
+        let mut met = (2..steps).map(at).filter(|at| self.map.at(at.0, at.1).state == CellState::Occupied);
+        let (first, _) = (met.next()?, met.next()?);
+        let square = |metres: f64| (metres * (1.0 / THROUGH_M)).floor() as i32;
+        Some((square(first.0), square(first.1)))
     }
 }
 

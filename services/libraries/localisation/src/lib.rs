@@ -7,6 +7,7 @@ mod belief;
 mod known_map;
 mod localizer;
 mod place_field;
+mod place_judgement;
 mod place_search;
 mod recent_views;
 mod surface_lines;

@@ -1,7 +1,8 @@
 //! Finds a robot in the known map and follows it: scans and poses of the front end in, a belief out.
 
-use crate::alignment::{Agreement, Fit, SeenPoint, Surroundings};
+use crate::alignment::{Agreement, SeenPoint, Surroundings};
 use crate::belief::{Belief, Hypothesis, Knowledge};
+use crate::place_judgement::{Judged, Listed, knowledge, shows_walls};
 use crate::place_search::{Near, PlaceSearch, Quest, is_same};
 use crate::recent_views::RecentViews;
 use flockslam_geometry::elementary::{exp, hypot};
@@ -22,26 +23,6 @@ const SHARE_MIN: f64 = 0.75;
 /// A cloud of fewer points is not looked for.
 const POINTS_MIN: usize = 40;
 
-/// A place is believed when at least this share of the points is explained there, and at most this contradicted.
-const EXPLAINED_MIN: f64 = 0.55;
-const CONTRADICTED_MAX: f64 = 0.08;
-/// Where nothing else is nearly as good, at most this share of the merit elsewhere, less is asked: changes of the world explain it.
-const ALONE_MAX: f64 = 0.5;
-const ALONE: (f64, f64) = (0.5, 0.15);
-/// The same for what a robot has seen without having driven this far, metres.
-const STANDING_M: f64 = 0.7;
-const STANDING: (f64, f64) = (0.9, 0.04);
-const STANDING_ALONE: (f64, f64) = (0.8, 0.06);
-/// Where furniture stands that the map does not show, as in the plan of an architect, much contradicts it, but hardly anything is seen through
-/// a wall: least share explained, greatest behind walls, …
-const WALLS: (f64, f64) = (0.55, 0.04);
-/// … greatest share contradicted, …
-const FURNISHED_CONTRADICTED_MAX: f64 = 0.4;
-/// … and elsewhere walls agree so much less with what was seen over at least this much travel, metres.
-const FURNISHED_ALONE_MAX: f64 = 0.5;
-const FURNISHED_M: f64 = 6.0;
-/// Elsewhere at most this share of the merit is found.
-const RIVAL_MAX: f64 = 0.8;
 /// Places that were not looked at score at most this share of the place that is believed.
 const UNSEEN_MAX: f64 = 0.92;
 /// Greatest standard deviation of a pose in the worst direction from one fit, metres.
@@ -93,6 +74,8 @@ pub struct Localizer {
     belief: Belief,
     /// `map_from_odom` and the information of the robot's pose, while it is followed.
     followed: Option<Followed>,
+    /// The best places of the last search, as `map_from_odom`: none is forgotten because a later search gives others.
+    kept: Vec<(Placement, Listed)>,
     /// Where the robot was when it was looked for last.
     searched_at: Option<Placement>,
     last: Option<Placement>,
@@ -100,6 +83,8 @@ pub struct Localizer {
     hint: Option<Hint>,
     searches: u64,
     measured: Option<Measurement>,
+    /// Travel since what was seen agreed with the map, while the robot is followed, metres.
+    since_agreed_m: f64,
     /// Travel since a better place was looked for beside the one that is followed, metres.
     since_check_m: f64,
 }
@@ -137,21 +122,6 @@ struct Followed {
     information: Symmetric,
 }
 
-/// A place that was judged.
-#[derive(Clone, Copy)]
-struct Judged {
-    at: Placement,
-    score: f64,
-    fit: Option<Fit>,
-    agreement: Agreement,
-}
-
-impl Judged {
-    fn merit(&self) -> f64 {
-        (self.agreement.explained - self.agreement.contradicted).max(0.0)
-    }
-}
-
 impl Localizer {
     /// A robot that may be anywhere in the map.
     pub fn new(surroundings: Surroundings) -> Self {
@@ -161,11 +131,13 @@ impl Localizer {
             recent: RecentViews::default(),
             belief: Belief::default(),
             followed: None,
+            kept: Vec::new(),
             searched_at: None,
             last: None,
             hint: None,
             searches: 0,
             measured: None,
+            since_agreed_m: 0.0,
             since_check_m: 0.0,
         }
     }
@@ -199,6 +171,8 @@ impl Localizer {
     pub fn relocalize(&mut self, hint: Option<Hint>) {
         self.followed = None;
         self.belief = Belief::default();
+        self.kept.clear();
+        self.since_agreed_m = 0.0;
         self.searched_at = None;
         self.hint = hint;
     }
@@ -227,8 +201,9 @@ impl Localizer {
             self.follow(followed, last, odom_from_base);
         }
         if self.followed.is_none() && self.is_due(&odom_from_base) {
-            self.searched_at = Some(odom_from_base);
-            self.look(odom_from_base);
+            let before = self.searched_at.replace(odom_from_base);
+            let has_moved = before.is_none_or(|before| before.distance_m(&odom_from_base) >= AGAIN.0);
+            self.look(odom_from_base, has_moved);
         }
         &self.belief
     }
@@ -276,9 +251,14 @@ impl Localizer {
             agreement.contradicted > LOST_CONTRADICTED
                 && agreement.explained < LOST_EXPLAINED * agreement.contradicted
         };
-        if is_against(&agreement) && !shows_walls(&agreement) {
+        self.since_agreed_m += way_m;
+        if !is_against(&agreement) {
+            self.since_agreed_m = 0.0;
+        } else if !shows_walls(&agreement) {
             let wider = self.recent.cloud(LOST_M, POINTS);
             if is_against(&self.surroundings.agreement(&wider, &at)) {
+                // Whoever was carried away has no odometry from what agreed to what does not.
+                self.recent.keep(self.since_agreed_m);
                 self.relocalize(None);
                 self.measured = None;
             }
@@ -346,8 +326,8 @@ impl Localizer {
         true
     }
 
-    /// Looks for the robot in the map.
-    fn look(&mut self, odom: Placement) {
+    /// Looks for the robot in the map. `has_moved`: it sees other things than at the last search.
+    fn look(&mut self, odom: Placement, has_moved: bool) {
         self.searches += 1;
         if let Some(hint) = self.hint
             && self.follow_hint(odom, &hint)
@@ -368,13 +348,33 @@ impl Localizer {
         let judged_cloud = self.recent.cloud(JUDGED_M, POINTS);
         let mut judged: Vec<Judged> = Vec::new();
         for place in &places.found {
-            let candidate = self.judge(&judged_cloud, place.map_from_cloud, place.score);
+            let mut candidate = self.judge(&judged_cloud, place.map_from_cloud, place.score);
+            candidate.listed.is_among_all = places.others_max <= UNSEEN_MAX * place.score;
+            candidate.listed.times = u32::from(has_moved);
             if !judged.iter().any(|better| is_same(&better.at, &candidate.at)) {
                 judged.push(candidate);
             }
         }
+        for (map_from_odom, listed) in std::mem::take(&mut self.kept) {
+            let mut candidate = self.judge(&judged_cloud, map_from_odom.compose(odom), 0.0);
+            match judged.iter_mut().find(|other| is_same(&other.at, &candidate.at)) {
+                Some(Judged { listed: now, .. }) => {
+                    now.is_among_all |= listed.is_among_all;
+                    now.times += listed.times;
+                }
+                None => {
+                    candidate.listed = listed;
+                    judged.push(candidate);
+                }
+            }
+        }
         // A stable sort: of equals the one with the better score.
         judged.sort_by(|a, b| b.merit().total_cmp(&a.merit()));
+        let from_odom = odom.inverse();
+        // A search beside a hint says nothing of other places.
+        let listed = |j: &Judged| if near.is_some() { Listed::default() } else { j.listed };
+        let kept = judged.iter().take(HYPOTHESES_MAX).map(|j| (j.at.compose(from_odom), listed(j)));
+        self.kept = kept.collect();
         self.conclude(odom, &judged, places.others_max);
     }
 
@@ -382,16 +382,13 @@ impl Localizer {
         let weak = [1.0, 0.0, 0.0, 1.0, 0.0, 4.0];
         let fit = self.surroundings.fit(cloud, at, &weak);
         let at = fit.map_or(at, |fit| fit.map_from_cloud);
-        Judged { at, score, fit, agreement: self.surroundings.agreement(cloud, &at) }
-    }
-
-    /// Whether all walls say that the robot is here, and only things between them that the map does not show say otherwise.
-    fn is_among_furniture(&self, best: &Judged, others: &[Judged]) -> bool {
-        let by_walls = |judged: &Judged| judged.agreement.explained - judged.agreement.behind;
-        self.recent.travel_m() >= FURNISHED_M
-            && shows_walls(&best.agreement)
-            && best.agreement.contradicted <= FURNISHED_CONTRADICTED_MAX
-            && others.iter().all(|other| by_walls(other) <= FURNISHED_ALONE_MAX * by_walls(best))
+        Judged {
+            at,
+            score,
+            listed: Listed::default(),
+            fit,
+            agreement: self.surroundings.agreement(cloud, &at),
+        }
     }
 
     fn conclude(&mut self, odom: Placement, judged: &[Judged], others_max: f64) {
@@ -409,27 +406,12 @@ impl Localizer {
         };
         self.belief.hypotheses = judged.iter().take(HYPOTHESES_MAX).map(hypothesis).collect();
         self.belief.covariance = None;
-        let rival = judged.get(1).map_or(0.0, Judged::merit);
-        let is_alone = rival <= ALONE_MAX * best.merit();
-        let (explained, contradicted) = match (self.recent.travel_m() < STANDING_M, is_alone) {
-            (true, true) => STANDING_ALONE,
-            (true, false) => STANDING,
-            (false, true) => ALONE,
-            (false, false) => (EXPLAINED_MIN, CONTRADICTED_MAX),
-        };
-        let is_good = (best.agreement.explained >= explained && best.agreement.contradicted <= contradicted)
-            || self.is_among_furniture(best, &judged[1..]);
-        let is_unique = rival <= RIVAL_MAX * best.merit() && others_max <= UNSEEN_MAX * best.score;
         let covariance = best.fit.and_then(|fit| {
             let unit = FIT_INFORMATION / POINTS as f64;
             inverse(&fit.information.map(|h| unit * h))
         });
         let is_held = covariance.is_some_and(|c| widest(&c) <= SIGMA_MAX_M * SIGMA_MAX_M);
-        self.belief.knowledge = match (is_good, is_unique && is_held) {
-            (false, _) => Knowledge::Unknown,
-            (true, false) => Knowledge::Ambiguous,
-            (true, true) => Knowledge::Localized,
-        };
+        self.belief.knowledge = knowledge(judged, self.recent.travel_m(), is_held);
         if let (Knowledge::Localized, Some(fit), Some(covariance)) =
             (self.belief.knowledge, best.fit, covariance)
         {
@@ -449,12 +431,6 @@ fn carried(information: &Symmetric, position: f64, heading: f64) -> Symmetric {
     covariance[3] += position;
     covariance[5] += heading;
     inverse(&covariance).unwrap_or(*information)
-}
-
-/// Whether the map's walls are seen, and nothing through them.
-fn shows_walls(agreement: &Agreement) -> bool {
-    let (explained, behind) = WALLS;
-    agreement.explained >= explained && agreement.behind <= behind
 }
 
 /// The variance of the position in its widest direction, m².

@@ -43,6 +43,15 @@ impl RecentViews {
         }
     }
 
+    /// Forgets all but the newest view and those after which it came within less than so many metres of travel.
+    pub fn keep(&mut self, length_m: f64) {
+        let Some(newest) = self.views.back().map(|view| view.travel_m) else { return };
+        let is_old = |view: &View| newest - view.travel_m >= length_m && newest > view.travel_m;
+        while self.views.front().is_some_and(is_old) {
+            self.views.pop_front();
+        }
+    }
+
     /// The length of the way in it, metres.
     pub fn travel_m(&self) -> f64 {
         match (self.views.front(), self.views.back()) {

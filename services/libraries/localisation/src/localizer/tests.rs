@@ -214,3 +214,65 @@ fn a_robot_is_found_among_furniture_that_the_plan_does_not_show_and_stays_found(
     );
     assert!(belief.knowledge == Knowledge::Localized && off_m < 0.08, "{belief:?}");
 }
+
+/// The map with so much of it replaced by this state, metres: x, y, width, height.
+fn with(map: &KnownMap, [left, low, w, h]: [f64; 4], inside: CellState) -> KnownMap {
+    let mut changed = KnownMap::of_width(map.width(), CELL_M, Point::default());
+    for y in 0..map.height() {
+        let state = |x: usize| {
+            let (x, y) = ((x as f64 + 0.5) * CELL_M, (y as f64 + 0.5) * CELL_M);
+            let is_inside = x > left && x < left + w && y > low && y < low + h;
+            if is_inside { inside } else { map.at(x, y).state }
+        };
+        changed.push_row((0..map.width()).map(state));
+    }
+    changed.measured()
+}
+
+/// Most of what it sees lies behind where the cupboard stood, at walls that the map shows.
+#[test]
+fn a_cupboard_that_was_taken_away_beside_a_robot_is_no_reason_to_be_lost() {
+    let building = plan(&EQUAL_ROOMS);
+    let map = with(&building, [20.3, 11.2, 0.6, 0.8], CellState::Occupied);
+    let mut localizer = Localizer::new(Surroundings::new(map.clone()));
+    let start = Placement::new(22.0, 13.2, 0.4);
+    let belief = localizer.see(anywhere().compose(start), &seen(&map, start)).clone();
+    assert_eq!(belief.knowledge, Knowledge::Localized, "{belief:?}");
+    let belief = drive(
+        &mut localizer,
+        &building,
+        &[(22.0, 13.2), (21.3, 11.6), (21.3, 11.0), (21.5, 9.0), (14.0, 9.0)],
+        anywhere(),
+    );
+    let end = Placement::new(14.0, 9.0, std::f64::consts::PI);
+    let off_m = belief.hypotheses[0].map_from_base.distance_m(&end);
+    assert!(belief.knowledge == Knowledge::Localized && off_m < 0.05, "{off_m} m: {belief:?}");
+    assert_eq!(localizer.searches(), 1);
+    let beside = Placement::new(21.2, 11.6, 3.0);
+    let points = seen(&building, beside);
+    let points: Vec<SeenPoint> = points
+        .iter()
+        .map(|p| SeenPoint { x_m: p.x_m(), y_m: p.y_m(), from_x_m: 0.0, from_y_m: 0.0 })
+        .collect();
+    let Agreement { explained, contradicted, through } = localizer.surroundings().agreement(&points, &beside);
+    assert!(explained > 0.9 && through > 0.0 && contradicted < 0.1, "{explained} {contradicted} {through}");
+}
+
+#[test]
+fn what_a_robot_saw_before_it_was_carried_away_does_not_keep_it_from_being_found() {
+    let (mut localizer, map) = localizer();
+    let belief = drive(
+        &mut localizer,
+        &map,
+        &[(2.0, 9.0), (21.0, 9.0), (21.5, 13.0), (21.0, 10.5), (20.5, 9.0), (16.0, 9.0)],
+        anywhere(),
+    );
+    assert_eq!(belief.knowledge, Knowledge::Localized);
+    let moved = Placement::new(16.0, 9.0, 0.0).compose(Placement::new(22.0, 13.5, -2.0).inverse());
+    let way = [(22.0, 13.5), (21.0, 11.5), (21.3, 10.5), (21.3, 9.0), (19.0, 9.0)];
+    let belief = drive(&mut localizer, &map, &way, anywhere().compose(moved));
+    let off_m =
+        belief.hypotheses[0].map_from_base.distance_m(&Placement::new(19.0, 9.0, std::f64::consts::PI));
+    assert!(localizer.searches() > 1, "it has noticed");
+    assert!(belief.knowledge == Knowledge::Localized && off_m < 0.1, "{off_m} m after 7.5 m: {belief:?}");
+}
