@@ -120,7 +120,7 @@ mod tests {
 
     /// In a hotel, all rooms have the same walls, and a third of the furniture has moved.
     #[test]
-    fn equal_rooms_are_told_apart_by_their_furniture_after_some_metres() {
+    fn furniture_tells_equal_rooms_apart_after_some_metres() {
         let places = [place(0.85, 0.13, LISTED), place(0.76, 0.16, LISTED)];
         let of = |travel_m| knowledge(&places, travel_m, true);
         assert_eq!([2.0, 5.0].map(of), [Knowledge::Unknown, Knowledge::Localized]);
