@@ -58,7 +58,11 @@ pub struct Agreement {
     pub explained: f64,
     /// Points in known-free space, and what the map shows and beams have passed.
     pub contradicted: f64,
-    /// Of the latter what beams have passed, each square of its surface once, however many points lie behind it: furniture is moved, but
+    /// Points near something occupied that no beam passed anything to reach: the stricter share, which asks that nothing was taken away.
+    pub clear: f64,
+    /// Points behind something that their beam would have met.
+    pub behind: f64,
+    /// Of what contradicts, what beams have passed, each square of its surface once, however many points lie behind it: furniture is moved, but
     /// nobody sees through a wall.
     pub through: f64,
 }
@@ -148,17 +152,19 @@ impl Surroundings {
 
     /// How points agree with the map at a pose.
     pub fn agreement(&self, points: &[SeenPoint], map_from_cloud: &Placement) -> Agreement {
-        let (mut explained, mut in_free) = (0, 0);
+        let (mut explained, mut clear, mut behind, mut in_free) = (0, 0, 0, 0);
         let mut through: Vec<(i32, i32)> = Vec::new();
         for point in points {
             let (x, y) = map_from_cloud.apply(point.x_m, point.y_m);
             let place = self.map.at(x, y);
             let is_in_free = place.state == CellState::Free && place.distance_m > CONTRADICTED_M;
-            explained += u32::from(place.distance_m <= EXPLAINED_M);
+            let is_explained = place.distance_m <= EXPLAINED_M;
+            let passed = if is_in_free { None } else { self.seen_through(point, map_from_cloud) };
+            explained += u32::from(is_explained);
+            clear += u32::from(is_explained && passed.is_none());
+            behind += u32::from(passed.is_some());
             in_free += u32::from(is_in_free);
-            if !is_in_free {
-                through.extend(self.seen_through(point, map_from_cloud));
-            }
+            through.extend(passed);
         }
         through.sort_unstable();
         through.dedup();
@@ -167,6 +173,8 @@ impl Surroundings {
         Agreement {
             explained: share(explained),
             contradicted: share(in_free + through),
+            clear: share(clear),
+            behind: share(behind),
             through: share(through),
         }
     }

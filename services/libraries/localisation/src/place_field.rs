@@ -11,7 +11,7 @@ const CELL_M: f64 = 0.2;
 /// Width of the influence of what is occupied, metres: a point may be half a cell off by its place and as much by its heading.
 const SIGMA_M: f64 = 0.15;
 /// The value of a cell of which nothing is known: a point there says little, in free space it speaks against the place.
-const UNKNOWN: u8 = 100;
+const UNKNOWN: u8 = 40;
 /// No point is farther from the origin of its cloud, metres.
 pub(crate) const REACH_M: f64 = 15.0;
 /// A block has so many cells along each side.

@@ -15,7 +15,7 @@ const STANDING_M: f64 = 0.7;
 const STANDING: (f64, f64) = (0.9, 0.04);
 const STANDING_ALONE: (f64, f64) = (0.8, 0.06);
 /// Where furniture stands that the map does not show, as in the plan of an architect, much contradicts it, but hardly anything is seen through
-/// a wall: least share explained, greatest share that is seen through, …
+/// a wall: least share explained, greatest share behind them, …
 const WALLS: (f64, f64) = (0.55, 0.04);
 /// … greatest share contradicted, …
 const FURNISHED_CONTRADICTED_MAX: f64 = 0.4;
@@ -31,8 +31,8 @@ const DRIVEN_RIVAL_MAX: f64 = 0.9;
 const BORDER_M: f64 = 3.0;
 const BORDER_EXPLAINED_MIN: f64 = 0.35;
 /// … greatest share contradicted of what is explained, and greatest share of the merit elsewhere.
-const BORDER_CONTRADICTED_MAX: f64 = 0.15;
-const BORDER_RIVAL_MAX: f64 = 0.6;
+const BORDER_CONTRADICTED_MAX: f64 = 0.1;
+const BORDER_RIVAL_MAX: f64 = 0.5;
 /// Elsewhere at most this share of the merit is found.
 const RIVAL_MAX: f64 = 0.8;
 /// A search gives so many places at most. Where more score alike, a place as good as one that so many searches gave was in one of them, too.
@@ -62,29 +62,44 @@ impl Judged {
     pub(crate) fn merit(&self) -> f64 {
         (self.agreement.explained - self.agreement.contradicted).max(0.0)
     }
+
+    /// Share explained and contradicted if nothing was taken away since the map was made: whatever lies behind something contradicts it.
+    fn strictly(&self) -> (f64, f64) {
+        let Agreement { contradicted, clear, behind, through, .. } = self.agreement;
+        (clear, contradicted - through + behind)
+    }
+
+    fn strict_merit(&self) -> f64 {
+        let (explained, contradicted) = self.strictly();
+        (explained - contradicted).max(0.0)
+    }
 }
 
 /// What is known after so much travel, metres, when these are the best places, the best first. `is_held`: surfaces hold the best one in
 /// all directions.
 pub(crate) fn knowledge(judged: &[Judged], travel_m: f64, is_held: bool) -> Knowledge {
     let Some((best, others)) = judged.split_first() else { return Knowledge::Unknown };
-    let rival = others.first().map_or(0.0, Judged::merit);
-    let Agreement { explained, contradicted, .. } = best.agreement;
-    let (least, most) = match (travel_m < STANDING_M, rival <= ALONE_MAX * best.merit()) {
+    let greatest = |of: fn(&Judged) -> f64| others.iter().map(of).fold(0.0, f64::max);
+    let (rival, strict_rival) = (greatest(Judged::merit), greatest(Judged::strict_merit));
+    let (explained, contradicted) = best.strictly();
+    let (least, most) = match (travel_m < STANDING_M, strict_rival <= ALONE_MAX * best.strict_merit()) {
         (true, true) => STANDING_ALONE,
         (true, false) => STANDING,
         (false, true) => ALONE,
         (false, false) => (EXPLAINED_MIN, CONTRADICTED_MAX),
     };
     let is_good = (explained >= least && contradicted <= most) || is_among_furniture(best, others, travel_m);
-    let is_driven = travel_m >= DRIVEN_M && explained >= DRIVEN.0 && contradicted <= DRIVEN.1;
+    let is_driven = travel_m >= DRIVEN_M
+        && best.agreement.explained >= DRIVEN.0
+        && best.agreement.contradicted <= DRIVEN.1;
     let is_at_border = travel_m >= BORDER_M
         && explained >= BORDER_EXPLAINED_MIN
         && contradicted <= BORDER_CONTRADICTED_MAX * explained;
     // Each way to be good enough has its own measure of how much worse all others are.
-    let ways = [(is_good, RIVAL_MAX), (is_driven, DRIVEN_RIVAL_MAX), (is_at_border, BORDER_RIVAL_MAX)];
-    let is_unique = (best.listed.is_among_all || best.listed.times >= LISTED_MIN)
-        && ways.iter().any(|(is, most)| *is && rival <= most * best.merit());
+    let stands_out = (is_good && strict_rival <= RIVAL_MAX * best.strict_merit())
+        || (is_driven && rival <= DRIVEN_RIVAL_MAX * best.merit())
+        || (is_at_border && strict_rival <= BORDER_RIVAL_MAX * best.strict_merit());
+    let is_unique = stands_out && (best.listed.is_among_all || best.listed.times >= LISTED_MIN);
     match (is_unique && is_held, is_good || is_driven) {
         (true, _) => Knowledge::Localized,
         (false, true) => Knowledge::Ambiguous,
@@ -94,7 +109,7 @@ pub(crate) fn knowledge(judged: &[Judged], travel_m: f64, is_held: bool) -> Know
 
 /// Whether all walls say that the robot is here, and only things between them that the map does not show say otherwise.
 fn is_among_furniture(best: &Judged, others: &[Judged], travel_m: f64) -> bool {
-    let by_walls = |judged: &Judged| judged.agreement.explained - judged.agreement.through;
+    let by_walls = |judged: &Judged| judged.agreement.clear - judged.agreement.behind;
     travel_m >= FURNISHED_M
         && shows_walls(&best.agreement)
         && best.agreement.contradicted <= FURNISHED_CONTRADICTED_MAX
@@ -103,8 +118,8 @@ fn is_among_furniture(best: &Judged, others: &[Judged], travel_m: f64) -> bool {
 
 /// Whether the map's walls are seen, and nothing through them.
 pub(crate) fn shows_walls(agreement: &Agreement) -> bool {
-    let (explained, through) = WALLS;
-    agreement.explained >= explained && agreement.through <= through
+    let (explained, behind) = WALLS;
+    agreement.clear >= explained && agreement.behind <= behind
 }
 
 #[cfg(test)]
@@ -114,7 +129,13 @@ mod tests {
     const LISTED: Listed = Listed { is_among_all: true, times: 0 };
 
     fn place(explained: f64, contradicted: f64, listed: Listed) -> Judged {
-        let agreement = Agreement { explained, contradicted, through: 0.5 * contradicted };
+        let agreement = Agreement {
+            explained,
+            contradicted,
+            clear: explained,
+            behind: 0.5 * contradicted,
+            through: 0.5 * contradicted,
+        };
         Judged { at: Placement::IDENTITY, score: explained, listed, fit: None, agreement }
     }
 
@@ -136,8 +157,8 @@ mod tests {
             let places = [place(0.42, contradicted, LISTED), place(0.55, 0.55 - other, LISTED)];
             knowledge(&places, 8.0, true)
         };
-        assert_eq!(at(0.03, 0.2), Knowledge::Localized);
-        assert_eq!(at(0.08, 0.2), Knowledge::Unknown, "much contradicts");
+        assert_eq!(at(0.03, 0.15), Knowledge::Localized);
+        assert_eq!(at(0.08, 0.15), Knowledge::Unknown, "much contradicts");
         assert_eq!(at(0.03, 0.3), Knowledge::Unknown, "another place is nearly as good");
         assert_eq!(
             knowledge(&[place(0.42, 0.03, LISTED)], 2.0, true),

@@ -254,7 +254,8 @@ fn a_cupboard_that_was_taken_away_beside_a_robot_is_no_reason_to_be_lost() {
         .iter()
         .map(|p| SeenPoint { x_m: p.x_m(), y_m: p.y_m(), from_x_m: 0.0, from_y_m: 0.0 })
         .collect();
-    let Agreement { explained, contradicted, through } = localizer.surroundings().agreement(&points, &beside);
+    let Agreement { explained, contradicted, through, .. } =
+        localizer.surroundings().agreement(&points, &beside);
     assert!(explained > 0.9 && through > 0.0 && contradicted < 0.1, "{explained} {contradicted} {through}");
 }
 
