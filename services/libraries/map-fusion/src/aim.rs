@@ -1,7 +1,7 @@
 //! The directions around a lidar in which something is looked for: beams elsewhere need not be followed.
 
 use flockslam_geometry::Point;
-use flockslam_visibility::{COARSE_DIRECTIONS, coarse_direction};
+use flockslam_visibility::{COARSE_DIRECTIONS, coarse_direction, coarse_directions};
 
 /// Coarse directions around a place.
 #[derive(Clone, Debug)]
@@ -27,19 +27,8 @@ impl Aim {
         if left <= 0.0 && right >= 0.0 && bottom <= 0.0 && top >= 0.0 {
             return self.is_wanted.fill(true);
         }
-        let corners = [(left, bottom), (right, bottom), (left, top), (right, top)];
-        let corners = corners.map(|(x_m, y_m)| coarse_direction(x_m, y_m));
-        let (first, last) =
-            corners.iter().fold((COARSE_DIRECTIONS, 0), |(first, last), d| (first.min(*d), last.max(*d)));
-        // It is seen within less than half a turn. Where its corners are farther apart the directions begin anew in between.
-        let half = COARSE_DIRECTIONS / 2;
-        if last - first <= half {
-            self.is_wanted[first..=last].fill(true);
-        } else {
-            let least = corners.into_iter().filter(|d| *d >= half).min().unwrap_or(half);
-            let most = corners.into_iter().filter(|d| *d < half).max().unwrap_or(0);
-            self.is_wanted[least..].fill(true);
-            self.is_wanted[..=most].fill(true);
+        for directions in coarse_directions(Point::new(left, bottom), Point::new(right, top)) {
+            self.is_wanted[directions].fill(true);
         }
     }
 

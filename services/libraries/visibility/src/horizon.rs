@@ -4,6 +4,7 @@ use crate::PolarRangeImage;
 use flockslam_geometry::Point;
 use flockslam_geometry::elementary::{atan2, hypot};
 use std::f64::consts::FRAC_1_SQRT_2;
+use std::ops::Range;
 
 /// Coarse directions around a place; a quarter of them in each quadrant.
 pub const COARSE_DIRECTIONS: usize = 256;
@@ -71,20 +72,26 @@ impl Horizon {
         if nearest_m < NEAR_M {
             return false;
         }
-        let corners = [(low.x_m, low.y_m), (high.x_m, low.y_m), (low.x_m, high.y_m), (high.x_m, high.y_m)];
-        let corners = corners.map(|(x_m, y_m)| coarse_direction(x_m, y_m));
-        let (first, last) =
-            corners.iter().fold((COARSE_DIRECTIONS, 0), |(first, last), d| (first.min(*d), last.max(*d)));
         let hidden = |directions: &[f64]| directions.iter().all(|far_m| *far_m < nearest_m - self.near_m);
-        // It is seen within less than half a turn. Where its corners are farther apart the directions begin anew in between.
-        if last - first <= COARSE_DIRECTIONS / 2 {
-            return hidden(&self.farthest_m[first..=last]);
-        }
-        let least = |from: usize| corners.into_iter().filter(|d| *d >= from).min().unwrap_or(from);
-        let most = |to: usize| corners.into_iter().filter(|d| *d < to).max().unwrap_or(0);
-        hidden(&self.farthest_m[least(COARSE_DIRECTIONS / 2)..])
-            && hidden(&self.farthest_m[..=most(COARSE_DIRECTIONS / 2)])
+        coarse_directions(low, high).into_iter().all(|range| hidden(&self.farthest_m[range]))
     }
+}
+
+/// The coarse directions of the rectangle between two corners, which are given as seen from a place outside of it: two ranges, one of them
+/// empty unless the directions begin anew in between.
+pub fn coarse_directions(low: Point, high: Point) -> [Range<usize>; 2] {
+    let corners = [(low.x_m, low.y_m), (high.x_m, low.y_m), (low.x_m, high.y_m), (high.x_m, high.y_m)];
+    let corners = corners.map(|(x_m, y_m)| coarse_direction(x_m, y_m));
+    let (first, last) =
+        corners.iter().fold((COARSE_DIRECTIONS, 0), |(first, last), d| (first.min(*d), last.max(*d)));
+    // It is seen within less than half a turn. Where its corners are farther apart the directions begin anew in between.
+    let half = COARSE_DIRECTIONS / 2;
+    if last - first <= half {
+        return [first..last + 1, 0..0];
+    }
+    let least = corners.into_iter().filter(|d| *d >= half).min().unwrap_or(half);
+    let most = corners.into_iter().filter(|d| *d < half).max().unwrap_or(0);
+    [least..COARSE_DIRECTIONS, 0..most + 1]
 }
 
 /// The number of the direction of what is so far away along x and y.

@@ -6,6 +6,6 @@ mod horizon;
 mod pass_through;
 mod polar_range_image;
 
-pub use horizon::{COARSE_DIRECTIONS, Horizon, coarse_direction};
+pub use horizon::{COARSE_DIRECTIONS, Horizon, coarse_direction, coarse_directions};
 pub use pass_through::{Margins, PassThrough, Visibility};
 pub use polar_range_image::{Directions, PolarRangeImage};
