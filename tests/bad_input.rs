@@ -196,8 +196,8 @@ fn keys_of_earlier_versions_are_refused_with_what_became_of_them() {
     for (option, value, text) in [("--config", name, in_file), ("--set", single, alone)] {
         refused_at(&["demo", option, value], &text, "");
         let output = flockslam().args(["config", option, value]).output().unwrap();
-        let heard = (output.status.code(), stderr(&output));
-        assert_eq!(heard, (Some(2), format!("flockslam: {text}\n")));
+        let found = (output.status.code(), stderr(&output));
+        assert_eq!(found, (Some(2), format!("flockslam: {text}\n")));
     }
 }
 

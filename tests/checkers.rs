@@ -43,7 +43,7 @@ fn a_matcher_that_begins_anew_is_not_where_it_was() {
 }
 
 #[test]
-fn a_source_and_a_matcher_that_forget_where_they_were_repeat_scans() {
+fn a_source_and_a_matcher_that_lose_where_they_were_repeat_scans() {
     machine_share::mostly_waits();
     let trial = with_failpoint("no-resume,no-cursor", &[Stage::ScanMatcher, Stage::LidarIngest], &[]);
     complains(&trial, "comes after scan");

@@ -140,7 +140,7 @@ fn tool(name: &str, arguments: &[&str], input: &str) -> Option<()> {
 }
 
 #[test]
-fn promtool_accepts_rules_and_configuration_and_the_alerts_ring_when_they_should() {
+fn promtool_accepts_rules_and_configuration_and_the_alerts_fire_when_they_should() {
     tool("promtool", &["check", "config", "prometheus.yml"], "");
     tool("promtool", &["check", "rules", RULES[0], RULES[1]], "");
     tool("promtool", &["test", "rules", "rules_test.yml"], "");

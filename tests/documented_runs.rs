@@ -18,7 +18,7 @@ use std::process::{Command, Output, Stdio};
 use std::time::Instant;
 
 /// What is run by other tests: a test, and the commands of which it runs one and the same with other values.
-const ELSEWHERE: [(&str, &[&str]); 8] = [
+const IN_OTHER_TESTS: [(&str, &[&str]); 8] = [
     (
         "as_it_was_again.rs::the_poses_of_a_recorded_drive_with_killed_stages_are_computed_again_to_the_bit",
         &["map FILE.mcap --as-it-was", "map RECORDING --as-it-was"],
@@ -167,20 +167,23 @@ fn every_command_with_options_is_run() {
     live(&mut reader);
     lidars(&mut reader);
 
-    let elsewhere: BTreeSet<_> = ELSEWHERE.iter().flat_map(|(_, commands)| *commands).copied().collect();
+    let in_other_tests: BTreeSet<_> =
+        IN_OTHER_TESTS.iter().flat_map(|(_, commands)| *commands).copied().collect();
     let run: Vec<_> = reader.ran.iter().map(|text| kinds(text)).collect();
     let is_run = |(text, command): &(&String, &Documented)| {
         let words = kinds(text);
         // In a sentence some of it may be left out.
         let has_all = |other: &Vec<String>| words.iter().all(|word| other.contains(word));
-        elsewhere.contains(text.as_str()) || run.contains(&words) || !command.whole && run.iter().any(has_all)
+        in_other_tests.contains(text.as_str())
+            || run.contains(&words)
+            || !command.whole && run.iter().any(has_all)
     };
     let not_run: Vec<_> =
         reader.documented.iter().filter(|command| !is_run(command)).map(|(text, _)| text).collect();
     assert!(not_run.is_empty(), "no test runs: {not_run:#?}");
-    let gone: Vec<_> = elsewhere.iter().filter(|text| !reader.documented.contains_key(**text)).collect();
+    let gone: Vec<_> = in_other_tests.iter().filter(|text| !reader.documented.contains_key(**text)).collect();
     assert!(gone.is_empty(), "no document has: {gone:#?}");
-    for (test, _) in ELSEWHERE {
+    for (test, _) in IN_OTHER_TESTS {
         let (file, name) = test.split_once("::").unwrap();
         let source = fs::read_to_string(crate::support::repository().join("tests").join(file)).unwrap();
         assert!(source.contains(&format!("fn {name}(")), "{test}");

@@ -49,7 +49,7 @@ fn three_robots_of_a_swarm_end_with_one_map() {
 }
 
 #[test]
-fn robots_die_until_one_is_left_which_goes_on_and_a_reborn_one_rejoins() {
+fn robots_die_until_one_is_left_which_goes_on_and_one_without_its_log_rejoins() {
     let directory = tempfile::tempdir().unwrap();
     let mut robots = FlockRobot::start_all("mortal", directory.path(), LONG, 3);
     for robot in &mut robots {
@@ -73,18 +73,18 @@ fn robots_die_until_one_is_left_which_goes_on_and_a_reborn_one_rejoins() {
     assert!(alone.peers.is_empty() && alone.merged, "{alone:?}");
     assert_eq!(names(&alone), names(&known), "it still knows all of them");
     assert_eq!(alone.members.len(), 3);
-    // What it has heard outlives its own process too.
+    // What it has received outlives its own process too.
     send(last.set.pid(Stage::SyncManager), Signal::KILL);
     let again = last.wait_for_flock("the same after a restart", |flock| {
         flock.records.0 >= alone.records.0 && flock.members.len() == 3 && flock.merged
     });
     assert_eq!((again.epoch, names(&again)), (alone.epoch, names(&known)));
     // One comes back that has lost everything but its key.
-    let mut reborn = dead.remove(0).be_born_again();
-    let back = wait_until_merged(&mut reborn, 3);
+    let mut restarted = dead.remove(0).start_without_log();
+    let back = wait_until_merged(&mut restarted, 3);
     assert_eq!(back.epoch, 2);
-    let address = reborn.address();
-    last.wait_for_flock("the reborn one", |flock| flock.peers.contains(&address));
+    let address = restarted.address();
+    last.wait_for_flock("the restarted one", |flock| flock.peers.contains(&address));
     dead.into_iter().for_each(FlockRobot::leave_nothing);
 }
 
@@ -119,26 +119,26 @@ fn saved_maps_are_merged() {
     }
 }
 
-/// What a late joiner has to hear goes through a slow radio link: 10 Mbit/s. How long that takes is printed.
+/// What a late joiner has to receive goes through a slow radio link: 10 Mbit/s. How long that takes is printed.
 #[test]
-fn a_late_joiner_hears_all_over_a_slow_link() {
+fn a_late_joiner_receives_all_over_a_slow_link() {
     machine_share::mostly_waits();
     join_late("office", 400.0, |late| drop(wait_until_merged(late, 2)));
 }
 
 /// The same of a map of more than 1000 m²: the demo that drives so long there maps 1281.
 #[test]
-fn a_late_joiner_hears_of_a_large_building_over_a_slow_link() {
+fn a_late_joiner_receives_a_large_building_over_a_slow_link() {
     machine_share::mostly_waits();
     join_late("warehouse", 500.0, |_| ());
 }
 
-/// A robot drives; another, which begins when that one is through, hears all that it has recorded over a slow link.
+/// A robot drives; another, which begins when that one is through, receives all that it has recorded over a slow link.
 fn join_late(world: &str, duration_s: f64, then: impl FnOnce(&mut FlockRobot)) {
     let directory = tempfile::tempdir().unwrap();
     let [first, second] = [(); 2].map(|()| format!("tcp/127.0.0.1:{}", free_port()));
     // The first one stays when its drive has ended.
-    let stays = (world, "companions = 1\nfarewell_s = 80.0");
+    let stays = (world, "wait_for_robots = 1\nfarewell_s = 80.0");
     let drive = Drive { duration_s, rate: 10.0, ..MEETING };
     let test = format!("late-{}", &world[..4]);
     let mut early =
@@ -149,7 +149,7 @@ fn join_late(world: &str, duration_s: f64, then: impl FnOnce(&mut FlockRobot)) {
     let mut late = FlockRobot::start_one(&test, directory.path(), LONG, &endpoints, 1, (world, ""));
     late.wait_for_flock("a peer", |flock| !flock.peers.is_empty());
     let (met, carried) = (Instant::now(), link.carried());
-    // It counts its own records too: what it has heard must be as much as the other has recorded.
+    // It counts its own records too: what it has received must be as much as the other has recorded.
     late.wait_for_flock("all records", |flock| {
         flock.robots.len() == 2 && flock.records.0 >= all.records.0 && flock.heard_bytes >= all.records.1
     });
@@ -247,15 +247,15 @@ fn who_has_no_certificate_of_the_flock_is_kept_out() {
     let Some([good, other]) = own_certificates(directory.path()) else { return };
     let mut robots =
         FlockRobot::start_certified("certified", directory.path(), LONG, &[&good, &good, &other]);
-    let mut stranger = robots.pop().unwrap();
+    let mut uncertified = robots.pop().unwrap();
     for robot in &mut robots {
         robot.wait_for_flock("a peer", |flock| flock.peers.len() == 1);
         robot.wait_for_flock("its records", |flock| flock.robots.len() == 2);
     }
-    let outside = stranger.wait_for_flock("records of its own", |flock| flock.records.0 > 2);
+    let outside = uncertified.wait_for_flock("records of its own", |flock| flock.records.0 > 2);
     assert!(outside.peers.is_empty() && outside.robots.len() == 1, "{outside:?}");
     let inside = robots[0].flock().unwrap();
-    assert!(!inside.peers.contains(&stranger.address()), "{inside:?}");
+    assert!(!inside.peers.contains(&uncertified.address()), "{inside:?}");
 }
 
 #[test]

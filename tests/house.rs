@@ -276,12 +276,12 @@ fn roots_of_targets() -> Vec<PathBuf> {
 #[test]
 fn every_file_of_the_project_belongs_to_a_target() {
     let compiled: BTreeSet<_> = roots_of_targets().iter().flat_map(|root| files_of_target(root)).collect();
-    let forgotten: Vec<_> = all_files()
+    let unused: Vec<_> = all_files()
         .into_iter()
         .filter(|file| !compiled.contains(&file.canonicalize().unwrap()))
         .filter(|file| !file.ends_with("build.rs"))
         .collect();
-    assert!(forgotten.is_empty(), "no target compiles {forgotten:#?}");
+    assert!(unused.is_empty(), "no target compiles {unused:#?}");
 }
 
 #[test]
@@ -323,9 +323,9 @@ fn each_invariant_names_what_asserts_it() {
     assert!(bullets.len() >= 12, "{} invariants", bullets.len());
     let files = all_files();
     for bullet in bullets {
-        let keepers: Vec<_> = bullet.split('`').filter_map(|word| word.split_once(".rs::")).collect();
-        assert!(!keepers.is_empty(), "nothing is named that keeps: {bullet}");
-        for (path, name) in keepers {
+        let asserting: Vec<_> = bullet.split('`').filter_map(|word| word.split_once(".rs::")).collect();
+        assert!(!asserting.is_empty(), "nothing is named that keeps: {bullet}");
+        for (path, name) in asserting {
             let whole = repository().join(format!("{path}.rs"));
             // Where the directory is clear from the text only the end of a path is given.
             let file = files.iter().find(|file| **file == whole);

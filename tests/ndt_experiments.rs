@@ -51,7 +51,7 @@ fn the_flat_is_matched_as_well_with_other_noise() {
 
 /// Each beam for itself points elsewhere by a degree: at eight metres, walls of a corridor are a band 28 cm wide.
 #[test]
-fn beams_that_point_elsewhere_by_a_degree_do_not_lead_astray() {
+fn beams_that_point_elsewhere_by_a_degree_do_not_move_the_fit() {
     assert_within(worst(&flat(BEARING_SIGMA_RAD)), NOISY_WORST);
     let all: Vec<MoveError> = (1..=SEEDS).map(|seed| flat_worst(BEARING_SIGMA_RAD, seed)).collect();
     let mean = |value: fn(&MoveError) -> f64| all.iter().map(value).sum::<f64>() / all.len() as f64;

@@ -183,12 +183,12 @@ fn the_map_of_a_robot_that_stands_is_shown_to_whoever_comes_later() {
 }
 
 #[test]
-fn strangers_are_refused_and_orders_need_the_token() {
+fn foreign_requests_are_refused_and_orders_need_the_token() {
     let (directory, port) = (tempfile::tempdir().unwrap(), free_port());
     let token = directory.path().join("token");
     std::fs::write(&token, "not for everybody\n").unwrap();
     let token_file = format!("page.token_file={}", token.display());
-    let mut set = start("stranger", directory.path(), port, &[&token_file]);
+    let mut set = start("foreign", directory.path(), port, &[&token_file]);
     wait_for("the page", || http_get(port, "/"));
     let own = format!("Host: localhost:{port}\r\n");
     let page = answer(port, "/", &own);
@@ -279,8 +279,8 @@ fn a_browser_shows_the_other_robots_of_the_flock() {
         robot.wait_for_flock("a map of three robots", |flock| flock.merged && flock.members.len() == 3);
     }
     let view = "(await import('/main.js')).view";
-    browser.wait_until("two robots on the map", &format!("{view}.companions.size === 2"));
-    let has_moved = format!("[...{view}.companions.values()].every(({{ trail }}) => trail.length > 20)");
+    browser.wait_until("two robots on the map", &format!("{view}.otherRobots.size === 2"));
+    let has_moved = format!("[...{view}.otherRobots.values()].every(({{ trail }}) => trail.length > 20)");
     browser.wait_until("ways of both", &has_moved);
     let pixels = browser.script(PIXELS);
     assert!(pixels["flock"].as_u64() > Some(50), "{pixels}");

@@ -20,7 +20,7 @@ use std::time::Duration;
 
 const DRIVE: Drive = Drive { scan_rate_hz: 10.0, duration_s: 2000.0, rate: 5.0 };
 
-/// A recorder at work; killed when it is forgotten.
+/// A recorder at work; killed when it is dropped.
 pub struct Recorder(pub Child);
 
 impl Recorder {

@@ -58,7 +58,7 @@ fn a_log_played_into_the_graph_is_mapped_as_the_file_is() {
         (rows(&noted, "sent"), rows(&noted, "poses"), rows(&noted, "corrections"));
     // A writer knows its readers a little before they know it: the first scan may be too early.
     let heard = sent.iter().position(|scan| scan.0 == poses[0].0).unwrap();
-    assert!(heard <= FIRST_SCANS, "{heard} scans were not heard at the start");
+    assert!(heard <= FIRST_SCANS, "{heard} scans were not received at the start");
     let sent = &sent[heard..];
     assert_eq!(poses.len(), sent.len(), "no scan is lost at 40 a second");
     assert!(corrections.is_sorted_by(|a, b| a.0 < b.0), "no stamp comes twice");
@@ -134,7 +134,7 @@ fn a_manager_takes_the_node_up_and_down_and_the_bond_outlives_a_kill() {
     let formed = |bond: &Value| bond["formed"].as_bool().unwrap().then(|| bond["instance"].clone());
     let instance = manager.wait_for("the bond", &json!(["bonded"]), formed);
 
-    // Killed, it is back within the patience of the bond, and goes on.
+    // Killed, it is back within the timeout of the bond, and goes on.
     let before = wait_for("the bridge", || bridges(&set).first().copied());
     send(before, Signal::KILL);
     wait_for("its successor", || bridges(&set).into_iter().find(|pid| *pid != before));
@@ -301,7 +301,7 @@ fn corrections_follow_bad_wheels_and_callers_of_cyclone_dds_are_answered() {
     }
     println!("{} poses of {} scans", poses.len(), sent.len());
     assert_eq!(poses.last().unwrap().0, sent.last().unwrap().0);
-    // Between scans as well: the clock of the graph is heard.
+    // Between scans as well: the clock of the graph is received.
     assert!(corrections.len() > poses.len() && corrections.is_sorted_by(|a, b| a.0 < b.0));
     let newest_ns = corrections.last().unwrap().0;
     assert!(newest_ns < sent.last().unwrap().0 + 10 * AHEAD_NS, "stamps are those of the log");
@@ -380,7 +380,7 @@ fn hostile_traffic_harms_neither_the_bridge_nor_a_pose() {
     let mut set = graph.set("hostile", directory.path(), &[]);
     set.wait_until("the set", |_| true);
     let bridge = wait_for("the bridge", || bridges(&set).first().copied());
-    let mut peer = graph.peer("witness");
+    let mut peer = graph.peer("observer");
     let state = json!(["call", "lifecycle_msgs/GetState", "/flockslam/get_state", {}]);
     let is_active = |answer: &Value| (answer["current_state"]["label"] == "active").then_some(());
     peer.wait_for("the node", &state, is_active);
@@ -408,7 +408,7 @@ fn hostile_traffic_harms_neither_the_bridge_nor_a_pose() {
 }
 
 #[test]
-fn peers_come_and_go_and_domains_do_not_hear_each_other() {
+fn peers_come_and_go_and_domains_do_not_see_each_other() {
     machine_share::mostly_waits();
     let (Some(graph), Some(other)) = (Graph::new(), Graph::new()) else { return };
     let directory = tempfile::tempdir().unwrap();
@@ -468,9 +468,9 @@ fn peers_come_and_go_and_domains_do_not_hear_each_other() {
     println!("memory {before_mib:.0} MiB, {:.0} MiB after twenty peers", memory());
     assert!(memory() < before_mib + 10.0, "{before_mib} MiB before, {} MiB after", memory());
     assert!(descriptors() <= before + 2);
-    let mut stranger = other.peer("stranger");
-    let there = stranger.tell(&json!(["graph"]));
-    assert_eq!(there["nodes"], json!(["/stranger"]), "another domain hears nothing of it");
+    let mut outsider = other.peer("outsider");
+    let there = outsider.tell(&json!(["graph"]));
+    assert_eq!(there["nodes"], json!(["/outsider"]), "another domain sees nothing of it");
     assert!(node(&first.tell(&json!(["graph"]))).is_some());
     set.command_well(&["down"]);
 }

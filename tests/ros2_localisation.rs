@@ -55,7 +55,7 @@ fn beside_a_map_server_a_set_localizes_in_its_map_and_publishes_none() {
     assert_eq!(
         peer.tell(&json!(["qos", "flockslam", "/map"])),
         json!([["RELIABLE", "TRANSIENT_LOCAL"]]),
-        "it hears the map, and does not publish it"
+        "it takes the map, and does not publish it"
     );
     let services = &peer.tell(&json!(["graph"]))["services"];
     assert!(services.get("/flockslam/load_map").is_some() && services.get("/map_server/load_map").is_none());
@@ -64,7 +64,7 @@ fn beside_a_map_server_a_set_localizes_in_its_map_and_publishes_none() {
 }
 
 #[test]
-fn a_peer_hears_the_known_map_the_pose_in_it_and_moves_the_robot_by_a_hint() {
+fn a_peer_receives_the_known_map_the_pose_in_it_and_moves_the_robot_by_a_hint() {
     machine_share::mostly_waits();
     let Some(graph) = Graph::new() else { return };
     let directory = tempfile::tempdir().unwrap();

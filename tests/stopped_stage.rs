@@ -42,15 +42,15 @@ fn is_stopped(pid: u32) -> bool {
 
 fn stop_and_go_on(stage: Stage) {
     // The source cannot say how far it is while it is stopped itself; its first reader can.
-    let witness = if stage == Stage::LidarIngest { Stage::CorrelationFilter } else { Stage::LidarIngest };
+    let observed = if stage == Stage::LidarIngest { Stage::CorrelationFilter } else { Stage::LidarIngest };
     let directory = tempfile::tempdir().unwrap();
     let mut set = RunningSet::start("stopped", directory.path(), &building(DURATION_S));
     let pid = set.pid(stage);
-    set.wait_until_handled(witness, 100);
+    set.wait_until_handled(observed, 100);
     support::send(pid, Signal::STOP);
     wait_for("the stop", || is_stopped(pid).then_some(()));
-    let when_stopped = set.handled(witness).unwrap();
-    let at_rest = handled_at_rest(&set, witness);
+    let when_stopped = set.handled(observed).unwrap();
+    let at_rest = handled_at_rest(&set, observed);
     println!("{} stopped at {when_stopped}: at rest at {at_rest} of {SCANS} scans", stage.name());
     assert!(at_rest < SCANS, "the run ended without {}", stage.name());
     assert!(at_rest - when_stopped <= WINDOW, "{} scans went on", at_rest - when_stopped);

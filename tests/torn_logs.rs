@@ -1,8 +1,8 @@
 //! The benchmark logs with every scan processed, as they are and made harder: accuracy, odometry that jumps, false beams,
 //! scans that are missing, and a robot that is carried elsewhere.
 
-use crate::support::carried_log::carried;
 use crate::support::data_dir;
+use crate::support::kidnapped_log::kidnapped;
 use crate::support::public_logs::{ACES, FILTER_OFF, FR079, INTEL, LOGS, Log};
 
 /// A tenth more than what was reached with the same settings and start heading is a regression.
@@ -10,17 +10,17 @@ const TOLERANCE: f64 = 1.1;
 
 /// What logs are put to, and the mean error over all relations that each reaches then, metres. Intel, the longest, goes through all
 /// of it on the benchmark page.
-type Hardship = (&'static [&'static str], &'static [(Log, f64)]);
+type Conditions = (&'static [&'static str], &'static [(Log, f64)]);
 
-const AS_IT_IS: Hardship = (&[], &[(INTEL, 0.0127), (FR079, 0.0298), (ACES, 0.0333)]);
-const JUMPS: Hardship =
+const AS_IT_IS: Conditions = (&[], &[(INTEL, 0.0127), (FR079, 0.0298), (ACES, 0.0333)]);
+const JUMPS: Conditions =
     (&["lidar_ingest.odometry_jumps=5", "lidar_ingest.seed=7"], &[(FR079, 0.0298), (ACES, 0.0333)]);
-const FALSE_BEAMS: Hardship = (&["lidar_ingest.beam_noise_share=0.2"], &[(FR079, 0.0302), (ACES, 0.0350)]);
-const MISSING_SCANS: Hardship = (&["lidar_ingest.keep_every=2"], &[(FR079, 0.0306), (ACES, 0.0340)]);
-const POOR_WHEELS: Hardship =
+const FALSE_BEAMS: Conditions = (&["lidar_ingest.beam_noise_share=0.2"], &[(FR079, 0.0302), (ACES, 0.0350)]);
+const MISSING_SCANS: Conditions = (&["lidar_ingest.keep_every=2"], &[(FR079, 0.0306), (ACES, 0.0340)]);
+const POOR_WHEELS: Conditions =
     (&["lidar_ingest.odometry_noise=[0.02, 1.0]"], &[(FR079, 0.0302), (ACES, 0.0339)]);
 
-const NO_WHEELS: Hardship = (&["lidar_ingest.odometry=false"], &[(FR079, 0.0298), (ACES, 0.0344)]);
+const NO_WHEELS: Conditions = (&["lidar_ingest.odometry=false"], &[(FR079, 0.0298), (ACES, 0.0344)]);
 
 /// Where a log is cut, so that the robot is carried from before the first scan to the second, and the mean error then, metres. In FR079 it gets
 /// from one corridor to another of the same width; in ACES the map nearby looks like where it gets to.
@@ -32,7 +32,7 @@ fn settings(more: &[&'static str]) -> Vec<&'static str> {
 }
 
 /// Every log reaches what it did before, and no loop is torn.
-fn demand((more, reached_m): Hardship) {
+fn demand((more, reached_m): Conditions) {
     for (log, reached_m) in reached_m {
         let Some(run) = log.shared_run(&settings(more)) else { return };
         let errors = log.errors(run.wait());
@@ -96,7 +96,7 @@ fn a_robot_carried_elsewhere_finds_its_own_past() {
         let Some(file) = log.file("clf") else { return };
         let directory = tempfile::tempdir().unwrap();
         let cut_log = directory.path().join("cut.clf");
-        std::fs::write(&cut_log, carried(&file, cut)).unwrap();
+        std::fs::write(&cut_log, kidnapped(&file, cut)).unwrap();
         let outputs = Log::map(&cut_log, &directory.path().join("out"), &settings(&[]));
         let errors = log.errors_of_a_part(&outputs);
         println!("{} carried: {errors:?}, {} trajectories", log.name, outputs.report.trajectories);

@@ -48,7 +48,7 @@ pub enum Command {
     Pause(RobotArgs),
     /// Lets a set that rests go on
     Resume(RobotArgs),
-    /// Lets a running set forget its map and begin a new one
+    /// Lets a running set drop its map and begin a new one
     Reset(RobotArgs),
     /// Lets a set that localizes look for its robot in the known map anew
     Relocalize(RelocalizeArgs),

@@ -2,7 +2,6 @@
 
 mod accounting;
 mod as_it_was_command;
-mod attendants;
 pub mod config;
 mod contacts;
 pub mod control_command;
@@ -24,6 +23,7 @@ mod progress_bar;
 pub mod record_command;
 pub mod ros_command;
 mod run;
+mod run_services;
 pub mod setup_command;
 pub mod stage;
 pub mod store_command;
@@ -37,7 +37,7 @@ use flockslam_bus::BusError;
 use std::io::Write;
 
 /// Writes to the standard output. A reader that has gone away (`| head`) is no failure of the command.
-fn say(text: &str) {
+fn print(text: &str) {
     let _ = std::io::stdout().write_all(text.as_bytes());
 }
 

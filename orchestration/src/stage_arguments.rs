@@ -22,5 +22,5 @@ pub struct StageArgs {
     pub parent: Option<u32>,
     /// Run what stands in for the stage when it does not get up
     #[arg(long)]
-    pub stand_in: bool,
+    pub fallback: bool,
 }

@@ -6,7 +6,7 @@
 
 mod head;
 mod imported_map;
-mod keeper;
+mod map_saver;
 mod mirror;
 mod nav2_map;
 mod plan_views;
@@ -16,7 +16,7 @@ mod tests;
 
 pub use head::{FORMAT, MapHead};
 pub use imported_map::{Imported, import_map};
-pub use keeper::MapKeeper;
+pub use map_saver::MapSaver;
 pub use mirror::Mirror;
 pub use nav2_map::{Nav2MapError, read_nav2_map};
 pub use saved_map::{Findings, SavedMap};

@@ -1,4 +1,4 @@
-//! A Debian 12 without anything of ours, started with its own systemd on a copy that is forgotten, and a person who types into it.
+//! A Debian 12 without anything of ours, started with its own systemd on a copy that is discarded, and a person who types into it.
 
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};

@@ -132,8 +132,8 @@ impl Trial {
         let typed = debian.types(&format!("{INSTALL} && flockslam setup --port {PORT_PLACE}"));
         wait_for("the end of setup", || typed.seen().contains("runs: ").then_some(()));
         let questions = typed.seen().matches("? [").count();
-        let patience_s = ANSWERS_AFTER.as_secs();
-        report(&format!("lidar: {questions} questions are answered, each after {patience_s} s"), since);
+        let answer_timeout_s = ANSWERS_AFTER.as_secs();
+        report(&format!("lidar: {questions} questions are answered, each after {answer_timeout_s} s"), since);
         self.wait_for_map("lidar", since);
         typed.ends_well();
 

@@ -19,20 +19,20 @@ const DRIVE: Drive = Drive { scan_rate_hz: 10.0, duration_s: 40.0, rate: 1.0 };
 const FLOOD: u32 = 10_000;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Company {
+enum Neighbours {
     Nobody,
     /// Hostile messages.
     Flood,
     /// A robot of another flock, which takes its share of the machine.
-    Stranger,
+    Unmerged,
     /// A robot of its own flock, on the same machine.
-    Companion,
+    Member,
     /// A robot of its own flock that has driven before, knows all of the building and only talks: what synchronising alone costs.
     Converged,
 }
 
-const ALL: [Company; 5] =
-    [Company::Nobody, Company::Flood, Company::Stranger, Company::Companion, Company::Converged];
+const ALL: [Neighbours; 5] =
+    [Neighbours::Nobody, Neighbours::Flood, Neighbours::Unmerged, Neighbours::Member, Neighbours::Converged];
 
 /// Microseconds from a scan's arrival to its pose, and memory of sync-manager.
 struct Run {
@@ -42,18 +42,18 @@ struct Run {
     hostile: usize,
 }
 
-fn run(company: Company) -> Run {
+fn run(neighbours: Neighbours) -> Run {
     let directory = tempfile::tempdir().expect("a directory");
-    let mut robots = match company {
-        Company::Converged => beside_a_converged_one(directory.path()),
-        Company::Companion => FlockRobot::start_all("latency", directory.path(), DRIVE, 2),
+    let mut robots = match neighbours {
+        Neighbours::Converged => beside_a_converged_one(directory.path()),
+        Neighbours::Member => FlockRobot::start_all("latency", directory.path(), DRIVE, 2),
         _ => FlockRobot::start_all("latency", directory.path(), DRIVE, 1),
     };
-    if company == Company::Stranger {
-        robots.extend(FlockRobot::start_all("stranger", &directory.path().join("stranger"), DRIVE, 1));
+    if neighbours == Neighbours::Unmerged {
+        robots.extend(FlockRobot::start_all("unmerged", &directory.path().join("unmerged"), DRIVE, 1));
     }
     let (over, mut hostile) = (AtomicBool::new(false), 0);
-    if company == Company::Flood {
+    if neighbours == Neighbours::Flood {
         robots[0].wait_for_flock("a record", |flock| flock.records.0 > 0);
         hostile = std::thread::scope(|scope| {
             let sender = scope.spawn(|| flood(&robots[0], FLOOD, &over));
@@ -78,7 +78,7 @@ fn run(company: Company) -> Run {
 /// The robot that is measured, and one that has driven before.
 fn beside_a_converged_one(directory: &Path) -> Vec<FlockRobot> {
     let endpoints = [(); 2].map(|()| format!("tcp/127.0.0.1:{}", free_port()));
-    let stays = ("office", "companions = 1\nfarewell_s = 90.0");
+    let stays = ("office", "wait_for_robots = 1\nfarewell_s = 90.0");
     let before = Drive { duration_s: 200.0, rate: 20.0, ..DRIVE };
     let mut converged = FlockRobot::start_one("latency", directory, before, &endpoints, 1, stays);
     converged.wait_for_flock("the end of its drive", |flock| flock.has_ended && flock.converged);
@@ -93,9 +93,9 @@ fn median(mut values: Vec<f64>) -> f64 {
 fn main() {
     let runs = std::env::args().filter_map(|argument| argument.parse().ok()).next().unwrap_or(5);
     let named =
-        |kind: &Company| std::env::args().any(|argument| argument == format!("{kind:?}").to_lowercase());
+        |kind: &Neighbours| std::env::args().any(|argument| argument == format!("{kind:?}").to_lowercase());
     let some = ALL.iter().any(named);
-    let kinds: Vec<Company> = ALL.into_iter().filter(|kind| !some || named(kind)).collect();
+    let kinds: Vec<Neighbours> = ALL.into_iter().filter(|kind| !some || named(kind)).collect();
     let mut all: Vec<Vec<Run>> = kinds.iter().map(|_| Vec::new()).collect();
     for _ in 0..runs {
         for (kind, all) in kinds.iter().zip(&mut all) {
@@ -103,7 +103,7 @@ fn main() {
         }
     }
     println!(
-        "| company | runs | p50 µs | p99 µs, median of runs | least … most | sync-manager at most MB | hostile messages |"
+        "| neighbours | runs | p50 µs | p99 µs, median of runs | least … most | sync-manager at most MB | hostile messages |"
     );
     println!("|---|---|---|---|---|---|---|");
     for (kind, all) in kinds.iter().zip(&all) {

@@ -45,10 +45,10 @@ fn cpu_ticks(pid: u32) -> u64 {
 fn poses(set: &LiveSet, during: Duration) -> Vec<(PoseEstimate, u64)> {
     let runtime = RuntimeDir::open(&set.runtime_dir()).expect("the set runs");
     let bus = Bus::join(&runtime, "latency", Capacity::default()).expect("the set is joined");
-    let subscriber = bus.subscriber::<PoseEstimate>().expect("poses can be heard");
+    let subscriber = bus.subscriber::<PoseEstimate>().expect("poses can be received");
     let (mut seen, since) = (Vec::new(), Instant::now());
     while since.elapsed() < during {
-        match subscriber.receive().expect("poses are heard") {
+        match subscriber.receive().expect("poses are received") {
             Some(pose) => seen.push((*pose, monotonic_ns())),
             None => std::thread::sleep(LOOK),
         }

@@ -6,7 +6,7 @@
 use flockslam::store::read_nav2_map;
 use flockslam_evidence::CellState;
 use flockslam_geometry::Point;
-use flockslam_localisation::{KnownMap, PlaceField, PlaceSearch, Quest};
+use flockslam_localisation::{KnownMap, PlaceField, PlaceSearch, SearchRequest};
 use flockslam_random::Random;
 use flockslam_registration::cloud::Placement;
 use std::error::Error;
@@ -18,7 +18,7 @@ const SEARCHES: usize = 24;
 const RANGE_M: f64 = 15.0;
 const BEAMS: u32 = 180;
 /// The same as a robot's own search asks for.
-const QUEST: Quest = Quest { score_min: 0.45, share_min: 0.75, near: None };
+const REQUEST: SearchRequest = SearchRequest { score_min: 0.45, share_min: 0.75, near: None };
 
 /// The points that a lidar at a pose would see, in its frame.
 fn seen(map: &KnownMap, at: &Placement, random: &mut Random) -> Vec<(f64, f64)> {
@@ -74,7 +74,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             continue;
         }
         let started = Instant::now();
-        let places = search.find(&field, &points, &QUEST);
+        let places = search.find(&field, &points, &REQUEST);
         times.push(started.elapsed());
         let is_there = |place: &Placement| place.distance_m(&at) < 0.6 && place.turn_rad(&at) < 0.25;
         found += usize::from(tiles > 1 || places.found.iter().any(|place| is_there(&place.map_from_cloud)));

@@ -156,7 +156,7 @@ impl Robot {
             let mut has_new = false;
             while let Some((_, bytes)) = published.next_if(|(newest, _)| *newest < sequence) {
                 // Said anew, among what it says of the other robot.
-                flock.say(&Record::read(bytes)?.content)?;
+                flock.record(&Record::read(bytes)?.content)?;
                 has_new = true;
             }
             if sequence >= middle

@@ -108,7 +108,7 @@ fn prepare(path: &Path, is_on_disk: bool) {
     let mut file = File::open(path).expect("a file");
     if is_on_disk {
         file.sync_all().expect("the file is written");
-        rustix::fs::fadvise(&file, 0, None, rustix::fs::Advice::DontNeed).expect("the system forgets it");
+        rustix::fs::fadvise(&file, 0, None, rustix::fs::Advice::DontNeed).expect("the system drops it");
     } else {
         std::io::copy(&mut file, &mut std::io::sink()).expect("bytes");
     }

@@ -1,5 +1,5 @@
 //! `cargo bench -p flockslam --bench ros_latency`: a robot of the client library of ROS plays a drive into the graph. From a scan to its
-//! transform and its pose as the robot hears them, the processor time and memory of the bridge; then eight times a span without hostile
+//! transform and its pose as the robot receives them, the processor time and memory of the bridge; then eight times a span without hostile
 //! traffic, one with it, and one in which as much is sent in another domain, from a scan to its pose on the bus: the robot has enough to do
 //! with such traffic itself. What sends takes most of a processor, which a network does not: the third span shows what that does without
 //! the traffic. `-- cost` and `-- hostile` run one of the two.
@@ -59,7 +59,7 @@ fn memory_mib(pid: u32, kind: &str) -> f64 {
     line.split_whitespace().nth(1).and_then(|kib| kib.parse::<f64>().ok()).unwrap_or(0.0) / 1024.0
 }
 
-/// Stamp, and when it was sent or heard, of what the robot has noted.
+/// Stamp, and when it was sent or received, of what the robot has noted.
 fn times(noted: &Value, name: &str) -> Vec<(i64, i64)> {
     let rows = noted[name].as_array().expect("the robot notes rows");
     rows.iter().map(|row| (row[0].as_i64().unwrap_or(0), row[4].as_i64().unwrap_or(0))).collect()
@@ -70,10 +70,10 @@ fn delays(noted: &Value, answers: &str, ahead_ns: i64) -> Vec<(i64, f64)> {
     delays_to(noted, &times(noted, answers), ahead_ns)
 }
 
-fn delays_to(noted: &Value, heard: &[(i64, i64)], ahead_ns: i64) -> Vec<(i64, f64)> {
+fn delays_to(noted: &Value, received: &[(i64, i64)], ahead_ns: i64) -> Vec<(i64, f64)> {
     let delay = |(stamp_ns, sent_ns): (i64, i64)| {
-        let (_, heard_ns) = heard.iter().find(|answer| answer.0 >= stamp_ns + ahead_ns)?;
-        Some((sent_ns, (heard_ns - sent_ns) as f64 * 1e-6))
+        let (_, received_ns) = received.iter().find(|answer| answer.0 >= stamp_ns + ahead_ns)?;
+        Some((sent_ns, (received_ns - sent_ns) as f64 * 1e-6))
     };
     times(noted, "sent").into_iter().filter_map(delay).collect()
 }
@@ -82,10 +82,10 @@ fn delays_to(noted: &Value, heard: &[(i64, i64)], ahead_ns: i64) -> Vec<(i64, f6
 fn poses_on_bus(set_dir: &Path, is_over: &AtomicBool) -> Vec<(i64, i64)> {
     let runtime = RuntimeDir::open(set_dir).expect("the set runs");
     let bus = Bus::join(&runtime, "latency", Capacity::default()).expect("the set is joined");
-    let subscriber = bus.subscriber::<PoseEstimate>().expect("poses can be heard");
+    let subscriber = bus.subscriber::<PoseEstimate>().expect("poses can be received");
     let mut seen = Vec::new();
     while !is_over.load(Ordering::Relaxed) {
-        match subscriber.receive().expect("poses are heard") {
+        match subscriber.receive().expect("poses are received") {
             Some(pose) => seen.push((pose.times.sensor_ns, monotonic_ns() as i64)),
             None => std::thread::sleep(LOOK),
         }
@@ -115,7 +115,7 @@ fn cost() {
     let (before_s, since) = (cpu_s(pid), Instant::now());
     let noted = graph.play(&log, 1.0, "/");
     let share = (cpu_s(pid) - before_s) / since.elapsed().as_secs_f64();
-    println!("scans sent, poses heard: {}, {}", times(&noted, "sent").len(), times(&noted, "poses").len());
+    println!("scans sent, poses received: {}, {}", times(&noted, "sent").len(), times(&noted, "poses").len());
     show("scan to map → odom", &noted, "corrections", AHEAD_NS);
     show("scan to pose", &noted, "poses", 0);
     let [all, own, share_mib] = ["Rss", "Anonymous", "Pss"].map(|kind| memory_mib(pid, kind));
@@ -137,7 +137,7 @@ fn hostile() {
     let mut spans = Vec::new();
     let before_mib = memory_mib(pid, "Anonymous");
     let (is_over, set_dir) = (AtomicBool::new(false), set.runtime_dir());
-    let (noted, heard) = std::thread::scope(|scope| {
+    let (noted, received) = std::thread::scope(|scope| {
         let hearing = scope.spawn(|| poses_on_bus(&set_dir, &is_over));
         let playing = scope.spawn(|| graph.play(&log, FASTER, "/"));
         // Until the robot has begun.
@@ -149,42 +149,42 @@ fn hostile() {
             let before_mib = memory_mib(pid, "Anonymous");
             let _ = graph.hostile(SPAN_S, FLOOD, &udp_ports(pid)).wait();
             let more_mib = memory_mib(pid, "Anonymous") - before_mib;
-            let elsewhere_ns = monotonic_ns() as i64;
+            let other_ns = monotonic_ns() as i64;
             let _ = other.hostile(SPAN_S, FLOOD, &[]).wait();
-            spans.push(([quiet_ns, loud_ns, elsewhere_ns, monotonic_ns() as i64], more_mib));
+            spans.push(([quiet_ns, loud_ns, other_ns, monotonic_ns() as i64], more_mib));
         }
         let noted = playing.join().expect("the robot plays");
         is_over.store(true, Ordering::Relaxed);
-        (noted, hearing.join().expect("poses are heard"))
+        (noted, hearing.join().expect("poses are received"))
     });
     assert_eq!(bridge(&set), pid, "it is the same process");
     println!("its own memory {before_mib:.0} MiB before, {:.0} MiB after", memory_mib(pid, "Anonymous"));
-    println!("scans sent, poses: {}, {}", times(&noted, "sent").len(), heard.len());
-    let delays = delays_to(&noted, &heard, 0);
+    println!("scans sent, poses: {}, {}", times(&noted, "sent").len(), received.len());
+    let delays = delays_to(&noted, &received, 0);
     let of = |from_ns: i64, to_ns: i64| -> Vec<f64> {
         let within =
             delays.iter().filter(|(sent_ns, _)| (from_ns + EDGE_NS..to_ns - EDGE_NS).contains(sent_ns));
         within.map(|(_, delay_ms)| *delay_ms).collect()
     };
-    let (mut to_quiet_ms, mut to_elsewhere_ms) = (Vec::new(), Vec::new());
+    let (mut to_quiet_ms, mut to_other_ms) = (Vec::new(), Vec::new());
     for (borders_ns, more_mib) in spans {
         let found = [0, 1, 2].map(|span| of(borders_ns[span], borders_ns[span + 1]));
         if found.iter().any(Vec::is_empty) {
             continue;
         }
-        let [quiet_ms, loud_ms, elsewhere_ms] = found.each_ref().map(|delays_ms| quantile(delays_ms, 0.99));
+        let [quiet_ms, loud_ms, other_ms] = found.each_ref().map(|delays_ms| quantile(delays_ms, 0.99));
         println!(
-            "scan to pose, p99: quiet {quiet_ms:.2} ms, loud {loud_ms:.2} ms of {}, loud elsewhere {elsewhere_ms:.2} ms; {more_mib:+.1} MiB",
+            "scan to pose, p99: quiet {quiet_ms:.2} ms, loud {loud_ms:.2} ms of {}, loud elsewhere {other_ms:.2} ms; {more_mib:+.1} MiB",
             found[1].len()
         );
         to_quiet_ms.push(loud_ms - quiet_ms);
-        to_elsewhere_ms.push(loud_ms - elsewhere_ms);
+        to_other_ms.push(loud_ms - other_ms);
     }
     println!(
         "median of the differences at p99 of {} pairs: {:+.2} ms to quiet spans, {:+.2} ms to those with as much traffic elsewhere",
         to_quiet_ms.len(),
         quantile(&to_quiet_ms, 0.5),
-        quantile(&to_elsewhere_ms, 0.5)
+        quantile(&to_other_ms, 0.5)
     );
     set.command_well(&["down"]);
 }

@@ -8,7 +8,7 @@
 mod support;
 
 use flockslam_drives::experiments::BEARING_SIGMA_RAD;
-use support::carried_log::{carried, cut_at};
+use support::kidnapped_log::{cut_at, kidnapped};
 use support::public_logs::{FILTER_OFF, LOGS, Log};
 use support::seeded_drives::{YardDrive, alone_and_among_twenty_m, campus_drive, flat_worst};
 
@@ -71,7 +71,7 @@ fn print_cuts(log: &Log) {
     for k in 1..=8 {
         let directory = tempfile::tempdir().unwrap();
         let (cut_log, cut) = (directory.path().join("cut.clf"), cut_at(k, scans));
-        std::fs::write(&cut_log, carried(&file, cut)).unwrap();
+        std::fs::write(&cut_log, kidnapped(&file, cut)).unwrap();
         let outputs = Log::map(&cut_log, &directory.path().join("out"), &["--set", FILTER_OFF]);
         let errors = log.errors_of_a_part(&outputs);
         println!(

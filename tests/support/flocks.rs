@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use zenoh::Wait;
 
 /// How long robots that have ended wait for each other: shorter than what a test waits for.
-const FAREWELL_S: u32 = 60;
+const WAIT_MAX_S: u32 = 60;
 /// Where robots drive if nothing is said.
 const WORLD: &str = "office";
 
@@ -103,7 +103,7 @@ impl FlockRobot {
     pub fn start_in(namespaces: &[Namespace; 2], test: &str, directory: &Path, drive: Drive) -> Vec<Self> {
         let endpoints: Vec<String> =
             namespaces.iter().map(|space| format!("tcp/{}:7447", space.address)).collect();
-        let more = format!("companions = 1\nfarewell_s = {FAREWELL_S}.0");
+        let more = format!("wait_for_robots = 1\nfarewell_s = {WAIT_MAX_S}.0");
         let start = |(number, space): (usize, &Namespace)| {
             Self::start(test, directory, &endpoints, number, (WORLD, &more), |set, description, more| {
                 let mut command = Command::new("ip");
@@ -179,7 +179,7 @@ impl FlockRobot {
     }
 
     /// Starts a robot that was killed again, with nothing left of it but its key.
-    pub fn be_born_again(self) -> Self {
+    pub fn start_without_log(self) -> Self {
         std::fs::remove_dir_all(self.set.runtime_dir()).unwrap();
         Self { set: self.set.start_once_more(), ..self }
     }
@@ -314,13 +314,13 @@ fn certificates(directory: &Path) -> Certificates {
 pub fn flood(robot: &FlockRobot, per_s: u32, over: &AtomicBool) -> usize {
     let victim = robot.address();
     let flock = robot.flock().unwrap().flock;
-    let session = stranger(robot);
+    let session = outside_session(robot);
     let rubbish: Vec<u8> = (0..400u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
     let (started, mut sent) = (Instant::now(), 0usize);
     while !over.load(Ordering::Relaxed) {
         let due = (started.elapsed().as_secs_f64() * f64::from(per_s)) as usize;
         for number in sent..due {
-            let sender = if number % 2 == 0 { "evil-0".to_owned() } else { format!("evil-{number}") };
+            let sender = if number % 2 == 0 { "forger-0".to_owned() } else { format!("forger-{number}") };
             let put = session.put(format!("flockslam/{flock}/to/{victim}/{sender}"), rubbish.clone());
             put.congestion_control(zenoh::qos::CongestionControl::Block).wait().unwrap();
         }
@@ -331,7 +331,7 @@ pub fn flood(robot: &FlockRobot, per_s: u32, over: &AtomicBool) -> usize {
 }
 
 /// Somebody on the robot's network who is none of its flock.
-fn stranger(robot: &FlockRobot) -> zenoh::Session {
+fn outside_session(robot: &FlockRobot) -> zenoh::Session {
     let mut configuration = zenoh::Config::default();
     for (key, value) in [
         ("mode", "\"peer\"".to_owned()),
@@ -348,27 +348,28 @@ fn stranger(robot: &FlockRobot) -> zenoh::Session {
 pub fn hostile(robot: &FlockRobot, flood: usize) -> usize {
     let victim = robot.address();
     let flock = robot.flock().unwrap().flock;
-    let session = stranger(robot);
+    let session = outside_session(robot);
     let prefix = format!("flockslam/{flock}");
-    let heard: Arc<Mutex<Vec<Vec<u8>>>> = Arc::default();
-    let keep = Arc::clone(&heard);
-    let hear = move |sample: zenoh::sample::Sample| {
+    let received: Arc<Mutex<Vec<Vec<u8>>>> = Arc::default();
+    let keep = Arc::clone(&received);
+    let receive = move |sample: zenoh::sample::Sample| {
         keep.lock().unwrap().push(sample.payload().to_bytes().into_owned());
     };
-    let _ears = session.declare_subscriber(format!("{prefix}/to/evil-0/*")).callback(hear).wait().unwrap();
+    let _subscriber =
+        session.declare_subscriber(format!("{prefix}/to/forger-0/*")).callback(receive).wait().unwrap();
     let _there = session.liveliness().declare_token(format!("{prefix}/there/evil-0")).wait().unwrap();
     let mut sent = 0;
-    let mut say = |sender: &str, bytes: Vec<u8>| {
+    let mut send = |sender: &str, bytes: Vec<u8>| {
         let put = session.put(format!("{prefix}/to/{victim}/{sender}"), bytes);
         put.congestion_control(zenoh::qos::CongestionControl::Block).wait().unwrap();
         sent += 1;
     };
     // The robot answers whoever asks: it is sent its own records back, bent.
     let asked = wait_for("records of the victim", || {
-        say("evil-0", Message::Have(Vector::default()).encode());
+        send("forger-0", Message::Have(Vector::default()).encode());
         std::thread::sleep(std::time::Duration::from_millis(100));
-        let heard = heard.lock().unwrap();
-        heard.iter().find_map(|bytes| match Message::decode(bytes) {
+        let received = received.lock().unwrap();
+        received.iter().find_map(|bytes| match Message::decode(bytes) {
             Ok(Message::Records(records)) => Some(records),
             _ => None,
         })
@@ -380,9 +381,9 @@ pub fn hostile(robot: &FlockRobot, flood: usize) -> usize {
         record[at] ^= 0x10;
         Arc::<[u8]>::from(record)
     };
-    let liar = RobotKey::of_replay("liar").unwrap();
+    let forger = RobotKey::of_replay("forger").unwrap();
     let giant = Content::Withdrawal(Withdrawal { epoch: u64::MAX, number: u64::MAX });
-    let signed = Record::new(&liar, 1, 0, &giant).unwrap().bytes().clone();
+    let signed = Record::new(&forger, 1, 0, &giant).unwrap().bytes().clone();
     let mut future = Message::Have(Vector::default()).encode();
     future[4] = 99;
     let mut noise = 0x9e37_79b9_7f4a_7c15u64;
@@ -407,14 +408,14 @@ pub fn hostile(robot: &FlockRobot, flood: usize) -> usize {
     ];
     kinds.push(random(MESSAGE_BYTES_MAX + 1000));
     for kind in &kinds {
-        say("evil-0", kind.clone());
+        send("forger-0", kind.clone());
         std::thread::sleep(std::time::Duration::from_millis(30));
     }
     kinds.truncate(5);
     for number in 0..flood {
-        // Now under its own name, now under one that nobody has heard of.
-        let sender = if number % 2 == 0 { "evil-0".to_owned() } else { format!("evil-{number}") };
-        say(&sender, kinds[number % kinds.len()].clone());
+        // Now under its own name, now under one that nobody knows.
+        let sender = if number % 2 == 0 { "forger-0".to_owned() } else { format!("forger-{number}") };
+        send(&sender, kinds[number % kinds.len()].clone());
     }
     sent
 }

@@ -47,7 +47,7 @@ pub fn later_free(outputs: &Outputs, log: &Path) -> Share {
     Share { good: stale, of: cells.len() }
 }
 
-/// Counts what a scan looks through, then forgets what it hits.
+/// Counts what a scan looks through, then drops what it hits.
 fn view(map: &Map, cells: &mut BTreeMap<(i32, i32), Views>, scan: ScanView<'_>, map_from_laser: Pose) {
     let now_ns = scan.header().times.sensor_ns;
     let in_cells = |point: Point| map.in_cells(point);

@@ -47,7 +47,7 @@ impl Played {
     }
 
     /// What the lidar answers to a request, and whether it measures from then on.
-    fn hear(&self, request: &[u8]) -> (Vec<u8>, Option<bool>) {
+    fn receive(&self, request: &[u8]) -> (Vec<u8>, Option<bool>) {
         match self {
             Self::Rplidar(encoder) => {
                 let measures = match request.get(1) {
@@ -84,7 +84,7 @@ impl Played {
         }
     }
 
-    fn speaks_by_itself(&self) -> bool {
+    fn sends_unasked(&self) -> bool {
         matches!(self, Self::Ld06(_) | Self::Bytes(..) | Self::Garbage)
     }
 
@@ -115,7 +115,7 @@ enum End {
 
 impl End {
     /// What was asked so far, without waiting.
-    fn hear(&mut self, bytes: &mut [u8]) -> usize {
+    fn receive(&mut self, bytes: &mut [u8]) -> usize {
         let read = match self {
             Self::Pty(master) => match master.bytes_to_read() {
                 Ok(1..) => master.read(bytes),
@@ -188,17 +188,17 @@ impl LidarPlayer {
         let (stop, turns_ns) = (Arc::new(AtomicBool::new(false)), Arc::new(Mutex::new(Vec::new())));
         let (stopped, turned) = (Arc::clone(&stop), Arc::clone(&turns_ns));
         let thread = spawn(move || {
-            let mut measures = lidar.speaks_by_itself();
-            let (mut bytes, mut heard) = ([0; 256], Vec::new());
+            let mut measures = lidar.sends_unasked();
+            let (mut bytes, mut received) = ([0; 256], Vec::new());
             let mut decoder = lidar.family().map(|family| family.driver(None, None));
             let mut due = Instant::now();
             while !stopped.load(Ordering::Relaxed) {
                 let mut listen =
                     |end: &mut End, lidar: &Played, measures: &mut bool, decoder: &mut Decoder| {
-                        let length = end.hear(&mut bytes);
-                        heard.extend_from_slice(&bytes[..length]);
-                        while let Some(request) = first_request(&mut heard) {
-                            let (answer, changes) = lidar.hear(&request);
+                        let length = end.receive(&mut bytes);
+                        received.extend_from_slice(&bytes[..length]);
+                        while let Some(request) = first_request(&mut received) {
+                            let (answer, changes) = lidar.receive(&request);
                             end.send(&answer);
                             decoder.iter_mut().for_each(|decoder| _ = gives_turn(&mut **decoder, &answer));
                             *measures = changes.unwrap_or(*measures);
@@ -249,7 +249,7 @@ impl Drop for LidarPlayer {
     }
 }
 
-/// Hears what the lidar sends, to know when a turn is whole.
+/// Receives what the lidar sends, to know when a turn is whole.
 type Decoder = Option<Box<dyn Driver>>;
 
 /// Whether a turn is whole with these bytes.
@@ -263,14 +263,14 @@ fn gives_turn(decoder: &mut dyn Driver, bytes: &[u8]) -> bool {
 }
 
 /// Cuts the first whole request off; requests of a lidar come one after the other.
-fn first_request(heard: &mut Vec<u8>) -> Option<Vec<u8>> {
-    let length = match heard.as_slice() {
+fn first_request(received: &mut Vec<u8>) -> Option<Vec<u8>> {
+    let length = match received.as_slice() {
         [] | [0xA5] => return None,
         [0xA5, command, ..] if command & 0x80 == 0 || [0x90, 0x92].contains(command) => 2,
         [0xA5, _] => return None,
         [0xA5, _, content, ..] => 4 + usize::from(*content),
-        [2, ..] => 1 + heard.iter().position(|byte| *byte == 3)?,
-        _ => 1 + heard.iter().position(|byte| *byte == b'\n')?,
+        [2, ..] => 1 + received.iter().position(|byte| *byte == 3)?,
+        _ => 1 + received.iter().position(|byte| *byte == b'\n')?,
     };
-    (heard.len() >= length).then(|| heard.drain(..length).collect())
+    (received.len() >= length).then(|| received.drain(..length).collect())
 }

@@ -3,10 +3,10 @@
 
 mod benchmark;
 mod browser;
-pub mod carried_log;
 pub mod faults;
 pub mod flocks;
 mod http_get;
+pub mod kidnapped_log;
 mod later_free;
 pub mod lidar_player;
 pub mod limited_machine;
@@ -41,7 +41,7 @@ pub use later_free::later_free;
 pub use live::{Drive, LiveSet, of};
 pub use montage::{montage, panel, picture_of_ways, store_picture};
 pub use moved_map::{MapFigures, occupied_cells};
-pub use moving_drive::{BUILDINGS, MovingDrive, MovingRun, UNCLEANED, lively, moving_building};
+pub use moving_drive::{BUILDINGS, MovingDrive, MovingRun, UNCLEANED, moving_building, with_movers};
 pub use not_tested::not_tested;
 pub use outputs::{Outputs, known_truth_error_m, truth_error_m, truth_offsets_m};
 pub use pictures::keep_picture;

@@ -1,4 +1,4 @@
-//! How well the map of a simulated drive keeps what stands and forgets what has left, cell by cell against the exact truth.
+//! How well the map of a simulated drive keeps what stands and clears what has left, cell by cell against the exact truth.
 
 use super::Outputs;
 use flockslam_evidence::CellIndex;

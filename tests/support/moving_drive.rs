@@ -64,7 +64,7 @@ impl MovingDrive {
 }
 
 /// A drive among people, doors and pallets.
-pub fn lively(seed: u64, walkers: u32) -> Settings {
+pub fn with_movers(seed: u64, walkers: u32) -> Settings {
     Settings { seed, walkers, doors: 6, pallets: 4, ..Settings::default() }
 }
 

@@ -141,7 +141,7 @@ impl Graph {
         noted(self.script("robot.py", &arguments), &out)
     }
 
-    /// A robot in a graph of rmw_zenoh, whose router is at this port; it plays a log as soon as somebody hears it.
+    /// A robot in a graph of rmw_zenoh, whose router is at this port; it plays a log as soon as somebody subscribes.
     pub fn zenoh_robot(&self, port: u16, log: &Path, rate: f64) -> ZenohRobot {
         let out = log.with_extension("noted.json");
         let texts =

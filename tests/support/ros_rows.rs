@@ -1,4 +1,4 @@
-//! Rows of what a robot in a graph has noted: scans that it has sent, poses and corrections that it has heard.
+//! Rows of what a robot in a graph has noted: scans that it has sent, poses and corrections that it has received.
 
 use flockslam_geometry::Pose;
 use serde_json::Value;
@@ -10,7 +10,7 @@ const REPEATED_MAX_NS: i64 = 1_500_000_000;
 /// A pose that is put together of odometry and correction is that of the scan, metres.
 const COMPOSED_MAX_M: f64 = 1e-3;
 
-/// Stamp, pose, and when it was sent or heard.
+/// Stamp, pose, and when it was sent or received.
 pub type Row = (i64, Pose, i64);
 
 /// Rows of numbers: a stamp and a pose, and whatever follows.
@@ -22,7 +22,7 @@ pub fn rows(noted: &Value, name: &str) -> Vec<Row> {
     noted[name].as_array().unwrap().iter().map(row).collect()
 }
 
-/// A scan's odometry and a correction of its time give its pose; returns when that correction was heard.
+/// A scan's odometry and a correction of its time give its pose; returns when that correction was received.
 pub fn assert_composed((scan_ns, odom_from_base, _): &Row, pose: Pose, corrections: &[Row]) -> i64 {
     // Where a pose is late, one that is repeated between scans has its stamp, and its own the next; none is repeated for longer than that.
     let times = scan_ns + AHEAD_NS..scan_ns + AHEAD_NS + REPEATED_MAX_NS;

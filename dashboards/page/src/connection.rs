@@ -47,7 +47,7 @@ impl Listener for BoundedListener {
     }
 }
 
-/// A connection that ends when nothing is heard on it.
+/// A connection that ends when nothing is received on it.
 pub struct BoundedStream {
     stream: TcpStream,
     silence: Pin<Box<Sleep>>,

@@ -113,12 +113,12 @@ impl FollowedMap {
             };
             stored = Stored { is_new: true, poses: Some(poses) };
         }
-        self.forget_replaced();
+        self.drop_replaced();
         stored
     }
 
     /// Takes submaps out of the picture whose file was replaced: they come in anew.
-    fn forget_replaced(&mut self) {
+    fn drop_replaced(&mut self) {
         for (number, version) in self.versions.clone().iter().rev().take(REPLACED_AMONG) {
             if version_of(&self.store.file(*number)).is_some_and(|present| present != *version) {
                 self.versions.remove(number);

@@ -6,8 +6,8 @@ use std::net::{IpAddr, SocketAddr};
 
 /// Who may see the page and use its buttons.
 ///
-/// A browser on the operator's machine also runs the pages of strangers. What they could do here is prevented by names: a request is
-/// answered only when it was made to this machine by an address or by its own name (a stranger's name that was made to point here
+/// A browser on the operator's machine also runs foreign pages. What they could do here is prevented by names: a request is
+/// answered only when it was made to this machine by an address or by its own name (a foreign name that was made to point here
 /// is neither), and a WebSocket is opened only for a page that came from here.
 ///
 /// ```
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn a_strangers_page_opens_no_websocket() {
+    fn a_foreign_page_opens_no_websocket() {
         let guard = guard("127.0.0.1:8470", None);
         let opens = |origin, host| guard.is_own_origin(origin, Some(host));
         assert!(opens(Some("http://localhost:8470"), "localhost:8470"));

@@ -16,7 +16,7 @@ pub struct Health {
     pub paused: bool,
     /// What it does with its map.
     pub mode: ModeHealth,
-    /// Where it believes to be in the known map, when it localizes.
+    /// Its belief about its pose in the known map, when it localizes.
     pub localisation: Option<LocalisationHealth>,
     /// Seconds since the supervisor began.
     pub uptime_s: f64,
@@ -42,7 +42,7 @@ pub struct ModeHealth {
     pub problem: Option<String>,
 }
 
-/// What is believed of the robot's place in a known map.
+/// The belief about the robot's pose in a known map.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct LocalisationHealth {
@@ -72,7 +72,7 @@ pub struct FlockHealth {
     pub members: Vec<String>,
     /// Whether this robot is one of at least two of them.
     pub merged: bool,
-    /// Bytes of messages heard and said.
+    /// Bytes of messages received and sent.
     pub heard_bytes: u64,
     /// Bytes of messages said.
     pub said_bytes: u64,
@@ -139,7 +139,7 @@ pub fn events_between(before: &Health, after: &Health, at_ms: u64) -> Vec<Event>
     for stage in &after.stages {
         let is_same = |other: &&StageHealth| other.stage == stage.stage && other.replica == stage.replica;
         let Some(old) = before.stages.iter().find(is_same) else { continue };
-        let mut tell = |kind, text: String| {
+        let mut report = |kind, text: String| {
             events.push(Event { at_ms, kind, stage: Some(stage.stage.clone()), text });
         };
         let name = if stage.replica > 0 {
@@ -148,13 +148,13 @@ pub fn events_between(before: &Health, after: &Health, at_ms: u64) -> Vec<Event>
             stage.stage.clone()
         };
         if stage.hangs > old.hangs {
-            tell(EventKind::Hang, format!("{name} gave no sign of life and was replaced"));
+            report(EventKind::Hang, format!("{name} gave no sign of life and was replaced"));
         } else if stage.restarts > old.restarts {
             let pid = stage.pid.map_or(String::new(), |pid| format!(", now process {pid}"));
-            tell(EventKind::Restart, format!("{name} died and was started again{pid}"));
+            report(EventKind::Restart, format!("{name} died and was started again{pid}"));
         }
         if stage.state == "degraded" && old.state != "degraded" {
-            tell(EventKind::GivenUp, format!("{name} does not get up; the set goes on without it"));
+            report(EventKind::GivenUp, format!("{name} does not get up; the set goes on without it"));
         }
     }
     events

@@ -33,7 +33,7 @@ struct Seen {
     scan: u64,
     graph: u64,
     tracks: u64,
-    companions: u64,
+    other_robots: u64,
     catching_up: u64,
     health: Option<u64>,
     latencies: u64,
@@ -90,25 +90,25 @@ impl Outbox {
 
     fn fill(&mut self, frame: &mut Frame, view: &View) {
         let Self { seen, replies, .. } = self;
-        let mut tell = |key: &str, seen: &mut u64, version: u64, value: &dyn Fn(u64) -> Value| {
+        let mut put = |key: &str, seen: &mut u64, version: u64, value: &dyn Fn(u64) -> Value| {
             if *seen != version {
                 frame.json.insert(key.to_owned(), value(*seen));
                 *seen = version;
             }
         };
-        tell("robot", &mut seen.robot, view.robot.version(), &|_| json!(view.robot.get()));
-        tell("graph", &mut seen.graph, view.graph.version(), &|_| json!(view.graph.get()));
-        tell("tracks", &mut seen.tracks, view.tracks.version(), &|_| json!(view.tracks.get()));
-        tell("companions", &mut seen.companions, view.companions.version(), &|_| {
-            json!(view.companions.get())
+        put("robot", &mut seen.robot, view.robot.version(), &|_| json!(view.robot.get()));
+        put("graph", &mut seen.graph, view.graph.version(), &|_| json!(view.graph.get()));
+        put("tracks", &mut seen.tracks, view.tracks.version(), &|_| json!(view.tracks.get()));
+        put("other_robots", &mut seen.other_robots, view.other_robots.version(), &|_| {
+            json!(view.other_robots.get())
         });
-        tell("catching_up", &mut seen.catching_up, view.is_catching_up.version(), &|_| {
+        put("catching_up", &mut seen.catching_up, view.is_catching_up.version(), &|_| {
             json!(view.is_catching_up.get())
         });
-        tell("latencies", &mut seen.latencies, view.latencies.count(), &|known| {
+        put("latencies", &mut seen.latencies, view.latencies.count(), &|known| {
             json!(view.latencies.since(known).collect::<Vec<_>>())
         });
-        tell("events", &mut seen.events, view.events.count(), &|known| {
+        put("events", &mut seen.events, view.events.count(), &|known| {
             json!(view.events.since(known).collect::<Vec<_>>())
         });
         if seen.health != Some(view.health.version()) {

@@ -28,7 +28,7 @@ const VIEWERS_MAX: usize = 16;
 /// Longest message of a browser, bytes.
 const MESSAGE_MAX: usize = 4096;
 /// A browser that does not take a frame within this is given up.
-const PATIENCE: Duration = Duration::from_secs(20);
+const WRITE_TIMEOUT: Duration = Duration::from_secs(20);
 /// A wrong token is answered after this: guesses take long.
 const WRONG_TOKEN_PAUSE: Duration = Duration::from_millis(500);
 /// A port that is taken is tried again after this.
@@ -180,7 +180,7 @@ async fn open_socket(
 /// What a browser says.
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
-enum Said {
+enum BrowserMessage {
     /// It has drawn a frame.
     Drawn(u64),
     /// It wants something done.
@@ -217,7 +217,7 @@ async fn attend(mut socket: WebSocket, viewer: Viewer) {
     let mut is_due = true;
     while !shared.has_ended() {
         tokio::select! {
-            said = socket.recv() => if !hear(said, &mut outbox, shared, &replies) { return },
+            received = socket.recv() => if !handle(received, &mut outbox, shared, &replies) { return },
             Some(reply) = replied.recv() => outbox.reply(&reply),
             _ = ticks.changed() => is_due = true,
         }
@@ -226,7 +226,8 @@ async fn attend(mut socket: WebSocket, viewer: Viewer) {
             let frame = outbox.next_frame(&shared.view(), shared.guard.controls(), now_ms);
             let Some(frame) = frame else { continue };
             is_due = false;
-            if !matches!(timeout(PATIENCE, socket.send(Message::Binary(frame.into()))).await, Ok(Ok(()))) {
+            if !matches!(timeout(WRITE_TIMEOUT, socket.send(Message::Binary(frame.into()))).await, Ok(Ok(())))
+            {
                 return;
             }
         }
@@ -234,20 +235,20 @@ async fn attend(mut socket: WebSocket, viewer: Viewer) {
 }
 
 /// Takes in what a browser says; false when it has gone or makes no sense.
-fn hear(
-    said: Option<Result<Message, axum::Error>>,
+fn handle(
+    message: Option<Result<Message, axum::Error>>,
     outbox: &mut Outbox,
     shared: &Arc<Shared>,
     replies: &mpsc::Sender<OrderReply>,
 ) -> bool {
-    let text = match said {
+    let text = match message {
         Some(Ok(Message::Text(text))) => text,
         Some(Ok(Message::Ping(_) | Message::Pong(_))) => return true,
         _ => return false,
     };
     match serde_json::from_str(&text) {
-        Ok(Said::Drawn(frame)) => outbox.answered(frame),
-        Ok(Said::Order { id, token, what }) => match replies.clone().try_reserve_owned() {
+        Ok(BrowserMessage::Drawn(frame)) => outbox.answered(frame),
+        Ok(BrowserMessage::Order { id, token, what }) => match replies.clone().try_reserve_owned() {
             Ok(place) => {
                 let shared = Arc::clone(shared);
                 tokio::spawn(async move {

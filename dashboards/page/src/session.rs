@@ -5,7 +5,7 @@ use crate::health::{Event, EventKind};
 use crate::path::Path;
 use crate::shade::{Shader, Shades};
 use crate::shared_view::{Place, Shared};
-use crate::view::{Companion, Graph, RobotNow, SCAN_UNIT_M, ScanNow, Track, numbers};
+use crate::view::{Graph, OtherRobot, RobotNow, SCAN_UNIT_M, ScanNow, Track, numbers};
 use flockslam_bus::{
     Bus, Publisher, RuntimeDir, Sample, ScanSample, ScanSubscriber, SliceSubscriber, Subscriber,
 };
@@ -42,7 +42,7 @@ pub struct Session {
     scans: ScanSubscriber,
     tiles: Subscriber<TileMessage>,
     tracks: SliceSubscriber<TracksHeader>,
-    companions: Subscriber<FlockRobots>,
+    other_robots: Subscriber<FlockRobots>,
     waiting_scans: VecDeque<ScanSample>,
     journal: JournalReader,
     /// The journal was read to its end once.
@@ -70,10 +70,10 @@ impl Session {
             poses: bus.subscriber()?,
             scans: bus.scan_subscriber()?,
             tiles: bus.subscriber()?,
-            // Once they are heard.
+            // Once they are received.
             _asked: ask_for_tiles(&bus)?,
             tracks: bus.slice_subscriber()?,
-            companions: bus.subscriber()?,
+            other_robots: bus.subscriber()?,
             waiting_scans: VecDeque::new(),
             journal: JournalReader::open(&runtime.journal())?,
             has_caught_up: false,
@@ -94,7 +94,7 @@ impl Session {
         let pose = self.take_poses()?;
         self.take_scans(pose.as_ref(), shared)?;
         self.take_tracks(shared)?;
-        self.take_companions(shared)?;
+        self.take_other_robots(shared)?;
         self.read_journal(&mut shared.view().path)?;
         if let Some(pose) = pose {
             let mut view = shared.view();
@@ -171,17 +171,17 @@ impl Session {
         Ok(())
     }
 
-    fn take_companions(&mut self, shared: &Shared) -> Result<(), StageError> {
+    fn take_other_robots(&mut self, shared: &Shared) -> Result<(), StageError> {
         let mut newest = None;
-        while let Some(robots) = self.companions.receive()? {
+        while let Some(robots) = self.other_robots.receive()? {
             newest = Some(*robots);
         }
         let Some(robots) = newest else { return Ok(()) };
         let now_ns = monotonic_ns();
         shared
             .view()
-            .companions
-            .set(robots.as_slice().iter().map(|robot| companion(robot, now_ns)).collect());
+            .other_robots
+            .set(robots.as_slice().iter().map(|robot| other_robot(robot, now_ns)).collect());
         Ok(())
     }
 
@@ -260,7 +260,7 @@ impl Session {
 fn ask_for_tiles(bus: &Bus) -> Result<Publisher<Control>, StageError> {
     let control = bus.publisher()?;
     control.send(&Control { kind: ControlKind::TilesWanted as u32, run: 0, value: 0 })?;
-    bus.notifier(Stage::Mapper.name())?.ring();
+    bus.notifier(Stage::Mapper.name())?.notify();
     Ok(control)
 }
 
@@ -297,8 +297,8 @@ fn track_now(track: &flockslam_messages::Track) -> Track {
     }
 }
 
-fn companion(robot: &FlockRobot, now_ns: u64) -> Companion {
-    Companion {
+fn other_robot(robot: &FlockRobot, now_ns: u64) -> OtherRobot {
+    OtherRobot {
         name: robot.name().to_owned(),
         map_from_base: numbers(robot.map_from_base),
         age_s: now_ns.saturating_sub(robot.heard_ns) as f64 * 1e-9,

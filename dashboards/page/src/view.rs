@@ -10,7 +10,7 @@ use std::collections::VecDeque;
 
 /// Latencies of the last ten minutes, one a second.
 const LATENCIES_MAX: usize = 600;
-/// Events that are remembered.
+/// Events that are kept.
 const EVENTS_MAX: usize = 200;
 
 /// Something with a count of how often it has changed.
@@ -134,12 +134,12 @@ pub struct Track {
 
 /// Another robot of the flock.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Companion {
+pub struct OtherRobot {
     /// Its name.
     pub name: String,
     /// Where it says that it is, in this robot's map: metres, metres, radians.
     pub map_from_base: [f64; 3],
-    /// Seconds since it was heard.
+    /// Seconds since it was received.
     pub age_s: f64,
 }
 
@@ -190,7 +190,7 @@ pub struct View {
     /// What moves; `None` when nobody tells.
     pub tracks: Versioned<Option<Vec<Track>>>,
     /// The other robots of the flock.
-    pub companions: Versioned<Vec<Companion>>,
+    pub other_robots: Versioned<Vec<OtherRobot>>,
     /// Whether what lies behind is still being read.
     pub is_catching_up: Versioned<bool>,
     /// How the set is; `None` while its supervisor does not answer.
@@ -214,7 +214,7 @@ impl View {
             scan: Versioned::default(),
             graph: Versioned::default(),
             tracks: Versioned::default(),
-            companions: Versioned::default(),
+            other_robots: Versioned::default(),
             is_catching_up: Versioned::default(),
             health: Versioned::default(),
             latencies: Recent::new(LATENCIES_MAX),
@@ -222,13 +222,13 @@ impl View {
         }
     }
 
-    /// Forgets what came from the bus: it is about to be read anew.
+    /// Drops what came from the bus: it is about to be read anew.
     pub fn begin_anew(&mut self) {
         self.restarts += 1;
         (self.map, self.live, self.path) = (Layer::default(), Layer::default(), Path::default());
         (self.robot, self.scan) = (Versioned::default(), Versioned::default());
         (self.graph, self.tracks) = (Versioned::default(), Versioned::default());
-        self.companions = Versioned::default();
+        self.other_robots = Versioned::default();
         self.is_catching_up = Versioned::default();
     }
 }

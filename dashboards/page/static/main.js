@@ -21,7 +21,7 @@ const link = new Link({
   closed() {
     document.body.dataset.link = 'closed';
     chip('#link', 'bad', 'no connection');
-    tell('The connection is lost: this is what was last seen. Trying again …');
+    showNotice('The connection is lost: this is what was last seen. Trying again …');
   },
   frame(json, sections) {
     if (json.hello) greet(json.hello);
@@ -30,7 +30,7 @@ const link = new Link({
     if (json.robot) showRobot(json.robot);
     if (json.graph) set(find('#loops'), `${json.graph.accepted} of ${json.graph.searches}`);
     if (json.health !== undefined) showHealth(json.health);
-    if (json.catching_up !== undefined) json.catching_up ? tell('Reading what lies behind …') : (find('#notice').hidden = true);
+    if (json.catching_up !== undefined) json.catching_up ? showNotice('Reading what lies behind …') : (find('#notice').hidden = true);
     view.redraw(() => link.drawn(json.frame));
     frames += 1;
     document.body.dataset.frames = frames;
@@ -56,7 +56,7 @@ function chip(selector, kind, text) {
   set(made.querySelector('span'), text);
 }
 
-function tell(text) {
+function showNotice(text) {
   set(find('#notice'), text);
   find('#notice').hidden = false;
 }

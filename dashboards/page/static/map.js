@@ -26,7 +26,7 @@ export class MapView {
     document.addEventListener('visibilitychange', () => this.drawPending());
   }
 
-  /** Forgets everything: it will be sent again. */
+  /** Drops everything: it will be sent again. */
   clear() {
     this.map.clear();
     this.live.clear();
@@ -35,7 +35,7 @@ export class MapView {
     this.origins = [];
     this.closures = [];
     this.tracks = [];
-    this.companions = new Map();
+    this.otherRobots = new Map();
     this.robot = null;
     this.scan = null;
   }
@@ -47,7 +47,7 @@ export class MapView {
     }
     if (json.robot !== undefined) this.robot = json.robot;
     if (json.tracks !== undefined) this.tracks = json.tracks ?? [];
-    if (json.companions) this.meet(json.companions);
+    if (json.other_robots) this.showRobots(json.other_robots);
     if (json.graph) {
       this.placed = new Map(json.graph.submaps);
       this.origins = json.graph.origins;
@@ -85,8 +85,8 @@ export class MapView {
       ['map-unknown', 'map-free', 'map-occupied', 'path', 'scan', 'submap', 'loop', 'track', 'flock', 'warn', 'bad', 'ink', 'line', 'sheet', 'accent'].map((name) => [name, colour(name)]),
     );
     this.shades = shades(numbers(this.colours['map-free']), numbers(this.colours['map-occupied']));
-    this.map.forgetColours();
-    this.live.forgetColours();
+    this.map.dropColours();
+    this.live.dropColours();
     this.redraw();
   }
 
@@ -241,20 +241,20 @@ export class MapView {
   }
 
   /** Other robots: where they are, and where they were since the page was opened. */
-  meet(companions) {
-    for (const { name, map_from_base: pose, age_s: age } of companions) {
-      const known = this.companions.get(name) ?? { trail: [] };
+  showRobots(otherRobots) {
+    for (const { name, map_from_base: pose, age_s: age } of otherRobots) {
+      const known = this.otherRobots.get(name) ?? { trail: [] };
       const last = known.trail.at(-1);
       if (!last || Math.hypot(last[0] - pose[0], last[1] - pose[1]) > TRAIL_EVERY_M) known.trail.push(pose);
       if (known.trail.length > TRAIL_MAX) known.trail.shift();
-      this.companions.set(name, { ...known, pose, heard: performance.now() - age * 1000 });
+      this.otherRobots.set(name, { ...known, pose, received: performance.now() - age * 1000 });
     }
   }
 
   drawFlock() {
     const { context, colours, camera } = this;
-    for (const [name, { pose, trail, heard }] of this.companions) {
-      const silent = performance.now() - heard > SILENT_MS;
+    for (const [name, { pose, trail, received }] of this.otherRobots) {
+      const silent = performance.now() - received > SILENT_MS;
       this.enter(IDENTITY);
       context.globalAlpha = silent ? 0.45 : 1;
       context.strokeStyle = colours.flock;

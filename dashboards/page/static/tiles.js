@@ -63,7 +63,7 @@ class Chunk {
     for (const level of this.levels) level?.stale.add(tile);
   }
 
-  forgetColours() {
+  dropColours() {
     for (const level of this.levels) if (level) for (let tile = 0; tile < 64; tile++) level.stale.add(tile);
   }
 }
@@ -141,8 +141,8 @@ export class Tiles {
     }
   }
 
-  forgetColours() {
-    for (const chunk of this.chunks.values()) chunk.forgetColours();
+  dropColours() {
+    for (const chunk of this.chunks.values()) chunk.dropColours();
   }
 
   /** The cells that have tiles. */

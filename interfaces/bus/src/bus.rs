@@ -125,7 +125,7 @@ impl Bus {
         self.transport.listener(name)
     }
 
-    /// The event of a stage or of the supervisor, to ring.
+    /// The event of a stage or of the supervisor, to notify.
     ///
     /// # Errors
     /// When it does not exist or has too many notifiers.

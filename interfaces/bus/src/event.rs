@@ -9,27 +9,27 @@ pub enum Wake {
     /// No notification came within the limit.
     TimedOut,
     /// There is something to look at.
-    Rung,
+    Notified,
     /// There will be, in a moment.
     Announced,
 }
 
 /// Waits for an event, whatever carries it.
-pub(crate) trait Hear {
+pub(crate) trait WaitPort {
     fn wait(&self, limit: Duration) -> Result<Wake, BusError>;
 }
 
-/// Rings an event, whatever carries it.
-pub(crate) trait Ring {
-    fn ring(&self);
+/// Notifies an event, whatever carries it.
+pub(crate) trait NotifyPort {
+    fn notify(&self);
     fn announce(&self);
 }
 
-/// A stage's own event: everything it could wait for rings it. Rings coalesce, so a woken stage drains all its inputs.
-pub struct Listener(Box<dyn Hear>);
+/// A stage's own event: everything it could wait for notifies it. Notifications coalesce, so a woken stage drains all its inputs.
+pub struct Listener(Box<dyn WaitPort>);
 
 impl Listener {
-    pub(crate) fn new(port: Box<dyn Hear>) -> Self {
+    pub(crate) fn new(port: Box<dyn WaitPort>) -> Self {
         Self(port)
     }
 
@@ -42,17 +42,17 @@ impl Listener {
     }
 }
 
-/// Rings the event of one stage (all of its replicas).
-pub struct Notifier(Box<dyn Ring>);
+/// Notifies the event of one stage (all of its replicas).
+pub struct Notifier(Box<dyn NotifyPort>);
 
 impl Notifier {
-    pub(crate) fn new(port: Box<dyn Ring>) -> Self {
+    pub(crate) fn new(port: Box<dyn NotifyPort>) -> Self {
         Self(port)
     }
 
-    /// Rings. A listener that is gone, or whose event is still ringing, is no error.
-    pub fn ring(&self) {
-        self.0.ring();
+    /// Notifies. A listener that is gone, or whose event is still pending, is no error.
+    pub fn notify(&self) {
+        self.0.notify();
     }
 
     /// Announces a message that will be there in a moment: a sleeping process needs longer to wake up than to read.

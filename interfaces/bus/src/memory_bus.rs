@@ -1,7 +1,7 @@
 //! The in-memory twin: topics between threads of one process, over crossbeam channels.
 
 use crate::BusError;
-use crate::event::{Hear, Listener, Notifier, Ring, Wake};
+use crate::event::{Listener, Notifier, NotifyPort, WaitPort, Wake};
 use crate::transport::{Held, Lender, Source, TopicSpec, Transport};
 use crate::word_rows::Words;
 use crossbeam::channel::{self, Receiver, Sender};
@@ -100,21 +100,21 @@ impl MemoryEvent {
     }
 }
 
-impl Hear for Receiver<()> {
+impl WaitPort for Receiver<()> {
     fn wait(&self, limit: Duration) -> Result<Wake, BusError> {
-        Ok(if self.recv_timeout(limit).is_ok() { Wake::Rung } else { Wake::TimedOut })
+        Ok(if self.recv_timeout(limit).is_ok() { Wake::Notified } else { Wake::TimedOut })
     }
 }
 
-impl Ring for MemoryEvent {
-    /// Wakes every listener; rings coalesce.
-    fn ring(&self) {
+impl NotifyPort for MemoryEvent {
+    /// Wakes every listener; notifications coalesce.
+    fn notify(&self) {
         for listener in self.listeners.lock().expect("no thread panics while it holds an event").iter() {
             let _ = listener.try_send(());
         }
     }
 
     fn announce(&self) {
-        self.ring();
+        self.notify();
     }
 }

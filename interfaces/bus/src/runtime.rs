@@ -199,7 +199,7 @@ impl RuntimeDir {
     ///
     /// # Errors
     /// When the system refuses.
-    pub fn forget_state(&self) -> Result<(), RuntimeError> {
+    pub fn remove_state(&self) -> Result<(), RuntimeError> {
         let cursors =
             entries(&self.status()).into_iter().filter(|path| file_name(path).ends_with(CURSOR_ENDING));
         cursors.for_each(|path| remove(&path));

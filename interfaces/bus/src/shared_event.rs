@@ -1,7 +1,7 @@
 //! Events between processes: events of iceoryx2.
 
 use crate::BusError;
-use crate::event::{Hear, Ring, Wake};
+use crate::event::{NotifyPort, WaitPort, Wake};
 use crate::service::Service;
 use iceoryx2::port::listener::{self, ListenerWaitError};
 use iceoryx2::port::notifier::{self, NotifierNotifyError};
@@ -16,15 +16,15 @@ const ANNOUNCEMENT: usize = 1;
 
 pub(crate) struct SharedListener(pub(crate) listener::Listener<Service>);
 
-impl Hear for SharedListener {
+impl WaitPort for SharedListener {
     fn wait(&self, limit: Duration) -> Result<Wake, BusError> {
         sleep(&self.0, limit).map_err(|error| BusError::transfer("event", error))?;
         let mut wake = Wake::TimedOut;
-        let heard = self.0.try_wait(|event| {
-            let announced = event.id.as_value() == ANNOUNCEMENT && wake != Wake::Rung;
-            wake = if announced { Wake::Announced } else { Wake::Rung };
+        let waited = self.0.try_wait(|event| {
+            let announced = event.id.as_value() == ANNOUNCEMENT && wake != Wake::Notified;
+            wake = if announced { Wake::Announced } else { Wake::Notified };
         });
-        match heard {
+        match waited {
             Ok(_) => Ok(wake),
             Err(ListenerWaitError::InterruptSignal) => Ok(Wake::TimedOut),
             Err(error) => Err(BusError::transfer("event", error)),
@@ -32,7 +32,7 @@ impl Hear for SharedListener {
     }
 }
 
-/// Sleeps until the event has rung or `limit` has passed: the listener's own wait counts in ticks of the system, which are several
+/// Sleeps until the event was notified or `limit` has passed: the listener's own wait counts in ticks of the system, which are several
 /// milliseconds, and takes twice as many system calls. A signal (SIGSTOP and SIGCONT among them) only cuts it short.
 fn sleep(listener: &impl FileDescriptorBased, limit: Duration) -> Result<(), Errno> {
     let limit = Timespec { tv_sec: limit.as_secs() as i64, tv_nsec: i64::from(limit.subsec_nanos()) };
@@ -46,8 +46,8 @@ fn sleep(listener: &impl FileDescriptorBased, limit: Duration) -> Result<(), Err
 
 pub(crate) struct SharedNotifier(pub(crate) notifier::Notifier<Service>);
 
-impl Ring for SharedNotifier {
-    fn ring(&self) {
+impl NotifyPort for SharedNotifier {
+    fn notify(&self) {
         log_undelivered(self.0.notify());
     }
 
@@ -57,8 +57,8 @@ impl Ring for SharedNotifier {
 }
 
 /// A stopped stage leaves its event full; it will find its inputs when it goes on.
-fn log_undelivered(rung: Result<usize, NotifierNotifyError>) {
-    if let Err(error) = rung {
+fn log_undelivered(notified: Result<usize, NotifierNotifyError>) {
+    if let Err(error) = notified {
         tracing::debug!(?error, "event not delivered");
     }
 }

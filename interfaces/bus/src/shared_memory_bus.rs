@@ -1,7 +1,7 @@
 //! iceoryx2 behind the ports: services with explicit limits, created by the host and opened by everybody else.
 
 use crate::event::{Listener, Notifier};
-use crate::patience::Patience;
+use crate::half_made_guard::HalfMadeGuard;
 use crate::room::{GivenPages, take_refused_bytes, with_first_bytes};
 use crate::service::Service;
 use crate::shared_event::{SharedListener, SharedNotifier};
@@ -75,7 +75,7 @@ impl SharedBus {
             .service_builder(&service_name(&format!("event/{name}"))?)
             .event()
             .max_listeners(replicas)
-            // Every stage, the supervisor and outside programs may ring.
+            // Every stage, the supervisor and outside programs may notify.
             .max_notifiers(6 * replicas + 4)
             .max_nodes(7 * replicas + 4)
             .event_id_max_value(1)
@@ -118,7 +118,7 @@ impl Transport for SharedBus {
     fn source(&self, topic: &TopicSpec) -> Result<Box<dyn Source>, BusError> {
         let factory = self.open(topic)?;
         let port = made(topic.name, factory.subscriber_builder().create())?;
-        Ok(Box::new(SharedSource { topic: topic.name, port, patience: Patience::default() }))
+        Ok(Box::new(SharedSource { topic: topic.name, port, guard: HalfMadeGuard::default() }))
     }
 
     fn listener(&self, name: &str) -> Result<Listener, BusError> {
@@ -170,12 +170,12 @@ impl Lender for SharedLender {
 struct SharedSource {
     topic: &'static str,
     port: subscriber::Subscriber<Service, Words, ()>,
-    patience: Patience,
+    guard: HalfMadeGuard,
 }
 
 impl Source for SharedSource {
     fn receive(&self) -> Result<Option<Held>, BusError> {
-        let sample = self.patience.bear(self.topic, self.port.receive())?;
+        let sample = self.guard.pass(self.topic, self.port.receive())?;
         Ok(sample.map(|sample| Held::Shared(SharedSample::new(sample))))
     }
 }

@@ -68,7 +68,7 @@ pub trait Transport {
     fn source(&self, topic: &TopicSpec) -> Result<Box<dyn Source>, BusError>;
     /// An event to wait on.
     fn listener(&self, name: &str) -> Result<Listener, BusError>;
-    /// An event to ring.
+    /// An event to notify.
     fn notifier(&self, name: &str) -> Result<Notifier, BusError>;
     /// Frees what dead processes of the set hold: (cleaned, failed).
     fn clean_dead_nodes(&self) -> (u64, u64) {

@@ -83,7 +83,7 @@ mod tests {
     fn a_row_that_is_too_short_is_no_message() {
         assert!(plain::<[u64; 3]>(&[1, 2]).is_none());
         assert_eq!(plain::<[u64; 2]>(&[1, 2]), Some(&[1, 2]));
-        // Two elements of a word each are promised, one is there.
+        // Two elements of a word each are declared, one is there.
         assert!(slice::<u64, u64>(&[2, 0, 5]).is_none());
         assert!(slice::<u64, u64>(&[u64::MAX, 0, 5]).is_none());
         assert!(slice::<u64, u64>(&[]).is_none());

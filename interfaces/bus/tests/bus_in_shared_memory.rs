@@ -9,7 +9,7 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 const CAPACITY: Capacity = Capacity { window: 8, replicas: 1, live_tiles: 64 };
 
 #[test]
-fn a_set_carries_scans_tiles_and_rings_refuses_other_builds_and_leaves_nothing() {
+fn a_set_carries_scans_tiles_and_notifications_refuses_other_builds_and_leaves_nothing() {
     let name = format!("bus-test-{}", std::process::id());
     let runtime = RuntimeDir::create(&name).unwrap();
     assert!(matches!(RuntimeDir::create(&name), Err(RuntimeError::Running(_))));
@@ -61,10 +61,10 @@ fn an_event_carries_the_kind_of_its_notification(host: &Bus, member: &Bus) {
     assert_eq!(listener.wait(Duration::from_millis(1)).unwrap(), Wake::TimedOut);
     notifier.announce();
     assert_eq!(listener.wait(Duration::from_secs(5)).unwrap(), Wake::Announced);
-    notifier.ring();
+    notifier.notify();
     notifier.announce();
-    notifier.ring();
-    assert_eq!(listener.wait(Duration::from_secs(5)).unwrap(), Wake::Rung);
+    notifier.notify();
+    assert_eq!(listener.wait(Duration::from_secs(5)).unwrap(), Wake::Notified);
     assert!(matches!(host.listener("nobody"), Err(BusError::Open { .. })));
 }
 

@@ -7,10 +7,10 @@ const WAYS: usize = 4;
 /// Sets of the table, a power of two.
 const SETS: usize = 1 << 13;
 
-/// Remembers something about a bounded number of cells.
+/// Keeps something about a bounded number of cells.
 ///
 /// A table of fixed size in sets of four places. When a set is full, what was touched longest ago gives way: memory stays
-/// bounded, and what is forgotten does not depend on anything but the calls.
+/// bounded, and what is dropped does not depend on anything but the calls.
 #[derive(Clone, Debug)]
 pub struct CellTable<T> {
     places: Vec<Place<T>>,
@@ -50,8 +50,8 @@ impl<T: Copy + Default> CellTable<T> {
         &mut place.value
     }
 
-    /// Forgets a cell.
-    pub fn forget(&mut self, cell: CellIndex) {
+    /// Removes a cell.
+    pub fn remove(&mut self, cell: CellIndex) {
         let number = set_of(cell);
         if self.taken[number] == 0 {
             return;
@@ -89,14 +89,14 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_table_that_is_not_full_remembers_like_a_map(
+        fn a_table_that_is_not_full_keeps_entries_like_a_map(
             calls in prop::collection::vec((-40..40_i32, -40..40_i32, any::<bool>()), 0..300)
         ) {
             let (mut table, mut model) = (CellTable::<u32>::new(), BTreeMap::new());
-            for (now, (x, y, forgets)) in (1..).zip(calls) {
+            for (now, (x, y, removes)) in (1..).zip(calls) {
                 let cell = CellIndex::new(x, y);
-                if forgets {
-                    table.forget(cell);
+                if removes {
+                    table.remove(cell);
                     model.remove(&cell);
                 } else {
                     let count: &mut u32 = model.entry(cell).or_default();
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_table_forgets_what_was_touched_longest_ago_and_does_not_grow() {
+    fn a_full_table_drops_what_was_touched_longest_ago_and_does_not_grow() {
         let mut table = CellTable::<u8>::new();
         let size = table.places.len();
         let cell = |i: i32| CellIndex::new(i, i / 7);

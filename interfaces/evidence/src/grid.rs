@@ -65,7 +65,7 @@ impl<H: Deref<Target = Tile>> TileGrid<H> {
         self.tiles.set(key, tile)
     }
 
-    /// Forgets a tile.
+    /// Drops a tile.
     pub fn remove(&mut self, key: TileKey) -> Option<H> {
         self.tiles.remove(key)
     }
@@ -127,7 +127,7 @@ impl<H: Deref<Target = Tile>> TileGrid<H> {
     }
 }
 
-/// Reads scores of one level; it remembers the last tile, since neighbouring beams end in the same one.
+/// Reads scores of one level; it keeps the last tile, since neighbouring beams end in the same one.
 #[derive(Debug)]
 pub struct ScoreReader<'a, H> {
     grid: &'a TileGrid<H>,
@@ -137,7 +137,7 @@ pub struct ScoreReader<'a, H> {
     /// Last column and row of a tile.
     last: u32,
     outside: u16,
-    /// First cell of the remembered tile.
+    /// First cell of the cached tile.
     corner: CellIndex,
     /// Its scores; empty where the grid has no tile.
     scores: &'a [u16],
@@ -185,10 +185,10 @@ impl<'a, H: Deref<Target = Tile>> ScoreReader<'a, H> {
         if x < self.last && y < self.last {
             return self.block_within(x, y);
         }
-        self.block_elsewhere(cell)
+        self.block_of_other_tile(cell)
     }
 
-    /// A block that lies in the remembered tile.
+    /// A block that lies in the cached tile.
     #[inline]
     fn block_within(&self, x: u32, y: u32) -> [u16; 4] {
         let pair = |y: u32| self.scores.get((y << self.shift | x) as usize..)?.first_chunk::<2>();
@@ -198,10 +198,10 @@ impl<'a, H: Deref<Target = Tile>> ScoreReader<'a, H> {
         }
     }
 
-    /// A block of another tile than the remembered one, or of several.
+    /// A block of another tile than the cached one, or of several.
     #[cold]
     #[inline(never)]
-    fn block_elsewhere(&mut self, cell: CellIndex) -> [u16; 4] {
+    fn block_of_other_tile(&mut self, cell: CellIndex) -> [u16; 4] {
         self.turn_to(cell);
         let (x, y) = self.place(cell);
         if x < self.last && y < self.last {
@@ -215,7 +215,7 @@ impl<'a, H: Deref<Target = Tile>> ScoreReader<'a, H> {
         [other(cell.x, cell.y), other(right, cell.y), other(cell.x, up), other(right, up)]
     }
 
-    /// Column and row of a cell in the remembered tile; cells of other tiles get numbers above `last`.
+    /// Column and row of a cell in the cached tile; cells of other tiles get numbers above `last`.
     #[inline]
     fn place(&self, cell: CellIndex) -> (u32, u32) {
         (cell.x.wrapping_sub(self.corner.x) as u32, cell.y.wrapping_sub(self.corner.y) as u32)
@@ -227,7 +227,7 @@ impl<'a, H: Deref<Target = Tile>> ScoreReader<'a, H> {
         ((cell.y as u32 & self.last) << self.shift | cell.x as u32 & self.last) as usize
     }
 
-    /// Remembers the tile of a cell.
+    /// Caches the tile of a cell.
     fn turn_to(&mut self, cell: CellIndex) {
         self.corner = CellIndex::new(cell.x & !(self.last as i32), cell.y & !(self.last as i32));
         self.scores = self.scores_at(cell);

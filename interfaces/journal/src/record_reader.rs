@@ -314,7 +314,7 @@ mod tests {
     }
 
     #[test]
-    fn a_giant_length_is_not_allocated_and_a_moved_record_is_not_believed() {
+    fn a_giant_length_is_not_allocated_and_a_moved_record_is_refused() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("j");
         let (records, bytes) = journal(&path);

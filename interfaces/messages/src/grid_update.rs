@@ -14,7 +14,7 @@ message! {
         pub generation: u64,
         /// Side of a cell, metres.
         pub cell_size_m: f64,
-        /// 1 when the tile left the active grid: readers forget it.
+        /// 1 when the tile left the active grid: readers drop it.
         pub retired: u32,
         /// Reserved, zero.
         pub reserved: u32,

@@ -34,7 +34,7 @@ pub use message::{Layout, Message};
 pub use moving_beams::{BeamRange, MovingBeamsHeader};
 pub use pose_estimate::{PoseEstimate, PoseFlags, Quality};
 pub use scan::{
-    HEADING_ONLY, LARGE_SCAN_BEAMS, STARTS_ELSEWHERE, ScanBuffer, ScanHeader, ScanProblem, ScanSections,
+    HEADING_ONLY, LARGE_SCAN_BEAMS, STARTS_DETACHED, ScanBuffer, ScanHeader, ScanProblem, ScanSections,
     ScanView,
 };
 pub use scan_id::{ScanId, Times};

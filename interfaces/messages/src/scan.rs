@@ -13,7 +13,7 @@ pub const LARGE_SCAN_BEAMS: usize = 64 * 1024;
 pub const HEADING_ONLY: u32 = 2;
 
 /// The robot may be anywhere at this scan: time has gone back before it, and a new trajectory begins.
-pub const STARTS_ELSEWHERE: u32 = 2;
+pub const STARTS_DETACHED: u32 = 2;
 
 message! {
     /// The header of a scan. The numbers of its beams follow as a slice of `f32`, see [`ScanView`].
@@ -45,7 +45,7 @@ message! {
         /// 1 when the source asks that the scan be given a predicted pose only.
         pub withheld: u32,
         /// 1 when the robot starts in `odom` at the pose of its odometry (an experiment) instead of at the origin;
-        /// [`STARTS_ELSEWHERE`] when nothing connects it with the scan before.
+        /// [`STARTS_DETACHED`] when nothing connects it with the scan before.
         pub starts_at_odometry: u32,
     }
 }

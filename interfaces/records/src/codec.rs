@@ -1,4 +1,4 @@
-//! Reading and writing of values, little-endian. A number has exactly one form, and no length is believed before it was
+//! Reading and writing of values, little-endian. A number has exactly one form, and no length is used before it was
 //! compared with its limit and with the bytes that are there.
 
 use crate::{RecordError, RobotId};

@@ -141,21 +141,21 @@ pub struct Collection {
 }
 
 impl Collection {
-    /// An empty collection that believes everybody.
+    /// An empty collection that takes records of every robot.
     pub fn new(limits: Limits) -> Self {
         Self { limits, ..Self::default() }
     }
 
-    /// Believes only robots with these public keys from now on.
-    pub fn trust_only(&mut self, keys: impl IntoIterator<Item = [u8; 32]>) {
+    /// Takes only records of robots with these public keys from now on.
+    pub fn allow_only(&mut self, keys: impl IntoIterator<Item = [u8; 32]>) {
         self.trusted = Some(keys.into_iter().collect());
-        self.forget_untrusted();
+        self.drop_untrusted();
     }
 
     /// Bans a key: refuses its records, and removes those that are there.
     pub fn ban(&mut self, public_key: [u8; 32]) {
         self.banned.insert(public_key);
-        self.forget_untrusted();
+        self.drop_untrusted();
     }
 
     /// Takes in what this robot says whatever there is already: its own records are not for others to crowd out.
@@ -163,7 +163,7 @@ impl Collection {
         self.own = Some(robot);
     }
 
-    fn trusts(&self, robot: &RobotId) -> bool {
+    fn allows(&self, robot: &RobotId) -> bool {
         if self.own.as_ref() == Some(robot) {
             return true;
         }
@@ -171,11 +171,11 @@ impl Collection {
         listed && !self.banned.contains(robot.public_key())
     }
 
-    fn forget_untrusted(&mut self) {
+    fn drop_untrusted(&mut self) {
         let logs = std::mem::take(&mut self.logs);
-        self.logs = logs.into_iter().filter(|((robot, _), _)| self.trusts(robot)).collect();
+        self.logs = logs.into_iter().filter(|((robot, _), _)| self.allows(robot)).collect();
         let withdrawn = std::mem::take(&mut self.withdrawn);
-        self.withdrawn = withdrawn.into_iter().filter(|name| self.trusts(&name.robot)).collect();
+        self.withdrawn = withdrawn.into_iter().filter(|name| self.allows(&name.robot)).collect();
     }
 
     /// Takes in bytes from anybody.
@@ -248,7 +248,7 @@ impl Collection {
 
     /// Why a record of this name and size is not taken in, if so.
     fn refusal(&self, name: &RecordName, bytes: usize) -> Option<Refusal> {
-        if !self.trusts(&name.robot) {
+        if !self.allows(&name.robot) {
             return Some(Refusal::NotTrusted);
         }
         if self.own.as_ref() == Some(&name.robot) {

@@ -2,10 +2,10 @@
 //!
 //! Each robot owns an append-only log of [`Record`]s: submaps, stretches of its pose graph, constraints, clearances,
 //! withdrawals. A record is named (robot, epoch, number) and by the BLAKE3 hash of its bytes, and signed by its robot. A
-//! [`Collection`] is what one robot knows of all logs: it only grows, so collections that have heard the same records are the same,
+//! [`Collection`] is what one robot knows of all logs: it only grows, so collections that have received the same records are the same,
 //! whatever the order, repetition or detours. [`Vector`]s say what a collection has; [`Collection::missing`] answers one.
 //!
-//! Nothing here trusts the bytes: every length is checked against a limit before memory is asked for.
+//! The bytes may be anything: every length is checked against a limit before memory is asked for.
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
 

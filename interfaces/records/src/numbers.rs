@@ -6,7 +6,7 @@ use crate::codec::{Reader, Writer};
 /// Most ranges in a set that comes from outside.
 const RANGES_MAX: usize = 64;
 
-/// A set of record numbers, as ranges: what has been heard of a log is nearly always one.
+/// A set of record numbers, as ranges: what has been received of a log is nearly always one.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Numbers {
     /// First and last of each range, apart and in rising order.

@@ -63,7 +63,7 @@ pub fn records_file(directory: &Path) -> PathBuf {
     directory.join(RECORDS)
 }
 
-/// A robot's log of records as a file: its own, and those of others that it has heard.
+/// A robot's log of records as a file: its own, and those of others that it has received.
 pub struct RecordLog {
     writer: RecordWriter,
 }

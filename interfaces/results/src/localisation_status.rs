@@ -1,4 +1,4 @@
-//! Where a robot believes to be in a map that is known, as a file that the command line, the live page and the ROS bridge read.
+//! The belief of a robot about its pose in a known map, as a file that the command line, the live page and the ROS bridge read.
 
 use crate::ResultsError;
 use flockslam_journal::{Durability, replace_file};
@@ -6,12 +6,12 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// What a robot believes, as JSON beside the heartbeats.
+/// The belief, as JSON beside the heartbeats.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LocalisationStatus {
     /// `unknown`, `ambiguous` or `localized`.
     pub knowledge: String,
-    /// Sensor stamp of the scan that it believes this after, nanoseconds.
+    /// Sensor stamp of the scan that the belief is of, nanoseconds.
     pub stamp_ns: i64,
     /// Where it may be, the most likely first.
     pub hypotheses: Vec<HypothesisRow>,
@@ -30,7 +30,7 @@ pub struct LocalisationStatus {
 pub struct HypothesisRow {
     /// `map_from_base`: metres, metres, radians.
     pub pose: [f64; 3],
-    /// Its share of all that is believed, 0 … 1.
+    /// Its weight in the belief, 0 … 1.
     pub weight: f64,
     /// Share of the points that the map explains there.
     pub explained: f64,

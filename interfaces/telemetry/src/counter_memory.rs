@@ -34,7 +34,7 @@ struct Family {
 
 impl CounterMemory {
     /// Takes in a page of the process of this name (`mapper-0`), and gives it back with what its predecessors have counted added.
-    pub fn remember(&mut self, name: &str, page: &str) -> String {
+    pub fn accumulate(&mut self, name: &str, page: &str) -> String {
         let process = process_of(page).unwrap_or_default();
         let counted = self.processes.entry(name.to_owned()).or_default();
         if counted.process != process {
@@ -171,14 +171,14 @@ mod tests {
     fn counters_go_on_and_gauges_do_not() {
         let mut memory = CounterMemory::default();
         assert_eq!(memory.recall("mapper-0"), None);
-        assert_eq!(memory.remember("mapper-0", &page(7, 40, 3)), page(7, 40, 3));
+        assert_eq!(memory.accumulate("mapper-0", &page(7, 40, 3)), page(7, 40, 3));
         let silent = memory.recall("mapper-0").unwrap();
         assert_eq!((value(&silent, "flockslam_a_total"), value(&silent, "flockslam_g")), (Some(40.0), None));
         assert!(silent.starts_with("# HELP flockslam_a_total what\n# TYPE flockslam_a_total counter\n"));
-        assert_eq!(memory.remember("mapper-0", &page(8, 2, 1)), page(8, 42, 1));
+        assert_eq!(memory.accumulate("mapper-0", &page(8, 2, 1)), page(8, 42, 1));
         // The new process has counted more than the old one ever did.
-        assert_eq!(memory.remember("mapper-0", &page(9, 100, 1)), page(9, 142, 1));
-        assert_eq!(memory.remember("mapper-1", &page(10, 5, 1)), page(10, 5, 1));
+        assert_eq!(memory.accumulate("mapper-0", &page(9, 100, 1)), page(9, 142, 1));
+        assert_eq!(memory.accumulate("mapper-1", &page(10, 5, 1)), page(10, 5, 1));
         assert_eq!(memory.names().collect::<Vec<_>>(), ["mapper-0", "mapper-1"]);
     }
 
@@ -189,8 +189,8 @@ mod tests {
         let id = |process| {
             format!("# TYPE flockslam_stage_process_id gauge\nflockslam_stage_process_id {process}\n")
         };
-        memory.remember("m", &format!("{head}a_total{{reason=\"x\"}} 3\n{}", id(1)));
-        let second = memory.remember("m", &format!("{head}a_total{{reason=\"y\"}} 4\n{}", id(2)));
+        memory.accumulate("m", &format!("{head}a_total{{reason=\"x\"}} 3\n{}", id(1)));
+        let second = memory.accumulate("m", &format!("{head}a_total{{reason=\"y\"}} 4\n{}", id(2)));
         assert!(second.contains("a_total{reason=\"x\"} 3\n") && second.contains("a_total{reason=\"y\"} 4\n"));
         let merged = crate::merge_expositions([second.as_str()]);
         assert_eq!(merged.matches("# TYPE a_total counter").count(), 1, "{merged}");
@@ -204,7 +204,7 @@ mod tests {
                 let mut counted = 0;
                 for increment in increments {
                     counted += increment;
-                    let now = value(&memory.remember("m", &page(process as u32 + 1, counted, 0)), "flockslam_a_total").unwrap();
+                    let now = value(&memory.accumulate("m", &page(process as u32 + 1, counted, 0)), "flockslam_a_total").unwrap();
                     prop_assert!(now >= shown);
                     shown = now;
                 }

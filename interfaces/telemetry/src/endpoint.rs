@@ -15,7 +15,7 @@ use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 /// A client that has not sent its request and taken its answer within this is dropped.
-const PATIENCE: Duration = Duration::from_millis(500);
+const WRITE_TIMEOUT: Duration = Duration::from_millis(500);
 /// After a failed accept (no descriptors left) the thread waits so long before it tries again.
 const PAUSE_AFTER_ERROR: Duration = Duration::from_millis(200);
 
@@ -121,7 +121,7 @@ fn serve<S: TimedStream>(accept: impl Fn() -> io::Result<S>, render: impl Fn() -
     while !stop.load(Ordering::SeqCst) {
         match accept() {
             Ok(stream) => {
-                if let Err(problem) = answer(&mut Bounded::new(stream, PATIENCE), &render) {
+                if let Err(problem) = answer(&mut Bounded::new(stream, WRITE_TIMEOUT), &render) {
                     tracing::debug!("a client of the metrics was dropped: {problem}");
                 }
             }

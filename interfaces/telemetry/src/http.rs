@@ -35,8 +35,8 @@ pub(crate) struct Bounded<S> {
 }
 
 impl<S: TimedStream> Bounded<S> {
-    pub(crate) fn new(stream: S, patience: Duration) -> Self {
-        Self { stream, deadline: Instant::now() + patience }
+    pub(crate) fn new(stream: S, timeout: Duration) -> Self {
+        Self { stream, deadline: Instant::now() + timeout }
     }
 
     fn limit(&self) -> io::Result<()> {

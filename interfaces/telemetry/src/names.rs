@@ -268,7 +268,7 @@ pub const CLOSURE_SEARCHES: Metric = of_one_stage(
     Kind::Counter,
     "Loop closures tried: searches for a scan's place in a segment",
 );
-/// Loops that were found and believed.
+/// Loops that were found and accepted.
 pub const CLOSURES_ACCEPTED: Metric = of_one_stage(
     "sync-manager",
     "flockslam_closures_accepted_total",

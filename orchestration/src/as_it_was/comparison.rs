@@ -63,7 +63,7 @@ pub enum Gap {
         scan: u64,
     },
     /// Poses of other robots were known; they are not recorded.
-    Companions {
+    OtherRobots {
         /// The first scan.
         scan: u64,
     },
@@ -86,7 +86,7 @@ impl fmt::Display for Gap {
             Self::Marks { scan } => write!(f, "the cleared cells of scan {scan} are missing"),
             Self::NoInputs { scan } => write!(
                 f,
-                "what the matcher used for scan {scan} is missing; its stand-in, which follows odometry alone, says nothing"
+                "what the matcher used for scan {scan} is missing; its fallback, which follows odometry alone, says nothing"
             ),
             Self::OtherGrid { stage, scan } => {
                 write!(f, "{stage} had another grid at scan {scan}: some of its tiles came later")
@@ -97,7 +97,7 @@ impl fmt::Display for Gap {
                     "after scan {scan} one of several mappers may have been started again: its tiles are not recorded"
                 )
             }
-            Self::Companions { scan } => {
+            Self::OtherRobots { scan } => {
                 write!(f, "poses of other robots were known from scan {scan} on: they are not recorded")
             }
         }

@@ -20,8 +20,8 @@ impl CommitChanges {
         self.changes.push_back(changes);
     }
 
-    /// Forgets those of commits before this place.
-    pub fn forget_before(&mut self, place: usize) {
+    /// Drops those of commits before this place.
+    pub fn drop_before(&mut self, place: usize) {
         while self.first < place && self.changes.pop_front().is_some() {
             self.first += 1;
         }
@@ -85,7 +85,7 @@ mod tests {
         whole.advance(&changes, 0, 0);
         assert_eq!((whole.grid().len(), whole.next()), (2, Some(1)));
         whole.advance(&changes, 0, 1);
-        changes.forget_before(1);
+        changes.drop_before(1);
         late.advance(&changes, 1, 2);
         whole.advance(&changes, 0, 2);
         assert_eq!((whole.grid().len(), late.grid().len()), (3, 2));

@@ -52,9 +52,9 @@ impl MatcherRerun {
             if let Some(last) = before.last() {
                 self.corrections_before = last.corrections;
                 if inputs.start == StageStart::Continued as u32 {
-                    self.logic.resume_elsewhere(last);
+                    self.logic.resume_detached(last);
                 } else {
-                    before.iter().for_each(|pose| self.logic.remember(pose));
+                    before.iter().for_each(|pose| self.logic.restore(pose));
                     self.logic.resume(last);
                 }
             }
@@ -84,7 +84,7 @@ impl MatcherRerun {
     pub fn handle(&mut self, scan: ScanView<'_>, inputs: &StageInputs) -> PoseEstimate {
         if inputs.correction != self.correction {
             self.correction = inputs.correction;
-            // One that a process on standby had heard of is in the pose that it began with.
+            // One that a process on standby had received is in the pose that it began with.
             if inputs.handled > 1 || self.correction.revision > self.corrections_before {
                 self.logic.corrected(&self.correction);
             }

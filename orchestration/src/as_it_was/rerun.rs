@@ -41,7 +41,7 @@ struct Rerun<'a> {
     taken_over: BTreeSet<u64>,
     /// Cleared cells by the sequence of the scan, until they are used.
     marks: BTreeMap<u64, Vec<ClearedCell>>,
-    has_companions: bool,
+    has_other_robots: bool,
     /// A pose was another than the published one.
     deviates: bool,
     comparison: Comparison,
@@ -67,7 +67,7 @@ impl<'a> Rerun<'a> {
             poses: BTreeMap::new(),
             taken_over: BTreeSet::new(),
             marks: BTreeMap::new(),
-            has_companions: false,
+            has_other_robots: false,
             deviates: false,
             comparison,
         }
@@ -81,9 +81,9 @@ impl<'a> Rerun<'a> {
         self.comparison.late_verdicts += u64::from(inputs.reason == KeepReason::Late as u32);
         self.comparison.overload +=
             u64::from(inputs.keep == 0 && inputs.reason == DropReason::Overload as u32);
-        if inputs.companions > 0 && !self.has_companions {
-            self.has_companions = true;
-            self.comparison.lacks(Gap::Companions { scan: sequence });
+        if inputs.companions > 0 && !self.has_other_robots {
+            self.has_other_robots = true;
+            self.comparison.lacks(Gap::OtherRobots { scan: sequence });
         }
         let scan = self.scan(sequence);
         let published = self.recorded.poses.get(&sequence);
@@ -177,7 +177,7 @@ impl<'a> Rerun<'a> {
             }
             let is_cleaned = self.next_cleaned == self.recorded.cleaner.len();
             let needed = if is_cleaned { made } else { self.cleaner.next_commit().unwrap_or(0) };
-            self.changes.forget_before(needed);
+            self.changes.drop_before(needed);
         }
         self.matcher.take_grid(&self.changes, first, to, &self.commits[to]);
     }

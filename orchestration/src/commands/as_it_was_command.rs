@@ -1,7 +1,7 @@
 //! `flockslam map RECORDING --as-it-was`: the poses that a recorded set published, computed again.
 
 use super::run::prepare_directory;
-use super::{CommandError, say};
+use super::{CommandError, print};
 use crate::as_it_was::{BlackBox, run_as_it_was};
 use crate::outputs::{TrajectoryPoint, write_trajectory};
 use std::path::Path;
@@ -24,10 +24,10 @@ pub fn run(recording: &Path, out: &Path) -> Result<(), CommandError> {
     let durability = flockslam_journal::Durability::Process;
     flockslam_journal::replace_file(&out.join("as_it_was.json"), &json, durability)
         .map_err(CommandError::failed)?;
-    say(&comparison.to_string());
-    say(&format!("wrote trajectory_online.tum, as_it_was.json to {}\n", out.display()));
+    print(&comparison.to_string());
+    print(&format!("wrote trajectory_online.tum, as_it_was.json to {}\n", out.display()));
     if comparison.is_exact() {
-        say("exact: every pose is the published one\n");
+        print("exact: every pose is the published one\n");
         return Ok(());
     }
     Err(CommandError::failed(format!("{}: not exact", recording.display())))

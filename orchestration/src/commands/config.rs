@@ -1,6 +1,6 @@
 //! `flockslam config`: the configuration in force.
 
-use super::{CommandError, say};
+use super::{CommandError, print};
 use crate::arguments::ConfigurationArgs;
 use crate::configuration::Configuration;
 
@@ -10,6 +10,6 @@ use crate::configuration::Configuration;
 /// When the configuration is refused.
 pub fn run(args: &ConfigurationArgs) -> Result<(), CommandError> {
     let configuration = Configuration::load(args.profile, args.config.as_deref(), &args.assignments)?;
-    say(&toml::to_string(&configuration).map_err(CommandError::failed)?);
+    print(&toml::to_string(&configuration).map_err(CommandError::failed)?);
     Ok(())
 }

@@ -48,7 +48,7 @@ impl Contacts {
         };
         let robots = robots.iter().map(drive).collect::<Result<_, CommandError>>()?;
         let socket = UnixDatagram::unbound().map_err(CommandError::failed)?;
-        // A robot that is busy hears of it the next time.
+        // A robot that is busy learns of it the next time.
         socket.set_nonblocking(true).map_err(CommandError::failed)?;
         Ok(Self { robots, world, range_m, socket })
     }
@@ -64,7 +64,7 @@ impl Contacts {
             });
             let lines: String = near.map(|(other, _)| format!("near {} {LASTING_S}\n", other.name)).collect();
             if !lines.is_empty() {
-                // A robot that has not started yet, or has gone, hears nothing.
+                // A robot that has not started yet, or has gone, receives nothing.
                 let _ = self.socket.send_to(lines.as_bytes(), robot.runtime.join("status/contacts"));
             }
         }

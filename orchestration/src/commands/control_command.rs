@@ -1,6 +1,6 @@
 //! `flockslam down`, `status`, `restart`, `pause`, `resume`, `reset`, `relocalize`, `mode` and `scale`: orders to a running set.
 
-use super::{CommandError, say};
+use super::{CommandError, print};
 use crate::arguments::{RobotArgs, ScaleArgs, StageOrderArgs, StatusArgs};
 use crate::localisation_arguments::{ModeArgs, RelocalizeArgs, WantedMode};
 use crate::supervisor::{Reply, Request, ask};
@@ -40,9 +40,9 @@ pub fn status(args: &StatusArgs) -> Result<(), CommandError> {
     };
     if args.json {
         let json = serde_json::to_string_pretty(&status).map_err(CommandError::failed)?;
-        say(&format!("{json}\n"));
+        print(&format!("{json}\n"));
     } else {
-        say(&status.to_string());
+        print(&status.to_string());
     }
     Ok(())
 }
@@ -63,7 +63,7 @@ pub fn pause(args: &RobotArgs, rests: bool) -> Result<(), CommandError> {
     order(&choose(args)?, &Request::Pause(rests)).map(drop)
 }
 
-/// Lets a set forget its map.
+/// Lets a set drop its map.
 ///
 /// # Errors
 /// When there is no such set, or it keeps its map on disk.

@@ -1,7 +1,7 @@
 //! `flockslam doctor`: what is wrong with this machine and with a set, and the cure.
 
 use super::control_command::choose;
-use super::{CommandError, say};
+use super::{CommandError, print};
 use crate::doctor::{
     Bundle, Finding, Machine, SetReading, check_machine, check_set, exit_code, inspect_description,
     inspect_running, read_disk, read_machine,
@@ -49,10 +49,10 @@ pub fn run(args: &DoctorArgs) -> Result<u8, CommandError> {
     if args.json {
         let examination = Examination { findings: &findings, machine: &machine, sets: &sets };
         let json = serde_json::to_string_pretty(&examination).map_err(CommandError::failed)?;
-        say(&format!("{json}\n"));
+        print(&format!("{json}\n"));
     } else {
-        findings.iter().for_each(|finding| say(&format!("{finding}\n")));
-        say(&format!("{}\n", summary(&findings, &machine, &sets)));
+        findings.iter().for_each(|finding| print(&format!("{finding}\n")));
+        print(&format!("{}\n", summary(&findings, &machine, &sets)));
     }
     if let Some(path) = &args.bundle {
         Bundle::of(&machine, &sets, &findings).write(path).map_err(CommandError::failed)?;

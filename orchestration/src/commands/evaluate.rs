@@ -1,6 +1,6 @@
 //! `flockslam evaluate`: a trajectory against ground truth.
 
-use super::{CommandError, say};
+use super::{CommandError, print};
 use crate::arguments::EvaluateArgs;
 use crate::evaluation::{
     RelationsReport, TruthReport, evaluate_relations, evaluate_truth, parse_relations, parse_tum,
@@ -29,12 +29,12 @@ pub fn run(args: &EvaluateArgs) -> Result<(), CommandError> {
         let relations =
             parse_relations(&path.display().to_string(), &read(path)?).map_err(CommandError::user)?;
         let report = evaluate_relations(&trajectory, &relations);
-        say(&report.to_string());
+        print(&report.to_string());
         figures.relations = Some(report);
     }
     if let Some(path) = &args.truth {
         let report = evaluate_truth(&trajectory, &parsed(path)?).map_err(CommandError::user)?;
-        say(&report.to_string());
+        print(&report.to_string());
         figures.truth = Some(report);
     }
     match &args.json {

@@ -1,6 +1,6 @@
 //! `flockslam inspect`: what is in a recording, what would be read of it, and what it lacks.
 
-use super::{CommandError, say};
+use super::{CommandError, print};
 use crate::arguments::InspectArgs;
 use crate::configuration::Configuration;
 use flockslam_lidar_ingest::process::{Inspection, LidarSummary, TopicSummary, TransformSummary, inspect};
@@ -22,9 +22,9 @@ pub fn run(args: &InspectArgs) -> Result<(), CommandError> {
         inspect(&args.recording, &configuration.lidar_ingest, args.learn_mask).map_err(CommandError::user)?;
     if args.json {
         let json = serde_json::to_string_pretty(&found).map_err(CommandError::failed)?;
-        say(&format!("{json}\n"));
+        print(&format!("{json}\n"));
     } else {
-        say(&screen(&found));
+        print(&screen(&found));
     }
     Ok(())
 }

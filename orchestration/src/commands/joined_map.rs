@@ -12,7 +12,7 @@ use flockslam_map_fusion::FusedMap;
 use flockslam_map_fusion::stored_map;
 use flockslam_records::{Limits, Message, RobotKey};
 
-use flockslam_flock::{Carried, Flock, FlockSolution, carried};
+use flockslam_flock::{Flock, FlockSolution, OwnPose, in_flock_frame};
 use flockslam_results::FlockStatus;
 use flockslam_results::StoredMap;
 use flockslam_results::flock_files::{NamedPose, OWN_NODES, OWN_SCANS, RecordLog, read_named};
@@ -32,7 +32,7 @@ const EPOCH: u64 = 1;
 pub struct Member {
     name: String,
     records: Vec<Vec<u8>>,
-    scans: Vec<Carried>,
+    scans: Vec<OwnPose>,
     nodes: Vec<(u64, Pose)>,
     /// Its last status of the flock, when it was in one.
     status: Option<FlockStatus>,
@@ -49,7 +49,7 @@ impl Member {
     /// # Errors
     /// When it is not there.
     pub fn read(name: &str, directory: &Path) -> Result<Self, StageError> {
-        let scan = |row: NamedPose| Carried {
+        let scan = |row: NamedPose| OwnPose {
             sequence: row.sequence,
             stamp_ns: row.stamp_ns,
             map_from_base: row.pose,
@@ -279,9 +279,9 @@ pub fn alone(member: &Member) -> Result<Flock, CommandError> {
 fn exchange(flocks: &mut [Flock]) -> u64 {
     let mut bytes = 0;
     let mut carry = |message: &Message| {
-        let carried = message.encode();
-        bytes += carried.len() as u64;
-        Message::decode(&carried).expect("what a robot of this build says is read by this build")
+        let sent = message.encode();
+        bytes += sent.len() as u64;
+        Message::decode(&sent).expect("what a robot of this build says is read by this build")
     };
     loop {
         let before: Vec<_> = flocks.iter().map(|flock| flock.collection().hash()).collect();
@@ -316,9 +316,9 @@ pub fn track(member: &Member, solution: &FlockSolution) -> Vec<TrajectoryPoint> 
     let nodes = solution.nodes.iter().find(|((robot, _), _)| robot.name() == member.name);
     let Some((_, nodes)) = nodes else { return Vec::new() };
     let inside: Vec<_> = nodes.iter().filter(|node| node.part == solution.main_part).copied().collect();
-    let poses = carried(&member.scans, &member.nodes, &inside);
+    let poses = in_flock_frame(&member.scans, &member.nodes, &inside);
     let point =
-        |(scan, pose): (&Carried, Pose)| TrajectoryPoint { stamp_ns: scan.stamp_ns, map_from_base: pose };
+        |(scan, pose): (&OwnPose, Pose)| TrajectoryPoint { stamp_ns: scan.stamp_ns, map_from_base: pose };
     member.scans.iter().zip(poses).map(point).collect()
 }
 

@@ -3,7 +3,7 @@
 use super::control_command::choose;
 use super::lidar_calibration::{of_journal, setting};
 use super::run::count_interrupts;
-use super::{CommandError, say};
+use super::{CommandError, print};
 use crate::arguments::RobotArgs;
 use crate::lidar_arguments::{LearnMaskArgs, LidarAtArgs, LidarCommand, LidarListArgs, LidarWatchArgs};
 use crate::lidar_view::{LidarPicture, draw};
@@ -11,7 +11,7 @@ use crate::supervisor::SetFile;
 use flockslam_bus::{Bus, Capacity, RuntimeDir, ScanSubscriber};
 use flockslam_calibration::BodyMask;
 use flockslam_lidar_ingest::process::{
-    FoundLidar, LidarEars, LidarPlace, LidarPolling, LidarSession, LidarSpec, identify, serial_ports,
+    FoundLidar, LidarHandler, LidarPlace, LidarPolling, LidarSession, LidarSpec, identify, serial_ports,
 };
 use flockslam_lidars::{Family, Turn};
 use flockslam_messages::ScanBuffer;
@@ -81,13 +81,13 @@ fn list(args: &LidarListArgs) -> Result<(), CommandError> {
         .collect();
     if args.json {
         let json = serde_json::to_string_pretty(&looked).map_err(CommandError::failed)?;
-        say(&format!("{json}\n"));
+        print(&format!("{json}\n"));
         return Ok(());
     }
     if looked.is_empty() {
-        say("no serial port on USB is here; others are looked at with --port PORT\n");
+        print("no serial port on USB is here; others are looked at with --port PORT\n");
     }
-    looked.iter().for_each(|looked| say(&looked.line()));
+    looked.iter().for_each(|looked| print(&looked.line()));
     Ok(())
 }
 
@@ -127,7 +127,7 @@ pub(super) struct Seen {
     pub(super) said: Option<String>,
 }
 
-impl LidarEars for Seen {
+impl LidarHandler for Seen {
     fn turn(&mut self, _spec: &LidarSpec, turn: &Turn) {
         let mut scan = ScanBuffer::default();
         turn.write_scan(&mut scan);
@@ -218,11 +218,11 @@ fn watch_plainly(
     while interrupts.load(Ordering::Relaxed) == 0 && args.turns.is_none_or(|turns| picture.turns() < turns) {
         let seen = scans.look()?;
         if let Some(said) = seen.said {
-            say(&format!("{said}\n"));
+            print(&format!("{said}\n"));
         }
         for scan in &seen.scans {
             picture.show(scan);
-            say(&format!("{}\n", picture.caption()));
+            print(&format!("{}\n", picture.caption()));
         }
     }
     Ok(())
@@ -282,7 +282,7 @@ fn learn_mask(args: &LearnMaskArgs) -> Result<(), CommandError> {
         boxes.extend(mask.boxes().map_err(CommandError::failed)?);
     }
     let text = |[x, to_x, y, to_y]: &[f64; 4]| format!("[{x:.2}, {to_x:.2}, {y:.2}, {to_y:.2}]");
-    say(&format!(
+    print(&format!(
         "[lidar_ingest]\nself_mask = [{}]\n",
         boxes.iter().map(text).collect::<Vec<_>>().join(", ")
     ));
@@ -300,7 +300,7 @@ fn calibrate(robot: &RobotArgs) -> Result<(), CommandError> {
             "the drive of {robot} so far shows of no lidar where it sits: that takes odometry and some turns"
         )));
     }
-    rows.iter().for_each(|row| say(&row.line()));
-    say(&format!("[lidar_ingest]\ncalibration = {}\n", setting(&rows, &set.configuration)));
+    rows.iter().for_each(|row| print(&row.line()));
+    print(&format!("[lidar_ingest]\ncalibration = {}\n", setting(&rows, &set.configuration)));
     Ok(())
 }

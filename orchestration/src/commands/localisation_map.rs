@@ -88,7 +88,7 @@ pub(super) fn exported(map: &Path, out: &Path, settings: Option<&Path>) -> Resul
     read
 }
 
-/// Whether a set can go on with what a killed one of its name has left. What it knew of a robot in another known map is forgotten.
+/// Whether a set can go on with what a killed one of its name has left. What it knew of a robot in another known map is dropped.
 ///
 /// # Errors
 /// When the killed set was making a map, and this one is to localize.
@@ -110,7 +110,7 @@ pub(super) fn fits_killed_set(runtime: &RuntimeDir, known: Option<&StoredMap>) -
         (true, Some(known)) => is_known(runtime, known),
     };
     if !fits {
-        runtime.forget_state().map_err(CommandError::failed)?;
+        runtime.remove_state().map_err(CommandError::failed)?;
     }
     Ok(fits)
 }

@@ -1,7 +1,7 @@
 //! `flockslam log`: what the processes of a running set have logged, and what they shall log.
 
 use super::control_command::{choose, order};
-use super::{CommandError, say};
+use super::{CommandError, print};
 use crate::arguments::LogArgs;
 use crate::supervisor::Request;
 use flockslam_bus::RuntimeDir;
@@ -25,7 +25,7 @@ pub fn run(args: &LogArgs) -> Result<(), CommandError> {
         let file = log_stream_file(&RuntimeDir::path_of(&robot));
         // Nothing has been logged as long as it is not there.
         let stream = std::fs::read_to_string(&file).unwrap_or_default();
-        say(&if args.json { stream } else { stream.lines().map(for_people).collect() });
+        print(&if args.json { stream } else { stream.lines().map(for_people).collect() });
     }
     Ok(())
 }

@@ -3,7 +3,7 @@
 use super::as_it_was_command;
 use super::lidar_calibration::setting;
 use super::run::{Run, run as run_set, summary};
-use super::{CommandError, say};
+use super::{CommandError, print};
 use crate::arguments::{MapArgs, RunArgs};
 use crate::configuration::Configuration;
 use flockslam_lidar_ingest::process::{Source, count_scans};
@@ -41,7 +41,7 @@ pub fn run(args: &MapArgs) -> Result<(), CommandError> {
         calibrate(&mut run, log, scans)?;
     }
     let outcome = run_set(&run, Run { source, world: None, scans, continues: None })?;
-    say(&summary(&run.out, &outcome.report));
+    print(&summary(&run.out, &outcome.report));
     Ok(())
 }
 
@@ -57,12 +57,12 @@ fn calibrate(run: &mut RunArgs, log: &Path, scans: Option<u64>) -> Result<(), Co
     removed?;
     let given = &run.configuration;
     let configuration = Configuration::load(given.profile, given.config.as_deref(), &given.assignments)?;
-    rows.iter().for_each(|row| say(&row.line()));
+    rows.iter().for_each(|row| print(&row.line()));
     if rows.is_empty() {
-        say("no lidar could be calibrated: that takes odometry and some turns\n");
+        print("no lidar could be calibrated: that takes odometry and some turns\n");
     }
     let assignment = format!("lidar_ingest.calibration={}", setting(&rows, &configuration));
-    say(&format!("--set '{assignment}'\n\n"));
+    print(&format!("--set '{assignment}'\n\n"));
     run.configuration.assignments.push(assignment);
     Ok(())
 }

@@ -2,7 +2,7 @@
 //! process of its own, from a copy of what the set knows, while the set goes on.
 
 use super::localisation_map;
-use crate::store::{MapKeeper, Mirror, SavedMap};
+use crate::store::{MapSaver, Mirror, SavedMap};
 use crate::supervisor::{ModeStatus, ProcessSet};
 use flockslam_bus::RuntimeDir;
 use flockslam_results::{LocalisationStatus, SetMode, StoredMap};
@@ -93,8 +93,8 @@ impl ModeChange {
             .map_err(|error| error.to_string())
     }
 
-    /// Lets the stages localize once the map is worked out, and the keeper save what belongs to it.
-    pub fn advance(&mut self, set: &mut ProcessSet, keeper: Option<&MapKeeper>) {
+    /// Lets the stages localize once the map is worked out, and the saver save what belongs to it.
+    pub fn advance(&mut self, set: &mut ProcessSet, saver: Option<&MapSaver>) {
         let frozen = self.freezing.as_ref().map(Receiver::try_recv);
         if let Some(Ok(_) | Err(TryRecvError::Disconnected)) = &frozen {
             self.freezing = None;
@@ -112,7 +112,7 @@ impl ModeChange {
         }
         if self.begins && LocalisationStatus::file(&set.runtime().status()).exists() {
             self.begins = false;
-            keeper.iter().for_each(|keeper| keeper.save_soon());
+            saver.iter().for_each(|saver| saver.save_soon());
         }
     }
 
@@ -128,13 +128,13 @@ fn begin(set: &mut ProcessSet, map: &StoredMap) -> Result<(), String> {
     let runtime: &RuntimeDir = set.runtime();
     let status_dir = runtime.status();
     localisation_map::put(map, runtime).map_err(|error| error.to_string())?;
-    forget(&LocalisationStatus::file(&status_dir))?;
+    remove_file(&LocalisationStatus::file(&status_dir))?;
     let before = SetMode::read(&runtime.results()).unwrap_or_default();
     set.change_mode(&SetMode { localizes: true, fixed: None, changed: true, ..before })
         .map_err(|error| error.to_string())
 }
 
-fn forget(file: &Path) -> Result<(), String> {
+fn remove_file(file: &Path) -> Result<(), String> {
     match fs::remove_file(file) {
         Err(error) if error.kind() != ErrorKind::NotFound => Err(format!("{}: {error}", file.display())),
         _ => Ok(()),

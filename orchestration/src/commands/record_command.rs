@@ -2,7 +2,7 @@
 
 use super::control_command::choose;
 use super::run::count_interrupts;
-use super::{CommandError, say};
+use super::{CommandError, print};
 use crate::arguments::RecordArgs;
 use crate::recording::{FoxgloveServer, McapFile, RecordError, RecordTopic, Recorded, SetReader};
 use flockslam_bus::RuntimeDir;
@@ -23,7 +23,7 @@ pub fn run(args: &RecordArgs) -> Result<(), CommandError> {
     let robot = choose(&args.robot)?;
     let interrupts = count_interrupts()?;
     let runtime = RuntimeDir::open(&RuntimeDir::path_of(&robot)).map_err(CommandError::user)?;
-    // First it hears everything, then there is a file: who waits for the file misses nothing.
+    // First it subscribes to everything, then there is a file: who waits for the file misses nothing.
     let mut reader = SetReader::join(&runtime).map_err(CommandError::failed)?;
     let mut sinks = Sinks {
         file: args.out.as_deref().map(McapFile::create).transpose().map_err(CommandError::user)?,
@@ -34,7 +34,7 @@ pub fn run(args: &RecordArgs) -> Result<(), CommandError> {
             .map_err(CommandError::user)?,
     };
     if let Some(server) = &sinks.server {
-        say(&format!("Foxglove: open ws://127.0.0.1:{}\n", server.port()));
+        print(&format!("Foxglove: open ws://127.0.0.1:{}\n", server.port()));
     }
     let mut looked = Instant::now();
     while interrupts.load(Ordering::Relaxed) == 0 {
@@ -81,10 +81,10 @@ impl Sinks {
             let counts = RecordTopic::all().zip(file.counts());
             let counts: Vec<_> = counts.map(|(topic, count)| format!("{} {count}", topic.name())).collect();
             file.finish()?;
-            say(&format!("recorded {}; missed {missed} scans and poses\n", counts.join(", ")));
+            print(&format!("recorded {}; missed {missed} scans and poses\n", counts.join(", ")));
         }
         if let Some(server) = self.server.filter(|server| server.missed() > 0) {
-            say(&format!("clients were too slow for {} messages\n", server.missed()));
+            print(&format!("clients were too slow for {} messages\n", server.missed()));
         }
         Ok(())
     }

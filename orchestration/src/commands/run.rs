@@ -2,8 +2,8 @@
 
 use super::CommandError;
 use super::accounting::{SharedMemoryPeak, sum_up};
-use super::attendants::Attendants;
 use super::progress_bar::RunProgress;
+use super::run_services::RunServices;
 use super::{lidar_calibration, localisation_map};
 use crate::arguments::RunArgs;
 use crate::configuration::Configuration;
@@ -98,10 +98,10 @@ pub fn run(args: &RunArgs, run: Run) -> Result<Outcome, CommandError> {
     flockslam_telemetry::log_into_set(runtime.path());
     let mut set = ProcessSet::start(runtime, file, Supervision::of_one_run())?;
     let _metrics = MetricsService::start(&set, args.metrics_port).map_err(CommandError::user)?;
-    let mut attendants = if args.live { Attendants::start(&set)? } else { Attendants::default() };
+    let mut services = if args.live { RunServices::start(&set)? } else { RunServices::default() };
     let mut shared_memory = SharedMemoryPeak::default();
-    watch(&mut set, run.scans, &interrupts, &mut attendants, &mut shared_memory)?;
-    drop(attendants);
+    watch(&mut set, run.scans, &interrupts, &mut services, &mut shared_memory)?;
+    drop(services);
     shared_memory.look(set.runtime());
     let own_memory = MemoryUse::of_this_process();
     set.stop();
@@ -115,7 +115,7 @@ fn watch(
     set: &mut ProcessSet,
     scans: Option<u64>,
     interrupts: &AtomicUsize,
-    attendants: &mut Attendants,
+    services: &mut RunServices,
     shared_memory: &mut SharedMemoryPeak,
 ) -> Result<(), CommandError> {
     let progress = RunProgress::new(scans);
@@ -124,7 +124,7 @@ fn watch(
         // A set that is idle is looked at less often.
         let limit_ms = if advanced.elapsed() < Duration::from_secs(1) { 20 } else { 200 };
         let event = set.watch(Duration::from_millis(limit_ms));
-        attendants.look_after(set);
+        services.look_after(set);
         shared_memory.look_sometimes(set.runtime());
         match event {
             Ok(SetEvent::Finished) => break,
@@ -143,7 +143,7 @@ fn watch(
         match interrupts.load(Ordering::Relaxed) {
             0 => {}
             // The first asks for what there is so far, the second for nothing.
-            // Again and again, since a source that is restarted meanwhile has not heard it.
+            // Again and again, since a source that is restarted meanwhile has not received it.
             1 => set.end_stream()?,
             _ => {
                 progress.finish();

@@ -1,7 +1,7 @@
 //! `flockslam setup`: finds the lidar, shows its scan, asks for the rest, writes the description of a set and starts it.
 
 use super::lidar_command::Scans;
-use super::{CommandError, say};
+use super::{CommandError, print};
 use crate::arguments::RobotArgs;
 use crate::lidar_arguments::LidarAtArgs;
 use crate::lidar_view::LidarPicture;
@@ -72,9 +72,9 @@ pub fn run(args: &SetupArgs) -> Result<(), CommandError> {
     let page = SetDescription::read(&path)?.configuration(&[])?.page;
     let page = page.enabled.then_some(page.listen);
     let path_shown = path.display();
-    say(&format!("written: {path_shown}\n"));
+    print(&format!("written: {path_shown}\n"));
     if !others.start {
-        say(&format!(
+        print(&format!(
             "start it: flockslam up {path_shown}; where the lidar sits is measured by: flockslam lidar calibrate\n"
         ));
         return Ok(());
@@ -202,7 +202,7 @@ fn lidar(args: &SetupArgs, questions: &mut dyn Questions) -> Result<AnsweredLida
     let mut problems = Vec::new();
     for port in serial_ports().into_iter().filter(|port| port.usb.is_some()) {
         let place = LidarPlace::Port(port.stable.clone().unwrap_or(port.path));
-        say(&format!("looking at {place} …\n"));
+        print(&format!("looking at {place} …\n"));
         match identify(&place, true) {
             Ok(Some(lidar)) => found.push((place, lidar)),
             Ok(None) => problems.push(format!("{place}: no lidar answers")),
@@ -224,7 +224,7 @@ fn lidar(args: &SetupArgs, questions: &mut dyn Questions) -> Result<AnsweredLida
         1 => {}
         several => {
             for (number, (place, lidar)) in (1..).zip(&found) {
-                say(&format!("{number}: {} at {place}, {}\n", lidar.family.name(), lidar.device));
+                print(&format!("{number}: {} at {place}, {}\n", lidar.family.name(), lidar.device));
             }
             let mut take = |text: &str| match text.parse() {
                 Ok(number) if (1..=several).contains(&number) => put(&mut chosen, number),
@@ -276,7 +276,7 @@ fn show(lidar: &AnsweredLidar) -> Result<(), CommandError> {
             ));
         }
     }
-    say(&scan_picture(&picture));
+    print(&scan_picture(&picture));
     Ok(())
 }
 
@@ -289,7 +289,7 @@ fn start(path: &Path, robot: &str, page: Option<SocketAddr>) -> Result<(), Comma
         let status = Command::new("systemctl").args(["enable", "--now", &unit]).status();
         return match status {
             Ok(status) if status.success() => {
-                say(&format!("{unit} runs: flockslam status, flockslam top{map}\n"));
+                print(&format!("{unit} runs: flockslam status, flockslam top{map}\n"));
                 Ok(())
             }
             Ok(status) => Err(CommandError::failed(format!("systemctl enable --now {unit}: {status}"))),
@@ -297,6 +297,6 @@ fn start(path: &Path, robot: &str, page: Option<SocketAddr>) -> Result<(), Comma
         };
     }
     let own = std::env::current_exe().map_err(CommandError::failed)?;
-    say(&format!("the set runs until Ctrl-C{map}\n"));
+    print(&format!("the set runs until Ctrl-C{map}\n"));
     Err(CommandError::failed(Command::new(own).arg("up").arg(path).exec()))
 }

@@ -14,10 +14,10 @@ pub fn run(args: &StageArgs) -> ExitCode {
         return ExitCode::FAILURE;
     }
     flockslam_telemetry::log_into_set(&args.set_dir);
-    match run_stage(args.stage, args.replica, &args.set_dir, args.stand_in) {
+    match run_stage(args.stage, args.replica, &args.set_dir, args.fallback) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            tell(args, &error);
+            report(args, &error);
             ExitCode::from(if matches!(error, StageError::Source(_)) { EXIT_BAD_SOURCE as u8 } else { 1 })
         }
     }
@@ -33,7 +33,7 @@ pub(super) fn die_with(parent: Option<u32>) -> bool {
 }
 
 /// Leaves the reason where the supervisor finds it: one place to speak to the user is enough.
-fn tell(args: &StageArgs, error: &StageError) {
+fn report(args: &StageArgs, error: &StageError) {
     let is_reported = RuntimeDir::open(&args.set_dir)
         .is_ok_and(|runtime| std::fs::write(error_file(&runtime, args.stage), error.to_string()).is_ok());
     if !is_reported {

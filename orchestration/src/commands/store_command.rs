@@ -3,7 +3,7 @@
 use super::control_command::{choose, order};
 use super::joined_map::{Order, join};
 use super::run::{Run, run as run_set, summary};
-use super::{CommandError, say};
+use super::{CommandError, print};
 use crate::arguments::{ExportArgs, ImportArgs, MapDirArgs, MapOrderArgs, MergeArgs, RunArgs, StoreCommand};
 use crate::configuration::Configuration;
 use crate::store::{SavedMap, StoreError, import_map, read_nav2_map};
@@ -31,7 +31,7 @@ fn check(args: &MapDirArgs) -> Result<(), CommandError> {
         StoreError::Absent(_) => CommandError::user(error),
         error => CommandError::failed(error),
     })?;
-    say(&format!(
+    print(&format!(
         "{}: {} poses, {} scans in the map, {} closed submaps\n",
         args.directory.display(),
         findings.poses,
@@ -63,7 +63,7 @@ fn export(args: &ExportArgs) -> Result<(), CommandError> {
     };
     let run = Run { source: Source::Nothing, world: None, scans: None, continues: Some(map) };
     let outcome = run_set(&run_args, run)?;
-    say(&summary(&args.out, &outcome.report));
+    print(&summary(&args.out, &outcome.report));
     Ok(())
 }
 
@@ -73,7 +73,7 @@ fn import(args: &ImportArgs) -> Result<(), CommandError> {
     let plan = read_nav2_map(&args.map).map_err(CommandError::user)?;
     let imported =
         import_map(&plan, &args.out, configuration.mapper.cell_size_m).map_err(CommandError::user)?;
-    say(&format!(
+    print(&format!(
         "{}: {:.0} m² in {} submaps, seen from {} places; wrote a saved map to {}\n",
         args.map.display(),
         imported.area_m2,
@@ -95,7 +95,7 @@ fn merge(args: &MergeArgs) -> Result<(), CommandError> {
         members.push(order.run(&args.configuration)?);
     }
     let joined = join(&args.out, members)?;
-    say(&joined.summary(&args.out));
+    print(&joined.summary(&args.out));
     Ok(())
 }
 

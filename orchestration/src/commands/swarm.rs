@@ -4,7 +4,7 @@ use super::contacts::Contacts;
 use super::joined_map::{Member, Order, join, join_met};
 use super::meetings::meet;
 use super::run::prepare_directory;
-use super::{CommandError, say};
+use super::{CommandError, print};
 use crate::arguments::{ConfigurationArgs, ProtocolArg, SwarmArgs};
 use crate::configuration::Configuration;
 use flockslam_geometry::Pose;
@@ -26,7 +26,7 @@ const MOVED_M: f64 = 100.0;
 /// In the simulated building each robot is ahead of the one before it by this share of the whole drive.
 const LEAD: f64 = 0.5;
 /// How long robots that have ended wait for the others, seconds: a search may be under way.
-const FAREWELL_S: u32 = 600;
+const WAIT_MAX_S: u32 = 600;
 /// The robots are looked at this often.
 const LOOK: Duration = Duration::from_millis(50);
 
@@ -55,7 +55,7 @@ pub fn run(args: &SwarmArgs) -> Result<(), CommandError> {
                 robots.iter().map(|robot| robot.order(|o| o.run(given))).collect();
             let members = members?;
             if args.protocol == ProtocolArg::Meeting {
-                say(&meet(&args.out, &members, args.fusion)?.summary(&args.out));
+                print(&meet(&args.out, &members, args.fusion)?.summary(&args.out));
                 return Ok(());
             }
             join(&args.out, members)?
@@ -67,7 +67,7 @@ pub fn run(args: &SwarmArgs) -> Result<(), CommandError> {
             join_met(&args.out, members)?
         }
     };
-    say(&joined.summary(&args.out));
+    print(&joined.summary(&args.out));
     if joined.all_agree {
         Ok(())
     } else {
@@ -138,7 +138,7 @@ fn connect(robots: &mut [Robot], rate: f64) -> Result<(), CommandError> {
         .collect();
     let ports = ports.map_err(|e: std::io::Error| CommandError::failed(e))?;
     let endpoint = |port: &u16| format!("tcp/127.0.0.1:{port}");
-    let companions = robots.len() - 1;
+    let other_count = robots.len() - 1;
     for (number, robot) in robots.iter_mut().enumerate() {
         let others: Vec<String> = ports[..number].iter().map(endpoint).collect();
         let set = robot.set();
@@ -148,8 +148,8 @@ fn connect(robots: &mut [Robot], rate: f64) -> Result<(), CommandError> {
             format!("flock=\"swarm-{}\"", std::process::id()),
             format!("listen={:?}", [endpoint(&ports[number])]),
             format!("connect={others:?}"),
-            format!("companions={companions}"),
-            format!("farewell_s={FAREWELL_S}"),
+            format!("wait_for_robots={other_count}"),
+            format!("wait_max_s={WAIT_MAX_S}"),
         ];
         robot.assignments.extend(flock.map(|assignment| format!("sync_manager.flock.{assignment}")));
     }

@@ -1,16 +1,16 @@
 //! `flockslam up`: a process set that runs until it is stopped.
 
 use super::CommandError;
-use super::attendants::start_page;
 use super::localisation_map;
 use super::mode_order::ModeChange;
 use super::run::{Finished, count_interrupts, points, prepare_directory, write_outputs};
+use super::run_services::start_page;
 use crate::arguments::UpArgs;
 use crate::configuration::Configuration;
 use crate::outputs::write_trajectory;
 use crate::ros_bridge::check_arguments;
 use crate::state_directory::spill_directory;
-use crate::store::{Findings, MapHead, MapKeeper, Mirror, SavedMap, StoreError};
+use crate::store::{Findings, MapHead, MapSaver, Mirror, SavedMap, StoreError};
 use crate::supervisor::{
     ControlSocket, MetricsService, Order, ProcessSet, Reply, Request, ServiceManager, SetDescription,
     SetError, SetEvent, SetFile, SideProcess, is_of_graph, known_stage,
@@ -62,12 +62,12 @@ pub fn run(args: &UpArgs) -> Result<(), CommandError> {
     }
 }
 
-/// A set, what runs beside it, and the keeper of its map.
+/// A set, what runs beside it, and the saver of its map.
 struct LiveSet {
     page: Option<SideProcess>,
     ros: Option<SideProcess>,
     set: ProcessSet,
-    keeper: Option<MapKeeper>,
+    saver: Option<MapSaver>,
     mode: ModeChange,
     head: MapHead,
 }
@@ -141,11 +141,11 @@ impl LiveSet {
         let mut set = ProcessSet::start(runtime, file, description.supervision())?;
         // From here on only an end in good order removes what the set knows.
         set.wipe_at_end(false);
-        let keeper = map.map(|map| keep(map, &set, &head, description.save_every_s)).transpose()?;
+        let saver = map.map(|map| keep(map, &set, &head, description.save_every_s)).transpose()?;
         let page = start_page(&set)?;
         let ros = ros_arguments.map(|arguments| SideProcess::start("ros", set.runtime().path(), &arguments));
         let ros = ros.transpose().map_err(CommandError::failed)?;
-        Ok(Self { page, ros, set, keeper, mode: ModeChange::default(), head })
+        Ok(Self { page, ros, set, saver, mode: ModeChange::default(), head })
     }
 
     /// Watches over the set until it shall stop; true when its source has ended and its results are stored.
@@ -157,9 +157,9 @@ impl LiveSet {
                 return Ok(true);
             }
             manager.alive();
-            self.mode.advance(&mut self.set, self.keeper.as_ref());
+            self.mode.advance(&mut self.set, self.saver.as_ref());
             self.page.iter_mut().chain(&mut self.ros).for_each(SideProcess::look_after);
-            let unsaved = self.keeper.as_ref().is_some_and(|keeper| keeper.status().problem.is_some());
+            let unsaved = self.saver.as_ref().is_some_and(|saver| saver.status().problem.is_some());
             self.set.metrics().set_not_durable(unsaved || self.set.not_durable().is_some());
             let mut ends = interrupts.load(Ordering::Relaxed) > 0;
             while let Some(order) = control.next() {
@@ -177,7 +177,7 @@ impl LiveSet {
         let outcome = match order.request.clone() {
             Request::Status => {
                 let mut status = self.set.status();
-                status.saved = self.keeper.as_ref().map(MapKeeper::status);
+                status.saved = self.saver.as_ref().map(MapSaver::status);
                 self.mode.report(&mut status.mode);
                 return order.answer(Reply::Status(Box::new(status)));
             }
@@ -191,7 +191,7 @@ impl LiveSet {
             }
             Request::Pause(rests) => self.set.pause(rests),
             Request::Log(stage, filter) => self.set.log(&stage, &filter),
-            Request::Save(directory) => return self.save_elsewhere(&directory, order),
+            Request::Save(directory) => return self.save_copy(&directory, order),
             Request::Load(directory) => self.load(&directory),
             Request::Reset => self.reset(),
             Request::Relocalize(near) => self.set.relocalize(near),
@@ -204,7 +204,7 @@ impl LiveSet {
     }
 
     /// Saves into a directory of the user's choice; the set is not held up meanwhile.
-    fn save_elsewhere(&self, directory: &Path, order: Order) {
+    fn save_copy(&self, directory: &Path, order: Order) {
         let mut mirror = mirror(&self.set, SavedMap::at(directory), &self.head);
         std::thread::spawn(move || {
             let saved = mirror.bring_up();
@@ -214,13 +214,13 @@ impl LiveSet {
 
     /// The map of a set that keeps it on disk is not given up for another one.
     fn refuse_kept(&self) -> Result<(), String> {
-        self.keeper.as_ref().map_or(Ok(()), |keeper| {
-            let own = keeper.status().directory;
+        self.saver.as_ref().map_or(Ok(()), |saver| {
+            let own = saver.status().directory;
             Err(format!("this set keeps its map in {own}: stop it and start it with another --map"))
         })
     }
 
-    /// Forgets the map and begins a new one.
+    /// Drops the map and begins a new one.
     fn reset(&mut self) -> Result<(), String> {
         self.refuse_kept()?;
         if self.set.localizes() {
@@ -280,8 +280,8 @@ impl LiveSet {
         (self.page, self.ros) = (None, None);
         // Nothing is accepted any more once the stages have ended, so that what is saved then is everything.
         self.set.stop();
-        if let Some(keeper) = &self.keeper
-            && !keeper.save_now(LAST_SAVE_LIMIT)
+        if let Some(saver) = &self.saver
+            && !saver.save_now(LAST_SAVE_LIMIT)
         {
             tracing::error!(
                 "the map could not be saved at the end: it stays in memory for the next set of this name"
@@ -323,10 +323,10 @@ fn mirror(set: &ProcessSet, map: SavedMap, head: &MapHead) -> Mirror {
     Mirror::new(&runtime.journal(), &runtime.submaps(), &runtime.results(), map, head.clone())
 }
 
-fn keep(map: SavedMap, set: &ProcessSet, head: &MapHead, every_s: f64) -> Result<MapKeeper, CommandError> {
+fn keep(map: SavedMap, set: &ProcessSet, head: &MapHead, every_s: f64) -> Result<MapSaver, CommandError> {
     let directory = map.directory().to_owned();
     let period = Duration::from_secs_f64(every_s);
-    MapKeeper::start(mirror(set, map, head), directory, period).map_err(CommandError::failed)
+    MapSaver::start(mirror(set, map, head), directory, period).map_err(CommandError::failed)
 }
 
 /// Where the session of a killed set began, when this one can go on with it.

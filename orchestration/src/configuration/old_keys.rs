@@ -107,6 +107,8 @@ pub const OLD_KEYS: &[(&str, Now)] = &[
     ("sync_manager.final_nodes", Fixed("3")),
     ("sync_manager.flock.body_radius_m", Fixed("0.35")),
     ("sync_manager.flock.bytes_per_minute", Fixed("6000000")),
+    ("sync_manager.flock.companions", Called("sync_manager.flock.wait_for_robots")),
+    ("sync_manager.flock.farewell_s", Called("sync_manager.flock.wait_max_s")),
     ("sync_manager.map_passes", Fixed("1")),
     ("sync_manager.node_distance_m", Fixed("0.3")),
     ("sync_manager.node_turn_rad", Fixed("0.35")),

@@ -39,7 +39,7 @@ pub fn inspect_description(path: &Path) -> SetReading {
     reading.robot.clone_from(&description.robot);
     reading.running = running(&description.robot);
     reading.map.clone_from(&description.map);
-    reading.uses_dds = description.ros.is_some() && !speaks_zenoh();
+    reading.uses_dds = description.ros.is_some() && !uses_zenoh();
     reading.lacks_known_map = description.localize.clone().filter(|map| !is_of_graph(map) && !map.exists());
     if let Source::Lidars(lidars) = description.source().source {
         of_lidars(&mut reading, &lidars);
@@ -66,7 +66,7 @@ pub fn inspect_running(robot: &str) -> SetReading {
     reading
 }
 
-fn speaks_zenoh() -> bool {
+fn uses_zenoh() -> bool {
     std::env::var("RMW_IMPLEMENTATION").is_ok_and(|name| name.contains("zenoh"))
 }
 

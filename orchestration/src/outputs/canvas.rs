@@ -23,7 +23,7 @@ pub(super) struct Canvas {
 
 /// A position on the canvas.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Spot {
+pub(super) struct Pixel {
     pub x: f64,
     pub y: f64,
 }
@@ -67,18 +67,18 @@ impl Canvas {
     }
 
     /// A line with round ends, `width` pixels wide, smoothed at its edge.
-    pub fn line(&mut self, from: Spot, to: Spot, width: f64, colour: Colour) {
+    pub fn line(&mut self, from: Pixel, to: Pixel, width: f64, colour: Colour) {
         let half = 0.5 * width;
         self.shape(from, to, half, colour, |at| distance_to_segment(at, from, to) - half);
     }
 
     /// A filled circle.
-    pub fn disc(&mut self, centre: Spot, radius: f64, colour: Colour) {
+    pub fn disc(&mut self, centre: Pixel, radius: f64, colour: Colour) {
         self.shape(centre, centre, radius, colour, |at| hypot(at.x - centre.x, at.y - centre.y) - radius);
     }
 
     /// A filled square that stands on its corner; `radius` from its centre to a corner.
-    pub fn diamond(&mut self, centre: Spot, radius: f64, colour: Colour) {
+    pub fn diamond(&mut self, centre: Pixel, radius: f64, colour: Colour) {
         self.shape(centre, centre, radius, colour, |at| {
             ((at.x - centre.x).abs() + (at.y - centre.y).abs() - radius) * std::f64::consts::FRAC_1_SQRT_2
         });
@@ -121,7 +121,7 @@ impl Canvas {
 
     /// Blends every pixel by how far `outside` (signed distance to the shape's edge, pixels) leaves it inside, within
     /// the box around two spots inflated by `reach`.
-    fn shape(&mut self, a: Spot, b: Spot, reach: f64, colour: Colour, outside: impl Fn(Spot) -> f64) {
+    fn shape(&mut self, a: Pixel, b: Pixel, reach: f64, colour: Colour, outside: impl Fn(Pixel) -> f64) {
         let limits = |p: f64, q: f64, shown: Range<u32>| {
             let (least, most) = (f64::from(shown.start), f64::from(shown.end));
             let first = (p.min(q) - reach - 1.0).floor().clamp(least, most) as i64;
@@ -130,7 +130,7 @@ impl Canvas {
         };
         for y in limits(a.y, b.y, self.rows()) {
             for x in limits(a.x, b.x, 0..self.image.width()) {
-                let centre = Spot { x: x as f64 + 0.5, y: y as f64 + 0.5 };
+                let centre = Pixel { x: x as f64 + 0.5, y: y as f64 + 0.5 };
                 self.blend(x, y, colour, (0.5 - outside(centre)).clamp(0.0, 1.0));
             }
         }
@@ -153,7 +153,7 @@ pub(super) fn mix(a: Colour, b: Colour, t: f64) -> Colour {
     [channel(0), channel(1), channel(2)]
 }
 
-fn distance_to_segment(at: Spot, from: Spot, to: Spot) -> f64 {
+fn distance_to_segment(at: Pixel, from: Pixel, to: Pixel) -> f64 {
     let (dx, dy) = (to.x - from.x, to.y - from.y);
     let squared = dx * dx + dy * dy;
     let along = if squared > 0.0 { ((at.x - from.x) * dx + (at.y - from.y) * dy) / squared } else { 0.0 };
@@ -168,7 +168,7 @@ mod tests {
     #[test]
     fn a_line_covers_its_middle_and_is_clipped_at_the_border() {
         let mut canvas = Canvas::new(20, 0..10, [255; 3]);
-        canvas.line(Spot { x: -50.0, y: 5.0 }, Spot { x: 50.0, y: 5.0 }, 3.0, [0; 3]);
+        canvas.line(Pixel { x: -50.0, y: 5.0 }, Pixel { x: 50.0, y: 5.0 }, 3.0, [0; 3]);
         for x in 0..20 {
             assert_eq!(canvas.image.get_pixel(x, 4).0, [0; 3]);
             assert_eq!(canvas.image.get_pixel(x, 0).0, [255; 3]);
@@ -180,8 +180,8 @@ mod tests {
     #[test]
     fn a_picture_of_several_bands_is_the_one_drawn_at_once() {
         let draw = |canvas: &mut Canvas| {
-            canvas.line(Spot { x: 3.0, y: 2.0 }, Spot { x: 60.0, y: 295.0 }, 5.0, [0, 90, 0]);
-            canvas.disc(Spot { x: 30.0, y: f64::from(BAND) }, 20.0, [200, 0, 0]);
+            canvas.line(Pixel { x: 3.0, y: 2.0 }, Pixel { x: 60.0, y: 295.0 }, 5.0, [0, 90, 0]);
+            canvas.disc(Pixel { x: 30.0, y: f64::from(BAND) }, 20.0, [200, 0, 0]);
             canvas.rectangle(-5, 2 * i64::from(BAND) - 3, 40, 8, [0, 0, 200]);
             canvas.text(8, i64::from(BAND) - 9, 3, "12.5 m", [0; 3]);
         };
@@ -195,8 +195,8 @@ mod tests {
     #[test]
     fn shapes_far_outside_are_harmless() {
         let mut canvas = Canvas::new(4, 0..4, [9; 3]);
-        canvas.disc(Spot { x: 1e9, y: -1e9 }, 5.0, [0; 3]);
-        canvas.diamond(Spot { x: f64::NAN, y: 0.0 }, 5.0, [0; 3]);
+        canvas.disc(Pixel { x: 1e9, y: -1e9 }, 5.0, [0; 3]);
+        canvas.diamond(Pixel { x: f64::NAN, y: 0.0 }, 5.0, [0; 3]);
         canvas.text(-30, 2, 2, "12.5 m", [0; 3]);
         // The text begins in row 2.
         for (x, y) in (0..4).flat_map(|x| [(x, 0), (x, 1)]) {

@@ -1,6 +1,6 @@
 //! The map and trajectories as a PNG for people. Takes an occupancy image and trajectories; gives the bytes of the picture.
 
-use super::canvas::{Canvas, Colour, Spot, mix, write_png};
+use super::canvas::{Canvas, Colour, Pixel, mix, write_png};
 use super::glyphs::text_width;
 use super::{CellState, OccupancyImage, OutputError, TrajectoryPoint, put_by};
 use flockslam_geometry::Point;
@@ -150,8 +150,8 @@ impl View {
     }
 
     /// Where a point of the map frame is on the canvas.
-    fn spot(&self, point: Point) -> Spot {
-        Spot {
+    fn pixel(&self, point: Point) -> Pixel {
+        Pixel {
             x: MARGIN as f64 + (point.x_m - self.corner.x_m) / self.pixel_m,
             y: (MARGIN + self.height) as f64 - (point.y_m - self.corner.y_m) / self.pixel_m,
         }
@@ -217,9 +217,9 @@ fn draw_track(
     weight: f64,
     colour_at: impl Fn(f64) -> Colour,
 ) {
-    let mut last: Option<Spot> = None;
+    let mut last: Option<Pixel> = None;
     for (i, point) in track.iter().enumerate().filter(|(_, point)| point.map_from_base.is_finite()) {
-        let here = view.spot(point.map_from_base.position());
+        let here = view.pixel(point.map_from_base.position());
         let from = last.unwrap_or(here);
         // Steps far below a pixel are gathered, so the colour does not build up while the robot stands still.
         if last.is_none() || hypot(here.x - from.x, here.y - from.y) >= 1.0 || i + 1 == track.len() {
@@ -232,18 +232,18 @@ fn draw_track(
 
 fn draw_marks(canvas: &mut Canvas, view: &View, track: &[TrajectoryPoint]) {
     if let (Some(first), Some(last)) = (track.first(), track.last()) {
-        draw_start(canvas, view.spot(first.map_from_base.position()), 3.2 * view.stroke());
-        draw_end(canvas, view.spot(last.map_from_base.position()), 3.2 * view.stroke());
+        draw_start(canvas, view.pixel(first.map_from_base.position()), 3.2 * view.stroke());
+        draw_end(canvas, view.pixel(last.map_from_base.position()), 3.2 * view.stroke());
     }
 }
 
-fn draw_start(canvas: &mut Canvas, at: Spot, radius: f64) {
+fn draw_start(canvas: &mut Canvas, at: Pixel, radius: f64) {
     canvas.disc(at, radius * 1.35, FREE);
     canvas.disc(at, radius, START);
     canvas.disc(at, radius * 0.35, FREE);
 }
 
-fn draw_end(canvas: &mut Canvas, at: Spot, radius: f64) {
+fn draw_end(canvas: &mut Canvas, at: Pixel, radius: f64) {
     canvas.diamond(at, radius * 1.7, FREE);
     canvas.diamond(at, radius * 1.25, END);
 }
@@ -275,9 +275,9 @@ fn draw_time_bar(canvas: &mut Canvas, view: &View, track: &[TrajectoryPoint]) {
     for x in 0..length {
         canvas.rectangle(left + x, middle - 3, 1, 6, time_colour(x as f64 / length as f64));
     }
-    let spot = |x: i64| Spot { x: x as f64, y: middle as f64 };
-    draw_start(canvas, spot(left), 8.0);
-    draw_end(canvas, spot(left + length), 8.0);
+    let pixel = |x: i64| Pixel { x: x as f64, y: middle as f64 };
+    draw_start(canvas, pixel(left), 8.0);
+    draw_end(canvas, pixel(left + length), 8.0);
 }
 
 fn strip_middle(view: &View) -> i64 {
@@ -334,8 +334,8 @@ mod tests {
         let picture = decoded(&map, PictureTracks { main: &main, other: &[] });
         let view = View::of(&map, PictureTracks { main: &main, other: &[] });
         let colour = |x_m, y_m| {
-            let spot = view.spot(Point::new(x_m, y_m));
-            picture.get_pixel(spot.x as u32, spot.y as u32).0
+            let pixel = view.pixel(Point::new(x_m, y_m));
+            picture.get_pixel(pixel.x as u32, pixel.y as u32).0
         };
         assert_eq!(colour(-0.975, -1.975), WALL);
         assert_eq!(colour(0.0, 2.0), FREE);

@@ -12,7 +12,7 @@ const BODY_M: Vector3 = Vector3 { x: 0.5, y: 0.5, z: 1.7 };
 /// Shaft and head of an arrow, metres.
 const SHAFT_M: f64 = 0.06;
 const HEAD_M: f64 = 0.16;
-/// A body is taken off the scene when nothing more is heard of it for so long, seconds.
+/// A body is taken off the scene when nothing more comes of it for so long, seconds.
 const LIFETIME_S: u64 = 1;
 const YELLOW: Color = Color { r: 1.0, g: 0.82, b: 0.25, a: 0.7 };
 

@@ -180,7 +180,7 @@ impl SetReader {
 pub fn ask_for_tiles(bus: &Bus) -> Result<Publisher<Control>, BusError> {
     let control = bus.publisher::<Control>()?;
     control.send(&Control { kind: ControlKind::TilesWanted as u32, run: 0, value: 0 })?;
-    bus.notifier(Stage::Mapper.name())?.ring();
+    bus.notifier(Stage::Mapper.name())?.notify();
     Ok(control)
 }
 

@@ -71,7 +71,7 @@ impl FoxgloveServer {
                         tracing::debug!(%problem, "a client of the websocket has gone");
                     }
                 };
-                // Its end closes the queue, by which it is forgotten.
+                // Its end closes the queue, by which it is dropped.
                 if thread::Builder::new().name("foxglove-client".to_owned()).spawn(serves).is_ok() {
                     clients.push(Client { queue });
                 }
@@ -131,11 +131,11 @@ fn serve(
         let new = listen(&mut socket, &mut subscriptions)?;
         let last = grid.lock().unwrap_or_else(PoisonError::into_inner).clone();
         if let Some(last) = last.filter(|_| new.contains(&RecordTopic::Grid)) {
-            tell(&mut socket, &subscriptions, &last)?;
+            send_message(&mut socket, &subscriptions, &last)?;
         }
         loop {
             match messages.try_recv() {
-                Ok(message) => tell(&mut socket, &subscriptions, &message)?,
+                Ok(message) => send_message(&mut socket, &subscriptions, &message)?,
                 Err(TryRecvError::Empty) => break,
                 Err(TryRecvError::Disconnected) => return Ok(socket.close(None)?),
             }
@@ -210,7 +210,7 @@ fn obey(request: &str, subscriptions: &mut Subscriptions) -> Vec<RecordTopic> {
     }
 }
 
-fn tell(
+fn send_message(
     socket: &mut WebSocket<TcpStream>,
     subscriptions: &Subscriptions,
     message: &Recorded,

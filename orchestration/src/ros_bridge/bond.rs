@@ -5,7 +5,7 @@ use std::time::Duration;
 
 /// A heartbeat follows another after this.
 pub const HEARTBEAT_PERIOD: Duration = Duration::from_millis(100);
-/// Who was not heard for so long is dead.
+/// Who was silent for so long is dead.
 pub const HEARTBEAT_TIMEOUT: Duration = Duration::from_secs(4);
 
 /// One side of a bond.
@@ -13,7 +13,7 @@ pub const HEARTBEAT_TIMEOUT: Duration = Duration::from_secs(4);
 pub struct Bond {
     /// Name of the node: both sides say it.
     id: String,
-    /// Of this side. The other side takes another one for a stranger, so it outlives the process.
+    /// Of this side. The other side takes another one for another node, so it outlives the process.
     instance: String,
 }
 

@@ -1,4 +1,4 @@
-//! The bridge at work: one loop that hears the graph, reads the bus, and says what is new.
+//! The bridge at work: one loop that reads the graph and the bus, and publishes what is new.
 
 mod corrector;
 
@@ -9,13 +9,13 @@ use super::bridge_publishers::{BridgePublishers, quality};
 use super::bridge_services::{MapSource, SetOrders, offer};
 use super::diagnostics_thread::{Report, report_by};
 use super::graph_clock::GraphClock;
-use super::graph_ear::{Ear, Heard, listen};
+use super::graph_subscriptions::{GraphInput, InputSender, subscribe};
 use super::kept_state::KeptState;
 use super::lifecycle::NodeState;
 use super::localisation_relay::LocalisationRelay;
 use super::log_relay::LogRelay;
 use super::map_correction::MapCorrection;
-use super::map_thread::{self, HeardTopics, MapOrder, MapPlace, MapPublishers};
+use super::map_thread::{self, MapOrder, MapPlace, MapPublishers, SubscribedTopics};
 use super::sensor_relay::SensorRelay;
 use super::set_diagnostics::BridgeReport;
 use super::track_markers::track_markers;
@@ -37,8 +37,8 @@ use std::time::{Duration, Instant};
 
 /// Name of the node, unless the command line gives it another.
 const NODE: &str = "flockslam";
-/// What was heard and is not yet handled; more is dropped and counted.
-const HEARD_MAX: usize = 1024;
+/// What was received and is not yet handled; more is dropped and counted.
+const INPUTS_MAX: usize = 1024;
 /// While the pose of a scan is awaited, the bus is looked at so often: the matcher wakes nobody for each pose, and one is there within a
 /// few milliseconds …
 const LOOK_AWAITING: Duration = Duration::from_micros(100);
@@ -55,7 +55,7 @@ const WATCHING: Duration = Duration::from_secs(2);
 const DIAGNOSTICS_PERIOD: Duration = Duration::from_secs(1);
 /// … so much later where the pose of a scan is awaited.
 const REPORT_LATE_MAX: Duration = Duration::from_millis(500);
-/// Another node that was heard to publish map → odom within this still does, nanoseconds.
+/// Another node that was seen to publish map → odom within this still does, nanoseconds.
 const FOREIGN_NS: u64 = 5_000_000_000;
 /// Lines of the log that who comes late gets.
 const LINES_KEPT: usize = 100;
@@ -120,7 +120,7 @@ pub fn run_bridge(set: &BridgeSet, arguments: &[String]) -> Result<(), BridgeErr
 struct Bridge {
     parameters: BridgeParameters,
     name: String,
-    heard: Receiver<Heard>,
+    inputs: Receiver<GraphInput>,
     dropped: Arc<AtomicU64>,
     node: RunningNode,
     publishers: BridgePublishers,
@@ -135,12 +135,12 @@ struct Bridge {
     tracks: SliceSubscriber<TracksHeader>,
     map_from_odom: Pose,
     robot: String,
-    /// Topics that are made only for who hears them: changes of the map, the graph.
-    heard_names: [String; 2],
-    heard_topics: HeardTopics,
-    tracks_heard: bool,
+    /// Topics that are made only while they have subscribers: changes of the map, the graph.
+    on_demand_topics: [String; 2],
+    subscribed_topics: SubscribedTopics,
+    tracks_subscribed: bool,
     last_pose: Option<Instant>,
-    /// When another node was heard to publish map → odom, on the monotonic clock, nanoseconds.
+    /// When another node was seen to publish map → odom, on the monotonic clock, nanoseconds.
     foreign_ns: Option<u64>,
     /// How often the time of the graph has gone back.
     times_back: u64,
@@ -164,7 +164,7 @@ impl Bridge {
         let mut node = Node::open(identity, environment, parameters.declared())?;
         let source = MapSource::of(set.is_map_given, parameters.use_map_topic);
         let map_publishers = MapPublishers::open(&mut node, source != MapSource::Graph)?;
-        let heard_names = map_publishers.heard_names();
+        let on_demand_topics = map_publishers.on_demand_topics();
         let map_place = MapPlace {
             set_dir: set.runtime.path().to_owned(),
             capacity: set.capacity,
@@ -184,8 +184,8 @@ impl Bridge {
         let reports = report_by(diagnostics, lines, log, robot.clone(), set.runtime.control_socket())?;
         offer(&mut node, SetOrders::new(&set.runtime, map.clone(), &parameters.map_frame), source)?;
         let dropped = Arc::new(AtomicU64::new(0));
-        let (sender, heard) = sync_channel(HEARD_MAX);
-        listen(&mut node, &parameters, &Ear::new(sender, Arc::clone(&dropped)))?;
+        let (sender, inputs) = sync_channel(INPUTS_MAX);
+        subscribe(&mut node, &parameters, &InputSender::new(sender, Arc::clone(&dropped)))?;
         let bus = Bus::join(&set.runtime, "ros", set.capacity)?;
         let localisation = LocalisationRelay::open(&mut node, &bus, &set.runtime, set.localizes)?;
         let fresh = match (parameters.use_lifecycle_manager, parameters.autostart) {
@@ -207,7 +207,7 @@ impl Bridge {
             correction: MapCorrection::new(odom_frame, &parameters.base_frame),
             clock: GraphClock::new(parameters.use_sim_time),
             name,
-            heard,
+            inputs,
             dropped,
             node: node.run()?,
             publishers,
@@ -218,9 +218,9 @@ impl Bridge {
             tracks: bus.slice_subscriber()?,
             map_from_odom: Pose::IDENTITY,
             robot,
-            heard_names,
-            heard_topics: HeardTopics::default(),
-            tracks_heard: false,
+            on_demand_topics,
+            subscribed_topics: SubscribedTopics::default(),
+            tracks_subscribed: false,
             last_pose: None,
             foreign_ns: None,
             times_back: 0,
@@ -237,7 +237,7 @@ impl Bridge {
         Ok(bridge)
     }
 
-    /// One turn: hears, reads, says.
+    /// One turn: receives, reads, publishes.
     fn turn(&mut self) -> Result<(), BridgeError> {
         let watching = self.last_pose.is_some_and(|at| at.elapsed() < WATCHING);
         let look = match self.relay.awaited_for() {
@@ -246,14 +246,14 @@ impl Bridge {
             None if watching || self.relay.holds_scans() => LOOK_WATCHING,
             None => LOOK_IDLE,
         };
-        match self.heard.recv_timeout(look) {
+        match self.inputs.recv_timeout(look) {
             Ok(first) => {
-                let more: Vec<_> = self.heard.try_iter().take(BATCH).collect();
-                std::iter::once(first).chain(more).for_each(|heard| self.hear(heard));
+                let more: Vec<_> = self.inputs.try_iter().take(BATCH).collect();
+                std::iter::once(first).chain(more).for_each(|input| self.handle(input));
             }
             Err(std::sync::mpsc::RecvTimeoutError::Timeout) => {}
             Err(std::sync::mpsc::RecvTimeoutError::Disconnected) => {
-                return Err(std::io::Error::other("nobody hears the graph any more").into());
+                return Err(std::io::Error::other("nobody reads the graph any more").into());
             }
         }
         self.relay.tick();
@@ -269,9 +269,9 @@ impl Bridge {
         self.kept.state == NodeState::Active
     }
 
-    fn hear(&mut self, heard: Heard) {
-        match heard {
-            Heard::Scan(topic, scan, at) => {
+    fn handle(&mut self, input: GraphInput) {
+        match input {
+            GraphInput::Scan(topic, scan, at) => {
                 let stamp_ns = scan.header.stamp.ns();
                 if !self.is_active() || self.clock.is_of_before(stamp_ns) {
                     return;
@@ -282,41 +282,41 @@ impl Bridge {
                 }
                 self.relay.take_scan(&topic, *scan, at, self.clock.now_ns());
             }
-            Heard::Transforms(message, is_static) => {
+            GraphInput::Transforms(message, is_static) => {
                 let stamp_ns = message.transforms.first().map(|transform| transform.header.stamp.ns());
                 if !is_static && stamp_ns.is_some_and(|stamp_ns| self.clock.is_of_before(stamp_ns)) {
                     return;
                 }
                 if self.relay.take_transforms(message, is_static).is_some() {
-                    self.hear_foreign();
+                    self.note_foreign_correction();
                 }
             }
-            Heard::Odometry(message) => {
+            GraphInput::Odometry(message) => {
                 if self.is_active() {
                     self.relay.take_odometry(*message);
                 }
             }
-            Heard::Imu(message) => {
+            GraphInput::Imu(message) => {
                 if self.is_active() {
                     self.relay.take_imu(*message);
                 }
             }
-            Heard::Clock(now_ns) => {
-                if let Some(back_ns) = self.clock.hear(now_ns) {
+            GraphInput::Clock(now_ns) => {
+                if let Some(back_ns) = self.clock.advance(now_ns) {
                     let back_s = back_ns as f64 * 1e-9;
                     self.begin_time_anew(&format!("the time of /clock has gone back by {back_s:.1} s"));
                 }
             }
-            Heard::InitialPose(hint) => {
+            GraphInput::InitialPose(hint) => {
                 if let Err(error) = self.localisation.take_hint(&hint) {
                     tracing::warn!(%error, "a hint of where the robot is does not reach the set");
                 }
             }
-            Heard::ChangeState(call) => self.change_state(call),
-            Heard::GetState(call) => {
+            GraphInput::ChangeState(call) => self.change_state(call),
+            GraphInput::GetState(call) => {
                 call.answer.send(GetStateResponse { current_state: self.kept.state.message() });
             }
-            Heard::GetTransitions(call) => {
+            GraphInput::GetTransitions(call) => {
                 let available_transitions = self.kept.state.available();
                 call.answer.send(GetAvailableTransitionsResponse { available_transitions });
             }
@@ -372,7 +372,7 @@ impl Bridge {
             self.publishers.quality.send(quality(&estimate, &self.robot));
         }
         while let Some(tracks) = self.tracks.receive()? {
-            if self.tracks_heard && self.is_active() {
+            if self.tracks_subscribed && self.is_active() {
                 let (stamp_ns, map) = (tracks.header().times.sensor_ns, &self.parameters.map_frame);
                 let markers = track_markers(stamp_ns, map, self.map_from_odom, tracks.elements());
                 self.publishers.tracks.send(markers);
@@ -381,13 +381,13 @@ impl Bridge {
         Ok(())
     }
 
-    /// Looks at who hears what is made only for those who want it.
+    /// Looks at who subscribes to what is made on demand only.
     fn look_around(&mut self) {
-        self.tracks_heard = self.node.is_heard(self.publishers.tracks.topic());
-        let [changes, graph] = [0, 1].map(|index| self.node.is_heard(&self.heard_names[index]));
-        let heard = HeardTopics { changes, graph };
-        if std::mem::replace(&mut self.heard_topics, heard) != heard {
-            let _ = self.map.send(MapOrder::Heard(heard));
+        self.tracks_subscribed = self.node.has_subscribers(self.publishers.tracks.topic());
+        let [changes, graph] = [0, 1].map(|index| self.node.has_subscribers(&self.on_demand_topics[index]));
+        let subscribed = SubscribedTopics { changes, graph };
+        if std::mem::replace(&mut self.subscribed_topics, subscribed) != subscribed {
+            let _ = self.map.send(MapOrder::Subscribed(subscribed));
         }
     }
 

@@ -41,7 +41,7 @@ pub struct BridgeParameters {
     pub unknown: Vec<String>,
 }
 
-/// Parameters that may change while the node runs, shared with the thread that hears of changes.
+/// Parameters that may change while the node runs, shared with the thread that receives changes.
 #[derive(Clone, Debug)]
 pub struct LiveParameters {
     /// The map is published at most so often, seconds.

@@ -222,7 +222,7 @@ pub fn offer(node: &mut Node, orders: SetOrders, source: MapSource) -> Result<()
             services.offer_whole_map("map_server/map")?;
             services.offer_whole_map("slam_toolbox/dynamic_map")
         }
-        MapSource::Graph => services.hear_map(),
+        MapSource::Graph => services.subscribe_to_map(),
     }
 }
 
@@ -341,8 +341,8 @@ impl Services<'_> {
         })
     }
 
-    /// Hears the map that another node publishes.
-    fn hear_map(&mut self) -> Result<(), BridgeError> {
+    /// Subscribes to the map that another node publishes.
+    fn subscribe_to_map(&mut self) -> Result<(), BridgeError> {
         let tasks = self.tasks.clone();
         let latched = QualityOfService::Latched { depth: 1 };
         self.node.subscribe("map", latched, move |grid: OccupancyGrid| {

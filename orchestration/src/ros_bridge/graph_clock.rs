@@ -13,7 +13,7 @@ const ON_ITS_WAY: Duration = Duration::from_secs(1);
 pub struct GraphClock {
     is_simulated: bool,
     /// What `/clock` said last, nanoseconds.
-    heard_ns: Option<i64>,
+    received_ns: Option<i64>,
     /// The time from which it went back last, nanoseconds, and when that was.
     before: Option<(i64, Instant)>,
 }
@@ -30,12 +30,12 @@ impl GraphClock {
     }
 
     /// Takes what `/clock` says; by how much time has gone back, nanoseconds, when it has.
-    pub fn hear(&mut self, now_ns: i64) -> Option<i64> {
-        let back_ns = self.heard_ns.map_or(0, |before_ns| before_ns.saturating_sub(now_ns));
+    pub fn advance(&mut self, now_ns: i64) -> Option<i64> {
+        let back_ns = self.received_ns.map_or(0, |before_ns| before_ns.saturating_sub(now_ns));
         if (1..DISORDER_NS).contains(&back_ns) {
             return None;
         }
-        let before_ns = self.heard_ns.replace(now_ns).filter(|_| self.is_simulated && back_ns > 0)?;
+        let before_ns = self.received_ns.replace(now_ns).filter(|_| self.is_simulated && back_ns > 0)?;
         self.before = Some((before_ns, Instant::now()));
         Some(back_ns)
     }
@@ -55,7 +55,7 @@ impl GraphClock {
 
     /// The time, nanoseconds; `None` before a simulation has said it.
     pub fn now_ns(&self) -> Option<i64> {
-        if self.is_simulated { self.heard_ns } else { Some(utc_ns()) }
+        if self.is_simulated { self.received_ns } else { Some(utc_ns()) }
     }
 }
 
@@ -69,15 +69,15 @@ mod tests {
     fn a_simulation_says_the_time_and_may_begin_again() {
         let mut clock = GraphClock::new(true);
         assert_eq!(clock.now_ns(), None);
-        let heard = [50, 70, 30].map(|now_s| clock.hear(now_s * SECOND));
-        assert_eq!(heard, [None, None, Some(40 * SECOND)]);
+        let steps_back = [50, 70, 30].map(|now_s| clock.advance(now_s * SECOND));
+        assert_eq!(steps_back, [None, None, Some(40 * SECOND)]);
         assert_eq!(clock.now_ns(), Some(30 * SECOND));
         assert!(clock.is_of_before(69 * SECOND) && !clock.is_of_before(31 * SECOND));
         // Two messages that come in the other order.
-        assert_eq!(clock.hear(30 * SECOND - 1), None);
+        assert_eq!(clock.advance(30 * SECOND - 1), None);
         assert_eq!(clock.now_ns(), Some(30 * SECOND));
         let mut machine = GraphClock::new(false);
-        assert_eq!([50, 30].map(|now_s| machine.hear(now_s * SECOND)), [None; 2]);
+        assert_eq!([50, 30].map(|now_s| machine.advance(now_s * SECOND)), [None; 2]);
         assert!(machine.now_ns().unwrap() > 1_000_000_000_000_000_000 && !machine.is_of_before(0));
     }
 }

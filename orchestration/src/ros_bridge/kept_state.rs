@@ -22,7 +22,7 @@ pub struct KeptState {
 
 impl KeptState {
     /// The state that a successor in the set with this status directory takes up: the one that its predecessor had less than a bond's
-    /// patience ago, else `fresh`.
+    /// timeout ago, else `fresh`.
     pub fn open(status_dir: &Path, fresh: NodeState) -> Self {
         let file = status_dir.join("ros-node");
         let now_ns = monotonic_ns();

@@ -1,4 +1,4 @@
-//! What a localising set says to the graph and hears of it, by the names of AMCL: hints in; the pose and the hypotheses out.
+//! What a localising set publishes to the graph and receives from it, by the names of AMCL: hints in; the pose and the hypotheses out.
 
 use super::BridgeError;
 use flockslam_bus::{Bus, Publisher as BusPublisher, RuntimeDir};
@@ -13,7 +13,7 @@ use flockslam_ros::{Node, Publisher, QualityOfService};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-/// What is believed is looked at so often.
+/// The belief is looked at so often.
 const LOOK: Duration = Duration::from_millis(200);
 /// A hint without a covariance means this: metres and radians, as RViz sends it.
 pub const USUAL_SIGMA: (f64, f64) = (0.5, std::f64::consts::PI / 12.0);
@@ -98,7 +98,7 @@ impl LocalisationRelay {
         });
     }
 
-    /// Looks at what is believed, and sends it when it is new.
+    /// Looks at the belief, and sends it when it is new.
     pub fn tick(&mut self, map_frame: &str) {
         if self.look_due > Instant::now() || !self.mode.localizes() {
             return;

@@ -193,7 +193,7 @@ impl MapCorrection {
         DRIFT_SHARE * (before.distance_m(now) + LEVER_M * before.turn_rad(now).abs())
     }
 
-    /// Forgets everything: time has gone back, or another map begins.
+    /// Clears everything: time has gone back, or another map begins.
     pub fn clear(&mut self) {
         self.waiting.clear();
         (self.last, self.last_stamp_ns) = (None, i64::MIN);

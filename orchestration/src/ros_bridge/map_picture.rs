@@ -92,7 +92,7 @@ impl MapPainter {
         live.known = known_box(|offset| live.states[offset] != CellState::Unknown);
     }
 
-    /// Forgets everything: another map begins.
+    /// Clears everything: another map begins.
     pub fn clear(&mut self) {
         (self.bounds, self.live) = (None, BTreeMap::new());
     }

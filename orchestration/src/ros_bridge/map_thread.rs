@@ -26,22 +26,22 @@ const SETTLE: Duration = Duration::from_secs(10);
 /// The first map follows what is known at once, within this.
 const FIRST: Duration = Duration::from_millis(500);
 
-/// Changes of the map are published this often, while somebody hears them.
+/// Changes of the map are published this often, while they have subscribers.
 const CHANGE_PERIOD: Duration = Duration::from_secs(1);
 
 /// Orders to the thread.
 pub enum MapOrder {
     /// Publish, or rest.
     Active(bool),
-    /// Who hears what is made only for those who want it.
-    Heard(HeardTopics),
+    /// Who subscribes to what is made on demand only.
+    Subscribed(SubscribedTopics),
     /// Bring the map up to date, publish it if it has changed, and hand it over with its stamp.
     Show(ShowMap),
 }
 
-/// Topics of the thread that somebody hears.
+/// Topics of the thread that have subscribers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct HeardTopics {
+pub struct SubscribedTopics {
     /// Changes of the map.
     pub changes: bool,
     /// The graph.
@@ -104,8 +104,8 @@ impl MapPublishers {
         Ok(Self { own, graph: node.publisher("slam_toolbox/graph_visualization", reliable)? })
     }
 
-    /// Topics that are made only for who hears them: changes of the map, the graph. One that is not published has no name.
-    pub fn heard_names(&self) -> [String; 2] {
+    /// Topics that are made only while they have subscribers: changes of the map, the graph. One that is not published has no name.
+    pub fn on_demand_topics(&self) -> [String; 2] {
         let changes = self.own.as_ref().map_or("", |own| own.changes.topic());
         [changes, self.graph.topic()].map(str::to_owned)
     }
@@ -127,7 +127,7 @@ pub fn start(place: MapPlace, publishers: MapPublishers) -> Result<Sender<MapOrd
     Ok(sender)
 }
 
-struct MapKeeper<'p> {
+struct MapThread<'p> {
     place: &'p MapPlace,
     publishers: &'p MapPublishers,
     tiles: Subscriber<TileMessage>,
@@ -141,7 +141,7 @@ struct MapKeeper<'p> {
     map_from_odom: Pose,
     stamp_ns: i64,
     is_active: bool,
-    heard: HeardTopics,
+    subscribed: SubscribedTopics,
     graph: GraphMarkers,
     graph_sent: Instant,
     /// Whether it localizes now.
@@ -153,7 +153,7 @@ struct MapKeeper<'p> {
     painted: Option<MapPicture>,
     published: Option<MapPicture>,
     published_at: Option<Instant>,
-    /// What those see who have heard all changes; `None` when it is what was published.
+    /// What those see who have received all changes; `None` when it is what was published.
     changed: Option<MapPicture>,
     /// When changes are looked for again.
     change_due: Instant,
@@ -166,38 +166,38 @@ fn keep(
     publishers: &MapPublishers,
     orders: &Receiver<MapOrder>,
 ) -> Result<(), BridgeError> {
-    let mut keeper = MapKeeper::join(place, publishers)?;
+    let mut thread = MapThread::join(place, publishers)?;
     loop {
         match orders.recv_timeout(LOOK) {
-            Ok(MapOrder::Active(is_active)) => keeper.set_active(is_active),
-            Ok(MapOrder::Heard(heard)) => keeper.heard = heard,
+            Ok(MapOrder::Active(is_active)) => thread.set_active(is_active),
+            Ok(MapOrder::Subscribed(subscribed)) => thread.subscribed = subscribed,
             Ok(MapOrder::Show(show)) => {
-                keeper.read()?;
-                keeper.bring_up(SETTLE);
-                keeper.paint();
-                keeper.publish();
-                show(keeper.painted.as_ref().map(|map| (map, keeper.stamp_ns)));
+                thread.read()?;
+                thread.bring_up(SETTLE);
+                thread.paint();
+                thread.publish();
+                show(thread.painted.as_ref().map(|map| (map, thread.stamp_ns)));
             }
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => return Ok(()),
         }
-        keeper.read()?;
-        keeper.bring_up(STEPS);
-        if keeper.is_due() {
-            keeper.paint();
-            keeper.publish();
+        thread.read()?;
+        thread.bring_up(STEPS);
+        if thread.is_due() {
+            thread.paint();
+            thread.publish();
         } else {
-            keeper.publish_change();
+            thread.publish_change();
         }
-        keeper.publish_graph();
+        thread.publish_graph();
     }
 }
 
-impl<'p> MapKeeper<'p> {
+impl<'p> MapThread<'p> {
     fn join(place: &'p MapPlace, publishers: &'p MapPublishers) -> Result<Self, BridgeError> {
         let runtime = RuntimeDir::open(&place.set_dir).map_err(std::io::Error::other)?;
         let bus = Bus::join(&runtime, "ros-map", place.capacity)?;
-        let mut keeper = Self {
+        let mut thread = Self {
             place,
             publishers,
             tiles: bus.subscriber()?,
@@ -209,7 +209,7 @@ impl<'p> MapKeeper<'p> {
             map_from_odom: Pose::IDENTITY,
             stamp_ns: 0,
             is_active: false,
-            heard: HeardTopics::default(),
+            subscribed: SubscribedTopics::default(),
             graph: GraphMarkers::default(),
             graph_sent: Instant::now(),
             localizes: SetMode::read(&runtime.results()).map_or(place.localizes, |mode| mode.localizes),
@@ -223,8 +223,8 @@ impl<'p> MapKeeper<'p> {
             runtime,
             bus,
         };
-        keeper.ask_for_tiles()?;
-        Ok(keeper)
+        thread.ask_for_tiles()?;
+        Ok(thread)
     }
 
     /// The mapper sends all its tiles once more; otherwise only those came that change.
@@ -316,9 +316,9 @@ impl<'p> MapKeeper<'p> {
         self.published = Some(painted.clone());
     }
 
-    /// Publishes what has changed since the map was published, for who hears that.
+    /// Publishes what has changed since the map was published, while somebody subscribes to it.
     fn publish_change(&mut self) {
-        let Some(own) = self.publishers.own.as_ref().filter(|_| self.heard.changes) else { return };
+        let Some(own) = self.publishers.own.as_ref().filter(|_| self.subscribed.changes) else { return };
         if !(self.is_active && self.is_stale && self.change_due <= Instant::now()) {
             return;
         }
@@ -337,7 +337,7 @@ impl<'p> MapKeeper<'p> {
 
     fn publish_graph(&mut self) {
         let interval = Duration::from_secs_f64(self.place.interval_s.get());
-        if self.is_active && self.heard.graph && self.graph_sent.elapsed() >= interval {
+        if self.is_active && self.subscribed.graph && self.graph_sent.elapsed() >= interval {
             self.graph_sent = Instant::now();
             let origins = self.followed.origins();
             let stamp_ns = self.stamp_ns;

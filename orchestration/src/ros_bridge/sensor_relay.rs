@@ -1,4 +1,4 @@
-//! Hands what sensors say in the graph to lidar-ingest: scans with where their lidar sits, odometry by `/tf`, rates of turning.
+//! Hands what sensors publish in the graph to lidar-ingest: scans with where their lidar sits, odometry by `/tf`, rates of turning.
 
 use super::sensor_messages::{imu_of, odometry_of, scan_of, transforms_of};
 use flockslam_ros::messages::{Imu, LaserScan, Odometry, TFMessage};
@@ -14,11 +14,11 @@ use std::time::{Duration, Instant};
 const PLACE_WAIT: Duration = Duration::from_secs(2);
 /// Scans that wait.
 const WAITING_MAX: usize = 64;
-/// Frames without a place, and lines that were said, are remembered up to this number: names may come without end.
+/// Frames without a place, and lines that were logged, are kept up to this number: names may come without end.
 const NAMES_MAX: usize = 256;
 /// A frame that lidar-ingest does not take within this is lost.
-const PATIENCE: Duration = Duration::from_millis(50);
-/// A scan whose stamp is farther from the clock of the graph is said to be, nanoseconds.
+const WRITE_TIMEOUT: Duration = Duration::from_millis(50);
+/// A scan whose stamp is farther from the clock of the graph is reported, nanoseconds.
 const APART_NS: i64 = 10_000_000_000;
 /// The clock of a simulation follows scans that show that time has gone back within this.
 const CLOCK_WAIT: Duration = Duration::from_secs(1);
@@ -43,7 +43,7 @@ pub struct SensorRelay {
     on_the_way: VecDeque<(i64, Instant)>,
     /// Frames for whose place was waited in vain.
     placeless: BTreeSet<String>,
-    said: BTreeSet<String>,
+    logged: BTreeSet<String>,
     /// The time of the scans of each topic.
     times: BTreeMap<String, TimeWatch>,
     /// When that of one went back.
@@ -55,7 +55,7 @@ pub struct SensorRelay {
 struct Waiting {
     topic: String,
     scan: FramedScan,
-    heard: Instant,
+    received: Instant,
 }
 
 /// What became of scans.
@@ -87,7 +87,7 @@ impl SensorRelay {
         has_odometry_topic: bool,
     ) -> Self {
         Self {
-            producer: Producer::new(path, Some(PATIENCE)),
+            producer: Producer::new(path, Some(WRITE_TIMEOUT)),
             map_frame: frame_name(map_frame).to_owned(),
             odom_frame: frame_name(odom_frame).to_owned(),
             base_frame: frame_name(base_frame).to_owned(),
@@ -98,7 +98,7 @@ impl SensorRelay {
             places: BTreeMap::new(),
             on_the_way: VecDeque::new(),
             placeless: BTreeSet::new(),
-            said: BTreeSet::new(),
+            logged: BTreeSet::new(),
             times: BTreeMap::new(),
             went_back: None,
             counts: RelayCounts::default(),
@@ -121,17 +121,17 @@ impl SensorRelay {
     }
 
     /// Takes a scan; `now_ns` by the clock of the graph.
-    pub fn take_scan(&mut self, topic: &str, message: LaserScan, heard: Instant, now_ns: Option<i64>) {
+    pub fn take_scan(&mut self, topic: &str, message: LaserScan, received: Instant, now_ns: Option<i64>) {
         let claimed_s = message.time_increment;
         let scan = match scan_of(message) {
             Ok(scan) => scan,
             Err(problem) => {
                 self.counts.malformed += 1;
-                return self.say(format!("{topic}: a scan is left out: {problem}"));
+                return self.warn_once(format!("{topic}: a scan is left out: {problem}"));
             }
         };
         if claimed_s != 0.0 && scan.scan.header.time_increment_s == 0.0 {
-            self.say(format!(
+            self.warn_once(format!(
                 "{topic}: a time_increment of {claimed_s} s cannot be: scans count as taken at one time"
             ));
         }
@@ -144,17 +144,17 @@ impl SensorRelay {
             self.counts.apart += 1;
             let which = if gap_ns < 0 { "behind" } else { "ahead of" };
             let gap_s = gap_ns.unsigned_abs() as f64 * 1e-9;
-            self.say(format!("{topic}: its stamps are {gap_s:.1} s {which} the clock of the graph; for a recording or a simulation set use_sim_time"));
+            self.warn_once(format!("{topic}: its stamps are {gap_s:.1} s {which} the clock of the graph; for a recording or a simulation set use_sim_time"));
         }
         if self.waiting.len() == WAITING_MAX {
             self.waiting.pop_front();
             self.counts.unplaced += 1;
         }
-        self.waiting.push_back(Waiting { topic: topic.to_owned(), scan, heard });
+        self.waiting.push_back(Waiting { topic: topic.to_owned(), scan, received });
         self.relay_scans();
     }
 
-    /// Takes transforms. Whoever else corrects odometry is named, and not believed.
+    /// Takes transforms. Whoever else corrects odometry is named, and not used.
     pub fn take_transforms(&mut self, message: TFMessage, is_static: bool) -> Option<ForeignCorrection> {
         let mut foreign = None;
         for transform in transforms_of(message) {
@@ -191,14 +191,14 @@ impl SensorRelay {
     /// Hands on what has waited for its time.
     pub fn tick(&mut self) {
         self.relay_scans();
-        while self.on_the_way.front().is_some_and(|(_, heard)| heard.elapsed() > POSE_WAIT) {
+        while self.on_the_way.front().is_some_and(|(_, received)| received.elapsed() > POSE_WAIT) {
             self.on_the_way.pop_front();
         }
     }
 
     /// How long ago the scan came whose pose is awaited; `None` when none is.
     pub fn awaited_for(&self) -> Option<Duration> {
-        self.on_the_way.back().map(|(_, heard)| heard.elapsed())
+        self.on_the_way.back().map(|(_, received)| received.elapsed())
     }
 
     /// Whether a scan waits for its place.
@@ -209,12 +209,12 @@ impl SensorRelay {
     /// When the scan with this stamp came; it is not awaited any more.
     pub fn came(&mut self, stamp_ns: i64) -> Option<Instant> {
         let at = self.on_the_way.iter().position(|(known_ns, _)| *known_ns == stamp_ns)?;
-        self.on_the_way.drain(..=at).next_back().map(|(_, heard)| heard)
+        self.on_the_way.drain(..=at).next_back().map(|(_, received)| received)
     }
 
-    /// Forgets transforms that do not hold at all times, and what waits: time has gone back.
+    /// Drops transforms that do not hold at all times, and what waits: time has gone back.
     pub fn clear(&mut self) {
-        self.transforms.forget_moving();
+        self.transforms.clear_moving();
         self.waiting.clear();
         self.on_the_way.clear();
         self.times.clear();
@@ -222,7 +222,7 @@ impl SensorRelay {
     }
 
     /// One line about a pose for which odometry is not known at its time.
-    pub fn say_without_odometry(&mut self, stamp_ns: i64) {
+    pub fn warn_without_odometry(&mut self, stamp_ns: i64) {
         let (odom, base) = (&self.odom_frame, &self.base_frame);
         let line = match self.transforms.known_until_ns(odom, base) {
             None if !self.transforms.links(odom, base) => format!(
@@ -239,7 +239,7 @@ impl SensorRelay {
                 )
             }
         };
-        self.say(line);
+        self.warn_once(line);
     }
 
     fn relay_odometry(&mut self) {
@@ -259,7 +259,7 @@ impl SensorRelay {
         let mut index = 0;
         while let Some(next) = self.waiting.get(index) {
             let stamp_ns = next.scan.scan.header.times.sensor_ns;
-            let waits = next.heard.elapsed() < PLACE_WAIT && !self.placeless.contains(&next.scan.frame);
+            let waits = next.received.elapsed() < PLACE_WAIT && !self.placeless.contains(&next.scan.frame);
             let place = match self.place(&next.scan.frame, stamp_ns) {
                 Ok(place) => place,
                 Err(_) if waits => {
@@ -277,16 +277,16 @@ impl SensorRelay {
                         self.placeless.clear();
                     }
                     self.placeless.insert(frame.clone());
-                    self.say_unplaced(&topic, &frame, error);
+                    self.warn_unplaced(&topic, &frame, error);
                     continue;
                 }
             };
-            let Some(Waiting { topic, mut scan, heard }) = self.waiting.remove(index) else { return };
+            let Some(Waiting { topic, mut scan, received }) = self.waiting.remove(index) else { return };
             match Mounting::from_transform(&place) {
                 Ok(mounting) => scan.mounting = Some(mounting),
                 Err(tilted) => {
                     self.counts.unplaced += 1;
-                    self.say(format!("{topic}: scans are left out: in '{}' {tilted}, and they do not lie in the plane that the robot drives in", scan.frame));
+                    self.warn_once(format!("{topic}: scans are left out: in '{}' {tilted}, and they do not lie in the plane that the robot drives in", scan.frame));
                     continue;
                 }
             }
@@ -296,11 +296,11 @@ impl SensorRelay {
             match sent {
                 Ok(()) => {
                     self.counts.relayed += 1;
-                    self.on_the_way.push_back((stamp_ns, heard));
+                    self.on_the_way.push_back((stamp_ns, received));
                 }
                 Err(error) => {
                     self.counts.untaken += 1;
-                    self.say(format!(
+                    self.warn_once(format!(
                         "{topic}: scans are not taken: {error}; the set needs [source] kind = \"scans\""
                     ));
                 }
@@ -323,10 +323,10 @@ impl SensorRelay {
         })
     }
 
-    fn say_unplaced(&mut self, topic: &str, frame: &str, error: LookupError) {
+    fn warn_unplaced(&mut self, topic: &str, frame: &str, error: LookupError) {
         let base = self.base_frame.clone();
         let known = |name: &str| if self.transforms.knows(name) { "known" } else { "not known" };
-        self.say(format!(
+        self.warn_once(format!(
             "{topic}: scans are left out: nothing in /tf and /tf_static leads from '{base}' ({}) to '{frame}' ({}): {error}; base_frame \
              says what the robot's frame is called",
             known(&base),
@@ -339,11 +339,11 @@ impl SensorRelay {
         let _ = self.producer.send(frame);
     }
 
-    /// Each line is said once.
-    fn say(&mut self, line: String) {
+    /// Each line is logged once.
+    fn warn_once(&mut self, line: String) {
         // Figures differ from line to line.
         let kind: String = line.chars().filter(|c| !c.is_ascii_digit()).collect();
-        if self.said.len() < NAMES_MAX && self.said.insert(kind) {
+        if self.logged.len() < NAMES_MAX && self.logged.insert(kind) {
             tracing::warn!("{line}");
         }
     }
@@ -420,7 +420,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scan_of_a_stranger_holds_nobody_up() {
+    fn a_scan_in_an_unknown_frame_holds_nobody_up() {
         let (mut relay, mut ingest, _directory) = relay();
         relay.take_transforms(transform(0, "base", "laser", 0.3), true);
         let of_nobody = LaserScan { header: Header::new(90 * MS, "nobody"), ..scan(90) };
@@ -453,7 +453,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_else_corrects_odometry_is_noticed_and_not_believed() {
+    fn whoever_else_corrects_odometry_is_noticed_and_not_used() {
         let (mut relay, _ingest, _directory) = relay();
         let noticed = relay.take_transforms(transform(10, "/map", "odom", 1.0), false);
         assert_eq!(noticed, Some(ForeignCorrection));
@@ -471,6 +471,6 @@ mod tests {
         relay.take_scan("/scan", of_a_ydlidar, long_ago, Some(3_600_000 * MS));
         let expected = RelayCounts { unplaced: 2, malformed: 1, apart: 1, ..RelayCounts::default() };
         assert_eq!(relay.counts, expected);
-        assert_eq!(relay.said.len(), 4);
+        assert_eq!(relay.logged.len(), 4);
     }
 }

@@ -8,7 +8,7 @@ use flockslam_ros::messages::{Color, Header, Marker, MarkerArray, Pose as RosPos
 const BODY_M: Vector3 = Vector3 { x: 0.5, y: 0.5, z: 1.7 };
 /// Shaft and head of an arrow, metres.
 const ARROW_M: Vector3 = Vector3 { x: 0.06, y: 0.16, z: 0.16 };
-/// A body that is not heard of for so long is taken away: one second.
+/// A body of which nothing comes for so long is taken away: one second.
 const LIFETIME: (i32, u32) = (1, 0);
 const YELLOW: Color = Color { r: 1.0, g: 0.82, b: 0.25, a: 0.7 };
 

@@ -17,8 +17,8 @@ use std::time::{Duration, Instant};
 
 /// A process that lived for so long has worked, whether there was a scan for it or not.
 const PROVEN: Duration = Duration::from_secs(10);
-/// A stand-in that died is started again after this.
-const STAND_IN_PAUSE: Duration = Duration::from_millis(500);
+/// A fallback that died is started again after this.
+const FALLBACK_PAUSE: Duration = Duration::from_millis(500);
 
 /// What a child is started with.
 pub struct StartOrder<'a> {
@@ -58,8 +58,8 @@ pub struct StageChild {
 #[derive(Clone, Copy, Debug)]
 struct GivenUp {
     retry_at: Instant,
-    /// What runs now, or will, is the stage's stand-in.
-    stands_in: bool,
+    /// What runs now, or will, is the stage's fallback.
+    is_fallback: bool,
 }
 
 impl StageChild {
@@ -82,14 +82,14 @@ impl StageChild {
         }
     }
 
-    /// Starts a process of the executable as the stage, or as its stand-in.
+    /// Starts a process of the executable as the stage, or as its fallback.
     pub fn start(&mut self, order: &StartOrder<'_>) -> std::io::Result<()> {
         let mut command = Command::new(order.executable);
         command.args(["stage", self.stage.name(), "--set-dir"]).arg(order.set_dir);
         command.args(["--replica", &self.replica.to_string()]);
         command.arg("--parent").arg(std::process::id().to_string());
-        if self.given_up.is_some_and(|given_up| given_up.stands_in) {
-            command.arg("--stand-in");
+        if self.given_up.is_some_and(|given_up| given_up.is_fallback) {
+            command.arg("--fallback");
         }
         let reads_stdin = self.stage == Stage::LidarIngest;
         command.stdin(if reads_stdin { Stdio::inherit() } else { Stdio::null() }).stdout(Stdio::null());
@@ -136,9 +136,9 @@ impl StageChild {
     /// Plans the start that follows the death of the process; false when the stage is given up.
     pub fn plan_restart(&mut self, status_dir: &Path) -> bool {
         if let Some(given_up) = &self.given_up {
-            let pause = if given_up.stands_in { STAND_IN_PAUSE } else { Duration::ZERO };
+            let pause = if given_up.is_fallback { FALLBACK_PAUSE } else { Duration::ZERO };
             self.due = Some(Instant::now() + pause);
-            return given_up.stands_in;
+            return given_up.is_fallback;
         }
         let worked = self.beat(status_dir).is_some_and(|beat| beat.works);
         self.has_worked |= worked;
@@ -153,10 +153,10 @@ impl StageChild {
     /// something.
     pub fn give_up(&mut self, retry: Duration) {
         let retry_at = Instant::now() + retry;
-        let stands_in = self.stage == Stage::ScanMatcher;
-        self.given_up = Some(GivenUp { retry_at, stands_in });
+        let is_fallback = self.stage == Stage::ScanMatcher;
+        self.given_up = Some(GivenUp { retry_at, is_fallback });
         self.times_given_up += 1;
-        self.due = Some(if stands_in { Instant::now() } else { retry_at });
+        self.due = Some(if is_fallback { Instant::now() } else { retry_at });
     }
 
     /// Whether there is hope for a stage that does not get up: it has worked before, and was not given up too often since.
@@ -169,11 +169,11 @@ impl StageChild {
         self.policy.failed_starts()
     }
 
-    /// Ends the time of a stand-in that is over.
+    /// Ends the time of a fallback that is over.
     pub fn retry_when_due(&mut self) {
         let Some(given_up) = &mut self.given_up else { return };
-        if given_up.stands_in && given_up.retry_at <= Instant::now() {
-            given_up.stands_in = false;
+        if given_up.is_fallback && given_up.retry_at <= Instant::now() {
+            given_up.is_fallback = false;
             self.due = Some(Instant::now());
             self.signal(Signal::KILL);
         }
@@ -181,7 +181,7 @@ impl StageChild {
 
     /// Takes note that the present process works; true when the stage had been given up.
     pub fn note_work(&mut self, status_dir: &Path) -> bool {
-        if self.given_up.is_some_and(|given_up| given_up.stands_in) || !self.is_running() {
+        if self.given_up.is_some_and(|given_up| given_up.is_fallback) || !self.is_running() {
             return false;
         }
         let works = self.beat(status_dir).is_some_and(|beat| beat.works);

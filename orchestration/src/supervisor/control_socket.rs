@@ -12,7 +12,7 @@ use std::time::Duration;
 
 /// Longest request or reply, bytes.
 const LINE_MAX: u64 = 1 << 20;
-/// Whoever does not finish its request within this is not heard.
+/// Whoever does not finish its request within this is not served.
 const REQUEST_LIMIT: Duration = Duration::from_secs(1);
 /// What takes longer than this has failed.
 const REPLY_LIMIT: Duration = Duration::from_secs(30);
@@ -37,7 +37,7 @@ pub enum Request {
     Save(PathBuf),
     /// Go on with the map in a directory instead of the present one.
     Load(PathBuf),
-    /// Forget the map and begin a new one.
+    /// Drop the map and begin a new one.
     Reset,
     /// Look for the robot in the known map anew: everywhere, or near x, y, heading with two standard deviations, in metres and radians.
     Relocalize(Option<[f64; 5]>),

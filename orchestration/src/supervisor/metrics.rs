@@ -16,7 +16,7 @@ use std::time::Duration;
 
 /// A stage that does not answer within this is left out of the page.
 const ANSWER_LIMIT: Duration = Duration::from_millis(100);
-/// While somebody may ask, stages are looked at so often: what a process counted is remembered when it dies.
+/// While somebody may ask, stages are looked at so often: what a process counted is kept when it dies.
 const LOOK: Duration = Duration::from_secs(1);
 /// What the sockets of metrics end in, and whose is not a stage's.
 const ENDING: &str = ".metrics";
@@ -88,7 +88,7 @@ impl Gatherer {
                 match scrape(&metrics_socket(&status_dir, &name), ANSWER_LIMIT) {
                     Ok(page) => {
                         up = true;
-                        pages.push(memory.remember(&name, &page));
+                        pages.push(memory.accumulate(&name, &page));
                     }
                     Err(_) => pages.extend(memory.recall(&name)),
                 }

@@ -200,18 +200,18 @@ impl ProcessSet {
     pub fn watch(&mut self, limit: Duration) -> Result<SetEvent, SetError> {
         self.wait_for_deaths(limit);
         self.look_after()?;
-        match self.hear() {
+        match self.receive() {
             // A publisher that was killed while it was made may be seen half; it is cleaned up, and the set lives on.
             Err(error) if self.goes_on() => {
                 tracing::warn!(%error, "a message of a stage was not received");
                 Ok(SetEvent::Quiet)
             }
-            heard => Ok(heard?),
+            received => Ok(received?),
         }
     }
 
     /// Takes in what the stages have said.
-    fn hear(&mut self) -> Result<SetEvent, BusError> {
+    fn receive(&mut self) -> Result<SetEvent, BusError> {
         let mut event = SetEvent::Quiet;
         while let Some(progress) = self.progress.receive()? {
             if progress.stage == Stage::ScanMatcher as u32 {
@@ -281,7 +281,7 @@ impl ProcessSet {
         of_stage.map(StageChild::replace).count() > 0
     }
 
-    /// Stops all stages, forgets what they know, lets `prepare` put something else into the directory (it gives the sequence of the
+    /// Stops all stages, drops what they know, lets `prepare` put something else into the directory (it gives the sequence of the
     /// first scan that follows), and starts them again.
     ///
     /// # Errors
@@ -291,7 +291,7 @@ impl ProcessSet {
         prepare: impl FnOnce(&RuntimeDir) -> Result<u64, E>,
     ) -> Result<(), E> {
         self.stop();
-        self.runtime.forget_state().map_err(SetError::from)?;
+        self.runtime.remove_state().map_err(SetError::from)?;
         let prepared = prepare(&self.runtime);
         // Should it have failed, the stages begin with nothing.
         self.set.options.first_sequence = *prepared.as_ref().unwrap_or(&0);
@@ -385,7 +385,7 @@ impl ProcessSet {
     /// When the bus fails.
     pub fn end_stream(&self) -> Result<(), SetError> {
         self.orders.send(&Control { kind: ControlKind::EndWanted as u32, run: 0, value: 0 })?;
-        self.source_notifier.ring();
+        self.source_notifier.notify();
         Ok(())
     }
 

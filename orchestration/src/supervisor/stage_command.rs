@@ -11,14 +11,14 @@ use std::path::Path;
 ///
 /// # Errors
 /// What the stage could not go on from.
-pub fn run_stage(stage: Stage, replica: u32, set_dir: &Path, stands_in: bool) -> Result<(), StageError> {
+pub fn run_stage(stage: Stage, replica: u32, set_dir: &Path, is_fallback: bool) -> Result<(), StageError> {
     let stop = StopFlag::on_signals()?;
     let runtime = RuntimeDir::open(set_dir)?;
     let set = SetFile::read(&runtime.configuration())?;
     let mut context = StageContext::join(stage, replica, &runtime, &set.options, stop)?;
-    if stands_in && stage == Stage::ScanMatcher {
+    if is_fallback && stage == Stage::ScanMatcher {
         let settings = set.configuration.scan_matcher;
-        return flockslam_scan_matcher::process::run_stand_in(&mut context, settings);
+        return flockslam_scan_matcher::process::run_odometry_fallback(&mut context, settings);
     }
     run_in(&mut context, set)
 }

@@ -29,7 +29,7 @@ pub struct SetStatus {
     /// What nothing connects with its map; `None` when all scans are in it.
     #[serde(default)]
     pub unattached: Option<Unattached>,
-    /// Where it believes to be in the known map, when it localizes.
+    /// Its belief about its pose in the known map, when it localizes.
     #[serde(default)]
     pub localisation: Option<LocalisationStatus>,
     /// What it does with its map.

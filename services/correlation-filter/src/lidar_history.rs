@@ -78,7 +78,7 @@ impl Lidar {
         let judgement = self.compared(&new, odometry, limits);
         if judgement.1.is_ok() {
             self.keep(odometry);
-            self.remember(new, limits.window);
+            self.push(new, limits.window);
         } else {
             self.drops_in_a_row += 1;
         }
@@ -160,7 +160,7 @@ impl Lidar {
         })
     }
 
-    fn remember(&mut self, description: Description, size: usize) {
+    fn push(&mut self, description: Description, size: usize) {
         if self.kept.len() < size {
             self.kept.push(description);
         } else if size > 0 {

@@ -20,7 +20,7 @@ use tally_shares::is_shared;
 
 /// Replica 0 waits so long for a part of another replica; then it describes the part itself, with the same result.
 const SHARE_DEADLINE_NS: u64 = 50_000_000;
-/// Parts of later scans that are remembered.
+/// Parts of later scans that are kept.
 const SHARES_HELD_MAX: usize = 16;
 /// Counts parts that replica 0 had to describe itself.
 const SHARE_LATE: &str = "share-late";
@@ -48,7 +48,7 @@ pub fn shell(context: &mut StageContext, settings: Settings) -> Result<Box<dyn A
     Ok(Box::new(Filter {
         verdicts: context.bus.publisher()?,
         matcher: context.bus.notifier(Stage::ScanMatcher.name())?,
-        unrung: false,
+        unnotified: false,
         acknowledger: Acknowledger::open(context, 0)?,
         load: if context.mode == Mode::Live { Some(MatcherLoad::open(context)?) } else { None },
         kept: KeptCounts::new(context),
@@ -65,7 +65,7 @@ struct Filter {
     verdicts: Publisher<Verdict>,
     matcher: Notifier,
     /// Verdicts were sent that the matcher has not been woken for.
-    unrung: bool,
+    unnotified: bool,
     acknowledger: Acknowledger,
     load: Option<MatcherLoad>,
     kept: KeptCounts,
@@ -136,9 +136,9 @@ impl Filter {
         context: &mut StageContext,
     ) -> Result<(), StageError> {
         self.verdicts.send(verdict)?;
-        self.unrung = true;
+        self.unnotified = true;
         if context.mode == Mode::Live {
-            self.ring();
+            self.notify();
         }
         match DropReason::from_number(verdict.reason) {
             Some(reason) => context.dropped(reason.name()),
@@ -150,9 +150,9 @@ impl Filter {
         self.acknowledger.finished(verdict.id.sequence + 1)
     }
 
-    fn ring(&mut self) {
-        self.unrung = false;
-        self.matcher.ring();
+    fn notify(&mut self) {
+        self.unnotified = false;
+        self.matcher.notify();
     }
 
     /// Judges all scans that are there; whether there was any.
@@ -175,8 +175,8 @@ impl Actor for Filter {
     fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
         let any = self.judge_all(context)?;
         // In exact replay one wake is for all verdicts on what the source has sent at once.
-        if self.unrung {
-            self.ring();
+        if self.unnotified {
+            self.notify();
         }
         Ok(any)
     }

@@ -238,7 +238,7 @@ impl DynamicCleaner {
         self.cleared.clear();
         let judges = self.judges(pose);
         if judges {
-            self.weigh(Counts::FromElsewhere { distance_m: VOTE_DISTANCE_M, turn_rad: VOTE_TURN_RAD });
+            self.weigh(Counts::FromOtherPlaces { distance_m: VOTE_DISTANCE_M, turn_rad: VOTE_TURN_RAD });
         }
         let header = MarksHeader {
             id: pose.id,
@@ -282,7 +282,7 @@ impl DynamicCleaner {
             let cell = CellIndex::new(judged.x, judged.y);
             if judged.seen_through == 0 {
                 supported += 1;
-                self.votes.forget(cell);
+                self.votes.remove(cell);
             } else if self.seen_through.len() < SEEN_THROUGH_MAX {
                 self.seen_through.push(cell);
             }
@@ -301,12 +301,12 @@ impl DynamicCleaner {
 
     fn vote(&mut self, odom_from_laser: Pose, counts: Counts) {
         self.scans = self.scans.saturating_add(1);
-        let decides = matches!(counts, Counts::FromElsewhere { .. });
+        let decides = matches!(counts, Counts::FromOtherPlaces { .. });
         for cell in &self.seen_through {
             let votes = self.votes.add(*cell, odom_from_laser, self.scans, counts);
             if decides && votes >= self.settings.votes && self.cleared.len() < self.settings.cleared_max {
                 self.cleared.push(ClearedCell { x: cell.x, y: cell.y });
-                self.votes.forget(*cell);
+                self.votes.remove(*cell);
             }
         }
     }

@@ -46,7 +46,7 @@ pub fn shell(
     let parts = settings.replicas.max(1) as u32;
     let mut inputs = Inputs::open(context, settings, cell_size_m)?;
     if context.replica > 0 {
-        inputs.join.speak(false);
+        inputs.join.set_acknowledges(false);
         // A process with a number beyond the shares has no sector; it only waits for the end.
         let sector = (context.replica < parts).then(|| Sector::new(context.replica, parts));
         return Ok(Box::new(Helper::open(context, inputs, sector, parts)?));
@@ -190,7 +190,7 @@ impl Cleaner {
         started_ns: u64,
         context: &mut StageContext,
     ) -> Result<(), StageError> {
-        self.mapper.ring();
+        self.mapper.notify();
         tracing::debug!(scan = pose.id.sequence, cleared_so_far = self.cleared, "cleaned");
         context.handled(pose.id.sequence, started_ns, pose.times.monotonic_ns);
         self.inputs.join.finished(pose.id.sequence + 1)

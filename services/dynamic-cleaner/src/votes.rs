@@ -23,7 +23,7 @@ struct Vote {
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Counts {
     /// When the lidar has moved so far between them.
-    FromElsewhere {
+    FromOtherPlaces {
         /// Metres.
         distance_m: f64,
         /// Radians.
@@ -43,7 +43,7 @@ impl Votes {
         let vote = self.cells.touch(cell, scan);
         let last = Pose::new(f64::from(vote.x_m), f64::from(vote.y_m), f64::from(vote.heading_rad));
         let counts = match counts {
-            Counts::FromElsewhere { distance_m, turn_rad } => {
+            Counts::FromOtherPlaces { distance_m, turn_rad } => {
                 laser.distance_m(last) >= distance_m || laser.turn_rad(last) >= turn_rad
             }
             Counts::UpTo(most) => vote.count < most,
@@ -56,9 +56,9 @@ impl Votes {
         vote.count
     }
 
-    /// Forgets all votes for a cell.
-    pub fn forget(&mut self, cell: CellIndex) {
-        self.cells.forget(cell);
+    /// Removes all votes for a cell.
+    pub fn remove(&mut self, cell: CellIndex) {
+        self.cells.remove(cell);
     }
 }
 
@@ -66,7 +66,7 @@ impl Votes {
 mod tests {
     use super::*;
 
-    const BASELINE: Counts = Counts::FromElsewhere { distance_m: 0.1, turn_rad: 0.2 };
+    const BASELINE: Counts = Counts::FromOtherPlaces { distance_m: 0.1, turn_rad: 0.2 };
 
     #[test]
     fn votes_from_one_place_count_once_and_support_takes_them_back() {
@@ -76,7 +76,7 @@ mod tests {
         assert_eq!(votes.add(cell, at(0.05, 0.1), 2, BASELINE), 1);
         assert_eq!(votes.add(cell, at(0.12, 0.1), 3, BASELINE), 2);
         assert_eq!(votes.add(cell, at(0.12, 0.4), 4, BASELINE), 3);
-        votes.forget(cell);
+        votes.remove(cell);
         assert_eq!(votes.add(cell, at(0.12, 0.4), 5, BASELINE), 1);
         // Of a robot that stands, scans count so far that one from elsewhere decides.
         assert_eq!([6, 7, 8].map(|scan| votes.add(cell, at(0.12, 0.4), scan, Counts::UpTo(2))), [2, 2, 2]);

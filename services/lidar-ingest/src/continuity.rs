@@ -49,7 +49,7 @@ impl Continuity {
         if self.is_frozen(view) {
             return Some(Rejection::Frozen);
         }
-        self.remember(view);
+        self.keep(view);
         None
     }
 
@@ -78,7 +78,7 @@ impl Continuity {
             && same()
     }
 
-    fn remember(&mut self, view: ScanView<'_>) {
+    fn keep(&mut self, view: ScanView<'_>) {
         self.ranges.clear();
         self.ranges.extend_from_slice(view.ranges());
         self.odometry = view.odometry();

@@ -3,12 +3,12 @@
 
 use std::collections::BTreeMap;
 
-/// A lidar that was not heard for so many of its turns is not waited for.
+/// A lidar that was silent for so many of its turns is not waited for.
 const TURNS_MISSED: i64 = 3;
 /// No lidar takes longer for a turn, nanoseconds: one that paused did not turn slowly.
 const TURN_MAX_NS: i64 = 1_200_000_000;
 
-/// When each lidar was heard, and how fast it turns.
+/// When the last scan of each lidar was received, and how fast it turns.
 #[derive(Debug, Default)]
 pub struct LidarOrder {
     lidars: BTreeMap<u32, LastScan>,
@@ -17,26 +17,26 @@ pub struct LidarOrder {
 #[derive(Debug)]
 struct LastScan {
     stamp_ns: i64,
-    heard_ns: i64,
+    received_ns: i64,
     /// Between the stamps of the last two scans; `None` after the first one and after a pause.
     turn_ns: Option<i64>,
 }
 
 impl LidarOrder {
-    /// A scan of a lidar, stamped at one time, was heard at another.
-    pub fn note(&mut self, lidar: u32, stamp_ns: i64, heard_ns: i64) {
+    /// A scan of a lidar, stamped at one time, was received at another.
+    pub fn note(&mut self, lidar: u32, stamp_ns: i64, received_ns: i64) {
         let before = self.lidars.get(&lidar).map(|last| stamp_ns.saturating_sub(last.stamp_ns));
         let turn_ns = before.filter(|turn_ns| (1..=TURN_MAX_NS).contains(turn_ns));
-        self.lidars.insert(lidar, LastScan { stamp_ns, heard_ns, turn_ns });
+        self.lidars.insert(lidar, LastScan { stamp_ns, received_ns, turn_ns });
     }
 
-    /// Whether another lidar, which speaks at `now_ns`, may still give a scan that is stamped before this one: not so soon after its last.
+    /// Whether another lidar, which sends at `now_ns`, may still give a scan that is stamped before this one: not so soon after its last.
     pub fn may_come_before(&self, lidar: u32, stamp_ns: i64, now_ns: i64) -> bool {
         let mut others = self.lidars.iter().filter(|(other, _)| **other != lidar).map(|(_, last)| last);
         others.any(|last| {
             let Some(turn_ns) = last.turn_ns else { return false };
-            let speaks = now_ns.saturating_sub(last.heard_ns) < TURNS_MISSED * turn_ns;
-            speaks && last.stamp_ns.saturating_add(turn_ns / 2) < stamp_ns
+            let is_live = now_ns.saturating_sub(last.received_ns) < TURNS_MISSED * turn_ns;
+            is_live && last.stamp_ns.saturating_add(turn_ns / 2) < stamp_ns
         })
     }
 }

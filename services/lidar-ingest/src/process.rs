@@ -29,14 +29,15 @@ pub use feed::count_scans;
 use flockslam_bus::{ScanPublisher, Subscriber};
 use flockslam_messages::{ControlKind, DropReason, LARGE_SCAN_BEAMS, Progress, ScanBuffer, ScanId, Stage};
 use flockslam_stage::{
-    Actor, LastWord, LeaderLock, Mode, Notifiers, Pause, StageContext, StageError, StreamEnd, run, step_aside,
+    Actor, FinalMessage, LeaderLock, Mode, Notifiers, Pause, StageContext, StageError, StreamEnd, run,
+    step_aside,
 };
 use flockslam_telemetry::{failpoint, utc_ns};
 pub use lidar_board::{LidarLineStatus, read_lidar_lines};
 pub use lidar_line::{LidarPlace, LidarSpec};
 pub use lidar_names::read_lidar_names;
 pub use lidar_search::{FoundLidar, FoundPort, identify, serial_ports};
-pub use lidar_session::{LidarEars, LidarSession, LidarState};
+pub use lidar_session::{LidarHandler, LidarSession, LidarState};
 use lidar_watch::LidarWatch;
 pub use live_lidars::LidarPolling;
 use pacer::Pacer;
@@ -140,7 +141,7 @@ struct Ingest {
     scans: ScanPublisher,
     watch: LidarWatch,
     /// Publishes the number of scans.
-    end: LastWord,
+    end: FinalMessage,
     progress: Subscriber<Progress>,
     /// The stages that read a scan first.
     first: Notifiers,
@@ -152,7 +153,7 @@ struct Ingest {
     announced: bool,
     sequence: u64,
     /// Scans were sent that the first stages have not been woken for.
-    unrung: bool,
+    unnotified: bool,
     pause: Pause,
     /// The set was paused at the last look.
     rests: bool,
@@ -181,7 +182,7 @@ impl Ingest {
             cursor,
             scans: context.bus.scan_publisher()?,
             watch: LidarWatch::new(context),
-            end: LastWord::open(context, ControlKind::StreamEnd, RUN, notifiers(&CONSUMERS)?)?,
+            end: FinalMessage::open(context, ControlKind::StreamEnd, RUN, notifiers(&CONSUMERS)?)?,
             progress: context.bus.subscriber()?,
             first: notifiers(first_stages(context.mode))?,
             done: [0; CONSUMERS.len()],
@@ -189,14 +190,14 @@ impl Ingest {
             loaded: false,
             announced: false,
             sequence: resumed,
-            unrung: false,
+            unnotified: false,
             pause: Pause::of(&context.status_dir),
             rests: false,
             stream: StreamEnd::open(context)?,
         })
     }
 
-    fn hear_progress(&mut self) -> Result<(), StageError> {
+    fn read_progress(&mut self) -> Result<(), StageError> {
         while let Some(progress) = self.progress.receive()? {
             if let Some(at) = CONSUMERS.iter().position(|stage| *stage as u32 == progress.stage) {
                 self.done[at] = self.done[at].max(progress.done);
@@ -256,19 +257,19 @@ impl Ingest {
         header.times.utc_ns = utc_ns();
         let view = self.scan.view().map_err(|problem| StageError::Source(problem.to_string()))?;
         self.scans.send(view)?;
-        self.unrung = true;
+        self.unnotified = true;
         // A stage that waits awake needs the processor rather than the notification.
         let wakes =
-            context.mode == Mode::Live || (self.sequence + 1).is_multiple_of(self.rung_scans(context));
+            context.mode == Mode::Live || (self.sequence + 1).is_multiple_of(self.notified_scans(context));
         if wakes && !self.announced {
-            self.ring();
+            self.notify();
         }
         if context.mode == Mode::Live {
             // A stage that was woken may wait for this very processor: reading the next scan has time.
             step_aside();
         }
         if self.announced {
-            self.ring();
+            self.notify();
         }
         (self.loaded, self.announced) = (false, false);
         self.sequence += 1;
@@ -282,19 +283,19 @@ impl Ingest {
     }
 
     /// Exact replay: a wake costs about as much as handling a scan, so it is for so many, or for as many as there is credit for.
-    fn rung_scans(&self, context: &StageContext) -> u64 {
+    fn notified_scans(&self, context: &StageContext) -> u64 {
         (context.capacity.window as u64 / 8).max(1)
     }
 
-    fn ring(&mut self) {
-        self.unrung = false;
-        self.first.ring();
+    fn notify(&mut self) {
+        self.unnotified = false;
+        self.first.notify();
     }
 
     /// Sends what is due; whether there was anything.
     fn send_due(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
         let mut any = false;
-        while !self.end.is_said() && !context.stop.is_set() {
+        while !self.end.is_sent() && !context.stop.is_set() {
             if !self.loaded {
                 match self.feed.next(&mut self.scan)? {
                     Fed::Scan => self.loaded = true,
@@ -317,7 +318,7 @@ impl Ingest {
             }
             self.publish(context)?;
             any = true;
-            self.hear_progress()?;
+            self.read_progress()?;
         }
         Ok(any)
     }
@@ -326,7 +327,7 @@ impl Ingest {
         self.count(context);
         self.name_what_is_missing();
         self.feed.store_truth()?;
-        self.end.say(self.sequence)
+        self.end.send(self.sequence)
     }
 
     /// Stores what was read and left out so far.
@@ -361,14 +362,14 @@ impl Ingest {
 
 impl Actor for Ingest {
     fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
-        self.hear_progress()?;
+        self.read_progress()?;
         self.stream.drain()?;
-        if self.stream.end_wanted && !self.end.is_said() {
+        if self.stream.end_wanted && !self.end.is_sent() {
             self.announce_end(context)?;
         }
         let any = self.send_due(context)?;
-        if self.unrung {
-            self.ring();
+        if self.unnotified {
+            self.notify();
         }
         Ok(any)
     }
@@ -380,12 +381,12 @@ impl Actor for Ingest {
         self.end.repeat()
     }
 
-    fn patience(&self, now_ns: u64) -> Duration {
+    fn wait_max(&self, now_ns: u64) -> Duration {
         if self.rests {
             return Duration::from_millis(100);
         }
         let until_announcement = if self.announced { Duration::ZERO } else { ANNOUNCED_AHEAD };
         let ahead = self.ahead(now_ns).map(|ahead| ahead.saturating_sub(until_announcement));
-        ahead.or(self.feed.patience()).unwrap_or(Duration::from_millis(100))
+        ahead.or(self.feed.wait_max()).unwrap_or(Duration::from_millis(100))
     }
 }

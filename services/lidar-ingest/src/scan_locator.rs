@@ -26,7 +26,7 @@ const WAIT_NS: i64 = 500_000_000;
 const LIVE_FIRST_WAIT_NS: i64 = 1_000_000_000;
 /// … and each for what belongs to it: later than this a pose is worth less than the time that it takes.
 const LIVE_WAIT_NS: i64 = 50_000_000;
-/// Live, motion that was not heard of for so long is not waited for, nanoseconds.
+/// Live, motion of which nothing came for so long is not waited for, nanoseconds.
 const SILENCE_NS: i64 = 500_000_000;
 /// Odometry that is that old is taken where none behind the scan comes, nanoseconds.
 const ODOMETRY_AGE_NS: i64 = 100_000_000;
@@ -110,15 +110,15 @@ pub struct ScanLocator {
     frames: Option<Frames>,
     /// Where each lidar sat at its scan before, by its number.
     last_places: BTreeMap<u32, Isometry3<f64>>,
-    /// Of sensors that speak now: times are those of the clock at which they were heard.
+    /// Of live sensors: times are those of the clock at which they were received.
     live: Option<Live>,
 }
 
-/// What is known of sensors that speak now.
+/// What is known of live sensors.
 #[derive(Debug, Default)]
 struct Live {
     order: LidarOrder,
-    /// When odometry, transforms or turns were last heard of, nanoseconds.
+    /// When odometry, transforms or turns last came, nanoseconds.
     motion_ns: i64,
     /// How fast the robot moved at the last odometry, where that was said.
     twist: Option<Twist>,
@@ -155,7 +155,7 @@ impl ScanLocator {
         Self { settings: settings.clone(), lidars, gyro_leads, newest_ns: i64::MIN, ..Self::default() }
     }
 
-    /// As [`ScanLocator::new`], of sensors that speak now: what is recorded at a time is heard at it, by the clock, and nothing is
+    /// As [`ScanLocator::new`], of live sensors: what is recorded at a time is received at it, by the clock, and nothing is
     /// waited for any longer than a moment.
     pub fn live(settings: &Settings, gyro_leads: bool) -> Self {
         let (transforms, odometry) = (TransformBuffer::live(), TransformBuffer::live());
@@ -167,7 +167,7 @@ impl ScanLocator {
         self.lidars = lidars;
     }
 
-    /// It is that late, by the time at which things are recorded or heard.
+    /// It is that late, by the time at which things are recorded or received.
     pub fn note_time(&mut self, now_ns: i64) {
         self.newest_ns = self.newest_ns.max(now_ns);
     }
@@ -214,14 +214,14 @@ impl ScanLocator {
         let frames = Some((parent.clone(), child.clone()));
         let is_new = frames != self.odometry_frames;
         self.odometry_frames = frames;
-        self.heard_of_motion(is_new, Some(reading.twist));
+        self.note_motion(is_new, Some(reading.twist));
         self.odometry.insert(&StampedTransform { parent, child, ..transform.clone() }, false);
     }
 
     /// Takes rates of turning.
     pub fn push_imu(&mut self, recorded_ns: i64, reading: ImuReading) {
         self.newest_ns = self.newest_ns.max(recorded_ns);
-        self.heard_of_motion(false, None);
+        self.note_motion(false, None);
         self.gyro.push(reading);
     }
 
@@ -233,11 +233,11 @@ impl ScanLocator {
             is_new |= !self.transforms.links(&transform.parent, &transform.child);
             self.transforms.insert(transform, is_static);
         }
-        self.heard_of_motion(is_new, None);
+        self.note_motion(is_new, None);
     }
 
     /// Live, a new link between frames may be the one that was missing: they are chosen anew.
-    fn heard_of_motion(&mut self, links_anew: bool, twist: Option<Option<Twist>>) {
+    fn note_motion(&mut self, links_anew: bool, twist: Option<Option<Twist>>) {
         let newest_ns = self.newest_ns;
         if let Some(live) = &mut self.live {
             live.motion_ns = newest_ns;
@@ -333,9 +333,9 @@ impl ScanLocator {
     }
 
     fn count_guess(&mut self, is_known: bool, is_near: bool) {
-        let hears_of_motion =
+        let gets_motion =
             self.odometry_frames.is_some() || self.frames.as_ref().is_some_and(|f| f.odom.is_some());
-        let Some(live) = self.live.as_mut().filter(|_| hears_of_motion && !is_known) else { return };
+        let Some(live) = self.live.as_mut().filter(|_| gets_motion && !is_known) else { return };
         let guesses = &mut live.guesses;
         *(if is_near { &mut guesses.carried_on } else { &mut guesses.without }) += 1;
     }

@@ -125,7 +125,7 @@ impl Mapper {
         self.number = closed.number + 1;
         self.enter_trajectory(closed.trajectory);
         self.window.add_submap(&closed);
-        self.remember(&closed, i64::MAX);
+        self.keep_in_window(&closed, i64::MAX);
         self.window.end_scan();
         // A submap that has left the window again is stored as it is.
         self.left_cleared.clear();
@@ -147,7 +147,7 @@ impl Mapper {
         if pose.has(PoseFlags::LOCALIZING) != self.localizes {
             closed.extend(self.change_mode());
         }
-        self.forget_old(pose.times.sensor_ns);
+        self.drop_old(pose.times.sensor_ns);
         for cell in cleared {
             self.clear(CellIndex::new(cell.x, cell.y));
         }
@@ -277,7 +277,7 @@ impl Mapper {
             }
             let stays = self.newcomers.seen(cell, scan, stamp_ns) >= views;
             if stays {
-                self.forget(cell);
+                self.remove(cell);
             } else {
                 held_back.push(*end);
             }
@@ -325,7 +325,7 @@ impl Mapper {
             tiles: self.window.close_active(),
         };
         self.number += 1;
-        self.remember(&submap, active.last_ns);
+        self.keep_in_window(&submap, active.last_ns);
         Some(submap)
     }
 
@@ -341,7 +341,7 @@ impl Mapper {
     }
 
     /// Keeps a closed submap while it is in the window, and lets the oldest leave a bounded one.
-    fn remember(&mut self, submap: &Submap, last_ns: i64) {
+    fn keep_in_window(&mut self, submap: &Submap, last_ns: i64) {
         self.closed.push_back(ClosedSubmap::new(submap, last_ns));
         let Some(size) = self.settings.window_submaps() else { return };
         while self.closed.len() > size {
@@ -350,7 +350,7 @@ impl Mapper {
     }
 
     /// Lets what is too old leave the window while the set localizes.
-    fn forget_old(&mut self, now_ns: i64) {
+    fn drop_old(&mut self, now_ns: i64) {
         let is_old = |closed: &ClosedSubmap| now_ns.saturating_sub(closed.last_ns()) > LOCAL_AGE_NS;
         while self.localizes && self.closed.len() > 1 && self.closed.front().is_some_and(is_old) {
             self.leave_oldest();
@@ -378,8 +378,8 @@ impl Mapper {
     }
 
     /// Removes all evidence from a cell: something stands where nothing stood.
-    fn forget(&mut self, cell: CellIndex) {
-        self.window.forget(cell);
+    fn remove(&mut self, cell: CellIndex) {
+        self.window.remove(cell);
         self.mask(cell);
     }
 

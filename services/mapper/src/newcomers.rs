@@ -5,7 +5,7 @@ use flockslam_evidence::{CellIndex, CellTable};
 /// Two sightings count when their scans are at least so far apart, nanoseconds: a walking person has gone on by then.
 const APART_NS: u64 = 300_000_000;
 /// A sighting that was not repeated for so long does not count any more, nanoseconds.
-const FORGOTTEN_NS: u64 = 5_000_000_000;
+const DROPPED_AFTER_NS: u64 = 5_000_000_000;
 
 /// Sightings in known free space. A person who walks by is seen there once or twice; an object that stays is seen again,
 /// and then enters the map.
@@ -28,7 +28,7 @@ impl Newcomers {
         let place = CellIndex::new(cell.x >> 1, cell.y >> 1);
         let sightings = self.places.touch(place, scan);
         let since_ns = stamp_ns.abs_diff(sightings.last_ns);
-        if sightings.count == 0 || since_ns > FORGOTTEN_NS {
+        if sightings.count == 0 || since_ns > DROPPED_AFTER_NS {
             *sightings = Sightings { count: 1, last_ns: stamp_ns };
         } else if since_ns >= APART_NS {
             *sightings = Sightings { count: sightings.count.saturating_add(1), last_ns: stamp_ns };

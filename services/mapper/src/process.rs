@@ -15,7 +15,7 @@ use flockslam_messages::{
     ClearedCell, Commit, ControlKind, DropReason, MarksHeader, PoseEstimate, PoseFlags, ScanView, Stage,
 };
 use flockslam_stage::{
-    Actor, Copies, Deadline, Inbox, Join, JournalReader, LastWord, Notifiers, StageContext, StageError,
+    Actor, Copies, Deadline, FinalMessage, Inbox, Join, JournalReader, Notifiers, StageContext, StageError,
     Waited, run,
 };
 use flockslam_telemetry::failpoint;
@@ -81,7 +81,7 @@ struct MapperProcess {
     marks: Inbox<Copies<MarksHeader>>,
     output: Output,
     /// Publishes that the last submap is closed.
-    map_closed: LastWord,
+    map_closed: FinalMessage,
     /// Accepted scans with a sequence below this are in the map.
     applied: u64,
     /// The map of the predecessor is being rebuilt: readers keep its tiles until all of the new ones are there.
@@ -112,7 +112,7 @@ impl MapperProcess {
             unsaved: Unsaved::new(context),
             join: Join::open(context, MARKS_DEADLINE_NS)?,
             marks: Inbox::unlimited(Copies(marks)),
-            map_closed: LastWord::open(context, ControlKind::MapClosed, 0, listeners)?,
+            map_closed: FinalMessage::open(context, ControlKind::MapClosed, 0, listeners)?,
             applied: 0,
             recovers: false,
             journal: JournalReader::open(&context.journal_dir)?,
@@ -121,7 +121,7 @@ impl MapperProcess {
             parts,
         };
         // The first mapper publishes for all.
-        process.join.speak(process.parts.is_first());
+        process.join.set_acknowledges(process.parts.is_first());
         process.recover(context)?;
         Ok(process)
     }
@@ -258,7 +258,7 @@ impl MapperProcess {
 
     /// Commits all tiles again once every mapper has sent its own, or the deadline has passed.
     fn commit_again_when_whole(&mut self, context: &StageContext) -> Result<(), StageError> {
-        // The first commits for all; the others hear themselves, too.
+        // The first commits for all; the others receive their own messages, too.
         if self.parts.others() == 0 || !self.parts.is_first() {
             return Ok(());
         }
@@ -296,7 +296,7 @@ impl MapperProcess {
             ..Commit::default()
         };
         self.output.commit(&commit)?;
-        context.bus.notifier(Stage::DynamicCleaner.name())?.ring();
+        context.bus.notifier(Stage::DynamicCleaner.name())?.notify();
         Ok(())
     }
 
@@ -344,7 +344,7 @@ impl MapperProcess {
         if self.unsaved.is_refused() {
             return Ok(());
         }
-        self.map_closed.say(u64::from(self.unsaved.store().count()))
+        self.map_closed.send(u64::from(self.unsaved.store().count()))
     }
 }
 
@@ -365,7 +365,7 @@ impl Actor for MapperProcess {
         }
         let may_close = self.parts.is_first()
             && self.uncommitted.is_none()
-            && !self.map_closed.is_said()
+            && !self.map_closed.is_sent()
             && !self.unsaved.is_refused();
         if ended && may_close {
             self.close_map()?;

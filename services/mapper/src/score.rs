@@ -32,7 +32,7 @@ impl Scores {
     }
 
     /// Whether cells without evidence for "occupied" may have different scores.
-    pub(crate) fn tells_free(&self) -> bool {
+    pub(crate) fn gives_free(&self) -> bool {
         self.read_out == ReadOut::Vinyslam
     }
 
@@ -63,7 +63,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn remembered_scores_are_those_of_the_masses() {
+    fn cached_scores_are_those_of_the_masses() {
         let settings = Settings::default();
         let mut scores = Scores::new(&settings);
         assert_eq!(scores.of(Cell::UNKNOWN), 0);

@@ -78,7 +78,7 @@ impl Window {
         self.crossed = crossed;
     }
 
-    /// Ends the scan and forgets the tiles that retired.
+    /// Ends the scan and drops the tiles that retired.
     pub(crate) fn end_scan(&mut self) {
         self.retired.retain(|key| {
             let left = self.tiles.get(*key).is_some_and(|tile| !tile.in_active && !tile.is_known());
@@ -136,7 +136,7 @@ impl Window {
     }
 
     /// Removes all evidence of a cell.
-    pub(crate) fn forget(&mut self, cell: CellIndex) {
+    pub(crate) fn remove(&mut self, cell: CellIndex) {
         self.leave(cell, |_| PackedCell::UNKNOWN);
     }
 

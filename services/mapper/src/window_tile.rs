@@ -42,7 +42,7 @@ impl WindowTile {
         })
     }
 
-    /// Forgets what the last scan observed.
+    /// Drops what the last scan observed.
     pub(crate) fn begin_scan(&mut self) {
         self.observed = [0; TILE_SIDE];
     }
@@ -115,7 +115,7 @@ impl WindowTile {
             if cells != 0 {
                 let first = row * TILE_SIDE + group * GROUP;
                 let occupied = self.add_to_group(first, cells, evidence);
-                if occupied || scores.tells_free() {
+                if occupied || scores.gives_free() {
                     self.score_group(first, cells, scores);
                 }
             }
@@ -159,7 +159,7 @@ impl WindowTile {
     fn score_group(&mut self, first: usize, cells: u8, scores: &mut Scores) {
         for cell in 0..GROUP {
             let sum = self.sum(first + cell);
-            if cells >> cell & 1 == 1 && (sum.occupied > 0 || scores.tells_free()) {
+            if cells >> cell & 1 == 1 && (sum.occupied > 0 || scores.gives_free()) {
                 self.published.set_score(first + cell, scores.of(sum));
             }
         }
@@ -173,7 +173,7 @@ impl WindowTile {
             uncapped_cells(&mut self.uncapped, &self.published)[offset] = sum;
         }
         self.published.cells[offset] = published;
-        if had_occupied || sum.occupied > 0 || scores.tells_free() {
+        if had_occupied || sum.occupied > 0 || scores.gives_free() {
             self.published.set_score(offset, scores.of(sum));
         }
     }

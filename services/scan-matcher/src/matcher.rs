@@ -6,17 +6,17 @@
 use crate::motion::Motion;
 use crate::prediction::Prediction;
 use crate::settings::{Settings, Strategy};
-use carried::Carried;
 use fitted::Fitted;
 use fitting::{Fitter, Solvers};
 use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::Pose;
 use flockslam_messages::{
     BeamRange, Commit, Correction, DropReason, FlockRobots, PoseEstimate, PoseFlags, Quality,
-    STARTS_ELSEWHERE, ScanView, Verdict,
+    STARTS_DETACHED, ScanView, Verdict,
 };
 use flockslam_registration::GridField;
 use judging::Judgement;
+use kidnap_detector::KidnapDetector;
 use light_fit::{LIGHT_BEAMS, Light};
 use matcher_state::{Confidence, MapState};
 use open_place::fused_covariance;
@@ -45,11 +45,11 @@ const RECOGNISABLE: f64 = 0.4;
 const SLIPPED: (f64, f64) = (0.15, 0.08);
 
 mod bodies;
-mod carried;
 mod fitted;
 mod fitting;
 mod flock_robots;
 mod judging;
+mod kidnap_detector;
 mod light_fit;
 mod matcher_state;
 mod movers;
@@ -71,9 +71,9 @@ pub struct ScanMatcher {
     /// The surfaces that the last scans have shown.
     surroundings: Surroundings,
     /// What the last scans saw, for a robot that is carried.
-    carried: Carried,
+    kidnap: KidnapDetector,
     /// Published poses of other robots.
-    companions: FlockRobots,
+    flock_robots: FlockRobots,
     buffers: Buffers,
 }
 
@@ -106,8 +106,8 @@ impl ScanMatcher {
             map: MapState::new(),
             confidence: Confidence::default(),
             surroundings: Surroundings::default(),
-            carried: Carried::default(),
-            companions: FlockRobots::default(),
+            kidnap: KidnapDetector::default(),
+            flock_robots: FlockRobots::default(),
             buffers: Buffers::default(),
         }
     }
@@ -130,18 +130,18 @@ impl ScanMatcher {
             return self.followed(scan, predicted);
         }
         let points = self.points(scan, &prediction);
-        if points.len() < POINTS_MIN && self.confidence.is_in_the_open() && !self.map.begins_elsewhere {
+        if points.len() < POINTS_MIN && self.confidence.is_in_the_open() && !self.map.begins_detached {
             self.buffers.points = points;
             return self.among_few_things(scan, predicted, &prediction);
         }
-        if points.len() < POINTS_MIN || grid.is_empty() || self.map.begins_elsewhere {
+        if points.len() < POINTS_MIN || grid.is_empty() || self.map.begins_detached {
             return self.unmatched(scan, predicted, points, grid.is_empty());
         }
-        self.carried.sees(scan, &points);
+        self.kidnap.sees(scan, &points);
         let (points, mask) = self.mask_movers(scan, points, &prediction, grid);
         let fitted = self.fit(scan, points, &mask, prediction, grid);
-        let is_carried = self.is_carried(scan, &fitted);
-        let judgement = self.judge(&fitted, &mask, grid, is_carried);
+        let is_kidnapped = self.is_kidnapped(scan, &fitted);
+        let judgement = self.judge(&fitted, &mask, grid, is_kidnapped);
         self.update(scan, predicted, fitted, mask, judgement)
     }
 
@@ -157,8 +157,8 @@ impl ScanMatcher {
     }
 
     /// Poses of other robots have arrived.
-    pub fn companions_are(&mut self, robots: &FlockRobots) {
-        self.companions = *robots;
+    pub fn set_flock_robots(&mut self, robots: &FlockRobots) {
+        self.flock_robots = *robots;
     }
 
     /// sync-manager has a new correction.
@@ -172,13 +172,13 @@ impl ScanMatcher {
 
     /// Takes in a pose that a predecessor has published, all in order, before [`Self::resume`]: without knowing how well scans usually fit
     /// here, no fit can be called poor.
-    pub fn remember(&mut self, published: &PoseEstimate) {
+    pub fn restore(&mut self, published: &PoseEstimate) {
         if published.trajectory != self.map.trajectory {
             self.confidence.begin_anew();
             self.map.trajectory = published.trajectory;
         }
-        self.confidence.remember(published, self.motion.pose);
-        self.motion.remember(published);
+        self.confidence.restore(published, self.motion.pose);
+        self.motion.restore(published);
     }
 
     /// Continues, after a restart, from the last pose that was published.
@@ -192,25 +192,25 @@ impl ScanMatcher {
 
     /// Continues a saved map: the robot may be anywhere by now, so a new trajectory begins at its next scan, which a closure
     /// may attach.
-    pub fn resume_elsewhere(&mut self, last: &PoseEstimate) {
+    pub fn resume_detached(&mut self, last: &PoseEstimate) {
         self.resume(last);
-        self.motion.resume_elsewhere(last);
+        self.motion.resume_detached(last);
         self.map.trajectory = last.trajectory + 1;
-        (self.map.detached, self.map.begins_elsewhere, self.map.inserted) = (true, true, None);
+        (self.map.detached, self.map.begins_detached, self.map.inserted) = (true, true, None);
         (self.confidence.mean_score, self.confidence.last_score) = (0.0, 0.0);
     }
 
     /// Where nothing connects a scan with the one before, a new trajectory begins, which a closure may attach.
     fn begin_where(&mut self, scan: ScanView<'_>) {
-        if scan.header().starts_at_odometry != STARTS_ELSEWHERE {
+        if scan.header().starts_at_odometry != STARTS_DETACHED {
             return;
         }
         self.motion.break_off();
         self.confidence.begin_anew();
         self.surroundings.clear();
-        self.carried.clear();
+        self.kidnap.clear();
         self.map.trajectory += 1;
-        (self.map.detached, self.map.begins_elsewhere, self.map.inserted) = (true, true, None);
+        (self.map.detached, self.map.begins_detached, self.map.inserted) = (true, true, None);
     }
 
     /// The pose of a scan by odometry alone, for when no grid can be matched.
@@ -305,7 +305,7 @@ impl ScanMatcher {
         grid_is_empty: bool,
     ) -> PoseEstimate {
         // After a restart the grid may arrive late. A scan inserted without it would be placed by odometry alone.
-        let grid_is_missing = grid_is_empty && self.map.generation > 0 && !self.map.begins_elsewhere;
+        let grid_is_missing = grid_is_empty && self.map.generation > 0 && !self.map.begins_detached;
         let is_blind = points.len() < POINTS_MIN;
         self.buffers.points = points;
         if grid_is_missing {
@@ -315,7 +315,7 @@ impl ScanMatcher {
         if is_blind {
             return self.followed(scan, PoseEstimate { quality: Quality::Degraded as u32, ..predicted });
         }
-        self.map.begins_elsewhere = false;
+        self.map.begins_detached = false;
         let quality = if self.map.detached { Quality::Degraded } else { Quality::Tracking } as u32;
         self.inserted(scan, PoseEstimate { quality, ..predicted })
     }
@@ -353,7 +353,7 @@ impl ScanMatcher {
         let stands = verdict.drop_reason() == DropReason::Unchanged as u32 && scan.odometry().is_some();
         let is_asked = verdict.keep == 0 && scan.header().withheld == 0 && !stands && is_ours;
         let is_held = self.confidence.has_started() && !self.confidence.is_in_the_open();
-        if !is_asked || !is_held || grid.is_empty() || self.map.begins_elsewhere {
+        if !is_asked || !is_held || grid.is_empty() || self.map.begins_detached {
             return predicted;
         }
         let memory = std::mem::take(&mut self.buffers.points);
@@ -387,7 +387,7 @@ impl ScanMatcher {
             settings: &self.settings,
             confidence: &self.confidence,
             before: self.motion.pose,
-            rival: self.confidence.rival,
+            alternative: self.confidence.alternative,
             field,
             scan,
             mask,
@@ -415,7 +415,7 @@ impl ScanMatcher {
         }
         let estimate = self.matched(predicted, &fitted, &judgement);
         if judgement.quality != Quality::Lost {
-            self.carried.explains(estimate.odom_from_base);
+            self.kidnap.explains(estimate.odom_from_base);
         }
         (self.buffers.points, self.buffers.mask) = (fitted.points, mask);
         let stays_lost = self.confidence.lost > self.settings.rescue.lost_scans_max;
@@ -444,11 +444,11 @@ impl ScanMatcher {
         // Where scans usually fit, one place after the other that does not means that odometry is wrong. In the open it means as well
         // that the robot has drifted, and what contradicts its scans is an old part of the map.
         let is_hard = self.confidence.mean_score < RECOGNISABLE || self.confidence.is_in_the_open();
-        let continues = estimate.has(PoseFlags::HAS_ODOMETRY) && is_hard && !self.carried.is_likely();
+        let continues = estimate.has(PoseFlags::HAS_ODOMETRY) && is_hard && !self.kidnap.is_likely();
         let flags = estimate.flags | if continues { PoseFlags::CONTINUES } else { 0 };
         self.confidence.begin_anew();
         self.surroundings.clear();
-        self.carried.clear();
+        self.kidnap.clear();
         self.map.trajectory += 1;
         (self.map.detached, self.map.inserted) = (true, None);
         let quality = Quality::Degraded as u32;

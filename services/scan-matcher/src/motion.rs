@@ -134,7 +134,7 @@ impl Motion {
     }
 
     /// Takes in when a predecessor's scan was taken, before [`Self::resume`].
-    pub(crate) fn remember(&mut self, published: &PoseEstimate) {
+    pub(crate) fn restore(&mut self, published: &PoseEstimate) {
         let (stamp_ns, sequence) = (published.times.sensor_ns, published.id.sequence);
         let is_next = self.sequence.is_some_and(|before| before.checked_add(1) == Some(sequence));
         let elapsed_s = self.stamp_ns.map(|before| stamp_ns.saturating_sub(before) as f64 * 1e-9);
@@ -147,7 +147,7 @@ impl Motion {
     }
 
     /// Continues at a pose from which the robot may have gone anywhere.
-    pub(crate) fn resume_elsewhere(&mut self, last: &PoseEstimate) {
+    pub(crate) fn resume_detached(&mut self, last: &PoseEstimate) {
         let (pose, stamp_ns) = (last.odom_from_base, Some(last.times.sensor_ns));
         *self = Self { pose, stamp_ns, ..Self::new() };
     }
@@ -453,14 +453,14 @@ mod tests {
     }
 
     #[test]
-    fn the_period_of_a_predecessor_is_remembered() {
+    fn the_period_of_a_predecessor_is_restored() {
         let mut motion = Motion::new();
         let every_half_second = |number: u64| {
             let mut estimate = published(number);
             estimate.times.sensor_ns *= 5;
             estimate
         };
-        (0..100).for_each(|number| motion.remember(&every_half_second(number)));
+        (0..100).for_each(|number| motion.restore(&every_half_second(number)));
         motion.resume(&every_half_second(100));
         assert!((motion.period_s - 0.5).abs() < 0.01, "{}", motion.period_s);
     }

@@ -21,9 +21,9 @@ use std::collections::VecDeque;
 
 mod corrections;
 mod metrics;
-mod stand_in;
+mod odometry_fallback;
 
-pub use stand_in::run_stand_in;
+pub use odometry_fallback::run_odometry_fallback;
 
 /// Live: deadline of a verdict after its scan. A scan without a verdict is processed.
 const VERDICT_DEADLINE_NS: u64 = 20_000_000;
@@ -74,9 +74,9 @@ struct Matcher {
     logic: ScanMatcher,
     join: Join<Verdict>,
     corrections: Corrections,
-    companions: Subscriber<FlockRobots>,
-    /// Robots in the last message about companions.
-    companions_known: u32,
+    flock_robots: Subscriber<FlockRobots>,
+    /// Robots in the last message about the flock.
+    flock_robots_known: u32,
     grid: GridReader,
     inputs: InputLog,
     /// Sequences of the accepted scans whose commits are awaited, and since when, oldest first.
@@ -111,8 +111,8 @@ impl Matcher {
             logic: ScanMatcher::new(settings),
             join: Join::open(context, VERDICT_DEADLINE_NS)?,
             corrections: Corrections::open(context)?,
-            companions: bus.subscriber()?,
-            companions_known: 0,
+            flock_robots: bus.subscriber()?,
+            flock_robots_known: 0,
             grid: GridReader::open(context, cell_size_m)?,
             inputs: InputLog::open(context)?,
             awaited: VecDeque::with_capacity(2 + LAG_LIVE),
@@ -150,7 +150,7 @@ impl Matcher {
             context.alive();
             let pose = record.pose;
             if pose.id.sequence >= context.first_sequence && !failpoint("no-resume") {
-                self.logic.remember(&pose);
+                self.logic.restore(&pose);
             }
             if pose.has(PoseFlags::INSERT) {
                 self.accepted = Some(pose.id.sequence);
@@ -180,7 +180,7 @@ impl Matcher {
             self.logic.resume(&last);
             self.inputs.resumed(StageStart::Resumed, last.id);
         } else {
-            self.logic.resume_elsewhere(&last);
+            self.logic.resume_detached(&last);
             self.inputs.resumed(StageStart::Continued, last.id);
         }
         if let Some(commit) = self.grid.committed() {
@@ -197,7 +197,7 @@ impl Matcher {
         self.accepted.iter().for_each(|sequence| self.corrections.resumed(*sequence));
         // The predecessor may have died between the journal and this.
         self.poses.send(&last)?;
-        self.notifiers.ring();
+        self.notifiers.notify();
         self.trajectory = last.trajectory;
         self.join.finished(next)
     }
@@ -212,9 +212,9 @@ impl Matcher {
             self.logic.corrected(&correction);
             self.is_unplaced = correction.attached == 0;
         }
-        while let Some(robots) = self.companions.receive()? {
-            self.logic.companions_are(&robots);
-            self.companions_known = robots.count;
+        while let Some(robots) = self.flock_robots.receive()? {
+            self.logic.set_flock_robots(&robots);
+            self.flock_robots_known = robots.count;
         }
         Ok(())
     }
@@ -291,10 +291,10 @@ impl Matcher {
         if self.mode.localizes() {
             pose.flags |= PoseFlags::LOCALIZING | if self.is_unplaced { PoseFlags::UNPLACED } else { 0 };
         }
-        let (correction, companions) = (self.corrections.last.unwrap_or_default(), self.companions_known);
+        let (correction, flock_robots) = (self.corrections.last.unwrap_or_default(), self.flock_robots_known);
         self.inputs.handled(pose.id, &self.grid, |inputs| {
             (inputs.keep, inputs.reason) = (verdict.keep, verdict.reason);
-            (inputs.correction, inputs.companions) = (correction, companions);
+            (inputs.correction, inputs.companions) = (correction, flock_robots);
         })?;
         // An accepted scan is stored outside of this process before its pose is published.
         let journal = self.journal.as_mut().filter(|_| !failpoint("no-journal"));
@@ -316,7 +316,7 @@ impl Matcher {
             }
         }
         if accepted || header.id.sequence.is_multiple_of(self.quiet_scans) {
-            self.notifiers.ring();
+            self.notifiers.notify();
         }
         context.probe_scan(scan);
         self.join.finished(header.id.sequence + 1)
@@ -354,7 +354,7 @@ impl Actor for Matcher {
             self.drain(context)?;
         }
         if self.join.has_ended()? && !any {
-            self.notifiers.ring();
+            self.notifiers.notify();
         }
         if expects_verdict {
             // The filter may wait for this very processor.

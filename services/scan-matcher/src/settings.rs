@@ -52,15 +52,15 @@ pub enum Strategy {
     Ndt,
 }
 
-/// What happens after a bad fit: a wide search (`gauss-newton`, `correlative`, `ndt`), and when a fit is not believed at all.
+/// What happens after a bad fit: a wide search (`gauss-newton`, `correlative`, `ndt`), and when a fit is not accepted at all.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Rescue {
     /// A score below this share of the running mean is a bad one: a wide search begins, the pose is degraded, and the next drop is
-    /// overruled; 0 = none is, and odometry is believed whatever it says.
+    /// overruled; 0 = none is, and odometry is used whatever it is.
     pub below: f64,
-    /// After this many scans in a row that are not believed the robot is taken to be somewhere else: the map is left as it is and
-    /// a new trajectory begins, which a closure may attach; 0 = every fit is believed.
+    /// After this many scans in a row that are not accepted the robot is taken to be somewhere else: the map is left as it is and
+    /// a new trajectory begins, which a closure may attach; 0 = every fit is accepted.
     pub lost_scans_max: u32,
 }
 

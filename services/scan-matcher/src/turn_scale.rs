@@ -14,7 +14,7 @@ const START_SHARE: f64 = 0.02;
 const START_TURNS: f64 = 20.0;
 const START_TURN_RAD: f64 = 0.1;
 
-/// The learned scale of turns: the state of a Kalman filter that never forgets.
+/// The learned scale of turns: the state of a Kalman filter without process noise.
 ///
 /// Beams of a scan that leave one after the other are straightened by the velocity of turning. An error of a fiftieth bends the scan of a
 /// robot that turns by 2 rad/s by a quarter of a degree.
@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn turns_that_odometry_never_misses_are_believed_more_and_others_never_less_than_at_first() {
+    fn turns_that_odometry_never_misses_weigh_more_and_others_never_less_than_at_first() {
         let learned = |missed_rad: f64| {
             let mut scale = TurnScale::default();
             for k in 0..300 {

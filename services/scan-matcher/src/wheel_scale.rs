@@ -15,7 +15,7 @@ const AHEAD_MAX_M: f64 = 0.3;
 ///
 /// In the open few points hold a scan and odometry weighs much. Its random errors average out over the way, an error of its scale does
 /// not: surfaces hold all scans a little ahead of odometry, or behind it. Closed loops do not show it either. The scale is the state
-/// of a Kalman filter that never forgets.
+/// of a Kalman filter without process noise.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct WheelScale {
     correction: f64,

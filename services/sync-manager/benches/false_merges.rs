@@ -1,4 +1,4 @@
-//! Trials of meetings with lies: how many are merged that should be, and how many that should not.
+//! Trials of meetings with false constraints: how many are merged that should be, and how many that should not.
 //!
 //! `cargo bench -p flockslam-sync-manager --bench false_merges -- [FIRST] [COUNT]` prints a line for each trial and the sum; 200 from 0 on by default.
 
@@ -41,7 +41,7 @@ fn main() {
         tally.worst_m = tally.worst_m.max(outcome.worst_m);
         tally.searches += outcome.searches;
         println!(
-            "{number:3} {:32} {} worst {:.3} m, {} records of truths, {} lies, {} searches, {:.1} s",
+            "{number:3} {:32} {} worst {:.3} m, {} records of true constraints, {} of false ones, {} searches, {:.1} s",
             trial.kind,
             if outcome.is_false_merge() {
                 "MERGED WRONGLY"
@@ -68,12 +68,12 @@ fn main() {
         sum.merged += tally.merged;
         sum.wrongly += tally.wrongly;
     }
-    let [strangers, meetings] = sums;
+    let [different, meetings] = sums;
     println!(
         "{} of {} meetings merged rightly; {} false merges in {} trials",
         meetings.merged - meetings.wrongly,
         meetings.trials,
-        meetings.wrongly + strangers.wrongly,
-        meetings.trials + strangers.trials
+        meetings.wrongly + different.wrongly,
+        meetings.trials + different.trials
     );
 }

@@ -1,5 +1,5 @@
 //! What a flock costs as it grows: records, memory and time of the common solution, for so many robots that drive the same ring of
-//! corridors, each tied to the next.
+//! corridors, each connected to the next.
 //!
 //! `cargo bench -p flockslam-sync-manager --bench flock_scaling -- [ROBOTS]` prints one line; a process for each number, so that memory is that of one.
 
@@ -21,8 +21,8 @@ use support::{Building, laps};
 
 /// Robots that are really mapped for; the others have the same drives under other names.
 const DRIVES: usize = 6;
-/// Robots are tied at every so many of their nodes.
-const TIED_EVERY: usize = 12;
+/// Robots are connected at every so many of their nodes.
+const CONNECTED_EVERY: usize = 12;
 
 /// A robot's records, and its nodes: sequence and true pose.
 struct Drive {
@@ -111,7 +111,7 @@ fn ties(robot: usize, drives: &[Drive]) -> Vec<Content> {
             shift_m: 0.0,
         }
     };
-    let ties: Vec<Constraint> = own.nodes.iter().step_by(TIED_EVERY).map(tie).collect();
+    let ties: Vec<Constraint> = own.nodes.iter().step_by(CONNECTED_EVERY).map(tie).collect();
     ties.chunks(CONSTRAINTS_MAX).map(|some| Content::Constraints(some.to_vec())).collect()
 }
 

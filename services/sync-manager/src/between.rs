@@ -6,21 +6,21 @@ use flockslam_registration::cloud::Placement;
 
 /// A curve spans at most so many scans from one known pose to the next; over more only odometry knows what happened.
 const SPAN_MAX: u64 = 5;
-/// A rehearsal leaves one known pose out, so it spans about twice as many.
-const REHEARSAL_SPAN_MAX: u64 = 2 * SPAN_MAX;
+/// A held-out test leaves one known pose out, so it spans about twice as many.
+const HELD_OUT_SPAN_MAX: u64 = 2 * SPAN_MAX;
 /// Motion below this is not used to choose an interpolation, metres (a radian counts as a metre).
-const REHEARSAL_WAY_M: f64 = 0.02;
-/// In use a stretch is half as long as in a rehearsal. Of a curve that leaves at most this share of the error, more than of
+const HELD_OUT_WAY_M: f64 = 0.02;
+/// In use a stretch is half as long as in a held-out test. Of a curve that leaves at most this share of the error, more than of
 /// odometry.
 const CURVE_SHARE: f64 = 0.5;
 /// Greatest error that one trial counts with: a single slip must not decide for all.
-const REHEARSAL_ERROR_MAX_M: f64 = 0.1;
+const HELD_OUT_ERROR_MAX_M: f64 = 0.1;
 /// A step between stamps counts as this many times the usual one at least and at most.
 const STEP: (f64, f64) = (0.3, 3.0);
 
 /// How poses between two known ones are found.
 ///
-/// Dead reckoning is not always the best witness over a few scans: its stamps may lag behind the lidar's. A curve
+/// Dead reckoning is not always the best account over a few scans: its stamps may lag behind the lidar's. A curve
 /// through the known poses needs to know when a scan was taken, and of that either the stamps or the bare order of the
 /// scans can be the better account. Which of the three it is, the known poses themselves tell: see [`Way::chosen`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,14 +51,14 @@ impl Way {
     ) -> Self {
         let curves = [Self::Evenly, Self::ByStamps].map(|way| (way, Curve::new(records, known, way)));
         let mut errors_m = [0.0; 3];
-        for middle in (1..known.len().saturating_sub(1)).filter(|m| is_rehearsal(records, known, *m)) {
+        for middle in (1..known.len().saturating_sub(1)).filter(|m| is_held_out(records, known, *m)) {
             let error_m = |pose: Placement| {
                 let (_, truth) = known[middle];
-                (pose.distance_m(&truth) + pose.turn_rad(&truth)).min(REHEARSAL_ERROR_MAX_M)
+                (pose.distance_m(&truth) + pose.turn_rad(&truth)).min(HELD_OUT_ERROR_MAX_M)
             };
             errors_m[0] += error_m(by_odometry(middle));
-            errors_m[1] += CURVE_SHARE * error_m(curves[0].1.rehearsed(middle));
-            errors_m[2] += CURVE_SHARE * error_m(curves[1].1.rehearsed(middle));
+            errors_m[1] += CURVE_SHARE * error_m(curves[0].1.held_out(middle));
+            errors_m[2] += CURVE_SHARE * error_m(curves[1].1.held_out(middle));
         }
         let ways = [Self::Odometry, Self::Evenly, Self::ByStamps];
         let best = (0..3).min_by(|a, b| errors_m[*a].total_cmp(&errors_m[*b]));
@@ -87,7 +87,7 @@ impl<'a> Curve<'a> {
     }
 
     /// Known pose `middle` from those around it.
-    fn rehearsed(&self, middle: usize) -> Placement {
+    fn held_out(&self, middle: usize) -> Placement {
         let around = [middle.checked_sub(2), Some(middle - 1), Some(middle + 1), Some(middle + 2)];
         self.bent(around, self.known[middle].0)
     }
@@ -143,10 +143,10 @@ fn spans(records: &[PoseRecord], from: usize, to: usize, most: u64) -> bool {
 }
 
 /// Whether known pose `middle` can be found from its neighbours and the robot moved there.
-fn is_rehearsal(records: &[PoseRecord], known: &[(usize, Placement)], middle: usize) -> bool {
+fn is_held_out(records: &[PoseRecord], known: &[(usize, Placement)], middle: usize) -> bool {
     let (before, after) = (known[middle - 1], known[middle + 1]);
-    spans(records, before.0, after.0, REHEARSAL_SPAN_MAX)
-        && before.1.distance_m(&after.1) + before.1.turn_rad(&after.1) >= REHEARSAL_WAY_M
+    spans(records, before.0, after.0, HELD_OUT_SPAN_MAX)
+        && before.1.distance_m(&after.1) + before.1.turn_rad(&after.1) >= HELD_OUT_WAY_M
 }
 
 /// Seconds from the first record on, always forward: a step that no robot's lidar makes counts as a usual one.
@@ -160,8 +160,8 @@ fn stamps(records: &[PoseRecord]) -> Vec<f64> {
     for (i, _) in records.iter().enumerate() {
         if i > 0 {
             let step_s = step_s(&records[i - 1..=i]);
-            let believed_s = if step_s > 0.0 { step_s } else { usual_s };
-            now_s += believed_s.clamp(STEP.0 * usual_s, STEP.1 * usual_s);
+            let assumed_s = if step_s > 0.0 { step_s } else { usual_s };
+            now_s += assumed_s.clamp(STEP.0 * usual_s, STEP.1 * usual_s);
         }
         times.push(now_s);
     }
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn odometry_that_is_right_is_believed() {
+    fn odometry_that_is_right_is_used() {
         let times_s = uneven();
         let even_s: Vec<f64> = (0..120).map(|i| f64::from(i) * 0.1).collect();
         let (way, error_m) = measured(&records(&times_s, &even_s, 0.0));
@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn stamps_are_believed_where_odometry_is_late() {
+    fn stamps_are_used_where_odometry_is_late() {
         let times_s = uneven();
         let (way, error_m) = measured(&records(&times_s, &times_s, 0.15));
         assert_eq!(way, Way::ByStamps);
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn the_order_is_believed_where_odometry_and_stamps_are_bad() {
+    fn the_order_is_used_where_odometry_and_stamps_are_bad() {
         let times_s: Vec<f64> = (0..120).map(|i| f64::from(i) * 0.1).collect();
         let stamps_s: Vec<f64> =
             (0..120_u32).map(|i| f64::from(i) * 0.1 + f64::from(i * i * 5 % 11) * 0.03).collect();

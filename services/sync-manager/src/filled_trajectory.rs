@@ -25,7 +25,7 @@ impl Between {
 
 /// Poses for all records from the known ones, given as (record, pose) in ascending order of records.
 ///
-/// Between two known records the motion that is trusted there is laid on both, and the two results are blended by the share
+/// Between two known records the motion that is known there is laid on both, and the two results are blended by the share
 /// of the way; or both are joined by a curve. Where another trajectory begins nothing is blended: scans that were lost before it belong to it, the others to the
 /// trajectory before.
 pub fn filled(records: &[PoseRecord], known: &[(usize, Placement)], between: Between) -> Vec<Placement> {

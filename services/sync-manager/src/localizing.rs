@@ -81,7 +81,7 @@ impl LocalizingManager {
         self.map_area_m2
     }
 
-    /// What is believed, and the sensor stamp of the last scan that was looked at.
+    /// The belief, and the sensor stamp of the last scan that was looked at.
     pub fn belief(&self) -> (&Belief, i64) {
         (self.localizer.belief(), self.stamp_ns)
     }
@@ -125,7 +125,7 @@ impl LocalizingManager {
         }
     }
 
-    /// Takes a pose that a predecessor of this process has heard. Where it was placed in the map, that is taken for a measurement: the
+    /// Takes a pose that a predecessor of this process has received. Where it was placed in the map, that is taken for a measurement: the
     /// scans are not looked at again.
     pub fn published(&mut self, pose: &PoseEstimate) {
         let is_placed = !pose.has(PoseFlags::UNPLACED);
@@ -160,7 +160,7 @@ impl LocalizingManager {
         }
     }
 
-    /// Goes on after the poses that a predecessor has heard.
+    /// Goes on after the poses that a predecessor has received.
     pub fn resume(&mut self) {
         if let (true, Some((map_from_odom, _))) = (self.is_localized, self.corrected) {
             self.localizer.resume(map_from_odom.into());
@@ -245,7 +245,7 @@ impl LocalizingManager {
         std::mem::take(&mut self.frozen)
     }
 
-    /// Gives the older half of the drive its final poses, and forgets it.
+    /// Gives the older half of the drive its final poses, and drops it.
     fn freeze(&mut self) {
         let poses = self.solved();
         let half = self.views.len() / 2;
@@ -293,7 +293,7 @@ impl LocalizingManager {
             let motion = from.odom.to(to.odom);
             edges.push(Edge { from: k + 1, to: k + 2, motion, information: drift(&motion) });
         }
-        let trusted = edges.len();
+        let fixed_count = edges.len();
         let measured = self.views.iter().enumerate().map(|(k, view)| Edge {
             from: 0,
             to: k + 1,
@@ -303,7 +303,7 @@ impl LocalizingManager {
         edges.extend(measured);
         let settings =
             RobustSettings { chi_squared_max: CHI_SQUARED_MAX, growth: 1.6, rounds: 25, warm_up: 6 };
-        solve(poses.len(), &edges, trusted, &settings, &mut poses);
+        solve(poses.len(), &edges, fixed_count, &settings, &mut poses);
         poses.split_off(1)
     }
 

@@ -382,7 +382,7 @@ impl SyncManager {
     fn solve_with(&mut self, known: usize, eligible: &[bool]) {
         let mut edges: Vec<Edge> = self.odometry.edges()[..known - 1].to_vec();
         edges.extend(self.odometry.given());
-        let trusted = edges.len();
+        let fixed_count = edges.len();
         edges.extend(
             self.closures.iter().zip(eligible).filter(|(_, eligible)| **eligible).map(|(c, _)| c.edge),
         );
@@ -392,15 +392,16 @@ impl SyncManager {
         edges.extend(self.odometry.joints(known));
         let settings =
             RobustSettings { chi_squared_max: CHI_SQUARED_MAX, growth: 1.6, rounds: 25, warm_up: 6 };
-        let mut poses = connectivity::start(&self.odometry.nodes()[..known], &edges[trusted..entries_end]);
-        let solved = solve(known, &edges, trusted, &settings, &mut poses);
+        let mut poses =
+            connectivity::start(&self.odometry.nodes()[..known], &edges[fixed_count..entries_end]);
+        let solved = solve(known, &edges, fixed_count, &settings, &mut poses);
         (self.poses, self.solving_cost) = (poses, solved.work);
         self.hold_given();
         let nodes = self.odometry.nodes();
         let joints = edges[closures_end..].iter().zip(&solved.weights[closures_end..]);
         self.ruled_out =
             joints.filter(|(_, w)| **w <= 0.5).map(|(joint, _)| nodes[joint.to].sequence).collect();
-        let mut inliers = solved.weights[trusted..closures_end].iter().map(|&w| w > 0.5);
+        let mut inliers = solved.weights[fixed_count..closures_end].iter().map(|&w| w > 0.5);
         self.is_inlier = eligible.iter().map(|&eligible| eligible && inliers.next() == Some(true)).collect();
     }
 

@@ -45,7 +45,7 @@ impl PoseRecord {
 
 /// Whether the points of the scan with this pose say where it lies: it was matched, or it was dropped without having been tried. A scan that
 /// the front end has tried in vain says nothing, nor does one that the source withheld.
-pub fn says_its_place(pose: &PoseEstimate) -> bool {
+pub fn gives_a_place(pose: &PoseEstimate) -> bool {
     let untried = [DropReason::Correlated, DropReason::Unchanged, DropReason::Motion, DropReason::Overload];
     let is_untried =
         !pose.has(PoseFlags::OVERRIDDEN) && untried.iter().any(|r| *r as u32 == pose.drop_reason);
@@ -63,7 +63,7 @@ mod tests {
         let (kept, correlated) = (pose(0, 0), pose(0, DropReason::Correlated as u32));
         let withheld = pose(0, DropReason::Withheld as u32);
         let matched = pose(PoseFlags::MATCHED | PoseFlags::OVERRIDDEN, DropReason::Correlated as u32);
-        let says = [tried, kept, correlated, withheld, matched].map(|pose| says_its_place(&pose));
+        let says = [tried, kept, correlated, withheld, matched].map(|pose| gives_a_place(&pose));
         assert_eq!(says, [false, false, true, false, true]);
     }
 }

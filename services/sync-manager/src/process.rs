@@ -4,7 +4,7 @@
 //! Of several processes one is active. The others read the same inputs and compute the same results without publishing them, so that one of them
 //! goes on when it dies: recovering its state would take as long as all its searches.
 
-use crate::pose_record::says_its_place;
+use crate::pose_record::gives_a_place;
 use crate::{BackEnd, ClosureCounts, Settings};
 use clear_at_end::clear_at_end;
 use detached::write_detached;
@@ -20,7 +20,7 @@ use flockslam_messages::{
 use flockslam_results::SubmapStore;
 use flockslam_results::{self as results, LivePoses, LocalisationStatus, SubmapRow, Summary, Unattached};
 use flockslam_stage::{
-    Actor, Copies, Inbox, Join, JournalReader, LastWord, LeaderLock, Mode, Notifiers, StageContext,
+    Actor, Copies, FinalMessage, Inbox, Join, JournalReader, LeaderLock, Mode, Notifiers, StageContext,
     StageError, run,
 };
 use fuser::Fuser;
@@ -89,7 +89,7 @@ struct SyncProcess {
     next_submap: u32,
     corrections: Publisher<Correction>,
     matcher: Notifier,
-    finished: LastWord,
+    finished: FinalMessage,
     trajectories: Trajectories,
     settings: Settings,
     /// Publishes this robot's findings to the flock.
@@ -111,7 +111,7 @@ struct SyncProcess {
     metrics: CorrectionMetrics,
     /// What nothing connects with the map, as said last.
     unattached: Unattached,
-    /// What is believed of the robot's place in a known map, as said last.
+    /// The belief about the pose in a known map, as published last.
     localisation: Option<LocalisationStatus>,
 }
 
@@ -143,7 +143,7 @@ impl SyncProcess {
             next_submap: 0,
             corrections: bus.publisher()?,
             matcher: bus.notifier(Stage::ScanMatcher.name())?,
-            finished: LastWord::open(context, ControlKind::Finished, 0, supervisor)?,
+            finished: FinalMessage::open(context, ControlKind::Finished, 0, supervisor)?,
             trajectories: Trajectories::create(&result_dir)?,
             settings,
             outbox: Outbox::Silent,
@@ -160,9 +160,9 @@ impl SyncProcess {
             unattached: Unattached::default(),
             localisation: None,
         };
-        process.join.speak(is_active);
+        process.join.set_acknowledges(is_active);
         if process.is_active {
-            process.speak(context)?;
+            process.open_outbox(context)?;
         }
         process.recover(context)?;
         Ok(process)
@@ -176,7 +176,7 @@ impl SyncProcess {
     }
 
     /// From now on this process publishes to the flock.
-    fn speak(&mut self, context: &StageContext) -> Result<(), StageError> {
+    fn open_outbox(&mut self, context: &StageContext) -> Result<(), StageError> {
         if let Some(metrics) = self.flock_metrics.take() {
             self.outbox =
                 Outbox::open(&self.settings.flock, &context.result_dir, &context.status_dir, metrics)?;
@@ -189,8 +189,8 @@ impl SyncProcess {
         tracing::info!(stage = context.stage.name(), replica = context.replica, "takes over");
         self.trajectories.move_to(&context.result_dir)?;
         self.is_active = true;
-        self.join.speak(true);
-        self.speak(context)?;
+        self.join.set_acknowledges(true);
+        self.open_outbox(context)?;
         if let Some(mapping) = self.logic.mapping() {
             for number in 0..self.next_submap {
                 self.outbox.publish(mapping, number, &self.store)?;
@@ -198,7 +198,7 @@ impl SyncProcess {
         }
         if let Some(correction) = &self.correction {
             self.corrections.send(correction)?;
-            self.matcher.ring();
+            self.matcher.notify();
         }
         self.join.refresh()
     }
@@ -251,7 +251,7 @@ impl SyncProcess {
             return Ok(());
         }
         self.local.end();
-        if let Some(scan) = scan.filter(|_| self.optimises && says_its_place(pose)) {
+        if let Some(scan) = scan.filter(|_| self.optimises && gives_a_place(pose)) {
             self.logic.node(scan, pose, moving);
         }
         Ok(())
@@ -299,7 +299,7 @@ impl SyncProcess {
         mapping.submaps_retired(&retired);
         let (counts, unattached) = (mapping.closure_counts(), mapping.unattached());
         self.publish(took_ns, counts);
-        self.say_unattached(unattached, context);
+        self.report_unattached(unattached, context);
         self.show();
         Ok(())
     }
@@ -308,7 +308,7 @@ impl SyncProcess {
     fn correct(&mut self, correction: &Correction) -> Result<(), StageError> {
         if self.is_active && (self.recovered || !self.is_watched) {
             self.corrections.send(correction)?;
-            self.matcher.ring();
+            self.matcher.notify();
         }
         Ok(())
     }
@@ -331,7 +331,7 @@ impl SyncProcess {
     }
 
     /// Says what nothing connects with the map, when that has changed. A failure has no other effect.
-    fn say_unattached(&mut self, unattached: Unattached, context: &StageContext) {
+    fn report_unattached(&mut self, unattached: Unattached, context: &StageContext) {
         if unattached == self.unattached {
             return;
         }
@@ -423,7 +423,7 @@ impl SyncProcess {
         let directory = &context.result_dir.clone();
         let Some(mapping) = self.logic.mapping() else { return self.finish_localizing(directory) };
         let solution = mapping.finish();
-        mapping.forget_scans();
+        mapping.drop_scans();
         let scans = self.trajectories.finish(&solution)?;
         self.fuser.keep_below(mapping.imported_submaps());
         self.fuser.finish(&solution.submaps)?;
@@ -444,7 +444,7 @@ impl SyncProcess {
         if let Some(mapping) = self.logic.mapping() {
             self.outbox.finish(mapping, &solution, &self.store, &scans, context)?;
         }
-        self.finished.say(self.summary.scans)
+        self.finished.send(self.summary.scans)
     }
 }
 
@@ -472,7 +472,7 @@ impl Actor for SyncProcess {
             any = true;
         }
         let ended = self.join.has_ended()? && self.join.stream.submaps.is_some();
-        if ended && self.is_active && !self.finished.is_said() {
+        if ended && self.is_active && !self.finished.is_sent() {
             self.finish(context)?;
         }
         Ok(any)

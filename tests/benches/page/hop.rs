@@ -25,7 +25,7 @@ pub fn echo(directory: &Path) {
             let coefficient = monotonic_ns().saturating_sub(sample.header().times.monotonic_ns) as f64;
             answers
                 .send(&Verdict { id: sample.header().id, coefficient, ..Verdict::default() })
-                .expect("it is heard");
+                .expect("it is received");
         }
     }
 }
@@ -73,7 +73,7 @@ fn hop(shared: &SharedMemory, beams: usize) -> LatencyHistogram {
         std::thread::sleep(Duration::from_micros(500));
         (scan.header.id.sequence, scan.header.times.monotonic_ns) = (sequence, monotonic_ns());
         scans.send(scan.view().expect("it is whole")).expect("memory is free");
-        event.ring();
+        event.notify();
         histogram.record(next() as u64);
     }
     drop(child);

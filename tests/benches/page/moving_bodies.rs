@@ -2,7 +2,7 @@
 
 use super::{Bench, Table, figure, mean};
 use crate::support::ndt_runs::ndt_settings;
-use crate::support::{BUILDINGS, MovingDrive, Outputs, later_free, lively, moving_building, run_well};
+use crate::support::{BUILDINGS, MovingDrive, Outputs, later_free, moving_building, run_well, with_movers};
 use flockslam_drives::experiments::{BEARING_SIGMA_RAD, flat, flat_seeded};
 use flockslam_drives::followed::TrackFigures;
 use flockslam_drives::ndt_system::{MoveError, ndt_cost_ms, ndt_errors};
@@ -65,7 +65,7 @@ pub fn worlds(bench: &mut Bench) -> String {
         for walkers in WALKERS {
             let figures: Vec<_> = (1..=seeds)
                 .map(|seed| {
-                    let drive = MovingDrive { map: Some(map.clone()), settings: lively(seed, walkers) };
+                    let drive = MovingDrive { map: Some(map.clone()), settings: with_movers(seed, walkers) };
                     drive.figures(&drive.run(&[]))
                 })
                 .collect();
@@ -133,7 +133,7 @@ fn tracks(seeds: u64) -> String {
         figure(figures.speed_error_m_s(), 3),
         format!("{} of {}", figures.recognised, figures.hidden),
         figures.positions.to_string(),
-        figures.nobodys.to_string(),
+        figures.false_tracks.to_string(),
     ]);
     table.row(["asked", "0.10", "0.15", "90 %"]);
     format!(

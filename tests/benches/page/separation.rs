@@ -50,7 +50,7 @@ pub fn section(bench: &mut Bench) -> String {
     if bench.plan.patient {
         let hops = hop::table(bench.shared_memory());
         text += &format!(
-            "\nOne hop: from the sending of a scan to its reader in another process, which sleeps until its event rings:\n\n{hops}"
+            "\nOne hop: from the sending of a scan to its reader in another process, which sleeps until its event is notified:\n\n{hops}"
         );
     }
     text

@@ -118,7 +118,7 @@ pub struct TrackFigures {
     speed_errors_m_s: f64,
     speeds: usize,
     /// Tracks in sight that are nobody's.
-    pub nobodys: usize,
+    pub false_tracks: usize,
     /// How often somebody was hidden for up to a second.
     pub hidden: usize,
     /// How often the name was the same afterwards.
@@ -147,7 +147,7 @@ impl TrackFigures {
                 self.count(now_s, track, mover);
             }
         }
-        self.nobodys += in_view.len() - named.len();
+        self.false_tracks += in_view.len() - named.len();
     }
 
     fn count(&mut self, now_s: f64, track: &Track, mover: &MoverTruth) {
@@ -192,7 +192,7 @@ impl TrackFigures {
             all.speeds += one.speeds;
             all.hidden += one.hidden;
             all.recognised += one.recognised;
-            all.nobodys += one.nobodys;
+            all.false_tracks += one.false_tracks;
             all
         })
     }

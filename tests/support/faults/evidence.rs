@@ -1,4 +1,4 @@
-//! Reads a saved map and says which promises about accepted scans and poses it breaks.
+//! Reads a saved map and says which guarantees about accepted scans and poses it breaks.
 
 use flockslam::store::SavedMap;
 use flockslam_messages::{PoseEstimate, PoseFlags};
@@ -9,7 +9,7 @@ const STEP: (f64, f64) = (0.3, 0.35);
 /// … and by so much for each second between them: faster than any robot here.
 const SPEED: (f64, f64) = (1.5, 2.0);
 
-/// What a set has left behind, as far as promises are about it.
+/// What a set has left behind, as far as guarantees are about it.
 #[derive(Clone)]
 pub struct Evidence {
     /// Every pose, in the order of the journal.

@@ -306,7 +306,7 @@ pub fn jumping_clock(duration_s: f64) -> Trial {
 /// SIGKILL of the process of a stage that acts while another one is on standby, so many times.
 pub fn kills_of_the_leader(stage: Stage, runs: usize, seed: u64) -> Trial {
     let (directory, mut random) = (tempfile::tempdir().unwrap(), Seeded::new(seed));
-    let mut trial = Trial { fault: format!("kill {} beside a stand-in", stage.name()), ..Trial::default() };
+    let mut trial = Trial { fault: format!("kill {} beside the fallback", stage.name()), ..Trial::default() };
     let more = format!("stages.{}.replicas = 2", stage.name());
     let duration_s = drive_s(Signal::KILL, runs);
     let mut subject = Subject::start_with("turns", directory.path(), duration_s, &more, &[], "");

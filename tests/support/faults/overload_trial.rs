@@ -41,21 +41,21 @@ impl Overload {
         }
     }
 
-    fn begin(self, set: &mut LiveSet) -> Nuisance {
+    fn begin(self, set: &mut LiveSet) -> Load {
         match self {
-            Self::Slow(stage, times) => Nuisance::slow(set.pid(stage), times),
-            Self::Hog => Nuisance::hog(),
+            Self::Slow(stage, times) => Load::slow(set.pid(stage), times),
+            Self::Hog => Load::hog(),
         }
     }
 }
 
 /// Something that goes on until it is dropped.
-struct Nuisance {
+struct Load {
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
 }
 
-impl Nuisance {
+impl Load {
     fn start(threads: usize, act: impl Fn() + Clone + Send + 'static) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let begin = |_| {
@@ -94,7 +94,7 @@ impl Nuisance {
     }
 }
 
-impl Drop for Nuisance {
+impl Drop for Load {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         self.threads.drain(..).for_each(|thread| thread.join().unwrap());
@@ -112,7 +112,7 @@ pub fn overload(kind: Overload) -> Trial {
     let poses = PoseWatch::start(&set.runtime_dir());
     let occupied_bytes = |set: &LiveSet| RuntimeDir::open(&set.runtime_dir()).unwrap().occupied_bytes();
     let memory_before = occupied_bytes(&set);
-    let nuisance = kind.begin(&mut set);
+    let load = kind.begin(&mut set);
     let sent = of(&before, Stage::LidarIngest).handled + 200;
     set.wait_until_handled(Stage::LidarIngest, sent);
     let newest_s = wait_for("a pose of one of the newest scans", || {
@@ -121,7 +121,7 @@ pub fn overload(kind: Overload) -> Trial {
         (age_s < NEWEST_WITHIN_S).then_some(age_s)
     });
     trial.recoveries_ms.push(newest_s * 1e3);
-    drop(nuisance);
+    drop(load);
     let grown = occupied_bytes(&set).saturating_sub(memory_before);
     if grown > GROWTH_MAX {
         trial.violations.push(format!("{grown} bytes more in shared memory"));

@@ -27,7 +27,7 @@ impl Slot {
     pub fn each<'a>(&'a self, mut visit: impl FnMut(Kind, &'a Arc<[u8]>)) {
         match self {
             Self::Whole(record) => visit(record.kind(), record.bytes()),
-            // Proof of a lie goes before anything else.
+            // The proof that a name was used twice goes before anything else.
             Self::Quarantined(both) => {
                 both.iter().for_each(|record| visit(Kind::Withdrawal, record.bytes()));
             }

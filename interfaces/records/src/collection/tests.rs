@@ -48,8 +48,8 @@ fn constraint(from: &RobotKey, to: &RobotKey) -> Content {
     }])
 }
 
-/// What three robots say: of everything something, a lie (two records of one name) among it.
-fn said() -> Vec<Record> {
+/// Records of three robots: of everything something, a conflict (two records of one name) among it.
+fn records_of_three() -> Vec<Record> {
     let (a, b, c) = (key("a"), key("b"), key("c"));
     let mut records = Vec::new();
     for robot in [&a, &b, &c] {
@@ -81,7 +81,7 @@ fn names(collection: &Collection) -> Vec<RecordName> {
 proptest! {
     #[test]
     fn order_and_repetition_do_not_matter(order in proptest::collection::vec(0usize..20, 0..60), seed in any::<u64>()) {
-        let records = said();
+        let records = records_of_three();
         let mut all: Vec<usize> = (0..records.len()).collect();
         all.rotate_left((seed % records.len() as u64) as usize);
         if seed & 1 == 1 {
@@ -101,13 +101,13 @@ proptest! {
         prop_assert!(names(&forward).iter().any(|name| name.robot.name() == "c" && name.number == 0));
     }
 
-    /// Three robots, each knows a part, talk in any order over links that lose and repeat: once all have heard all, all know the same.
+    /// Three robots, each knows a part, exchange in any order over links that lose and repeat: once all have received all, all know the same.
     #[test]
     fn robots_that_talk_come_to_know_the_same(
         share in proptest::collection::vec(0usize..3, 20),
         talks in proptest::collection::vec((0usize..3, 0usize..3, 200usize..4000, any::<bool>()), 0..30),
     ) {
-        let records = said();
+        let records = records_of_three();
         prop_assert_eq!(records.len(), share.len());
         let mut robots = vec![Collection::default(); 3];
         for (record, owner) in records.iter().zip(&share) {
@@ -116,7 +116,7 @@ proptest! {
         let rounds = (0..60).map(|k| (k % 3, (k + 1 + k / 3 % 2) % 3, 1500, false));
         for (to, from, budget, lost) in talks.into_iter().chain(rounds) {
             if to != from {
-                talk(&mut robots, to, from, budget, lost);
+                exchange(&mut robots, to, from, budget, lost);
             }
         }
         prop_assert_eq!(robots[0].hash(), robots[1].hash());
@@ -132,7 +132,7 @@ proptest! {
         let mut collection = Collection::default();
         let _ = collection.take(&bytes);
         let _ = Message::decode(&bytes);
-        for record in said() {
+        for record in records_of_three() {
             let mut bytes = record.bytes().to_vec();
             let at = at % bytes.len();
             bytes[at] ^= flip;
@@ -148,7 +148,7 @@ proptest! {
 }
 
 /// `to` tells what it has and takes in what `from` answers, as far as it comes through; then what `to` says to that.
-fn talk(robots: &mut [Collection], to: usize, from: usize, budget: usize, lost: bool) {
+fn exchange(robots: &mut [Collection], to: usize, from: usize, budget: usize, lost: bool) {
     let have = Message::decode(&Message::Have(robots[to].vector()).encode()).unwrap();
     let answers = robots[from].answer(&have, budget);
     for (k, answer) in answers.iter().enumerate() {
@@ -164,7 +164,7 @@ fn talk(robots: &mut [Collection], to: usize, from: usize, budget: usize, lost: 
 
 #[test]
 fn records_come_back_as_they_were_said() {
-    for record in said() {
+    for record in records_of_three() {
         let read = Record::read(record.bytes()).unwrap();
         assert_eq!(read, record);
         let again =
@@ -176,17 +176,17 @@ fn records_come_back_as_they_were_said() {
 #[test]
 fn the_urgent_goes_first_and_within_the_budget() {
     let mut collection = Collection::default();
-    take_all(&mut collection, &said());
+    take_all(&mut collection, &records_of_three());
     let all = collection.missing(&Vector::default(), usize::MAX);
     let read: Vec<Record> = all.iter().map(|bytes| Record::read(bytes).unwrap()).collect();
     let order: Vec<(Kind, u64)> = read.iter().map(|record| (record.kind(), record.name.number)).collect();
-    // Both records of a lie go with the withdrawals, whatever they say.
-    let (lie, withdrawals) = ([(Kind::Submap, 3); 2], [(Kind::Withdrawal, 4); 4]);
+    // Both records of a conflict go with the withdrawals, whatever they say.
+    let (conflict, withdrawals) = ([(Kind::Submap, 3); 2], [(Kind::Withdrawal, 4); 4]);
     let stretches = [[(Kind::Stretch, 1); 3], [(Kind::Stretch, 5); 3]].concat();
     let submaps = [vec![(Kind::Submap, 0); 4], vec![(Kind::Submap, 3); 2]].concat();
     let constraints = [(Kind::Constraint, 2); 2];
     let expected: Vec<(Kind, u64)> =
-        [&lie[..], &withdrawals[..], &constraints[..], &stretches[..], &submaps[..]].concat();
+        [&conflict[..], &withdrawals[..], &constraints[..], &stretches[..], &submaps[..]].concat();
     assert_eq!(order, expected);
     let some = collection.missing(&Vector::default(), 1000);
     assert!(some.iter().map(|bytes| bytes.len()).sum::<usize>() <= 1000 && some[..] == all[..some.len()]);
@@ -200,37 +200,37 @@ fn what_is_too_much_is_refused_and_counted() {
     let limits =
         Limits { robots_max: 2, epochs_max: 1, records_max: 4, robot_bytes_max: 2000, ..Limits::default() };
     let mut collection = Collection::new(limits);
-    let mut say = |name: &str, epoch, number, size| {
+    let mut insert = |name: &str, epoch, number, size| {
         let record = Record::new(&key(name), epoch, number, &submap(number as u32, size)).unwrap();
         collection.insert(record)
     };
-    assert_eq!(say("a", 1, 0, 10), Outcome::New);
-    assert_eq!(say("a", 2, 0, 10), Outcome::Refused(Refusal::Epochs));
-    assert_eq!(say("a", 1, 4, 10), Outcome::Refused(Refusal::Records));
-    assert_eq!(say("a", 1, 3, 1900), Outcome::Refused(Refusal::Bytes));
-    assert_eq!(say("b", 1, 0, 10), Outcome::New);
-    assert_eq!(say("c", 1, 0, 10), Outcome::Refused(Refusal::Robots));
+    assert_eq!(insert("a", 1, 0, 10), Outcome::New);
+    assert_eq!(insert("a", 2, 0, 10), Outcome::Refused(Refusal::Epochs));
+    assert_eq!(insert("a", 1, 4, 10), Outcome::Refused(Refusal::Records));
+    assert_eq!(insert("a", 1, 3, 1900), Outcome::Refused(Refusal::Bytes));
+    assert_eq!(insert("b", 1, 0, 10), Outcome::New);
+    assert_eq!(insert("c", 1, 0, 10), Outcome::Refused(Refusal::Robots));
     collection.ban(*key("a").id().public_key());
     assert_eq!(collection.robots().map(RobotId::name).collect::<Vec<_>>(), ["b"]);
     let record = Record::new(&key("a"), 1, 0, &submap(0, 10)).unwrap();
     assert_eq!(collection.take(record.bytes()), Ok(Outcome::Refused(Refusal::NotTrusted)));
-    collection.trust_only([]);
+    collection.allow_only([]);
     assert_eq!(collection.robots().count(), 0);
     let refused: Vec<(Refusal, u64)> = collection.tally().refused.iter().map(|(why, n)| (*why, *n)).collect();
     assert_eq!(refused, Refusal::ALL[..5].iter().map(|why| (*why, 1_u64)).collect::<Vec<_>>());
     // All robots together.
     let mut collection = Collection::new(Limits { bytes_max: 600, ..Limits::default() });
-    let said = |name: &str, size| Record::new(&key(name), 1, 0, &submap(0, size)).unwrap();
-    assert_eq!(collection.insert(said("a", 100)), Outcome::New);
-    assert_eq!(collection.insert(said("b", 400)), Outcome::Refused(Refusal::AllBytes));
+    let record = |name: &str, size| Record::new(&key(name), 1, 0, &submap(0, size)).unwrap();
+    assert_eq!(collection.insert(record("a", 100)), Outcome::New);
+    assert_eq!(collection.insert(record("b", 400)), Outcome::Refused(Refusal::AllBytes));
     assert_eq!(collection.tally().refused.get(&Refusal::AllBytes), Some(&1));
     collection.never_refuse(key("b").id().clone());
-    assert_eq!(collection.insert(said("b", 400)), Outcome::New);
+    assert_eq!(collection.insert(record("b", 400)), Outcome::New);
 }
 
 #[test]
 fn claims_that_are_too_large_are_refused_before_memory_is_asked_for() {
-    let record = said().remove(1);
+    let record = records_of_three().remove(1);
     let mut bytes = record.bytes().to_vec();
     let length_at = 6 + 1 + 1 + 32 + 16;
     bytes[length_at..length_at + 4].copy_from_slice(&u32::MAX.to_le_bytes());

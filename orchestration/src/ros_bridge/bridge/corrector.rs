@@ -7,27 +7,22 @@ use flockslam_messages::PoseEstimate;
 use flockslam_telemetry::monotonic_ns;
 
 impl Bridge {
-    /// Time has gone back: what was heard of the time before does not count any more.
+    /// Time has gone back: what was received of the time before does not count any more.
     pub(super) fn begin_time_anew(&mut self, why: &str) {
         self.times_back += 1;
         // Two clocks in one graph would say it without end.
         if self.times_back.is_power_of_two() {
             let count = self.times_back;
-            tracing::warn!(
-                count,
-                "{why}: transforms and what waits are forgotten, and map → odom begins anew"
-            );
+            tracing::warn!(count, "{why}: transforms and what waits are dropped, and map → odom begins anew");
         }
         self.relay.clear();
         self.correction.clear();
     }
 
-    pub(super) fn hear_foreign(&mut self) {
+    pub(super) fn note_foreign_correction(&mut self) {
         let (map, odom) = (&self.parameters.map_frame, &self.parameters.odom_frame);
         if self.foreign_ns.replace(monotonic_ns()).is_none() {
-            tracing::error!(
-                "another node publishes {map} → {odom} on /tf: this one does not while it is heard"
-            );
+            tracing::error!("another node publishes {map} → {odom} on /tf: this one does not meanwhile");
         }
     }
 
@@ -60,7 +55,7 @@ impl Bridge {
             self.send_correction(&correction);
         }
         if self.correction.without_odometry > without {
-            self.relay.say_without_odometry(now_ns);
+            self.relay.warn_without_odometry(now_ns);
         }
         let period_ns = (self.parameters.live.transform_publish_period_s.get() * 1e9) as i64;
         if let Some(correction) =
@@ -71,7 +66,7 @@ impl Bridge {
     }
 
     fn send_correction(&mut self, correction: &Correction) {
-        if self.hears_foreign() {
+        if self.has_foreign_correction() {
             return;
         }
         if correction.jump.0 > JUMP_M || correction.jump.1 > JUMP_RAD {
@@ -80,13 +75,13 @@ impl Bridge {
         }
         let (map, odom) = (&self.parameters.map_frame, &self.parameters.odom_frame);
         self.publishers.send_transform(correction.stamp_ns, map, odom, correction.map_from_odom);
-        if let Some(heard) = correction.scan_ns.and_then(|scan_ns| self.relay.came(scan_ns)) {
-            self.latency.record(heard.elapsed().as_nanos() as u64);
+        if let Some(received) = correction.scan_ns.and_then(|scan_ns| self.relay.came(scan_ns)) {
+            self.latency.record(received.elapsed().as_nanos() as u64);
         }
     }
 
-    fn hears_foreign(&mut self) -> bool {
-        let is_past = |heard_ns: u64| monotonic_ns().saturating_sub(heard_ns) > FOREIGN_NS;
+    fn has_foreign_correction(&mut self) -> bool {
+        let is_past = |received_ns: u64| monotonic_ns().saturating_sub(received_ns) > FOREIGN_NS;
         if self.foreign_ns.is_some_and(is_past) {
             self.foreign_ns = None;
             tracing::info!("no other node corrects odometry any more: this one does again");

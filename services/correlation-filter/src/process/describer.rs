@@ -46,7 +46,7 @@ impl Actor for Helper {
             let Ok(scan) = sample.view() else { continue };
             if is_shared(scan, *parts) && part < parts {
                 self.tallies.send(&tally_part(scan, *part, *parts, *threads))?;
-                self.first.ring();
+                self.first.notify();
                 let times = scan.header().times;
                 context.handled(scan.header().id.sequence, started_ns, times.monotonic_ns);
             }

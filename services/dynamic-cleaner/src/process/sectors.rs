@@ -46,7 +46,7 @@ impl Helper {
         let found = logic.found();
         let header = SectorHeader { id: pose.id, generation, ..self.header };
         self.findings.send_with(&header, found.len(), |to| to.copy_from_slice(found))?;
-        self.first.ring();
+        self.first.notify();
         context.handled(pose.id.sequence, started_ns, pose.times.monotonic_ns);
         Ok(true)
     }

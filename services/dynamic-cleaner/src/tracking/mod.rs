@@ -16,7 +16,7 @@ const GATE_M: f64 = 1.0;
 /// A track is confirmed after so many sightings.
 const SIGHTINGS_MIN: u32 = 3;
 /// A confirmed track, and one not yet confirmed, end after so many seconds out of sight.
-const FORGOTTEN_S: (f64, f64) = (1.5, 0.35);
+const DROPPED_AFTER_S: (f64, f64) = (1.5, 0.35);
 /// After a pause of this many seconds all tracks end.
 const PAUSE_MAX_S: f64 = 3.0;
 /// A hidden person who turns or stops reappears elsewhere than expected: within this distance of the last sighting,
@@ -58,10 +58,10 @@ impl Tracker {
         self.associate();
         self.welcome();
         self.recognise();
-        self.followed.retain(|followed| !followed.is_forgotten());
+        self.followed.retain(|followed| !followed.is_stale());
         self.tracks.clear();
-        let believed = self.followed.iter().filter(|followed| followed.sightings >= SIGHTINGS_MIN);
-        self.tracks.extend(believed.map(Followed::track));
+        let confirmed = self.followed.iter().filter(|followed| followed.sightings >= SIGHTINGS_MIN);
+        self.tracks.extend(confirmed.map(Followed::track));
         &self.tracks
     }
 
@@ -142,7 +142,7 @@ impl Tracker {
             let known = &mut self.followed[nearest];
             let age_s = known.age_s;
             *known = Followed { id: known.id, sightings: known.sightings + found.sightings, age_s, ..found };
-            // Out of sight for ever: it is forgotten at once.
+            // Out of sight for ever: it is dropped at once.
             self.followed[new].unseen_s = f64::INFINITY;
         }
     }
@@ -158,9 +158,9 @@ impl Followed {
             && self.seen.distance_m(found.seen) < REACH.0 + REACH.1 * self.unseen_s
     }
 
-    fn is_forgotten(&self) -> bool {
-        let believed = self.sightings >= SIGHTINGS_MIN;
-        self.unseen_s > if believed { FORGOTTEN_S.0 } else { FORGOTTEN_S.1 }
+    fn is_stale(&self) -> bool {
+        let confirmed = self.sightings >= SIGHTINGS_MIN;
+        self.unseen_s > if confirmed { DROPPED_AFTER_S.0 } else { DROPPED_AFTER_S.1 }
     }
 
     fn track(&self) -> Track {

@@ -123,8 +123,8 @@ mod tests {
         assert_eq!(second.begin_epoch().unwrap(), 2);
         assert_eq!(first.key("a").unwrap().id(), open().key("a").unwrap().id());
         let other = tempfile::tempdir().unwrap();
-        let stranger = Identity::open(&FlockSettings::default(), other.path()).unwrap();
-        assert_ne!(first.key("a").unwrap().id(), stranger.key("a").unwrap().id());
+        let other_identity = Identity::open(&FlockSettings::default(), other.path()).unwrap();
+        assert_ne!(first.key("a").unwrap().id(), other_identity.key("a").unwrap().id());
     }
 
     #[test]

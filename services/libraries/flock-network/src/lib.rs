@@ -2,8 +2,8 @@
 //! seen, and works out the common solution.
 
 mod common;
-mod companions;
 mod drops;
+mod flock_exchange;
 mod identity;
 mod link;
 mod metrics;
@@ -11,8 +11,8 @@ mod pace;
 mod proximity;
 mod record_publisher;
 mod relay;
+mod robot_poses;
 mod settings;
-mod talk;
 mod thread;
 mod thread_state;
 

@@ -5,7 +5,7 @@ use super::thread_state::locked;
 use crate::settings::FlockSettings;
 use flockslam_records::{MESSAGE_BYTES_MAX, Message, RobotId};
 use flockslam_zenoh_session::{
-    Announcement, Heard as HeardBytes, Session, SessionConfiguration, SessionError, Subscription,
+    Announcement, ReceivedMessage as ReceivedBytes, Session, SessionConfiguration, SessionError, Subscription,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
@@ -25,11 +25,11 @@ pub const OTHERS: &str = "others";
 /// How long a message may wait for room on its way out before it is dropped, microseconds.
 const WAIT_TO_SEND_US: u64 = 1_000_000;
 
-/// What was heard.
-pub struct Heard {
+/// What was received.
+pub struct ReceivedMessage {
     /// Where to answer.
     pub sender: String,
-    /// What was said: not looked at yet.
+    /// What was sent: not looked at yet.
     pub bytes: Vec<u8>,
 }
 
@@ -38,22 +38,22 @@ pub struct Heard {
 pub struct Traffic(Mutex<BTreeMap<String, (u64, u64)>>);
 
 impl Traffic {
-    fn heard(&self, peer: &str, bytes: usize) {
+    fn received(&self, peer: &str, bytes: usize) {
         self.count(peer, (bytes as u64, 0));
     }
 
-    fn said(&self, peer: &str, bytes: usize) {
+    fn sent(&self, peer: &str, bytes: usize) {
         self.count(peer, (0, bytes as u64));
     }
 
-    fn count(&self, peer: &str, (heard, said): (u64, u64)) {
+    fn count(&self, peer: &str, (received, sent): (u64, u64)) {
         let mut peers = locked(&self.0);
         let known = peers.contains_key(peer) || peers.len() < TRAFFIC_PEERS_MAX;
         let account = peers.entry(if known { peer } else { OTHERS }.to_owned()).or_default();
-        *account = (account.0 + heard, account.1 + said);
+        *account = (account.0 + received, account.1 + sent);
     }
 
-    /// Bytes heard and said so far, by robot.
+    /// Bytes received and sent so far, by robot.
     pub fn by_peer(&self) -> BTreeMap<String, (u64, u64)> {
         locked(&self.0).clone()
     }
@@ -63,24 +63,24 @@ impl Traffic {
 #[derive(Debug, Default)]
 struct Presence {
     connected: BTreeSet<String>,
-    /// Robots whose source has ended, with the hash of the records that they have nothing to add to. Who has said so may leave.
+    /// Robots whose source has ended, with the hash of the records that they have nothing to add to. Who has sent so may leave.
     ended: BTreeMap<String, String>,
 }
 
 /// The way to the other robots: peer to peer, without a broker.
 ///
-/// What a robot says to another goes to `flockslam/FLOCK/to/RECEIVER/SENDER`. Messages may be lost at any time: they are said again
+/// What a robot says to another goes to `flockslam/FLOCK/to/RECEIVER/SENDER`. Messages may be lost at any time: they are sent again
 /// as long as a robot lacks records. Presence is announced by tokens `flockslam/FLOCK/there/ROBOT`, which go with their robot.
 pub struct Link {
     session: Session,
     prefix: String,
     own: String,
-    heard: Receiver<Heard>,
+    received: Receiver<ReceivedMessage>,
     presence: Arc<Mutex<Presence>>,
     ended: Option<(String, Instant, Announcement)>,
     drops: Arc<Drops>,
     traffic: Arc<Traffic>,
-    // Kept alive: what they hear comes through `heard` and `presence`.
+    // Kept alive: what they receive comes through `received` and `presence`.
     _subscriptions: Vec<Subscription>,
     _there: Announcement,
 }
@@ -99,7 +99,7 @@ impl Link {
         let session = Session::open(configuration(settings).map_err(text)?).map_err(text)?;
         let prefix = format!("flockslam/{}", settings.flock);
         let own = address(robot);
-        let (queue, heard) = sync_channel(WAITING_MAX);
+        let (queue, received) = sync_channel(WAITING_MAX);
         let presence = Arc::new(Mutex::new(Presence::default()));
         let mailbox = Mutex::new(Mailbox {
             queue,
@@ -109,7 +109,7 @@ impl Link {
             gate: Gate::default(),
         });
         let mail = format!("{prefix}/to/{own}/*");
-        let mail = session.hear(mail, move |heard| locked(&mailbox).take(heard)).map_err(text)?;
+        let mail = session.subscribe(mail, move |received| locked(&mailbox).take(received)).map_err(text)?;
         let there = watch(&session, format!("{prefix}/there/*"), &presence, Presence::there)?;
         let ended = watch(&session, format!("{prefix}/ended/*/*"), &presence, Presence::ended)?;
         let token = format!("{prefix}/there/{own}");
@@ -118,7 +118,7 @@ impl Link {
             session,
             prefix,
             own,
-            heard,
+            received,
             presence,
             ended: None,
             drops: Arc::clone(drops),
@@ -129,13 +129,13 @@ impl Link {
     }
 
     /// Says something to one robot; gives its bytes. What finds no room on its way is dropped and counted.
-    pub fn say_to(&self, receiver: &str, message: &Message) -> usize {
+    pub fn send_to(&self, receiver: &str, message: &Message) -> usize {
         let bytes = message.encode();
         let length = bytes.len();
         let key = format!("{}/to/{receiver}/{}", self.prefix, self.own);
         match self.session.put(key, bytes) {
             Ok(()) => {
-                self.traffic.said(receiver, length);
+                self.traffic.sent(receiver, length);
             }
             Err(error) => {
                 tracing::debug!(%error, receiver, "a message to the flock was not sent");
@@ -145,9 +145,9 @@ impl Link {
         length
     }
 
-    /// The next message that was heard, if there is one.
-    pub fn next(&self) -> Option<Heard> {
-        self.heard.try_recv().ok()
+    /// The next message that was received, if there is one.
+    pub fn next(&self) -> Option<ReceivedMessage> {
+        self.received.try_recv().ok()
     }
 
     /// Addresses of all robots that are connected.
@@ -218,12 +218,12 @@ fn watch(
         let parts: Vec<&str> = parts.into_iter().rev().collect();
         note(&mut locked(&presence), &parts, is_there);
     };
-    session.hear_announcements(key, seen).map_err(text)
+    session.subscribe_to_announcements(key, seen).map_err(text)
 }
 
 /// Takes messages from the network's own threads to that of the flock, as far as they are not too long or too many.
 struct Mailbox {
-    queue: SyncSender<Heard>,
+    queue: SyncSender<ReceivedMessage>,
     own: String,
     drops: Arc<Drops>,
     traffic: Arc<Traffic>,
@@ -231,7 +231,7 @@ struct Mailbox {
 }
 
 impl Mailbox {
-    fn take(&mut self, sample: &HeardBytes<'_>) {
+    fn take(&mut self, sample: &ReceivedBytes<'_>) {
         let Some(sender) = sample.key().rsplit('/').next().filter(|sender| *sender != self.own) else {
             return;
         };
@@ -242,16 +242,16 @@ impl Mailbox {
         if !self.gate.admits(sender, Instant::now()) {
             return self.drops.count(Dropped::TooMany, 1);
         }
-        let heard = Heard { sender: sender.to_owned(), bytes: sample.bytes().into_owned() };
-        match self.queue.try_send(heard) {
-            Ok(()) => self.traffic.heard(sender, length),
+        let received = ReceivedMessage { sender: sender.to_owned(), bytes: sample.bytes().into_owned() };
+        match self.queue.try_send(received) {
+            Ok(()) => self.traffic.received(sender, length),
             Err(TrySendError::Full(_)) => self.drops.count(Dropped::Overflow, 1),
             Err(TrySendError::Disconnected(_)) => {}
         }
     }
 }
 
-/// How much each sender has said lately.
+/// How much each sender has sent lately.
 #[derive(Default)]
 struct Gate {
     senders: BTreeMap<String, (Option<Instant>, u32)>,
@@ -318,7 +318,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_sender_has_so_many_messages_a_second_and_strangers_share_one_account() {
+    fn a_sender_has_so_many_messages_a_second_and_unknown_ones_share_one_account() {
         let (mut gate, start) = (Gate::default(), Instant::now());
         let admitted = |gate: &mut Gate, sender: &str, now| {
             (0..2 * SENDER_RATE_MAX).filter(|_| gate.admits(sender, now)).count() as u32
@@ -326,10 +326,10 @@ mod tests {
         assert_eq!(admitted(&mut gate, "a", start), SENDER_RATE_MAX);
         assert_eq!(admitted(&mut gate, "b", start), SENDER_RATE_MAX);
         assert_eq!(admitted(&mut gate, "a", start + Duration::from_secs(1)), SENDER_RATE_MAX);
-        let strangers: u32 =
-            (0..10_000).map(|number| u32::from(gate.admits(&format!("stranger-{number}"), start))).sum();
-        // a and b have an account each; one stranger each has the others, and the rest share one more.
-        assert_eq!(strangers, PEERS_MAX as u32 - 2 + SENDER_RATE_MAX);
+        let admitted: u32 =
+            (0..10_000).map(|number| u32::from(gate.admits(&format!("unknown-{number}"), start))).sum();
+        // a and b have an account each; one unknown sender each has the others, and the rest share one more.
+        assert_eq!(admitted, PEERS_MAX as u32 - 2 + SENDER_RATE_MAX);
         assert_eq!(gate.senders.len(), PEERS_MAX + 1);
     }
 

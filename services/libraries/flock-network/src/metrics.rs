@@ -59,10 +59,10 @@ impl FlockMetrics {
         self.conflicts.set(status.across.1 as f64);
         self.searches.inc_by(status.searches - self.counted_searches);
         self.counted_searches = status.searches;
-        for (peer, (heard, said)) in &status.traffic {
-            let before = self.counted.insert(peer.clone(), (*heard, *said)).unwrap_or_default();
-            self.peer_bytes.count_by(&[peer, "heard"], heard - before.0);
-            self.peer_bytes.count_by(&[peer, "said"], said - before.1);
+        for (peer, (received, sent)) in &status.traffic {
+            let before = self.counted.insert(peer.clone(), (*received, *sent)).unwrap_or_default();
+            self.peer_bytes.count_by(&[peer, "heard"], received - before.0);
+            self.peer_bytes.count_by(&[peer, "said"], sent - before.1);
         }
         for (place, (now, before)) in drops.iter().zip(self.counted_drops).enumerate() {
             self.dropped.count_by(place, now - before);

@@ -7,7 +7,7 @@ use std::os::unix::net::UnixDatagram;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// Contacts that are remembered at once.
+/// Contacts that are kept at once.
 const CONTACTS_MAX: usize = 256;
 /// A report lasts no longer than this, seconds.
 const LASTING_MAX_S: f64 = 3600.0;
@@ -57,7 +57,7 @@ impl Contacts {
         Ok(Self { socket, until: BTreeMap::new() })
     }
 
-    fn hear(&mut self, now: Instant) {
+    fn receive(&mut self, now: Instant) {
         let mut bytes = [0; 4096];
         // As many as a peer may be asked about between two looks.
         for _ in 0..CONTACTS_MAX {
@@ -87,7 +87,7 @@ impl Contacts {
 
 impl Proximity for Contacts {
     fn is_near(&mut self, address: &str, now: Instant) -> bool {
-        self.hear(now);
+        self.receive(now);
         // An address is the name, and then digits of the key.
         let name = address.rsplit_once('-').map_or(address, |(name, _)| name);
         [address, name].iter().any(|known| self.until.contains_key(*known))

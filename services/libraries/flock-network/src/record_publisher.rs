@@ -19,7 +19,7 @@ use std::sync::Arc;
 /// Epoch of a replay.
 const FIRST_EPOCH: u64 = 1;
 
-/// Says to the flock what this robot finds out, and keeps it in a file before anybody else hears of it, as well as what it hears.
+/// Publishes to the flock what this robot finds out, and keeps it in a file before anybody else receives it, as well as what it receives.
 ///
 /// Published findings are not published again: a process that takes over, or is started again, finds the same.
 pub struct RecordPublisher {
@@ -96,7 +96,7 @@ impl RecordPublisher {
     /// When the disk refuses.
     pub fn publish(&mut self, findings: Findings) -> Result<(), StageError> {
         let findings = self.published.new_of(findings);
-        let said = self.flock.publish(&findings).map_err(unsaid)?;
+        let said = self.flock.publish(&findings).map_err(record_failed)?;
         self.keep(&said)
     }
 
@@ -108,7 +108,7 @@ impl RecordPublisher {
         if !self.published.submaps.insert(submap.number) {
             return Ok(());
         }
-        let said = self.flock.say_submap(submap).map_err(unsaid)?;
+        let said = self.flock.record_submap(submap).map_err(record_failed)?;
         self.keep(&[said])
     }
 
@@ -129,7 +129,7 @@ impl RecordPublisher {
                 tile: tile.key,
                 rows: rows.clone(),
             };
-            let said = self.flock.say(&Content::Clearance(clearance)).map_err(unsaid)?;
+            let said = self.flock.record(&Content::Clearance(clearance)).map_err(record_failed)?;
             self.keep(&[said])?;
             self.published.cleared.insert(key, rows);
         }
@@ -177,7 +177,7 @@ impl RecordPublisher {
         found.retain(|constraint| {
             !self.published.across.contains(&(constraint.from.clone(), constraint.to.clone()))
         });
-        let said = self.flock.say_constraints(&found).map_err(unsaid)?;
+        let said = self.flock.record_constraints(&found).map_err(record_failed)?;
         self.keep(&said)?;
         Ok(found.is_empty() && !exhausted)
     }
@@ -237,14 +237,14 @@ impl Published {
     }
 }
 
-/// Whom the robot believes.
+/// Robots whose records are used.
 fn restrict(flock: &mut Flock, settings: &FlockSettings) {
     let own = flock.robot().clone();
     let keys = |listed: &[String]| crate::FlockSettings::keys(listed).unwrap_or_default();
     let collection = flock.collection_mut();
     collection.never_refuse(own);
     if !settings.trusted.is_empty() {
-        collection.trust_only(keys(&settings.trusted));
+        collection.allow_only(keys(&settings.trusted));
     }
     keys(&settings.banned).into_iter().for_each(|key| collection.ban(key));
 }
@@ -253,7 +253,7 @@ fn is_of(bytes: &[u8], key: &RobotKey, epoch: u64) -> bool {
     Record::read(bytes).is_ok_and(|record| record.name.robot == *key.id() && record.name.epoch == epoch)
 }
 
-fn unsaid(error: RecordError) -> StageError {
+fn record_failed(error: RecordError) -> StageError {
     StageError::file("a record for the flock", error)
 }
 
@@ -348,15 +348,15 @@ mod tests {
         let mut before = open(&first);
         before.publish(findings(0..5)).unwrap();
         drop(before);
-        let mut reborn = open(&second);
-        assert_eq!(reborn.epoch(), 2);
-        // What others remember of its first life is not what it says now.
+        let mut restarted = open(&second);
+        assert_eq!(restarted.epoch(), 2);
+        // What others have of its first epoch is not what it publishes now.
         let records =
             Message::Records(RecordLog::read(first.path()).unwrap().into_iter().map(Arc::from).collect());
-        reborn.answer(&records, 0, &Drops::default()).unwrap();
-        reborn.publish(findings(0..3)).unwrap();
-        assert_eq!(nodes(&reborn), [(None, 4), (None, 2)]);
-        drop(reborn);
+        restarted.answer(&records, 0, &Drops::default()).unwrap();
+        restarted.publish(findings(0..3)).unwrap();
+        assert_eq!(nodes(&restarted), [(None, 4), (None, 2)]);
+        drop(restarted);
         assert_eq!(open(&second).epoch(), 2);
     }
 

@@ -5,12 +5,12 @@ use flockslam_records::{Collection, LogState, Vector};
 use std::collections::{BTreeSet, VecDeque};
 use std::time::{Duration, Instant};
 
-/// What a robot that is near has said itself is passed on by others only after this: whoever lacks it will have heard it from there.
-const PATIENCE: Duration = Duration::from_secs(4);
+/// What a robot that is near has published itself is passed on by others only after this: whoever lacks it will have received it from there.
+const RELAY_DELAY: Duration = Duration::from_secs(4);
 /// What there was is noted this often.
 const STEP: Duration = Duration::from_secs(1);
 
-/// Remembers what there was a little while ago, so that a record is not sent by everybody who has it.
+/// Keeps what there was a little while ago, so that a record is not sent by everybody who has it.
 #[derive(Default)]
 pub struct Relay {
     /// When it was noted, and where each log ended: the oldest first.
@@ -24,13 +24,13 @@ impl Relay {
             self.noted.push_back((now, collection.vector()));
         }
         // The first is the newest that is old enough.
-        while self.noted.get(1).is_some_and(|(at, _)| now - *at >= PATIENCE) {
+        while self.noted.get(1).is_some_and(|(at, _)| now - *at >= RELAY_DELAY) {
             self.noted.pop_front();
         }
     }
 
-    /// What somebody has, and beside that what it will have heard from robots that are `near` themselves.
-    pub fn patient<'a>(
+    /// What somebody has, and beside that what it will have received from robots that are `near` themselves.
+    pub fn held_back<'a>(
         &self,
         mut theirs: Vector,
         collection: &Collection,
@@ -81,8 +81,8 @@ mod tests {
         let mut relay = Relay::default();
         let near = [address(author.id())];
         let missing = |relay: &Relay, collection: &Collection, near: &[String]| {
-            let patient = relay.patient(Vector::default(), collection, near.iter());
-            collection.missing(&patient, 1 << 20).len()
+            let held_back = relay.held_back(Vector::default(), collection, near.iter());
+            collection.missing(&held_back, 1 << 20).len()
         };
         say(&mut collection, 0);
         // Nothing was noted yet; who is not near cannot say it itself.

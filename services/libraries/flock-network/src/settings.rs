@@ -11,7 +11,7 @@ pub struct FlockSettings {
     pub name: String,
     /// Whether the robot talks to others over the network; otherwise it only keeps what it would say, for `flockslam store merge`.
     pub enabled: bool,
-    /// Name of the flock: robots of different flocks do not hear each other.
+    /// Name of the flock: robots of different flocks do not exchange anything.
     pub flock: String,
     /// Where the robot can be reached, as endpoints of zenoh: `tcp/0.0.0.0:7447`, or `tls/…` with certificates.
     pub listen: Vec<String>,
@@ -25,9 +25,9 @@ pub struct FlockSettings {
     /// File with the robot's secret key and the number of its last epoch, made when it is not there; empty = `flock.key` beside
     /// the saved map, or, without one, a key that goes with the set.
     pub key_file: PathBuf,
-    /// Public keys of the robots that are believed, hexadecimal; empty = all that are not banned.
+    /// Public keys of the robots whose records are used, hexadecimal; empty = all that are not banned.
     pub trusted: Vec<String>,
-    /// Public keys of robots that are not believed: what they have said is forgotten.
+    /// Public keys of robots whose records are dropped.
     pub banned: Vec<String>,
     /// Certificate of the authority that all robots of the flock are certified by (PEM); with it and the next two only robots that
     /// it has certified are connected.
@@ -39,9 +39,9 @@ pub struct FlockSettings {
     /// Further configuration of zenoh (JSON5), for example access control; what the other keys say goes over it.
     pub zenoh_file: PathBuf,
     /// When the source has ended, the robot stays in the flock until so many others have ended too …
-    pub companions: usize,
+    pub wait_for_robots: usize,
     /// … and all know the same, but no longer than this, seconds.
-    pub farewell_s: f64,
+    pub wait_max_s: f64,
 }
 
 /// How it is known who is near.
@@ -72,8 +72,8 @@ impl Default for FlockSettings {
             tls_certificate: PathBuf::new(),
             tls_key: PathBuf::new(),
             zenoh_file: PathBuf::new(),
-            companions: 0,
-            farewell_s: 10.0,
+            wait_for_robots: 0,
+            wait_max_s: 10.0,
         }
     }
 }

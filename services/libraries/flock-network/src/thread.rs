@@ -1,9 +1,9 @@
 //! The thread of the flock, and the channels between it and the stage, which never waits for it.
 
+use super::flock_exchange::FlockExchange;
 use super::metrics::FlockMetrics;
 use super::proximity::proximity;
 use super::record_publisher::RecordPublisher;
-use super::talk::Talk;
 use super::thread_state::{Shared, Task, locked};
 use crate::settings::FlockSettings;
 use flockslam_evidence::Submap;
@@ -45,12 +45,18 @@ impl FlockThread {
         let shared = Arc::new(Shared::default());
         let published_submaps = publisher.published_submaps().clone();
         let near = proximity(settings, status_dir)?;
-        let mut talk =
-            Talk::new(settings, publisher, near, status_dir.to_owned(), metrics, Arc::clone(&shared));
+        let mut exchange = FlockExchange::new(
+            settings,
+            publisher,
+            near,
+            status_dir.to_owned(),
+            metrics,
+            Arc::clone(&shared),
+        );
         let run = move || {
             // Should it be refused, the whole process yields to the others anyway.
             let _ = rustix::process::setpriority_process(Some(rustix::thread::gettid()), NICENESS);
-            talk.run(&received);
+            exchange.run(&received);
         };
         let started = thread::Builder::new().name("flock".to_owned()).spawn(run);
         started.map_err(|error| StageError::file("the thread of the flock", error))?;

@@ -96,7 +96,7 @@ impl Atlas {
             let mut last: Option<(u64, u32)> = None;
             for (robot, epoch, stretch) in log {
                 for (place, node) in stretch.nodes.iter().enumerate() {
-                    // Who says two things of one scan is believed the first.
+                    // Of two records of one scan the first counts.
                     if last.is_some_and(|(last, _)| node.sequence <= last) {
                         continue;
                     }

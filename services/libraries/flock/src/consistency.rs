@@ -9,7 +9,7 @@ use flockslam_registration::cloud::Placement;
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
-/// Matches that have to agree before two robots are tied together, the one that is asked about among them.
+/// Matches that have to agree before two robots are connected, the one that is asked about among them.
 const GROUP_MIN: usize = 3;
 /// Travel over which those that agree must extend, on both sides together and on either, metres: what looks alike over a few metres differs
 /// over more. On one side little is enough: a robot that stands in a room sees all of it.
@@ -27,7 +27,7 @@ const BENT: ((f64, f64, f64), (f64, f64)) = ((0.3, 0.02, 0.002), (0.08, 0.004));
 /// and come out as `false`.
 ///
 /// A closure needs a group of at least three that agree with each other, that extends over several metres and that `stands` by what
-/// the robots have seen: any number of lies that do not agree with each other counts as none. Where two groups contradict each other and are about
+/// the robots have seen: any number of false closures that do not agree with each other counts as none. Where two groups contradict each other and are about
 /// as strong, neither acts (pairwise consistency, after Mangelson et al. 2018, with cliques grown greedily).
 pub fn consistent(
     closures: &[Closure],
@@ -48,7 +48,7 @@ pub fn consistent(
         let mut groups = compared.groups(&confirmed, closures, nodes);
         groups.sort_by_key(|group| std::cmp::Reverse(group.len()));
         groups.truncate(GROUPS_MAX);
-        let groups = compared.believed(groups, closures, nodes, stands);
+        let groups = compared.accepted(groups, closures, nodes, stands);
         for i in winners(&groups, &compared, closures, nodes) {
             consistent[members[i]] = true;
         }
@@ -56,7 +56,7 @@ pub fn consistent(
     consistent
 }
 
-/// The order of closures along the way, whoever was heard first.
+/// The order of closures along the way, in whatever order they were received.
 fn in_order(a: &Edge, b: &Edge, nodes: &[Node]) -> Ordering {
     let key = |e: &Edge| {
         let Placement { x_m, y_m, heading_rad, .. } = e.motion;
@@ -77,15 +77,15 @@ impl<'a> Compared<'a> {
     fn new(members: &'a [usize], closures: &[Closure], nodes: &[Node]) -> Self {
         let compare = |i: usize| {
             let a = &closures[members[i]];
-            let (mut agreeing, mut rivals) = (0, 0);
+            let (mut agreeing, mut alternatives) = (0, 0);
             for (bit, k) in (i + 1..members.len().min(i + 1 + BAND)).enumerate() {
                 match agree(a, &closures[members[k]], nodes) {
                     Some(true) => agreeing |= 1 << bit,
-                    Some(false) => rivals |= 1 << bit,
+                    Some(false) => alternatives |= 1 << bit,
                     None => {}
                 }
             }
-            (agreeing, rivals)
+            (agreeing, alternatives)
         };
         Self { members, after: (0..members.len()).map(compare).collect() }
     }
@@ -94,8 +94,8 @@ impl<'a> Compared<'a> {
     fn agree(&self, i: usize, k: usize) -> Option<bool> {
         let (low, high) = (i.min(k), i.max(k));
         let bit = (high - low).checked_sub(1).filter(|bit| *bit < BAND)?;
-        let (agreeing, rivals) = self.after[low];
-        match (agreeing >> bit & 1 == 1, rivals >> bit & 1 == 1) {
+        let (agreeing, alternatives) = self.after[low];
+        match (agreeing >> bit & 1 == 1, alternatives >> bit & 1 == 1) {
             (true, _) => Some(true),
             (_, true) => Some(false),
             _ => None,
@@ -127,25 +127,25 @@ impl<'a> Compared<'a> {
     }
 
     /// Of these groups, the largest first, those that are on standby what was seen, or that one that does confirms.
-    fn believed(
+    fn accepted(
         &self,
         groups: Vec<Vec<usize>>,
         closures: &[Closure],
         nodes: &[Node],
         stands: &mut dyn FnMut(&[usize]) -> bool,
     ) -> Vec<Vec<usize>> {
-        let mut believed: Vec<Vec<usize>> = Vec::new();
+        let mut accepted: Vec<Vec<usize>> = Vec::new();
         for group in groups {
             let is_confirmed =
-                believed.iter().any(|other| self.relation(other, &group, closures, nodes) == Some(true));
+                accepted.iter().any(|other| self.relation(other, &group, closures, nodes) == Some(true));
             if is_confirmed || stands(&group.iter().map(|i| self.members[*i]).collect::<Vec<_>>()) {
-                believed.push(group);
+                accepted.push(group);
             }
         }
-        believed
+        accepted
     }
 
-    /// Whether two groups tell the same; `None` when they lie too far apart to be compared.
+    /// Whether two groups agree; `None` when they lie too far apart to be compared.
     fn relation(&self, a: &[usize], b: &[usize], closures: &[Closure], nodes: &[Node]) -> Option<bool> {
         let closure = |i: usize| &closures[self.members[i]];
         let pairs = a.iter().flat_map(|i| b.iter().map(move |k| (*i, *k)));
@@ -282,12 +282,12 @@ mod tests {
     }
 
     #[test]
-    fn where_a_rival_explanation_is_nearly_as_strong_neither_acts() {
+    fn where_a_alternative_explanation_is_nearly_as_strong_neither_acts() {
         let nodes = nodes();
         let group = |count: usize, x_m: f64| -> Vec<Closure> {
             (0..count).map(|k| closure(&nodes, 10 + 2 * k, 20 + 2 * k, at(x_m))).collect()
         };
-        let both = |rivals: usize| [group(6, 0.0), group(rivals, 3.0)].concat();
+        let both = |alternatives: usize| [group(6, 0.0), group(alternatives, 3.0)].concat();
         assert_eq!(judged(&both(4), &nodes), [false; 10]);
         let judged = judged(&both(3), &nodes);
         assert!(
@@ -296,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn groups_far_apart_must_tell_the_same() {
+    fn groups_far_apart_must_agree() {
         let nodes = nodes();
         let group = |first: usize, count: usize, x_m: f64| -> Vec<Closure> {
             (0..count).map(|k| closure(&nodes, first + 2 * k, first + 2 * k, at(x_m))).collect()
@@ -310,9 +310,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn as_many_lies_as_truths_neither_act_nor_veto(
+        fn as_many_false_closures_as_true_ones_neither_act_nor_veto(
             truths in prop::collection::vec((0usize..40, -0.05..0.05f64, -0.01..0.01f64), 8..30),
-            lies in prop::collection::vec((0..NODES, 0..NODES, -20.0..20.0f64, -20.0..20.0f64, -3.1..3.1f64), 30),
+            false_ones in prop::collection::vec((0..NODES, 0..NODES, -20.0..20.0f64, -20.0..20.0f64, -3.1..3.1f64), 30),
             shuffle in any::<u64>(),
         ) {
             let nodes = nodes();
@@ -327,7 +327,7 @@ mod tests {
                     (true, Closure { edge: Edge { motion, ..moved.edge }, ..moved })
                 })
                 .collect();
-            closures.extend(lies.iter().take(truths.len()).map(|&(from, to, x, y, turn)| {
+            closures.extend(false_ones.iter().take(truths.len()).map(|&(from, to, x, y, turn)| {
                 (false, closure(&nodes, from, to, Placement::new(x, y, turn)))
             }));
             // The order in which they are known does not matter.
@@ -343,7 +343,7 @@ mod tests {
                 inliers += usize::from(is_true && a[*i]);
                 let honest = closure(&nodes, false_closure.edge.from, false_closure.edge.to - NODES, at(0.0)).edge.motion;
                 let off = (honest.distance_m(&false_closure.edge.motion), honest.turn_rad(&false_closure.edge.motion));
-                prop_assert!(!a[*i] || off.0 < 1.5 && off.1 < 0.2, "a lie acts that is off by {:?}", off);
+                prop_assert!(!a[*i] || off.0 < 1.5 && off.1 < 0.2, "a false closure acts that is off by {:?}", off);
             }
             prop_assert!(inliers > 0 || !is_dense(&truths), "no truth acts of {}", truths.len());
         }

@@ -96,8 +96,8 @@ impl FlockSolution {
 impl Atlas {
     /// Solves the graph from the trajectories: what ties robots together first, then with all that this leads one to expect.
     pub(super) fn solve(&self, inspected: &mut Inspected) -> Solved {
-        let (tied, mut more) = self.tied(inspected);
-        let mut solved = tied.clone();
+        let (connected, mut more) = self.connected(inspected);
+        let mut solved = connected.clone();
         for _ in 0..EXPECTED_ROUNDS {
             let expected = self.expected(&solved, inspected);
             let known = more.clone();
@@ -108,7 +108,7 @@ impl Atlas {
             let next = self.solve_with(&more);
             // Nothing that ties robots together may give way to what does not.
             let still_ties = (0..more.len())
-                .all(|i| !(tied.is_inlier[i] && self.is_across(&self.closures[i])) || next.is_inlier[i]);
+                .all(|i| !(connected.is_inlier[i] && self.is_across(&self.closures[i])) || next.is_inlier[i]);
             if !still_ties {
                 break;
             }
@@ -119,16 +119,16 @@ impl Atlas {
 
     /// The solution with all closures on trial that agree and that what both robots have seen confirms, and what was on trial.
     /// What is left between two robots after that must still agree.
-    fn tied(&self, inspected: &mut Inspected) -> (Solved, Vec<bool>) {
+    fn connected(&self, inspected: &mut Inspected) -> (Solved, Vec<bool>) {
         let mut denied = BTreeSet::new();
         for _ in 0..TRIALS_MAX {
             let on_trial = self.eligible(&denied, inspected);
             let solved = self.solve_with(&on_trial);
-            let doubtful = self.unconfirmed(&solved.is_inlier);
-            if doubtful.is_empty() {
+            let unconfirmed = self.unconfirmed(&solved.is_inlier);
+            if unconfirmed.is_empty() {
                 return (solved, on_trial);
             }
-            denied.extend(doubtful);
+            denied.extend(unconfirmed);
         }
         denied.extend((0..self.closures.len()).filter(|i| self.is_across(&self.closures[*i])));
         let on_trial = self.eligible(&denied, inspected);
@@ -137,12 +137,12 @@ impl Atlas {
 
     fn solve_with(&self, on_trial: &[bool]) -> Solved {
         let mut edges: Vec<Edge> = self.edges.clone();
-        let trusted = edges.len();
+        let fixed_count = edges.len();
         edges.extend(self.closures.iter().zip(on_trial).filter(|(_, e)| **e).map(|(c, _)| c.edge));
-        let (mut poses, _) = start(&self.nodes, &edges[trusted..]);
+        let (mut poses, _) = start(&self.nodes, &edges[fixed_count..]);
         let robust = RobustSettings { chi_squared_max: CHI_SQUARED_MAX, growth: 1.6, rounds: 25, warm_up: 6 };
-        let solved = solve(self.nodes.len(), &edges, trusted, &robust, &mut poses);
-        let mut inliers = solved.weights[trusted..].iter().map(|&w| w > 0.5);
+        let solved = solve(self.nodes.len(), &edges, fixed_count, &robust, &mut poses);
+        let mut inliers = solved.weights[fixed_count..].iter().map(|&w| w > 0.5);
         let is_inlier: Vec<bool> = on_trial.iter().map(|e| *e && inliers.next() == Some(true)).collect();
         let connectivity = self.connectivity(&is_inlier);
         Solved { poses, is_inlier, connectivity }
@@ -184,7 +184,7 @@ impl Atlas {
         }
     }
 
-    /// The trajectories, and the closures between robots that are inliers. Odometry is not enough: nothing else that is trusted connects robots, and where they
+    /// The trajectories, and the closures between robots that are inliers. Odometry is not enough: no other edge that is not switchable connects robots, and where they
     /// met once, what is measured again may be too little to do so.
     fn held_together(&self, is_inlier: &[bool]) -> Vec<Edge> {
         let across = self
@@ -253,7 +253,7 @@ impl Atlas {
 }
 
 impl Flock {
-    /// Where everything lies that this robot has heard of; with `finely`, matched again as a whole.
+    /// Where everything lies of which this robot has records; with `finely`, matched again as a whole.
     pub fn solution(&self, finely: bool) -> FlockSolution {
         let atlas = Atlas::new(self.collection());
         atlas.solution(finely, &mut self.inspected())

@@ -6,7 +6,7 @@ use flockslam_registration::cloud::Placement;
 
 /// A scan's pose as a robot knows it for itself.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Carried {
+pub struct OwnPose {
     /// Sequence of the scan.
     pub sequence: u64,
     /// Its sensor stamp, nanoseconds.
@@ -15,11 +15,11 @@ pub struct Carried {
     pub map_from_base: Pose,
 }
 
-/// A robot's own trajectory in the frame of the flock: carried over from node to node, in proportion to the way between them.
+/// A robot's own trajectory in the frame of the flock: moved with it from node to node, in proportion to the way between them.
 ///
 /// `anchors` are the robot's nodes in its own map, by sequence; `placed` the same nodes in the solution of the flock. Gives the poses
 /// of `scans`, which are in order; none when the flock has none of the robot's nodes.
-pub fn carried(scans: &[Carried], anchors: &[(u64, Pose)], placed: &[PlacedNode]) -> Vec<Pose> {
+pub fn in_flock_frame(scans: &[OwnPose], anchors: &[(u64, Pose)], placed: &[PlacedNode]) -> Vec<Pose> {
     let known: Vec<(u64, Placement)> = anchors
         .iter()
         .filter_map(|(sequence, own)| {
@@ -55,7 +55,7 @@ mod tests {
 
     #[test]
     fn a_trajectory_follows_its_nodes() {
-        let scan = |sequence: u64, x: f64| Carried {
+        let scan = |sequence: u64, x: f64| OwnPose {
             sequence,
             stamp_ns: sequence as i64,
             map_from_base: Pose::new(x, 0.0, 0.0),
@@ -67,9 +67,10 @@ mod tests {
         };
         let scans: Vec<_> = (0..5).map(|k| scan(k, k as f64)).collect();
         let anchors = [(1, Pose::new(1.0, 0.0, 0.0)), (3, Pose::new(3.0, 0.0, 0.0))];
-        let poses = carried(&scans, &anchors, &[node(1, 11.0, 5.0), node(2, 0.0, 0.0), node(3, 13.0, 6.0)]);
+        let poses =
+            in_flock_frame(&scans, &anchors, &[node(1, 11.0, 5.0), node(2, 0.0, 0.0), node(3, 13.0, 6.0)]);
         let expected = [(10.0, 5.0), (11.0, 5.0), (12.0, 5.5), (13.0, 6.0), (14.0, 6.0)];
         assert!(poses.iter().zip(expected).all(|(pose, (x, y))| (pose.x_m, pose.y_m) == (x, y)), "{poses:?}");
-        assert!(carried(&scans, &anchors, &[]).is_empty());
+        assert!(in_flock_frame(&scans, &anchors, &[]).is_empty());
     }
 }

@@ -2,8 +2,8 @@
 //! does another place that fits as well.
 
 use super::Atlas;
+use super::alternatives::{Place, RelativePose};
 use super::overlap::Fit;
-use super::rivals::{Place, Tie};
 use flockslam_loop_closure::closure::Closure;
 use flockslam_registration::cloud::Placement;
 use std::collections::BTreeMap;
@@ -21,13 +21,13 @@ const ALONE: u64 = u64::MAX;
 /// alike mostly 0.06 and more.
 const DENIED_MAX: f64 = 0.05;
 /// Another explanation is as good when its share is no more than this multiple of the claimed one's and a little …
-const RIVAL: (f64, f64) = (1.5, 0.02);
+const ALTERNATIVE: (f64, f64) = (1.5, 0.02);
 /// … and it explains at least this share of what the claimed one does.
 const EXPLAINED: f64 = 0.4;
-/// Verdicts that are remembered.
-const REMEMBERED_MAX: usize = 4096;
+/// Judgements that are cached.
+const CACHED_MAX: usize = 4096;
 
-/// What was found out about groups of closures. It follows from the records alone: that it is remembered saves time and changes nothing.
+/// What was found out about groups of closures. It follows from the records alone: that it is cached saves time and changes nothing.
 #[derive(Clone, Debug, Default)]
 pub struct Inspected {
     verdicts: BTreeMap<Vec<u64>, bool>,
@@ -40,7 +40,7 @@ impl Inspected {
             return *verdict;
         }
         let verdict = work_out();
-        if self.verdicts.len() >= REMEMBERED_MAX {
+        if self.verdicts.len() >= CACHED_MAX {
             self.verdicts.clear();
         }
         self.verdicts.insert(name, verdict);
@@ -49,20 +49,21 @@ impl Inspected {
 }
 
 impl Atlas {
-    /// Whether a group of closures between two robots, which agree with each other, may be believed: what both robots have seen there is the
+    /// Whether a group of closures between two robots, which agree with each other, may act: what both robots have seen there is the
     /// same, and it fits nowhere else as well.
     ///
-    /// Buildings are full of things that look alike: a few matches that agree can always be found. Where robots are tied together
+    /// Buildings are full of things that look alike: a few matches that agree can always be found. Where robots are connected
     /// rightly, neither has seen free space where the other saw a wall.
     pub(super) fn stands(&self, group: &[usize], inspected: &mut Inspected) -> bool {
-        let mut ties: Vec<Tie> = group.iter().map(|i| Tie::of(&self.closures[*i])).collect();
-        ties.sort_by_key(|tie| (tie.to, tie.from));
-        let turned: Vec<Tie> = ties.iter().map(Tie::turned).collect();
+        let mut relatives: Vec<RelativePose> =
+            group.iter().map(|i| RelativePose::of(&self.closures[*i])).collect();
+        relatives.sort_by_key(|relative| (relative.to, relative.from));
+        let turned: Vec<RelativePose> = relatives.iter().map(RelativePose::turned).collect();
         // The first places, not the best spread ones: what was found out about them stays when the group grows.
-        let cell = |tie: &Tie| (self.nodes[tie.to].travel_m / APART_M) as u64;
-        let places = ties.chunk_by(|a, b| cell(a) == cell(b)).map(|some| &some[0]);
+        let cell = |relative: &RelativePose| (self.nodes[relative.to].travel_m / APART_M) as u64;
+        let places = relatives.chunk_by(|a, b| cell(a) == cell(b)).map(|some| &some[0]);
         places.take(PLACES).all(|middle| {
-            let there = Place::new(self, middle, &ties);
+            let there = Place::new(self, middle, &relatives);
             let back = Place::new(self, &middle.turned(), &turned);
             let name = [self.named(&there, middle), self.named(&back, &middle.turned())].concat();
             inspected.verdict(name, || is_sure(&[there.fits(self), back.fits(self)]))
@@ -70,11 +71,11 @@ impl Atlas {
     }
 
     /// Whether what both robots have seen around a closure between them is the same. That it may be so elsewhere too does not matter where
-    /// other ties say that it should be here.
+    /// other relative poses say that it should be here.
     pub(super) fn is_the_same_there(&self, closure: &Closure, inspected: &mut Inspected) -> bool {
-        let tie = Tie::of(closure);
-        let place = Place::new(self, &tie, &[tie]);
-        let mut name = self.named(&place, &tie);
+        let relative = RelativePose::of(closure);
+        let place = Place::new(self, &relative, &[relative]);
+        let mut name = self.named(&place, &relative);
         name.push(ALONE);
         inspected.verdict(name, || {
             let claimed = place.fit(self);
@@ -82,8 +83,8 @@ impl Atlas {
         })
     }
 
-    /// All that the verdict on a place depends on, to the bit: who remembers it must conclude the same as who works it out.
-    fn named(&self, place: &Place, middle: &Tie) -> Vec<u64> {
+    /// All that the verdict on a place depends on, to the bit: a cached one must be the same as one that is worked out.
+    fn named(&self, place: &Place, middle: &RelativePose) -> Vec<u64> {
         let mut name = vec![self.nodes[middle.to].sequence];
         for range in &place.nodes {
             let (first, last) = (&self.nodes[range.start], &self.nodes[range.end - 1]);
@@ -94,7 +95,7 @@ impl Atlas {
                 first.drift_bound_m.to_bits(),
             ]);
         }
-        for (to, first_from_second) in &place.ties {
+        for (to, first_from_second) in &place.relatives {
             name.push(self.nodes[*to].sequence);
             let Placement { x_m, y_m, heading_rad, .. } = *first_from_second;
             name.extend([x_m, y_m, heading_rad].map(f64::to_bits));
@@ -106,14 +107,14 @@ impl Atlas {
 /// Whether what both have seen is the same, and would not be somewhere else: fits as claimed and as they would be otherwise, around what
 /// the second robot has seen and around what the first has. One of them may have seen only a part of a place that the other knows well.
 fn is_sure(fits: &[(Fit, Option<Fit>); 2]) -> bool {
-    let is_rivalled = |(claimed, other): &(Fit, Option<Fit>)| {
-        let as_good = RIVAL.0 * claimed.denied_share() + RIVAL.1;
+    let has_alternative = |(claimed, other): &(Fit, Option<Fit>)| {
+        let as_good = ALTERNATIVE.0 * claimed.denied_share() + ALTERNATIVE.1;
         let explained = EXPLAINED * f64::from(claimed.seen);
         other.is_some_and(|other| f64::from(other.seen) >= explained && other.denied_share() <= as_good)
     };
     let [(there, _), (back, _)] = fits;
     let both = there.and(back);
-    both.scans >= SCANS_MIN && both.denied_share() <= DENIED_MAX && !fits.iter().any(is_rivalled)
+    both.scans >= SCANS_MIN && both.denied_share() <= DENIED_MAX && !fits.iter().any(has_alternative)
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Closures between robots that are tied already: those that lie where the solution expects them may act with less confirmation.
+//! Closures between robots that are connected already: those that lie where the solution expects them may act with less confirmation.
 
 use super::Atlas;
 use super::flock_solution::Solved;
@@ -15,7 +15,7 @@ const LOOKED_AT_MAX: usize = 1024;
 impl Atlas {
     /// Of the closures between robots that are outliers yet those that a solution which ties these robots together already leads one to
     /// expect: they lie where it says, as far as the ways between can be trusted; they need no more than a robot's own closures do, and
-    /// what both have seen there must be the same. No robot is tied to another by these.
+    /// what both have seen there must be the same. No robot is connected to another by these.
     pub(super) fn expected(&self, solved: &Solved, inspected: &mut Inspected) -> Vec<usize> {
         let part = |node: usize| solved.connectivity.part(self.nodes[node].trajectory);
         let is_open = |i: &usize| {

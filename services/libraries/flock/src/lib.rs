@@ -7,6 +7,7 @@
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
 
+mod alternatives;
 mod atlas;
 mod consistency;
 mod findings;
@@ -14,18 +15,17 @@ mod flock_map;
 mod flock_solution;
 mod flock_trajectory;
 mod inspection;
+mod inter_robot_search;
 mod joint;
 mod member;
 mod overlap;
-mod resemblance;
-mod rivals;
+mod similarity;
 mod start;
-mod tie_search;
 
 pub use atlas::Atlas;
 pub use findings::{Findings, OwnLoop};
 pub use flock_map::FlockMap;
 pub use flock_solution::{FlockSolution, PlacedNode, PlacedRecord};
-pub use flock_trajectory::{Carried, carried};
+pub use flock_trajectory::{OwnPose, in_flock_frame};
 pub use inspection::Inspected;
 pub use member::Flock;

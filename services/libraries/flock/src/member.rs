@@ -1,7 +1,7 @@
 //! One robot's state in the flock: its key, the records that it has, its search; messages in, messages and records out.
 
 use super::inspection::Inspected;
-use super::tie_search::Search;
+use super::inter_robot_search::Search;
 use super::{Atlas, Findings};
 use flockslam_geometry::Pose;
 use flockslam_records::{
@@ -53,7 +53,7 @@ pub struct Flock {
 }
 
 impl Flock {
-    /// A robot that has said and heard nothing yet. An epoch is never used again after a log has been lost.
+    /// A robot without records. An epoch is never used again after a log has been lost.
     pub fn new(key: RobotKey, epoch: u64, limits: Limits) -> Self {
         let search = Search::new();
         Self { key, epoch, collection: Collection::new(limits), search, inspected: RefCell::default() }
@@ -64,7 +64,7 @@ impl Flock {
         self.key.id()
     }
 
-    /// All that it has heard of, its own records among them.
+    /// All that it knows, its own records among them.
     pub fn collection(&self) -> &Collection {
         &self.collection
     }
@@ -88,7 +88,7 @@ impl Flock {
     ///
     /// # Errors
     /// When the content is too large for a record.
-    pub fn say(&mut self, content: &Content) -> Result<Arc<[u8]>, RecordError> {
+    pub fn record(&mut self, content: &Content) -> Result<Arc<[u8]>, RecordError> {
         let number = self.collection.next_number(self.key.id(), self.epoch);
         let record = Record::new(&self.key, self.epoch, number, content)?;
         let bytes = Arc::clone(record.bytes());
@@ -103,7 +103,7 @@ impl Flock {
     pub fn publish(&mut self, findings: &Findings) -> Result<Vec<Arc<[u8]>>, RecordError> {
         let mut said = Vec::new();
         for stretch in &findings.stretches {
-            said.push(self.say(&Content::Stretch(stretch.clone()))?);
+            said.push(self.record(&Content::Stretch(stretch.clone()))?);
         }
         let node = |sequence| NodeName { robot: self.key.id().clone(), epoch: self.epoch, sequence };
         let constraint = |own: &super::OwnLoop| Constraint {
@@ -115,7 +115,7 @@ impl Flock {
             shift_m: own.closure.shift_m as f32,
         };
         let constraints: Vec<Constraint> = findings.loops.iter().map(constraint).collect();
-        said.extend(self.say_constraints(&constraints)?);
+        said.extend(self.record_constraints(&constraints)?);
         Ok(said)
     }
 
@@ -123,17 +123,17 @@ impl Flock {
     ///
     /// # Errors
     /// As [`Self::say`].
-    pub fn say_constraints(&mut self, constraints: &[Constraint]) -> Result<Vec<Arc<[u8]>>, RecordError> {
+    pub fn record_constraints(&mut self, constraints: &[Constraint]) -> Result<Vec<Arc<[u8]>>, RecordError> {
         let records = constraints.chunks(CONSTRAINTS_MAX);
-        records.map(|some| self.say(&Content::Constraints(some.to_vec()))).collect()
+        records.map(|some| self.record(&Content::Constraints(some.to_vec()))).collect()
     }
 
     /// Makes a record of the evidence of a closed submap.
     ///
     /// # Errors
     /// As [`Self::say`].
-    pub fn say_submap(&mut self, submap: &flockslam_evidence::Submap) -> Result<Arc<[u8]>, RecordError> {
-        self.say(&Content::Submap(SubmapRecord::of(&submap.coarsened())))
+    pub fn record_submap(&mut self, submap: &flockslam_evidence::Submap) -> Result<Arc<[u8]>, RecordError> {
+        self.record(&Content::Submap(SubmapRecord::of(&submap.coarsened())))
     }
 
     /// Takes in a message of another robot and gives what to answer, with records for at most so many bytes.
@@ -157,7 +157,7 @@ impl Flock {
     /// As [`Self::say`].
     pub fn search(&mut self, searches_max: u64) -> Result<Vec<Arc<[u8]>>, RecordError> {
         let found = self.find(searches_max);
-        self.say_constraints(&found)
+        self.record_constraints(&found)
     }
 
     /// As [`Self::search`], without saying it: for who knows some of it already.

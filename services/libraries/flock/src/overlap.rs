@@ -9,7 +9,7 @@ const EVERY_M: f64 = 0.6;
 /// Scans taken within this of each other have seen the same place, metres.
 const NEAR_M: f64 = 4.0;
 /// Each scan is compared with so many of the other robot's.
-const WITNESSES: usize = 3;
+const REFERENCES: usize = 3;
 /// Of each scan about so many points are asked about.
 const POINTS: usize = 120;
 
@@ -71,10 +71,10 @@ impl<'a> Overlap<'a> {
         let mut sum = Fit::default();
         for (one, other) in [(&first, &second), (&second, &first)] {
             for (view, at) in one {
-                let witnesses = nearest(at, other);
-                if !witnesses.is_empty() {
+                let references = nearest(at, other);
+                if !references.is_empty() {
                     sum.scans += 1;
-                    judge(view, at, &witnesses, &mut sum);
+                    judge(view, at, &references, &mut sum);
                 }
             }
         }
@@ -108,18 +108,18 @@ fn nearest<'v, 'a>(at: &Placement, among: &[Placed<'v, 'a>]) -> Vec<Placed<'v, '
     let mut near: Vec<(f64, usize)> =
         among.iter().enumerate().map(apart_m).filter(|(apart_m, _)| *apart_m <= NEAR_M).collect();
     near.sort_by(|a, b| a.0.total_cmp(&b.0));
-    near.truncate(WITNESSES);
+    near.truncate(REFERENCES);
     near.into_iter().map(|(_, i)| among[i]).collect()
 }
 
-/// Counts the points of a scan that lies at `at`, by what witnesses have seen there.
-fn judge(view: &View<'_>, at: &Placement, witnesses: &[Placed<'_, '_>], sum: &mut Fit) {
+/// Counts the points of a scan that lies at `at`, by what the reference scans have seen there.
+fn judge(view: &View<'_>, at: &Placement, references: &[Placed<'_, '_>], sum: &mut Fit) {
     let stride = view.points.len().div_ceil(POINTS).max(1);
     for point in view.points.iter().step_by(stride) {
         let (x, y) = at.apply(point.x_m(), point.y_m());
         let (mut seen, mut denied) = (false, false);
-        for (witness, place) in witnesses {
-            match witness.polar.shows(place, x, y) {
+        for (reference, place) in references {
+            match reference.polar.shows(place, x, y) {
                 Some(true) => seen = true,
                 Some(false) => denied = true,
                 None => {}

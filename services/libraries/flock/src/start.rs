@@ -10,7 +10,7 @@ const AGREEING: (f64, f64) = (1.0, 0.15);
 
 /// How one trajectory lies to another, and how many closures say so.
 #[derive(Clone, Copy)]
-struct Tie {
+struct TrajectoryEdge {
     low: u32,
     high: u32,
     /// Takes the frame of `high` to that of `low`.
@@ -18,24 +18,24 @@ struct Tie {
     votes: usize,
 }
 
-/// Poses to solve a graph of many trajectories from, and by trajectory the first trajectory that it is tied to.
+/// Poses to solve a graph of many trajectories from, and by trajectory the first trajectory that it is connected to.
 ///
-/// Trajectories are tied together the surest first – a spanning tree of most votes – and each tree lies in the frame of its first
+/// Trajectories are connected the surest first – a spanning tree of most votes – and each tree lies in the frame of its first
 /// trajectory. The start matters: from a heading that is quite wrong, no solver finds back.
 pub fn start(nodes: &[Node], loops: &[Edge]) -> (Vec<Placement>, Vec<u32>) {
     let count = nodes.last().map_or(0, |node| node.trajectory as usize + 1);
     let mut root: Vec<u32> = (0..count as u32).collect();
     // By trajectory: takes its frame to that of its root.
     let mut root_from: Vec<Placement> = vec![Placement::IDENTITY; count];
-    let mut ties = ties(nodes, loops);
-    ties.sort_by_key(|tie| (std::cmp::Reverse(tie.votes), tie.low, tie.high));
-    for tie in ties {
-        let (low, high) = (tie.low as usize, tie.high as usize);
+    let mut edges_between = edges_between(nodes, loops);
+    edges_between.sort_by_key(|edge| (std::cmp::Reverse(edge.votes), edge.low, edge.high));
+    for edge in edges_between {
+        let (low, high) = (edge.low as usize, edge.high as usize);
         if root[low] == root[high] {
             continue;
         }
         let low_root_from_high_root =
-            root_from[low].compose(tie.low_from_high).compose(root_from[high].inverse());
+            root_from[low].compose(edge.low_from_high).compose(root_from[high].inverse());
         let (kept, gone, moved) = if root[low] < root[high] {
             (root[low], root[high], low_root_from_high_root)
         } else {
@@ -53,7 +53,7 @@ pub fn start(nodes: &[Node], loops: &[Edge]) -> (Vec<Placement>, Vec<u32>) {
 }
 
 /// For each pair of trajectories with closures between them, the motion that most of them agree on.
-fn ties(nodes: &[Node], loops: &[Edge]) -> Vec<Tie> {
+fn edges_between(nodes: &[Node], loops: &[Edge]) -> Vec<TrajectoryEdge> {
     let mut pairs: BTreeMap<(u32, u32), Vec<(Placement, Placement)>> = BTreeMap::new();
     for edge in loops {
         let (from, to) = (&nodes[edge.from], &nodes[edge.to]);
@@ -65,7 +65,7 @@ fn ties(nodes: &[Node], loops: &[Edge]) -> Vec<Tie> {
             pairs.entry((to.trajectory, from.trajectory)).or_default().push((moved, from.start));
         }
     }
-    let tie = |((low, high), motions): ((u32, u32), Vec<(Placement, Placement)>)| {
+    let edge = |((low, high), motions): ((u32, u32), Vec<(Placement, Placement)>)| {
         // Compared where the trajectory was matched: far away a little turn moves it much.
         let votes = |a: &(Placement, Placement)| {
             let agrees = |b: &&(Placement, Placement)| {
@@ -76,9 +76,9 @@ fn ties(nodes: &[Node], loops: &[Edge]) -> Vec<Tie> {
         };
         let counted = motions.iter().enumerate().map(|(i, motion)| (votes(motion), std::cmp::Reverse(i)));
         let (votes, std::cmp::Reverse(best)) = counted.max().expect("a pair has a closure");
-        Tie { low, high, low_from_high: motions[best].0, votes }
+        TrajectoryEdge { low, high, low_from_high: motions[best].0, votes }
     };
-    pairs.into_iter().map(tie).collect()
+    pairs.into_iter().map(edge).collect()
 }
 
 #[cfg(test)]

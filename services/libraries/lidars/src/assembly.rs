@@ -160,7 +160,7 @@ impl Assembly {
             .filter(|speed| speed.is_finite())
     }
 
-    /// Forgets the turn so far.
+    /// Drops the turn so far.
     fn give_up(&mut self) {
         self.turn.clear();
         self.progress_deg.clear();

@@ -47,7 +47,7 @@ pub(crate) struct Rplidar {
     /// The form of measurements, once the lidar has said it.
     form: Option<Form>,
     /// The packet before was good, and nothing was between it and the next one.
-    trusted: Cell<bool>,
+    in_step: Cell<bool>,
     /// The capsule whose measurements end where the next one begins, and when it came.
     waiting: (Vec<u8>, i64),
     /// The packet that is read.
@@ -77,7 +77,7 @@ impl Rplidar {
             frames: ByteFrames::default(),
             assembly: Assembly::new(RANGE_MIN_M, RANGE_MAX_M, false),
             form: None,
-            trusted: Cell::new(false),
+            in_step: Cell::new(false),
             waiting: (Vec::new(), 0),
             packet: Vec::new(),
             last_span_deg: 0.0,
@@ -167,7 +167,7 @@ impl Rplidar {
             },
             Answer::Measurements(form) => {
                 self.form = Some(form);
-                self.trusted.set(true);
+                self.in_step.set(true);
                 self.waiting.0.clear();
                 self.assembly.set_intensities(form.has_quality());
             }
@@ -250,11 +250,11 @@ impl Driver for Rplidar {
                 self.take_answer(answer);
                 continue;
             };
-            let (trusted, garbage) = (&self.trusted, self.counts.garbage_bytes);
+            let (in_step, garbage) = (&self.in_step, self.counts.garbage_bytes);
             let found = self.frames.next(&mut self.counts, |bytes| {
-                let seen = form.look(bytes, trusted.get());
-                let good = matches!(seen, Look::Packet(_)) || (matches!(seen, Look::More) && trusted.get());
-                trusted.set(good);
+                let seen = form.look(bytes, in_step.get());
+                let good = matches!(seen, Look::Packet(_)) || (matches!(seen, Look::More) && in_step.get());
+                in_step.set(good);
                 seen
             });
             let Some(found) = found else { return };

@@ -36,8 +36,8 @@ pub(crate) enum Form {
 }
 
 pub(crate) const NODE_LENGTH: usize = 5;
-/// So many measurements of the standard form in a row must make sense before one is believed: each has only three bits to check.
-pub(crate) const NODES_TO_TRUST: usize = 12;
+/// So many measurements of the standard form in a row must make sense before the reader counts as in step: each has only three bits to check.
+pub(crate) const NODES_TO_SYNC: usize = 12;
 /// Between two measurements the head turns no further than this, degrees.
 const STEP_MAX_DEG: f64 = 20.0;
 /// It may seem to turn back by so much, degrees.
@@ -83,17 +83,17 @@ impl Form {
         matches!(self, Self::Standard | Self::HighQuality | Self::UltraDense)
     }
 
-    /// Whether a packet begins here. `trusted`: the packet before was a good one.
-    pub fn look(self, bytes: &[u8], trusted: bool) -> Look {
+    /// Whether a packet begins here. `in_step`: the packet before was a good one.
+    pub fn look(self, bytes: &[u8], in_step: bool) -> Look {
         match self {
-            Self::Standard => look_for_nodes(bytes, if trusted { 2 } else { NODES_TO_TRUST }),
+            Self::Standard => look_for_nodes(bytes, if in_step { 2 } else { NODES_TO_SYNC }),
             Self::HighQuality => self.look_for_hq(bytes),
-            _ => self.look_for_capsule(bytes, trusted),
+            _ => self.look_for_capsule(bytes, in_step),
         }
     }
 
     /// A capsule has sixteen bits to check: behind garbage another one must begin where it ends.
-    fn look_for_capsule(self, bytes: &[u8], trusted: bool) -> Look {
+    fn look_for_capsule(self, bytes: &[u8], in_step: bool) -> Look {
         let begins = |bytes: &[u8]| bytes[0] >> 4 == 0xA && bytes.get(1).is_none_or(|byte| byte >> 4 == 0x5);
         if !begins(bytes) {
             return Look::No;
@@ -104,7 +104,7 @@ impl Form {
         match xor(&capsule[2..]) == said {
             false => Look::Bad,
             true if !plausible => Look::No,
-            true if trusted => Look::Packet(self.length()),
+            true if in_step => Look::Packet(self.length()),
             true if !next.is_empty() && !begins(next) => Look::No,
             true if next.len() < 2 => Look::More,
             true => Look::Packet(self.length()),

@@ -12,8 +12,8 @@ use flockslam_lidars::{Act, Driver, Family};
 use flockslam_random::Random;
 
 const BYTES: usize = 10_000_000;
-/// A packet may still be waited for whose end the garbage has promised.
-const PROMISED_MAX: u64 = 1;
+/// A packet may still be waited for whose beginning is in the garbage.
+const PENDING_MAX: u64 = 1;
 
 fn world(angle_rad: f64) -> f64 {
     3.0 + 2.0 * angle_rad.sin()
@@ -64,7 +64,7 @@ fn feed(name: &str, driver: &mut dyn Driver, packets: &mut dyn FnMut() -> Vec<Ve
             });
         }
         let found = driver.counts().packets - before;
-        assert!(found + PROMISED_MAX >= good.len() as u64, "{name}: {found} of {}", good.len());
+        assert!(found + PENDING_MAX >= good.len() as u64, "{name}: {found} of {}", good.len());
         fed += stream.len() + good_bytes.len();
     }
     assert!(turns > 100, "{name}: only {turns} turns");

@@ -1,4 +1,4 @@
-//! What a robot believes of where it is in the known map.
+//! The belief of a robot about its pose in the known map.
 
 use crate::Agreement;
 use flockslam_geometry::elementary::ln;
@@ -34,13 +34,13 @@ impl Knowledge {
 pub struct Hypothesis {
     /// Its pose in the map.
     pub map_from_base: Placement,
-    /// Its share of all that is believed, 0 … 1.
+    /// Its weight in the belief, 0 … 1.
     pub weight: f64,
     /// How well what it has seen agrees with the map there.
     pub agreement: Agreement,
 }
 
-/// What a robot believes of where it is.
+/// The belief of a robot about its pose.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Belief {
     /// Whether it knows.

@@ -17,5 +17,5 @@ pub use belief::{Belief, Hypothesis, Knowledge};
 pub use known_map::{KnownMap, Place};
 pub use localizer::{Hint, Localizer, Measurement};
 pub use place_field::PlaceField;
-pub use place_search::{Candidate, Near, PlaceSearch, Places, Quest};
+pub use place_search::{Candidate, Near, PlaceSearch, Places, SearchRequest};
 pub use recent_views::RecentViews;

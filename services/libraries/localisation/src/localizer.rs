@@ -3,7 +3,7 @@
 use crate::alignment::{Agreement, SeenPoint, Surroundings};
 use crate::belief::{Belief, Hypothesis, Knowledge};
 use crate::place_judgement::{Judged, Listed, knowledge, shows_walls};
-use crate::place_search::{Near, PlaceSearch, Quest, is_same};
+use crate::place_search::{Near, PlaceSearch, SearchRequest, is_same};
 use crate::recent_views::RecentViews;
 use flockslam_geometry::elementary::{exp, hypot};
 use flockslam_pose_graph::{Symmetric, inverse};
@@ -23,7 +23,7 @@ const SHARE_MIN: f64 = 0.75;
 /// A cloud of fewer points is not looked for.
 const POINTS_MIN: usize = 40;
 
-/// Places that were not looked at score at most this share of the place that is believed.
+/// Places that were not looked at score at most this share of the place that is accepted.
 const UNSEEN_MAX: f64 = 0.92;
 /// Greatest standard deviation of a pose in the worst direction from one fit, metres.
 const SIGMA_MAX_M: f64 = 0.1;
@@ -74,7 +74,7 @@ pub struct Localizer {
     belief: Belief,
     /// `map_from_odom` and the information of the robot's pose, while it is followed.
     followed: Option<Followed>,
-    /// The best places of the last search, as `map_from_odom`: none is forgotten because a later search gives others.
+    /// The best places of the last search, as `map_from_odom`: none is dropped because a later search gives others.
     kept: Vec<(Placement, Listed)>,
     /// Where the robot was when it was looked for last.
     searched_at: Option<Placement>,
@@ -147,7 +147,7 @@ impl Localizer {
         &self.surroundings
     }
 
-    /// What is believed.
+    /// The belief.
     pub fn belief(&self) -> &Belief {
         &self.belief
     }
@@ -167,7 +167,7 @@ impl Localizer {
         self.searches
     }
 
-    /// Forgets where the robot is and looks for it again, near a hint when there is one.
+    /// Drops the pose of the robot and searches again, near a hint when there is one.
     pub fn relocalize(&mut self, hint: Option<Hint>) {
         self.followed = None;
         self.belief = Belief::default();
@@ -271,10 +271,10 @@ impl Localizer {
         let cloud = self.recent.cloud(BESIDE_M, POINTS);
         let points: Vec<(f64, f64)> = cloud.iter().map(|p| (p.x_m, p.y_m)).collect();
         let near = Near { pose: at, reach_m: BESIDE_REACH.0, turn_rad: BESIDE_REACH.1 };
-        let quest = Quest { score_min: SCORE_MIN, share_min: SHARE_MIN, near: Some(near) };
+        let request = SearchRequest { score_min: SCORE_MIN, share_min: SHARE_MIN, near: Some(near) };
         let present = self.surroundings.agreement(&cloud, &at);
         let merit = |agreement: &Agreement| agreement.explained - agreement.contradicted;
-        let places = self.search.find(self.surroundings.field(), &points, &quest);
+        let places = self.search.find(self.surroundings.field(), &points, &request);
         let judged = places.found.iter().map(|place| self.judge(&cloud, place.map_from_cloud, place.score));
         let best = judged.max_by(|a, b| merit(&a.agreement).total_cmp(&merit(&b.agreement)))?;
         let is_better = merit(&best.agreement) >= merit(&present) + BESIDE_BETTER
@@ -294,8 +294,8 @@ impl Localizer {
             return false;
         }
         let points: Vec<(f64, f64)> = cloud.iter().map(|p| (p.x_m, p.y_m)).collect();
-        let quest = Quest { score_min: 0.0, share_min: SHARE_MIN, near: Some(hint.near()) };
-        let places = self.search.find(self.surroundings.field(), &points, &quest);
+        let request = SearchRequest { score_min: 0.0, share_min: SHARE_MIN, near: Some(hint.near()) };
+        let places = self.search.find(self.surroundings.field(), &points, &request);
         let starts = places.found.iter().map(|place| place.map_from_cloud).chain([hint.map_from_base]);
         let unit = FIT_INFORMATION / cloud.len() as f64;
         let fitted = starts.filter_map(|start| {
@@ -343,8 +343,8 @@ impl Localizer {
             return;
         }
         let points: Vec<(f64, f64)> = cloud.iter().map(|p| (p.x_m, p.y_m)).collect();
-        let quest = Quest { score_min: SCORE_MIN, share_min: SHARE_MIN, near };
-        let places = self.search.find(self.surroundings.field(), &points, &quest);
+        let request = SearchRequest { score_min: SCORE_MIN, share_min: SHARE_MIN, near };
+        let places = self.search.find(self.surroundings.field(), &points, &request);
         let judged_cloud = self.recent.cloud(JUDGED_M, POINTS);
         let mut judged: Vec<Judged> = Vec::new();
         for place in &places.found {

@@ -4,7 +4,7 @@ use crate::alignment::{Agreement, Fit};
 use crate::belief::Knowledge;
 use flockslam_registration::cloud::Placement;
 
-/// A place is believed when at least this share of the points is explained there, and at most this contradicted.
+/// A place is accepted when at least this share of the points is explained there, and at most this contradicted.
 const EXPLAINED_MIN: f64 = 0.55;
 const CONTRADICTED_MAX: f64 = 0.08;
 /// Where nothing else is nearly as good, at most this share of the merit elsewhere, less is asked: changes of the world explain it.
@@ -26,15 +26,15 @@ const FURNISHED_M: f64 = 6.0;
 /// contradicted, and greatest share of the merit elsewhere; equal rooms share their walls, and more travel tells them apart more surely.
 const DRIVEN_M: f64 = 4.0;
 const DRIVEN: (f64, f64) = (0.7, 0.2);
-const DRIVEN_RIVAL_MAX: f64 = 0.9;
+const DRIVEN_ALTERNATIVE_MAX: f64 = 0.9;
 /// A robot that sees much which the map does not have: least travel, metres, least share explained, …
 const BORDER_M: f64 = 3.0;
 const BORDER_EXPLAINED_MIN: f64 = 0.35;
 /// … greatest share contradicted of what is explained, and greatest share of the merit elsewhere.
 const BORDER_CONTRADICTED_MAX: f64 = 0.1;
-const BORDER_RIVAL_MAX: f64 = 0.5;
+const BORDER_ALTERNATIVE_MAX: f64 = 0.5;
 /// Elsewhere at most this share of the merit is found.
-const RIVAL_MAX: f64 = 0.8;
+const ALTERNATIVE_MAX: f64 = 0.8;
 /// A search gives so many places at most. Where more score alike, a place as good as one that so many searches gave was in one of them, too.
 const LISTED_MIN: u32 = 3;
 
@@ -80,9 +80,9 @@ impl Judged {
 pub(crate) fn knowledge(judged: &[Judged], travel_m: f64, is_held: bool) -> Knowledge {
     let Some((best, others)) = judged.split_first() else { return Knowledge::Unknown };
     let greatest = |of: fn(&Judged) -> f64| others.iter().map(of).fold(0.0, f64::max);
-    let (rival, strict_rival) = (greatest(Judged::merit), greatest(Judged::strict_merit));
+    let (alternative, strict_alternative) = (greatest(Judged::merit), greatest(Judged::strict_merit));
     let (explained, contradicted) = best.strictly();
-    let (least, most) = match (travel_m < STANDING_M, strict_rival <= ALONE_MAX * best.strict_merit()) {
+    let (least, most) = match (travel_m < STANDING_M, strict_alternative <= ALONE_MAX * best.strict_merit()) {
         (true, true) => STANDING_ALONE,
         (true, false) => STANDING,
         (false, true) => ALONE,
@@ -96,9 +96,9 @@ pub(crate) fn knowledge(judged: &[Judged], travel_m: f64, is_held: bool) -> Know
         && explained >= BORDER_EXPLAINED_MIN
         && contradicted <= BORDER_CONTRADICTED_MAX * explained;
     // Each way to be good enough has its own measure of how much worse all others are.
-    let stands_out = (is_good && strict_rival <= RIVAL_MAX * best.strict_merit())
-        || (is_driven && rival <= DRIVEN_RIVAL_MAX * best.merit())
-        || (is_at_border && strict_rival <= BORDER_RIVAL_MAX * best.strict_merit());
+    let stands_out = (is_good && strict_alternative <= ALTERNATIVE_MAX * best.strict_merit())
+        || (is_driven && alternative <= DRIVEN_ALTERNATIVE_MAX * best.merit())
+        || (is_at_border && strict_alternative <= BORDER_ALTERNATIVE_MAX * best.strict_merit());
     let is_unique = stands_out && (best.listed.is_among_all || best.listed.times >= LISTED_MIN);
     match (is_unique && is_held, is_good || is_driven) {
         (true, _) => Knowledge::Localized,
@@ -174,7 +174,7 @@ mod tests {
 
     /// Where more places score alike than a search gives, an equal one may be among those that it does not give.
     #[test]
-    fn a_place_is_believed_once_equal_ones_would_have_been_found() {
+    fn a_place_is_accepted_once_equal_ones_would_have_been_found() {
         let after = |times| knowledge(&[place(0.9, 0.02, Listed { is_among_all: false, times })], 5.0, true);
         assert_eq!(
             [0, 1, 2, 3].map(after),

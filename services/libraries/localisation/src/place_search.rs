@@ -19,12 +19,12 @@ const MIXING: usize = 101;
 /// So many blocks, each the one with the greatest bound at its heading, are summed up before all others: a good place that is known makes
 /// most other bounds too low.
 const PROBES: usize = 12;
-/// Cells with enough score that are remembered before those are dropped that no longer count.
-const REMEMBERED: usize = 1 << 16;
+/// Cells with enough score that are kept before those are dropped that no longer count.
+const SCORED_MAX: usize = 1 << 16;
 
 /// What is looked for.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Quest {
+pub struct SearchRequest {
     /// Least score of a place, 0 … 1.
     pub score_min: f64,
     /// A place is given when it has at least this share of the best score.
@@ -79,7 +79,7 @@ pub struct PlaceSearch {
 }
 
 /// A cloud that is looked for.
-struct Sought<'a> {
+struct SearchInput<'a> {
     field: &'a PlaceField,
     points: Vec<(f64, f64)>,
     headings: Vec<f64>,
@@ -90,7 +90,7 @@ struct Sought<'a> {
 impl PlaceSearch {
     /// Looks for `points` (metres, in the cloud's own frame): at each heading the values of all of them are summed up for each cell where
     /// the robot may stand (Olson 2009). Blocks whose bound is too low are left out, and none that matters.
-    pub fn find(&mut self, field: &PlaceField, points: &[(f64, f64)], quest: &Quest) -> Places {
+    pub fn find(&mut self, field: &PlaceField, points: &[(f64, f64)], request: &SearchRequest) -> Places {
         let near = points.iter().filter(|p| p.0 * p.0 + p.1 * p.1 <= REACH_M * REACH_M);
         let near: Vec<(f64, f64)> = near.copied().collect();
         let stride = near.len().div_ceil(POINTS).max(1);
@@ -101,37 +101,37 @@ impl PlaceSearch {
         // Neighbours in the cloud lie on one wall. In this order the first points already say much of the sum of all.
         let points: Vec<(f64, f64)> = (0..few.len()).map(|i| few[i * MIXING % few.len()]).collect();
         let full = 255.0 * points.len() as f64;
-        let (headings, stretches) = (headings(quest.near), stretches(field, quest.near));
-        let sought = Sought { field, points, headings, stretches, near: quest.near };
-        let bounds = self.bound(&sought);
-        let enough = |best: u16| (quest.share_min * f64::from(best)).ceil() as u16;
+        let (headings, stretches) = (headings(request.near), stretches(field, request.near));
+        let input = SearchInput { field, points, headings, stretches, near: request.near };
+        let bounds = self.bound(&input);
+        let enough = |best: u16| (request.share_min * f64::from(best)).ceil() as u16;
         let mut least =
-            ((quest.score_min * full).ceil().max(1.0) as u16).max(enough(self.probe(&sought, &bounds)));
+            ((request.score_min * full).ceil().max(1.0) as u16).max(enough(self.probe(&input, &bounds)));
         self.scored.clear();
-        for number in 0..sought.headings.len() {
-            let best = self.look(&sought, &bounds, number, least);
+        for number in 0..input.headings.len() {
+            let best = self.look(&input, &bounds, number, least);
             least = least.max(enough(best));
-            if self.scored.len() > REMEMBERED {
+            if self.scored.len() > SCORED_MAX {
                 self.scored.retain(|scored| scored.sum >= least);
             }
-            if self.scored.len() > REMEMBERED {
+            if self.scored.len() > SCORED_MAX {
                 least = self.keep_half();
             }
         }
         self.scored.retain(|scored| scored.sum >= least);
         // The best first, and in order of headings, rows and columns among equals.
         self.scored.sort_by_key(|scored| (Reverse(scored.sum), scored.heading, scored.row, scored.column));
-        self.places(field, &sought.headings, full, least)
+        self.places(field, &input.headings, full, least)
     }
 
     /// Bounds of the mean value of a point in each block at each heading.
-    fn bound(&mut self, sought: &Sought<'_>) -> Vec<u8> {
-        let points = sought.points.len() as u16;
-        let mut bounds = Vec::with_capacity(sought.headings.len() * sought.blocks());
-        for number in 0..sought.headings.len() {
-            self.turn(sought, number);
-            for stretch in &sought.stretches {
-                let sums = sought.field.bounds(*stretch, &self.offsets);
+    fn bound(&mut self, input: &SearchInput<'_>) -> Vec<u8> {
+        let points = input.points.len() as u16;
+        let mut bounds = Vec::with_capacity(input.headings.len() * input.blocks());
+        for number in 0..input.headings.len() {
+            self.turn(input, number);
+            for stretch in &input.stretches {
+                let sums = input.field.bounds(*stretch, &self.offsets);
                 bounds.extend(sums[..stretch.count].iter().map(|sum| sum.div_ceil(points) as u8));
             }
         }
@@ -139,37 +139,37 @@ impl PlaceSearch {
     }
 
     /// The greatest sum in those blocks whose bounds are the greatest, each of another heading.
-    fn probe(&mut self, sought: &Sought<'_>, bounds: &[u8]) -> u16 {
+    fn probe(&mut self, input: &SearchInput<'_>, bounds: &[u8]) -> u16 {
         let top = |number: usize| {
             // The first of those with the greatest bound.
-            let top = sought.bounded(bounds, number).max_by_key(|(bound, block)| (*bound, Reverse(*block)));
+            let top = input.bounded(bounds, number).max_by_key(|(bound, block)| (*bound, Reverse(*block)));
             top.map(|top| (top, number))
         };
-        let mut tops: Vec<_> = (0..sought.headings.len()).filter_map(top).collect();
+        let mut tops: Vec<_> = (0..input.headings.len()).filter_map(top).collect();
         tops.sort_by_key(|((bound, _), number)| (Reverse(*bound), *number));
         let mut best = 0;
         for ((bound, block), number) in tops.into_iter().take(PROBES) {
-            self.turn(sought, number);
-            let sums = sought.sums(&self.offsets, block, bound, best).map(|(_, sum)| sum);
+            self.turn(input, number);
+            let sums = input.sums(&self.offsets, block, bound, best).map(|(_, sum)| sum);
             best = sums.max().unwrap_or(best);
         }
         best
     }
 
     /// Turns the points by a heading.
-    fn turn(&mut self, sought: &Sought<'_>, number: usize) {
-        let turned = Placement::new(0.0, 0.0, sought.headings[number]);
-        let offsets = sought.points.iter().map(|&(x_m, y_m)| turned.rotate(x_m, y_m));
+    fn turn(&mut self, input: &SearchInput<'_>, number: usize) {
+        let turned = Placement::new(0.0, 0.0, input.headings[number]);
+        let offsets = input.points.iter().map(|&(x_m, y_m)| turned.rotate(x_m, y_m));
         self.offsets.clear();
-        self.offsets.extend(offsets.map(|(x_m, y_m)| sought.field.offsets(x_m, y_m)));
+        self.offsets.extend(offsets.map(|(x_m, y_m)| input.field.offsets(x_m, y_m)));
     }
 
     /// Remembers all cells that sum up to enough at a heading, and gives the greatest sum.
-    fn look(&mut self, sought: &Sought<'_>, bounds: &[u8], number: usize, least: u16) -> u16 {
-        self.turn(sought, number);
+    fn look(&mut self, input: &SearchInput<'_>, bounds: &[u8], number: usize, least: u16) -> u16 {
+        self.turn(input, number);
         let mut best = 0;
-        for (bound, block) in sought.bounded(bounds, number).filter(|(bound, _)| *bound >= least) {
-            for (cell, sum) in sought.sums(&self.offsets, block, bound, least) {
+        for (bound, block) in input.bounded(bounds, number).filter(|(bound, _)| *bound >= least) {
+            for (cell, sum) in input.sums(&self.offsets, block, bound, least) {
                 best = best.max(sum);
                 self.scored.push(Scored::new(sum, number, block, cell));
             }
@@ -177,9 +177,9 @@ impl PlaceSearch {
         best
     }
 
-    /// Forgets the worse half of what is remembered; gives the least score of the rest.
+    /// Drops the worse half of what is kept; gives the least score of the rest.
     fn keep_half(&mut self) -> u16 {
-        let half = REMEMBERED / 2;
+        let half = SCORED_MAX / 2;
         let (_, middle, _) = self.scored.select_nth_unstable_by_key(half, |s| Reverse(s.sum));
         let least = middle.sum.saturating_add(1);
         self.scored.retain(|scored| scored.sum >= least);
@@ -236,7 +236,7 @@ impl Scored {
     }
 }
 
-impl Sought<'_> {
+impl SearchInput<'_> {
     /// Number of blocks that are looked at.
     fn blocks(&self) -> usize {
         self.stretches.iter().map(|stretch| stretch.count).sum()
@@ -310,21 +310,21 @@ mod tests {
     }
 
     /// The same without bounds: all cells are summed up at all headings.
-    fn exhaustive(field: &PlaceField, points: &[(f64, f64)], quest: &Quest) -> Places {
-        let headings = headings(quest.near);
-        let sought = Sought {
+    fn exhaustive(field: &PlaceField, points: &[(f64, f64)], request: &SearchRequest) -> Places {
+        let headings = headings(request.near);
+        let input = SearchInput {
             field,
             points: points.to_vec(),
             headings: headings.clone(),
             stretches: field.stretches(0..usize::MAX, 0..usize::MAX),
-            near: quest.near,
+            near: request.near,
         };
         let mut search = PlaceSearch::default();
         let (mut all, mut best) = (Vec::new(), 0);
         for heading in 0..headings.len() {
-            search.turn(&sought, heading);
-            for block in blocks(&sought.stretches) {
-                for (cell, sum) in sought.sums(&search.offsets, block, 255 * points.len() as u16, 0) {
+            search.turn(&input, heading);
+            for block in blocks(&input.stretches) {
+                for (cell, sum) in input.sums(&search.offsets, block, 255 * points.len() as u16, 0) {
                     best = best.max(sum);
                     all.push(Scored::new(sum, heading, block, cell));
                 }
@@ -332,7 +332,8 @@ mod tests {
         }
         let full = 255.0 * points.len() as f64;
         let least =
-            (quest.score_min * full).ceil().max(1.0).max((quest.share_min * f64::from(best)).ceil()) as u16;
+            (request.score_min * full).ceil().max(1.0).max((request.share_min * f64::from(best)).ceil())
+                as u16;
         all.retain(|scored| scored.sum >= least);
         all.sort_by_key(|scored| (Reverse(scored.sum), scored.heading, scored.row, scored.column));
         search.scored = all;
@@ -360,8 +361,8 @@ mod tests {
                 reach_m,
                 turn_rad,
             });
-            let quest = Quest { score_min, share_min, near };
-            prop_assert_eq!(PlaceSearch::default().find(&field, &points, &quest), exhaustive(&field, &points, &quest));
+            let request = SearchRequest { score_min, share_min, near };
+            prop_assert_eq!(PlaceSearch::default().find(&field, &points, &request), exhaustive(&field, &points, &request));
         }
     }
 }

@@ -24,12 +24,12 @@ pub struct RecentViews {
 }
 
 impl RecentViews {
-    /// Forgets all.
+    /// Clears all.
     pub fn clear(&mut self) {
         self.views.clear();
     }
 
-    /// Adds a view, and forgets those more than `length_m` of travel before it.
+    /// Adds a view, and drops those more than `length_m` of travel before it.
     pub fn push(&mut self, odom_from_base: Placement, points: &[PackedPoint], length_m: f64) {
         let travel_m = self
             .views
@@ -43,7 +43,7 @@ impl RecentViews {
         }
     }
 
-    /// Forgets all but the newest view and those after which it came within less than so many metres of travel.
+    /// Drops all but the newest view and those after which it came within less than so many metres of travel.
     pub fn keep(&mut self, length_m: f64) {
         let Some(newest) = self.views.back().map(|view| view.travel_m) else { return };
         let is_old = |view: &View| newest - view.travel_m >= length_m && newest > view.travel_m;

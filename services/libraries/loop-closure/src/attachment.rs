@@ -130,12 +130,12 @@ impl AttachmentFinder {
             others.extend(worse.map(|worse| (worse.found.score, worse.pose)));
         }
         let best = best.filter(|best| best.found.score >= SCORE_MIN)?;
-        let rivals = |(score, pose): &(f64, Placement)| {
-            let is_elsewhere = pose.distance_m(&best.pose) > 2.0 * APART.reach_m
+        let alternatives = |(score, pose): &(f64, Placement)| {
+            let is_other_place = pose.distance_m(&best.pose) > 2.0 * APART.reach_m
                 || pose.turn_rad(&best.pose) > APART.turn_rad;
-            *score >= RUNNER_UP * best.found.score && is_elsewhere
+            *score >= RUNNER_UP * best.found.score && is_other_place
         };
-        if others.iter().any(rivals) { None } else { Some(best) }
+        if others.iter().any(alternatives) { None } else { Some(best) }
     }
 
     fn refined(

@@ -34,7 +34,7 @@ const RUNNER_UP: f64 = 0.9;
 const RESCUE_POINTS: usize = 150;
 /// A node without a match, and without odometry that agrees with the front end, is as uncertain as this much travel, metres.
 const UNMATCHED_DRIFT_M: f64 = 8.0;
-/// The front end's motion is believed where odometry agrees with it within this, metres and radians.
+/// The front end's motion is accepted where odometry agrees with it within this, metres and radians.
 const FOLLOWED: (f64, f64) = (0.1, 0.1);
 /// Where it is, without a match, the drift bound grows so many times faster than the travel.
 const FOLLOWED_DRIFT: f64 = 2.0;
@@ -48,7 +48,7 @@ const OPEN_POSITION_SHARE: f64 = 0.8;
 const OPEN_TURN_M: f64 = 1.0;
 /// Matches that scatter so many times more than they claim, in variance, are compared with odometry …
 const SCATTERING: f64 = 2.0;
-/// … and not believed where they miss it by more than this, in variances: four standard deviations.
+/// … and not accepted where they miss it by more than this, in variances: four standard deviations.
 const IMPROBABLE: f64 = 16.0;
 /// How firmly a node whose pose is given is held at it (information): a tenth of a millimetre where matches say some millimetres.
 const GIVEN: Symmetric = [1e8, 0.0, 0.0, 1e8, 0.0, 1e8];
@@ -280,7 +280,7 @@ impl OdometryGraph {
         said.distance_m(motion) <= FOLLOWED.0 && said.turn_rad(motion) <= FOLLOWED.1
     }
 
-    /// Learns from a match how far odometry is off, and how much matches scatter. Gives whether the match is believed: where
+    /// Learns from a match how far odometry is off, and how much matches scatter. Gives whether the match is accepted: where
     /// matches scatter more than they claim, odometry must not make it improbable.
     fn learns(&mut self, found: &Alignment, new: &NewNode) -> bool {
         let (Some(odometry), Some(before), Some(last)) = (new.odometry, self.odometry, self.nodes.last())
@@ -314,13 +314,13 @@ impl OdometryGraph {
             return unmatched;
         }
         let found = self.aligner.align(&mut self.grid, scans.points(scan), *guess);
-        let believed = found.filter(|found| {
+        let accepted = found.filter(|found| {
             found.inliers >= INLIERS_MIN
                 && found.spread_m <= SPREAD_MAX_M
                 && found.placement.distance_m(guess) <= MOVE_MAX.0
                 && found.placement.turn_rad(guess) <= MOVE_MAX.1
         });
-        match believed {
+        match accepted {
             Some(found) if self.learns(&found, new) => Link::Matched(found),
             Some(_) => unmatched,
             None if follows => Link::Followed,

@@ -54,7 +54,7 @@ const OTHER_SIDE: (f64, f64) = (0.4, 0.015);
 /// A match may lie so far outside its window, metres and radians.
 const OUTSIDE: (f64, f64) = (0.2, 0.02);
 /// After failures in a row only every n-th search is made, n up to this.
-const PATIENCE: u32 = 4;
+const FAILURES_MAX: u32 = 4;
 
 /// Looks for loops in the open.
 #[derive(Default)]
@@ -82,7 +82,7 @@ impl OpenFinder {
         }
         let Some(found) = self.look(world, query, distances_m) else { return Vec::new() };
         // What was not found is hardly found a step farther.
-        self.failures = if found.is_empty() { (self.failures + 1).min(PATIENCE) } else { 0 };
+        self.failures = if found.is_empty() { (self.failures + 1).min(FAILURES_MAX) } else { 0 };
         self.next_m = travel_m + EVERY_M * f64::from(self.failures.max(1));
         found
     }
@@ -181,8 +181,8 @@ impl OpenFinder {
         fits.sort_by(|a, b| a.cost.total_cmp(&b.cost));
         let best = *fits.first()?;
         let margin = AMBIGUOUS_PER_POINT * self.points.len() as f64;
-        let is_elsewhere = |fit: &SurfaceFit| is_apart(fit.pose, best.pose);
-        let is_ambiguous = fits.iter().any(|fit| is_elsewhere(fit) && fit.cost < best.cost + margin);
+        let is_other_place = |fit: &SurfaceFit| is_apart(fit.pose, best.pose);
+        let is_ambiguous = fits.iter().any(|fit| is_other_place(fit) && fit.cost < best.cost + margin);
         (best.inliers >= INLIERS_MIN && !is_ambiguous).then_some(best)
     }
 

@@ -118,12 +118,12 @@ fn place(aligner: &Aligner, grid: &mut MomentGrid, points: &[PackedPoint], scan:
     let guesses = std::iter::once(first).chain(Some(second).filter(|second| *second != first));
     let mut attempts = guesses.filter_map(|guess| {
         let found = aligner.align(grid, points, *guess)?;
-        is_believed(&found, guess, scan.move_max).then_some(found.placement)
+        is_accepted(&found, guess, scan.move_max).then_some(found.placement)
     });
     attempts.next().unwrap_or(*first)
 }
 
-fn is_believed(found: &Alignment, guess: &Placement, move_max: (f64, f64)) -> bool {
+fn is_accepted(found: &Alignment, guess: &Placement, move_max: (f64, f64)) -> bool {
     found.inliers >= INLIERS_MIN
         && found.spread_m <= SPREAD_MAX_M
         && found.placement.distance_m(guess) <= move_max.0

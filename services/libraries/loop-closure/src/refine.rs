@@ -63,8 +63,8 @@ impl Refinement<'_> {
             grid.withdraw_placed(own);
             let found = aligner.align(grid, points, poses[node]);
             grid.add_placed(own);
-            let believed = found.filter(|found| is_believed(found, &poses[node]));
-            matches.extend(believed.and_then(|found| held(&found, &poses[0], node)));
+            let accepted = found.filter(|found| is_accepted(found, &poses[node]));
+            matches.extend(accepted.and_then(|found| held(&found, &poses[0], node)));
         });
         matches.sort_by_key(|edge| (square(&poses[edge.to], ORDER_M), edge.to));
         edges.extend(matches);
@@ -125,7 +125,7 @@ fn held(found: &Alignment, origin: &Placement, node: usize) -> Option<Edge> {
     Some(Edge { from: 0, to: node, motion, information: in_frame(&information, origin) })
 }
 
-fn is_believed(found: &Alignment, guess: &Placement) -> bool {
+fn is_accepted(found: &Alignment, guess: &Placement) -> bool {
     found.inliers >= INLIERS_MIN
         && found.spread_m <= SPREAD_MAX_M
         && found.placement.distance_m(guess) <= MOVE_MAX.0

@@ -172,11 +172,11 @@ impl Fusion {
             return false;
         };
         let Step::Place(PlacedSubmap { number, map_from_odom }) = step else {
-            self.forget(step.number());
+            self.remove(step.number());
             return true;
         };
         let footprint = known.footprint(map_from_odom, cell_size_m);
-        if let Some(fused) = self.forget(number) {
+        if let Some(fused) = self.remove(number) {
             self.coverage.add(number, &footprint);
             self.fused.insert(number, Fused { map_from_odom, footprint, ..fused });
         }
@@ -276,7 +276,7 @@ impl Fusion {
 
     /// Takes a submap out as it came in. Should it not be the one that came in, the map begins anew: the next steps fill it.
     fn withdraw(&mut self, submap: &mut Submap) {
-        let Some(fused) = self.forget(submap.number) else { return };
+        let Some(fused) = self.remove(submap.number) else { return };
         let Some(map) = &mut self.map else { return };
         submap.set_cleared(&fused.cleared);
         if map.withdraw(submap, fused.map_from_odom * submap.odom_from_submap).is_err() {
@@ -284,7 +284,7 @@ impl Fusion {
         }
     }
 
-    fn forget(&mut self, number: u32) -> Option<Fused> {
+    fn remove(&mut self, number: u32) -> Option<Fused> {
         let fused = self.fused.remove(&number)?;
         self.coverage.remove(number, &fused.footprint);
         Some(fused)

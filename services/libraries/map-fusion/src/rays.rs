@@ -187,7 +187,7 @@ mod tests {
         let (none, crossed, near) = ((false, false), (false, true), (true, false));
         // The cell in which the free part of a beam ends is not crossed.
         assert_eq!(look(2.07, at), [crossed, none, none, near, near, none]);
-        assert_eq!(look(4.0, at), [crossed; 6], "ends of the scan before are forgotten");
+        assert_eq!(look(4.0, at), [crossed; 6], "ends of the scan before are dropped");
         assert_eq!(look(1000.0, at), [crossed; 6]);
         assert_eq!(look(1002.06, Pose::new(-1000.0, 0.01, 0.0)), [none; 6], "too far from the lidar");
     }

@@ -12,11 +12,11 @@ const HEADING_PER_M: f64 = 3e-4;
 const APART_M: f64 = 0.3;
 /// A turn counts as so much way, metres per radian.
 const TURN_M_PER_RAD: f64 = 0.5;
-/// Poses that are remembered: the oldest is some metres back.
-const REMEMBERED: usize = 8;
+/// Poses in the window: the oldest is some metres back.
+const WINDOW: usize = 8;
 /// A difference over a gap longer than this, metres, is not used: the fits between were no measurements.
 const GAP_MAX_M: f64 = 0.8;
-/// Learned scales of odometry stay within these bounds: the best wheels, and wheels that are hardly believed.
+/// Learned scales of odometry stay within these bounds: the best wheels, and wheels with hardly any weight.
 const SCALES: (f64, f64) = (0.01, 4.0);
 /// Fits scatter at most this many times more than they claim, in variance.
 const SCATTER_MAX: f64 = 1000.0;
@@ -51,7 +51,7 @@ pub struct OdometryNoise {
     position: Learned,
     heading: Learned,
     /// The last measured poses, a ring.
-    remembered: [Option<Measured>; REMEMBERED],
+    window: [Option<Measured>; WINDOW],
     newest: usize,
 }
 
@@ -80,7 +80,7 @@ struct Mean {
 
 impl Default for OdometryNoise {
     fn default() -> Self {
-        Self { position: Learned::new(), heading: Learned::new(), remembered: [None; REMEMBERED], newest: 0 }
+        Self { position: Learned::new(), heading: Learned::new(), window: [None; WINDOW], newest: 0 }
     }
 }
 
@@ -124,29 +124,29 @@ impl OdometryNoise {
     /// A scan was fitted here, with this covariance by its own claim, while odometry said that.
     pub fn learn(&mut self, pose: Pose, odometry: Pose, claimed: Covariance) {
         let now = Measured { pose, odometry };
-        if let Some(last) = self.remembered[self.newest] {
+        if let Some(last) = self.window[self.newest] {
             let way_m =
                 last.odometry.distance_m(odometry) + TURN_M_PER_RAD * last.odometry.turn_rad(odometry);
             if way_m < APART_M {
                 return;
             }
             if way_m > GAP_MAX_M {
-                self.remembered = [None; REMEMBERED];
+                self.window = [None; WINDOW];
             } else {
                 self.position.claims(0.5 * (claimed.xx + claimed.yy));
                 self.heading.claims(claimed.tt);
                 self.compare(last, now, false);
             }
         }
-        self.newest = (self.newest + 1) % REMEMBERED;
-        if let Some(oldest) = self.remembered[self.newest].replace(now) {
+        self.newest = (self.newest + 1) % WINDOW;
+        if let Some(oldest) = self.window[self.newest].replace(now) {
             self.compare(oldest, now, true);
         }
     }
 
     /// Nothing connects the next fit with those before. What was learned holds.
     pub fn break_off(&mut self) {
-        self.remembered = [None; REMEMBERED];
+        self.window = [None; WINDOW];
     }
 
     fn compare(&mut self, from: Measured, to: Measured, is_long: bool) {

@@ -24,8 +24,8 @@ fn main() {
         by_odometry.push(by_odometry[k].compose(measured));
         edges.push(edge(k, k + 1, measured, 0.05, 0.01));
     }
-    // Odometry edges are trusted: odometry drifts, but does not jump. The edges after them may be outliers.
-    let trusted = edges.len();
+    // Odometry edges are not switchable: odometry drifts, but does not jump. The edges after them may be outliers.
+    let fixed_count = edges.len();
     let right = edge(0, POSES - 1, truth[0].to(truth[POSES - 1]), 0.02, 0.01);
     // Two places on different sides of the square look the same.
     let wrong = edge(3, 17, Placement::IDENTITY, 0.02, 0.01);
@@ -33,13 +33,13 @@ fn main() {
 
     let settings = RobustSettings { chi_squared_max: 16.0, growth: 1.6, rounds: 25, warm_up: 6 };
     let mut poses = by_odometry.clone();
-    let Solved { weights, work } = solve(POSES, &edges, trusted, &settings, &mut poses);
+    let Solved { weights, work } = solve(POSES, &edges, fixed_count, &settings, &mut poses);
 
     println!("pose        truth, m     odometry, m       solved, m");
     for k in (0..POSES).step_by(SIDE / 2) {
         println!("{k:4} {} {} {}", shown(&truth[k]), shown(&by_odometry[k]), shown(&poses[k]));
     }
-    for (edge, weight) in edges.iter().zip(&weights).skip(trusted) {
+    for (edge, weight) in edges.iter().zip(&weights).skip(fixed_count) {
         let verdict = if *weight > 0.5 { "inlier, acts" } else { "outlier, does not act" };
         let chi_squared = edge.chi_squared(&poses);
         println!("closure {} - {}: {verdict}; chi-squared {chi_squared:.2}", edge.from, edge.to);
@@ -52,7 +52,7 @@ fn main() {
     println!("work: {work} products of 3 × 3 blocks");
 
     assert!(end_m(&by_odometry) > 1.0, "odometry must need help");
-    assert_eq!(weights[trusted..], [1.0, 0.0], "the right closure acts, the wrong one does not");
+    assert_eq!(weights[fixed_count..], [1.0, 0.0], "the right closure acts, the wrong one does not");
     assert!(end_m(&poses) < 0.03, "the end is where the way began");
     assert!(worst_m(&poses) < 0.2, "what is left in between is the error of the step's length");
 }

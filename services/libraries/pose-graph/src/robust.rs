@@ -1,4 +1,4 @@
-//! The robust solver: graduated non-convexity with truncated least squares (Yang et al. 2020) over the pose graph. Takes edges, of which the first are trusted,
+//! The robust solver: graduated non-convexity with truncated least squares (Yang et al. 2020) over the pose graph. Takes edges, of which the first are not switchable,
 //! and start poses; gives poses and a weight for each edge.
 
 use crate::edge::Edge;
@@ -28,9 +28,9 @@ pub struct Solved {
 }
 
 /// Solves a pose graph by graduated non-convexity with truncated least squares (Yang et al. 2020, eq. 14):
-/// the edges from number `trusted` on are loops that may be wrong. Poses are the start in, the solution out.
+/// the edges from number `fixed_count` on are switchable: loops that may be wrong. Poses are the start in, the solution out.
 ///
-/// The trusted edges must connect all nodes. Node 0 stays where it is.
+/// Edges that are not switchable must connect all nodes. Node 0 stays where it is.
 ///
 /// ```
 /// use flockslam_registration::cloud::Placement;
@@ -44,22 +44,22 @@ pub struct Solved {
 /// let mut edges: Vec<Edge> =
 ///     (0..3).map(|k| edge(k, k + 1, Placement::new(1.05, 0.0, 0.0), 0.1, 0.01)).collect();
 /// let mut poses: Vec<Placement> = (0..4).map(|k| Placement::new(1.05 * k as f64, 0.0, 0.0)).collect();
-/// let trusted = edges.len();
+/// let fixed_count = edges.len();
 /// edges.push(edge(0, 3, Placement::new(3.0, 0.0, 0.0), 0.02, 0.01));
 /// // This one is wrong.
 /// edges.push(edge(0, 2, Placement::new(0.0, 0.5, 0.0), 0.02, 0.01));
 /// let settings = RobustSettings { chi_squared_max: 16.0, growth: 1.6, rounds: 25, warm_up: 6 };
-/// let solved = solve(poses.len(), &edges, trusted, &settings, &mut poses);
-/// assert_eq!(solved.weights[trusted..], [1.0, 0.0]);
+/// let solved = solve(poses.len(), &edges, fixed_count, &settings, &mut poses);
+/// assert_eq!(solved.weights[fixed_count..], [1.0, 0.0]);
 /// assert!((poses[3].x_m - 3.0).abs() < 0.01);
 /// ```
 ///
 /// # Panics
-/// When there are fewer poses than nodes, or fewer edges than are trusted.
+/// When there are fewer poses than nodes, or fewer edges than `fixed_count`.
 pub fn solve(
     nodes: usize,
     edges: &[Edge],
-    trusted: usize,
+    fixed_count: usize,
     settings: &RobustSettings,
     poses: &mut [Placement],
 ) -> Solved {
@@ -71,12 +71,12 @@ pub fn solve(
         }
     }
     let limit = settings.chi_squared_max;
-    let worst = edges[trusted..].iter().map(|e| e.chi_squared(poses)).fold(0.0, f64::max);
+    let worst = edges[fixed_count..].iter().map(|e| e.chi_squared(poses)).fold(0.0, f64::max);
     if worst > limit {
         let mut convexity = limit / (2.0 * worst - limit);
         for _ in 0..settings.rounds {
             let mut undecided = false;
-            for (edge, weight) in edges.iter().zip(&mut weights).skip(trusted) {
+            for (edge, weight) in edges.iter().zip(&mut weights).skip(fixed_count) {
                 *weight = truncated(edge.chi_squared(poses), limit, convexity);
                 undecided |= *weight > 0.0 && *weight < 1.0;
             }
@@ -87,7 +87,7 @@ pub fn solve(
             convexity *= settings.growth;
         }
         // The weights of the last round decide.
-        for (edge, weight) in edges.iter().zip(&mut weights).skip(trusted) {
+        for (edge, weight) in edges.iter().zip(&mut weights).skip(fixed_count) {
             *weight = if edge.chi_squared(poses) <= limit { 1.0 } else { 0.0 };
         }
     }

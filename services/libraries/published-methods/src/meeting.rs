@@ -284,8 +284,9 @@ fn find(map: &Submap, scan: &[PackedPoint]) -> Option<Pose> {
     let window = Window { reach_m, turn_rad: PI };
     let found = searcher.best(&field, &few, Placement::IDENTITY, window, MATCH_MIN.0, None)?;
     let exclude = Some((found.placement, APART));
-    let rival = searcher.best(&field, &few, Placement::IDENTITY, window, RUNNER_UP * found.score, exclude);
-    if rival.is_some() || searcher.gave_up() {
+    let alternative =
+        searcher.best(&field, &few, Placement::IDENTITY, window, RUNNER_UP * found.score, exclude);
+    if alternative.is_some() || searcher.gave_up() {
         return None;
     }
     let at = refined(&centred, scan, found.placement)?;
@@ -426,7 +427,7 @@ mod tests {
     }
 
     #[test]
-    fn what_one_has_heard_others_hear_and_nothing_counts_twice() {
+    fn what_one_has_received_is_passed_on_and_nothing_counts_twice() {
         let robots = robots();
         let mut b = Meetings::new(robots[1].clone());
         b.meet(&robots[3]).unwrap();

@@ -14,11 +14,11 @@ const CORRIDOR_MAX: f64 = 0.4;
 type Histogram = [f64; COLUMNS + 1];
 
 /// The published filter of the source work, step by step in its own arithmetic, with what is wrong in it: coefficients are
-/// multiplied, the first two scans are dropped, dropped scans are remembered as well, columns follow from the index among
+/// multiplied, the first two scans are dropped, dropped scans are kept as well, columns follow from the index among
 /// the valid points, an empty column is compared too, and the last beam is not looked at.
 #[derive(Clone, Debug, Default)]
 pub struct PublishedFilter {
-    remembered: Vec<Histogram>,
+    last: Vec<Histogram>,
     drops_in_a_row: u32,
 }
 
@@ -32,7 +32,7 @@ impl PublishedFilter {
         }
         let histogram = mean_range_histogram(scan, count);
         let correlation = self.correlation(&histogram);
-        self.remember(histogram);
+        self.push(histogram);
         let required = corridor(scan, count) > CORRIDOR_MAX;
         let keep = self.decide(correlation, required);
         self.drops_in_a_row = if keep.is_some() { 0 } else { self.drops_in_a_row };
@@ -53,17 +53,17 @@ impl PublishedFilter {
     }
 
     fn correlation(&self, histogram: &Histogram) -> f64 {
-        if self.remembered.len() <= 1 {
+        if self.last.len() <= 1 {
             return 1.0;
         }
-        self.remembered.iter().fold(1.0, |product, old| product * pearson(old, histogram))
+        self.last.iter().fold(1.0, |product, old| product * pearson(old, histogram))
     }
 
-    fn remember(&mut self, histogram: Histogram) {
-        if self.remembered.len() > WINDOW {
-            self.remembered.remove(0);
+    fn push(&mut self, histogram: Histogram) {
+        if self.last.len() > WINDOW {
+            self.last.remove(0);
         }
-        self.remembered.push(histogram);
+        self.last.push(histogram);
     }
 }
 
@@ -148,12 +148,12 @@ mod tests {
     }
 
     #[test]
-    fn up_to_five_scans_are_remembered_and_dropped_ones_too() {
+    fn up_to_five_scans_are_kept_and_dropped_ones_too() {
         let mut filter = PublishedFilter::default();
         for _ in 0..9 {
             judged(&mut filter, &room(0.0));
         }
-        assert_eq!((filter.remembered.len(), filter.drops_in_a_row), (5, 9));
+        assert_eq!((filter.last.len(), filter.drops_in_a_row), (5, 9));
     }
 
     #[test]
@@ -163,7 +163,7 @@ mod tests {
             judged(&mut filter, &room(shift));
         }
         let new = mean_range_histogram(scan(&room(0.2)).view().unwrap(), 240);
-        let each: Vec<f64> = filter.remembered.iter().map(|old| pearson(old, &new)).collect();
+        let each: Vec<f64> = filter.last.iter().map(|old| pearson(old, &new)).collect();
         assert_eq!(filter.correlation(&new), 1.0 * each[0] * each[1] * each[2]);
         assert!(filter.correlation(&new) < each.iter().fold(1.0, |least, r| least.min(*r)));
     }

@@ -1,6 +1,6 @@
 //! ROS 1 bags (version 2.0), chunk by chunk, plain or packed with bzip2 or LZ4; one that was not closed up to where it ends.
 //!
-//! The records of a file are looked through before anything of it is unpacked: no length is believed that leads out of the file, and
+//! The records of a file are looked through before anything of it is unpacked: no length is used that leads out of the file, and
 //! no chunk that claims to be huge is unpacked.
 
 use crate::any_recording::{MessageSource, Topic};

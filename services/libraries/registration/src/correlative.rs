@@ -51,13 +51,13 @@ pub struct Window {
 
 impl CorrelativeSearch {
     /// The best `wanted` poses in the window with their scores on the pooled field, best first. Only poses are found
-    /// whose score there is better than that of `rival` by more than `gain`.
+    /// whose score there is better than that of `alternative` by more than `gain`.
     pub fn search<F: ScoreField>(
         &mut self,
         field: &F,
         points: &[Point],
         window: Window,
-        (rival, gain): (Pose, f64),
+        (alternative, gain): (Pose, f64),
         wanted: usize,
     ) -> &[(f64, Pose)] {
         self.found.clear();
@@ -68,7 +68,7 @@ impl CorrelativeSearch {
             return &self.found;
         }
         let step_rad = self.heading_step(step_m);
-        self.turn(rival, step_m);
+        self.turn(alternative, step_m);
         let floor_score = mean_score(&mut field.reader(Level::Half), &self.ends, (0, 0)) + gain;
         self.bound_nodes(field, window, step_m, step_rad, floor_score);
         // Equal bounds are ordered by place: the result must not depend on the sort.
@@ -282,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rival_that_cannot_be_beaten_and_a_scan_without_points_find_nothing() {
+    fn a_alternative_that_cannot_be_beaten_and_a_scan_without_points_find_nothing() {
         let grid = test_room::grid(&test_room::ROOM);
         let truth = Pose::new(0.4, -0.3, 0.7);
         let window = Window { center: truth, reach_m: 0.6, reach_rad: 0.35 };

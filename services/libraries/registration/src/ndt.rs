@@ -147,7 +147,7 @@ impl Ndt {
         Some(pose)
     }
 
-    /// Forgets the distributions of the scan before.
+    /// Drops the distributions of the scan before.
     fn begin(&mut self) {
         let size = (TABLE_SIDE * TABLE_SIDE) as usize;
         self.blocks.resize(size, Slot::default());

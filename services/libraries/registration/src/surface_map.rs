@@ -135,7 +135,7 @@ struct Sums {
 }
 
 impl SurfaceMap {
-    /// Forgets all scans.
+    /// Clears all scans.
     pub fn clear(&mut self) {
         while self.withdraw_oldest() {}
         (self.travel_m, self.last) = (0.0, None);

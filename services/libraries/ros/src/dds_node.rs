@@ -1,7 +1,7 @@
 //! A node's topics and services over DDS.
 
 use crate::messages::{RosMessage, RosService};
-use crate::ros_node::{Answer, Call, Hearing, SendMessage, Undecodable};
+use crate::ros_node::{Answer, Call, RunningTransport, SendMessage, Undecodable};
 use crate::{Environment, Middleware, NodeIdentity, QualityOfService, Reach, RosError};
 use ros2_client::dds::rustdds::DomainParticipantBuilder;
 use ros2_client::{
@@ -17,23 +17,23 @@ use std::time::Duration;
 /// After a message that is none the next is waited for so long: who sends nothing else does not get all of a core.
 const PAUSE_AFTER_GARBAGE: Duration = Duration::from_millis(1);
 
-/// What hears on a topic or a service, once the node runs.
-type Ear = Box<dyn FnOnce() -> Pin<Box<dyn Future<Output = ()>>> + Send>;
+/// What receives on a topic or a service, once the node runs.
+type SubscriptionTask = Box<dyn FnOnce() -> Pin<Box<dyn Future<Output = ()>>> + Send>;
 
-/// A node over DDS, before it hears.
+/// A node over DDS, before it receives.
 pub struct DdsNode {
     node: ros2_client::Node,
     mapping: ServiceMapping,
-    ears: Vec<Ear>,
+    tasks: Vec<SubscriptionTask>,
     undecodable: Arc<Undecodable>,
     /// Of its own publishers.
     own: Arc<Mutex<Vec<Gid>>>,
 }
 
-/// A node that hears. It leaves the graph when it is dropped.
-struct HearingDdsNode {
+/// A node that receives. It leaves the graph when it is dropped.
+struct RunningDdsNode {
     node: Option<ros2_client::Node>,
-    hearing: Option<std::thread::JoinHandle<()>>,
+    thread: Option<std::thread::JoinHandle<()>>,
     end: Option<tokio::sync::oneshot::Sender<()>>,
 }
 
@@ -62,7 +62,7 @@ impl DdsNode {
             Middleware::CycloneDds => ServiceMapping::Cyclone,
             Middleware::FastDds | Middleware::Zenoh => ServiceMapping::Enhanced,
         };
-        Ok(Self { node, mapping, ears: Vec::new(), undecodable, own: Arc::default() })
+        Ok(Self { node, mapping, tasks: Vec::new(), undecodable, own: Arc::default() })
     }
 
     /// Sends on a topic, by its full name.
@@ -80,12 +80,12 @@ impl DdsNode {
         Ok(Box::new(move |message| publisher.publish(message).map_err(|error| error.to_string())))
     }
 
-    /// Hears a topic, by its full name.
+    /// Subscribes to a topic, by its full name.
     pub fn subscribe<M: RosMessage>(
         &mut self,
         full: String,
         quality: QualityOfService,
-        mut hear: impl FnMut(M) + Send + 'static,
+        mut handle: impl FnMut(M) + Send + 'static,
     ) -> Result<(), RosError> {
         let topic = self.topic::<M>(&full, quality)?;
         let subscription = self
@@ -100,14 +100,14 @@ impl DdsNode {
                         let sender = info.publisher_gid();
                         let is_own = own.lock().expect("no thread panics with it").contains(&sender);
                         if !is_own {
-                            hear(message);
+                            handle(message);
                         }
                     }
                     Err(error) => note(&undecodable, &full, &error).await,
                 }
             }
         };
-        self.ears.push(Box::new(move || Box::pin(listen)));
+        self.tasks.push(Box::new(move || Box::pin(listen)));
         Ok(())
     }
 
@@ -115,7 +115,7 @@ impl DdsNode {
     pub fn serve<S: RosService>(
         &mut self,
         full: String,
-        mut hear: impl FnMut(Call<S>) + Send + 'static,
+        mut handle: impl FnMut(Call<S>) + Send + 'static,
     ) -> Result<(), RosError> {
         let quality = QualityOfService::Reliable { depth: 10 }.profile();
         let server = self
@@ -140,43 +140,43 @@ impl DdsNode {
                                 tracing::warn!(name, ?error, "an answer could not be sent");
                             }
                         };
-                        hear(Call { request, answer: Answer(Box::new(answer)) });
+                        handle(Call { request, answer: Answer(Box::new(answer)) });
                     }
                     Err(error) => note(&undecodable, &full, &error).await,
                 }
             }
         };
-        self.ears.push(Box::new(move || Box::pin(listen)));
+        self.tasks.push(Box::new(move || Box::pin(listen)));
         Ok(())
     }
 
-    /// Begins to hear, on a thread of its own.
-    pub fn run(mut self, name: &str) -> Result<Box<dyn Hearing>, RosError> {
+    /// Begins to receive, on a thread of its own.
+    pub fn run(mut self, name: &str) -> Result<Box<dyn RunningTransport>, RosError> {
         let spinner = self.node.spinner().map_err(|error| refused(name, &error))?;
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_time()
             .build()
             .map_err(|error| refused(name, &error))?;
         let (end, ended) = tokio::sync::oneshot::channel::<()>();
-        let ears = self.ears;
-        let hear = move || {
+        let subscriptions = self.tasks;
+        let receive = move || {
             let tasks = Rc::new(tokio::task::LocalSet::new());
             tasks.spawn_local(async move {
                 if let Err(error) = spinner.spin().await {
-                    tracing::error!(%error, "the graph of ROS cannot be heard");
+                    tracing::error!(%error, "the graph of ROS cannot be followed");
                 }
             });
-            for ear in ears {
-                tasks.spawn_local(ear());
+            for task in subscriptions {
+                tasks.spawn_local(task());
             }
             // An end that is dropped is an end, too.
             let _ = runtime.block_on(tasks.run_until(ended));
         };
-        let hearing = std::thread::Builder::new()
+        let thread = std::thread::Builder::new()
             .name("ros".to_owned())
-            .spawn(hear)
+            .spawn(receive)
             .map_err(|error| refused(name, &error))?;
-        Ok(Box::new(HearingDdsNode { node: Some(self.node), hearing: Some(hearing), end: Some(end) }))
+        Ok(Box::new(RunningDdsNode { node: Some(self.node), thread: Some(thread), end: Some(end) }))
     }
 
     fn topic<M: RosMessage>(
@@ -190,18 +190,18 @@ impl DdsNode {
     }
 }
 
-impl Hearing for HearingDdsNode {
-    fn is_heard(&self, full_name: &str) -> bool {
+impl RunningTransport for RunningDdsNode {
+    fn has_subscribers(&self, full_name: &str) -> bool {
         self.node.as_ref().is_some_and(|node| node.subscription_count(full_name) > 0)
     }
 }
 
-impl Drop for HearingDdsNode {
+impl Drop for RunningDdsNode {
     fn drop(&mut self) {
         self.node = None;
         self.end = None;
-        if let Some(hearing) = self.hearing.take() {
-            let _ = hearing.join();
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
         }
     }
 }

@@ -30,7 +30,7 @@ pub enum Middleware {
 /// The part of the environment that every node of ROS 2 follows.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Environment {
-    /// Nodes of different domains do not hear each other (`ROS_DOMAIN_ID`).
+    /// Nodes of different domains do not see each other (`ROS_DOMAIN_ID`).
     pub domain: u16,
     /// From `ROS_LOCALHOST_ONLY` and `ROS_AUTOMATIC_DISCOVERY_RANGE`.
     pub reach: Reach,
@@ -79,7 +79,7 @@ impl Environment {
             "" | "SUBNET" | "SYSTEM_DEFAULT" => Reach::Subnet,
             "LOCALHOST" => Reach::Localhost,
             _ => {
-                let reason = "it may be SUBNET or LOCALHOST: without discovery no node is heard";
+                let reason = "it may be SUBNET or LOCALHOST: without discovery no node is found";
                 return Err(RosError::Environment {
                     name: "ROS_AUTOMATIC_DISCOVERY_RANGE",
                     value: range,
@@ -95,7 +95,7 @@ impl Environment {
             "" | "rmw_fastrtps_cpp" | "rmw_fastrtps_dynamic_cpp" => Middleware::FastDds,
             _ => {
                 unhonoured
-                    .push(format!("RMW_IMPLEMENTATION={named}: nodes of DDS are heard, others are not"));
+                    .push(format!("RMW_IMPLEMENTATION={named}: nodes of DDS are in reach, others are not"));
                 Middleware::FastDds
             }
         };
@@ -168,7 +168,7 @@ mod tests {
                 "{domain}"
             );
         }
-        assert!(read(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")]).unwrap_err().contains("no node is heard"));
+        assert!(read(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")]).unwrap_err().contains("no node is found"));
         let named = read(&[
             ("RMW_IMPLEMENTATION", "rmw_connextdds"),
             ("ROS_DISCOVERY_SERVER", "10.0.0.1:11811"),

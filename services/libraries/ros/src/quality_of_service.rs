@@ -7,7 +7,7 @@ use std::time::Duration;
 /// How the messages of a topic are delivered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum QualityOfService {
-    /// Best effort: what is lost is lost. A subscription hears reliable and best-effort publishers.
+    /// Best effort: what is lost is lost. A subscription receives from reliable and best-effort publishers.
     Sensor {
         /// Messages that may wait.
         depth: usize,

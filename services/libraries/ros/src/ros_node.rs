@@ -21,7 +21,7 @@ pub struct Parameter {
 /// Takes a new value, or refuses it with the reason.
 type Change = Box<dyn Fn(&ParameterValue) -> Result<(), String> + Send + Sync>;
 
-/// A node of the graph, before it hears.
+/// A node of the graph, before it receives.
 pub struct Node {
     identity: NodeIdentity,
     over: Over,
@@ -34,16 +34,16 @@ enum Over {
     Zenoh(ZenohNode),
 }
 
-/// A node that hears. It leaves the graph when it is dropped.
+/// A node that receives. It leaves the graph when it is dropped.
 pub struct RunningNode {
-    hearing: Box<dyn Hearing>,
+    transport: Box<dyn RunningTransport>,
     undecodable: Arc<Undecodable>,
 }
 
-/// What a node that hears can say of the graph.
-pub trait Hearing {
-    /// Whether another node hears a topic, by its full name.
-    fn is_heard(&self, full_name: &str) -> bool;
+/// A node that receives, by its transport.
+pub trait RunningTransport {
+    /// Whether another node subscribes to a topic, by its full name.
+    fn has_subscribers(&self, full_name: &str) -> bool;
 }
 
 /// Messages that were none of their type.
@@ -149,7 +149,7 @@ impl Node {
         Ok(Publisher { topic, send })
     }
 
-    /// Hears a topic: `hear` gets each message of other nodes, on a thread of the node. What is no such message is counted.
+    /// Subscribes to a topic: `handle` gets each message of other nodes, on a thread of the node. What is no such message is counted.
     ///
     /// # Errors
     /// When its name is none, or the network refuses.
@@ -157,41 +157,41 @@ impl Node {
         &mut self,
         topic: &str,
         quality: QualityOfService,
-        hear: impl FnMut(M) + Send + 'static,
+        handle: impl FnMut(M) + Send + 'static,
     ) -> Result<(), RosError> {
         let full = self.identity.resolve(topic)?;
         match &mut self.over {
-            Over::Dds(node) => node.subscribe(full, quality, hear),
-            Over::Zenoh(node) => node.subscribe(full, quality, hear),
+            Over::Dds(node) => node.subscribe(full, quality, handle),
+            Over::Zenoh(node) => node.subscribe(full, quality, handle),
         }
     }
 
-    /// Offers a service: `hear` gets each call, on a thread of the node, and may answer at any time from any thread.
+    /// Offers a service: `handle` gets each call, on a thread of the node, and may answer at any time from any thread.
     ///
     /// # Errors
     /// When its name is none, or the network refuses.
     pub fn serve<S: RosService>(
         &mut self,
         name: &str,
-        hear: impl FnMut(Call<S>) + Send + 'static,
+        handle: impl FnMut(Call<S>) + Send + 'static,
     ) -> Result<(), RosError> {
         let full = self.identity.resolve(name)?;
         match &mut self.over {
-            Over::Dds(node) => node.serve(full, hear),
-            Over::Zenoh(node) => node.serve(full, hear),
+            Over::Dds(node) => node.serve(full, handle),
+            Over::Zenoh(node) => node.serve(full, handle),
         }
     }
 
-    /// Begins to hear.
+    /// Begins to receive.
     ///
     /// # Errors
     /// When the system refuses.
     pub fn run(self) -> Result<RunningNode, RosError> {
-        let hearing = match self.over {
+        let transport = match self.over {
             Over::Dds(node) => node.run(&self.identity.full_name())?,
             Over::Zenoh(node) => node.run()?,
         };
-        Ok(RunningNode { hearing, undecodable: self.undecodable })
+        Ok(RunningNode { transport, undecodable: self.undecodable })
     }
 }
 
@@ -201,8 +201,8 @@ impl RunningNode {
         self.undecodable.0.load(Ordering::Relaxed)
     }
 
-    /// Whether another node hears a topic, by its full name.
-    pub fn is_heard(&self, full_name: &str) -> bool {
-        self.hearing.is_heard(full_name)
+    /// Whether another node subscribes to a topic, by its full name.
+    pub fn has_subscribers(&self, full_name: &str) -> bool {
+        self.transport.has_subscribers(full_name)
     }
 }

@@ -21,7 +21,7 @@ pub enum Entity {
     Node,
     /// Who sends on a topic.
     Publisher,
-    /// Who hears a topic.
+    /// Who subscribes to a topic.
     Subscription,
     /// Who answers a service.
     Service,
@@ -77,13 +77,13 @@ impl ZenohNames {
         format!("{head}/{}/{}/{}/{}", mangled(full_name), kind.key, kind.hash, quality_in_key(quality))
     }
 
-    /// All keys of this domain that announce who hears a topic.
+    /// All keys of this domain that announce who subscribes to a topic.
     pub fn subscriptions_key(&self) -> String {
         format!("{ANNOUNCED}/{}/*/*/*/MS/**", self.domain)
     }
 
-    /// The topic of a key that announces that another session hears it.
-    pub fn heard_elsewhere(&self, key: &str) -> Option<String> {
+    /// The topic of a key that announces that another session subscribes to it.
+    pub fn other_subscriptions(&self, key: &str) -> Option<String> {
         let mut parts = key.split('/');
         if key.len() > TOKEN_LENGTH_MAX || parts.nth(2)? == self.session {
             return None;
@@ -204,14 +204,14 @@ mod tests {
     }
 
     #[test]
-    fn who_hears_a_topic_is_read_from_its_key() {
+    fn who_subscribes_to_a_topic_is_read_from_its_key() {
         let (own, quality) = (names("/r1"), QualityOfService::Latched { depth: 1 });
         let other = ZenohNames { session: "b".to_owned(), ..own.clone() };
         let key = |names: &ZenohNames, entity| names.entity_key(3, entity, "/r1/map", &text(), quality);
-        assert_eq!(own.heard_elsewhere(&key(&other, Entity::Subscription)).as_deref(), Some("/r1/map"));
-        assert_eq!(own.heard_elsewhere(&key(&other, Entity::Publisher)), None);
-        assert_eq!(own.heard_elsewhere(&key(&own, Entity::Subscription)), None);
-        assert_eq!(own.heard_elsewhere("@ros2_lv/2/b/0/3/MS"), None);
+        assert_eq!(own.other_subscriptions(&key(&other, Entity::Subscription)).as_deref(), Some("/r1/map"));
+        assert_eq!(own.other_subscriptions(&key(&other, Entity::Publisher)), None);
+        assert_eq!(own.other_subscriptions(&key(&own, Entity::Subscription)), None);
+        assert_eq!(own.other_subscriptions("@ros2_lv/2/b/0/3/MS"), None);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! A node's topics and services over zenoh, as rmw_zenoh has them.
 
 use crate::messages::{RosMessage, RosService};
-use crate::ros_node::{Answer, Call, Hearing, SendMessage, Undecodable};
+use crate::ros_node::{Answer, Call, RunningTransport, SendMessage, Undecodable};
 use crate::sender_clock::sender_clock_ns;
 use crate::type_hash::type_hash;
 use crate::zenoh_names::{Beside, Entity, TypeName, ZenohNames, sender_number};
@@ -23,7 +23,7 @@ const LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];
 /// A router is waited for at most so often, each time so long; it is joined whenever it comes.
 const LOOKS_FOR_ROUTER: u32 = 20;
 const LOOK_PERIOD: Duration = Duration::from_millis(50);
-/// Keys of others that say who hears what: more are not looked at.
+/// Keys of others that say who subscribes to what: more are not looked at.
 const SUBSCRIPTIONS_MAX: usize = 4096;
 /// What rmw_zenoh has by default, and a bound for what is put together of fragments: a scan of ten million beams has 80 MB.
 const DEFAULTS: [(&str, &str); 7] = [
@@ -36,26 +36,26 @@ const DEFAULTS: [(&str, &str); 7] = [
     ("transport/link/rx/max_message_size", "134217728"),
 ];
 
-/// What begins to hear once the node runs.
-type Ear = Box<dyn FnOnce(&Session) -> Result<Subscription, SessionError> + Send>;
-/// Which other sessions hear which topic, by the key that says so.
-type HeardElsewhere = Arc<Mutex<BTreeMap<String, String>>>;
+/// What begins to receive once the node runs.
+type SubscriptionTask = Box<dyn FnOnce(&Session) -> Result<Subscription, SessionError> + Send>;
+/// Which other sessions subscribe to which topic, by the key that says so.
+type OtherSubscriptions = Arc<Mutex<BTreeMap<String, String>>>;
 
-/// A node over zenoh, before it hears.
+/// A node over zenoh, before it receives.
 pub struct ZenohNode {
     session: Session,
     names: ZenohNames,
     entities: u32,
-    ears: Vec<(String, Ear)>,
+    tasks: Vec<(String, SubscriptionTask)>,
     announced: Vec<Announcement>,
-    heard_elsewhere: HeardElsewhere,
+    other_subscriptions: OtherSubscriptions,
     undecodable: Arc<Undecodable>,
     subscriptions: Vec<Subscription>,
 }
 
-/// A node that hears. It leaves the graph when it is dropped.
-struct HearingZenohNode {
-    heard_elsewhere: HeardElsewhere,
+/// A node that receives. It leaves the graph when it is dropped.
+struct RunningZenohNode {
+    other_subscriptions: OtherSubscriptions,
     _announced: Vec<Announcement>,
     _subscriptions: Vec<Subscription>,
     _session: Session,
@@ -85,27 +85,28 @@ impl ZenohNode {
                  it is joined as soon as it is there"
             );
         }
-        let heard_elsewhere = HeardElsewhere::default();
-        let (known, own) = (Arc::clone(&heard_elsewhere), names.clone());
+        let other_subscriptions = OtherSubscriptions::default();
+        let (known, own) = (Arc::clone(&other_subscriptions), names.clone());
         let note = move |key: &str, is_there: bool| {
             let mut known = known.lock().expect("no thread panics with it");
             if !is_there {
                 known.remove(key);
             } else if known.len() < SUBSCRIPTIONS_MAX
-                && let Some(topic) = own.heard_elsewhere(key)
+                && let Some(topic) = own.other_subscriptions(key)
             {
                 known.insert(key.to_owned(), topic);
             }
         };
-        let watching = session.hear_announcements(names.subscriptions_key(), note).map_err(refused)?;
+        let watching =
+            session.subscribe_to_announcements(names.subscriptions_key(), note).map_err(refused)?;
         let node = session.announce(names.node_key()).map_err(refused)?;
         Ok(Self {
             session,
             names,
             entities: 0,
-            ears: Vec::new(),
+            tasks: Vec::new(),
             announced: vec![node],
-            heard_elsewhere,
+            other_subscriptions,
             undecodable,
             subscriptions: vec![watching],
         })
@@ -137,28 +138,30 @@ impl ZenohNode {
         }))
     }
 
-    /// Hears a topic, by its full name.
+    /// Subscribes to a topic, by its full name.
     pub fn subscribe<M: RosMessage>(
         &mut self,
         full: String,
         quality: QualityOfService,
-        hear: impl FnMut(M) + Send + 'static,
+        handle: impl FnMut(M) + Send + 'static,
     ) -> Result<(), RosError> {
         let kind = type_name(M::TYPE, "msg")?;
         let key = self.names.data_key(&full, &kind);
         self.announce(&full, Entity::Subscription, &kind, quality)?;
-        let (undecodable, hear, name) = (Arc::clone(&self.undecodable), Mutex::new(hear), full.clone());
-        let ear = move |session: &Session| {
-            let take = move |heard: &flockslam_zenoh_session::Heard<'_>| match decode::<M>(&heard.bytes()) {
-                Ok(message) => hear.lock().expect("no thread panics with it")(message),
+        let (undecodable, handle, name) = (Arc::clone(&self.undecodable), Mutex::new(handle), full.clone());
+        let task = move |session: &Session| {
+            let take = move |message: &flockslam_zenoh_session::ReceivedMessage<'_>| match decode::<M>(
+                &message.bytes(),
+            ) {
+                Ok(message) => handle.lock().expect("no thread panics with it")(message),
                 Err(error) => undecodable.note(&name, &error),
             };
             match quality {
-                QualityOfService::Latched { depth } => session.hear_kept(key, depth, take),
-                _ => session.hear(key, take),
+                QualityOfService::Latched { depth } => session.subscribe_with_history(key, depth, take),
+                _ => session.subscribe(key, take),
             }
         };
-        self.ears.push((full, Box::new(ear)));
+        self.tasks.push((full, Box::new(task)));
         Ok(())
     }
 
@@ -166,12 +169,12 @@ impl ZenohNode {
     pub fn serve<S: RosService>(
         &mut self,
         full: String,
-        hear: impl FnMut(Call<S>) + Send + 'static,
+        handle: impl FnMut(Call<S>) + Send + 'static,
     ) -> Result<(), RosError> {
         let kind = type_name(S::TYPE, "srv")?;
         let key = self.names.data_key(&full, &kind);
         self.announce(&full, Entity::Service, &kind, QualityOfService::Reliable { depth: 10 })?;
-        let (undecodable, hear, name) = (Arc::clone(&self.undecodable), Mutex::new(hear), full.clone());
+        let (undecodable, handle, name) = (Arc::clone(&self.undecodable), Mutex::new(handle), full.clone());
         let take = move |question: Question| {
             let beside = question.attachment().and_then(|bytes| Beside::decode(&bytes));
             let Some(beside) = beside else {
@@ -192,19 +195,19 @@ impl ZenohNode {
                 }
             };
             let call = Call { request, answer: Answer(Box::new(answer)) };
-            hear.lock().expect("no thread panics with it")(call);
+            handle.lock().expect("no thread panics with it")(call);
         };
-        self.ears.push((full, Box::new(move |session: &Session| session.take_questions(key, take))));
+        self.tasks.push((full, Box::new(move |session: &Session| session.take_questions(key, take))));
         Ok(())
     }
 
-    /// Begins to hear, on threads of zenoh.
-    pub fn run(mut self) -> Result<Box<dyn Hearing>, RosError> {
-        for (full, ear) in self.ears {
-            self.subscriptions.push(ear(&self.session).map_err(|error| refused(&full, &error))?);
+    /// Begins to receive, on threads of zenoh.
+    pub fn run(mut self) -> Result<Box<dyn RunningTransport>, RosError> {
+        for (full, task) in self.tasks {
+            self.subscriptions.push(task(&self.session).map_err(|error| refused(&full, &error))?);
         }
-        Ok(Box::new(HearingZenohNode {
-            heard_elsewhere: self.heard_elsewhere,
+        Ok(Box::new(RunningZenohNode {
+            other_subscriptions: self.other_subscriptions,
             _announced: self.announced,
             _subscriptions: self.subscriptions,
             _session: self.session,
@@ -227,9 +230,9 @@ impl ZenohNode {
     }
 }
 
-impl Hearing for HearingZenohNode {
-    fn is_heard(&self, full_name: &str) -> bool {
-        let known = self.heard_elsewhere.lock().expect("no thread panics with it");
+impl RunningTransport for RunningZenohNode {
+    fn has_subscribers(&self, full_name: &str) -> bool {
+        let known = self.other_subscriptions.lock().expect("no thread panics with it");
         known.values().any(|topic| topic == full_name)
     }
 }

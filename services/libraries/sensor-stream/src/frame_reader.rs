@@ -7,8 +7,8 @@ use crate::readings::SensorFrame;
 
 /// Frames and lines beyond this are passed over, bytes.
 pub(crate) const FRAME_BYTES_MAX: usize = 64 << 20;
-/// What was handed out is forgotten once it is so much, bytes: moving the rest costs less than a frame then.
-const FORGET_BYTES: usize = 1 << 16;
+/// What was handed out is dropped once it is so much, bytes: moving the rest costs less than a frame then.
+const DROP_BYTES: usize = 1 << 16;
 
 /// Finds binary frames and lines of JSON in the bytes of a stream, in any mixture.
 ///
@@ -26,7 +26,7 @@ pub struct FrameReader {
 impl FrameReader {
     /// Takes the next bytes of the stream.
     pub fn push(&mut self, bytes: &[u8]) {
-        if self.at >= FORGET_BYTES || self.at == self.bytes.len() {
+        if self.at >= DROP_BYTES || self.at == self.bytes.len() {
             self.bytes.drain(..self.at);
             self.searched = self.searched.saturating_sub(self.at);
             self.at = 0;

@@ -33,7 +33,7 @@ pub enum SendError {
 }
 
 /// A producer of frames: connects to the socket of a set, sends frames, and connects again with a growing pause when the set, or its
-/// lidar-ingest, was restarted. Static transforms are sent again on each connection, since whoever listens may have forgotten them.
+/// lidar-ingest, was restarted. Static transforms are sent again on each connection, since whoever listens may have lost them.
 ///
 /// ```no_run
 /// # use flockslam_sensor_stream::{Producer, SensorFrame};
@@ -50,7 +50,7 @@ pub enum SendError {
 #[derive(Debug)]
 pub struct Producer {
     path: PathBuf,
-    patience: Option<Duration>,
+    timeout: Option<Duration>,
     stream: Option<UnixStream>,
     /// By child frame.
     statics: BTreeMap<String, StampedTransform>,
@@ -61,12 +61,12 @@ pub struct Producer {
 }
 
 impl Producer {
-    /// A producer for the socket at `path`. A frame that is not taken within `patience` is lost, with the connection; without one a frame
+    /// A producer for the socket at `path`. A frame that is not taken within `timeout` is lost, with the connection; without one a frame
     /// waits for as long as it takes, which is for replays.
-    pub fn new(path: &Path, patience: Option<Duration>) -> Self {
+    pub fn new(path: &Path, timeout: Option<Duration>) -> Self {
         Self {
             path: path.to_owned(),
-            patience,
+            timeout,
             stream: None,
             statics: BTreeMap::new(),
             retry_at: None,
@@ -117,7 +117,7 @@ impl Producer {
             self.pause = (2 * self.pause).min(RETRY_LAST);
             return Err(nobody());
         };
-        if let Err(error) = stream.set_write_timeout(self.patience) {
+        if let Err(error) = stream.set_write_timeout(self.timeout) {
             return Err(SendError::Broken { path: self.path.clone(), error });
         }
         (self.stream, self.retry_at, self.pause) = (Some(stream), None, RETRY_FIRST);
@@ -180,20 +180,20 @@ mod tests {
         for _ in 0..2 {
             let _ = std::fs::remove_file(&path);
             let listener = UnixListener::bind(&path).unwrap();
-            let heard = std::thread::spawn(move || frames(&listener, 3));
+            let received = std::thread::spawn(move || frames(&listener, 3));
             // The end of the one before may be noticed only now.
             send(&mut producer, &scan);
             send(&mut producer, &odometry);
-            let heard = heard.join().unwrap();
-            assert_eq!(heard.last(), Some(&odometry));
-            assert!(heard.contains(&scan) && heard[0] != scan, "{heard:?}");
-            let SensorFrame::Transforms(first) = &heard[0] else { panic!("{heard:?}") };
+            let received = received.join().unwrap();
+            assert_eq!(received.last(), Some(&odometry));
+            assert!(received.contains(&scan) && received[0] != scan, "{received:?}");
+            let SensorFrame::Transforms(first) = &received[0] else { panic!("{received:?}") };
             assert!(first.is_static && first.transforms.len() == 2);
         }
     }
 
     #[test]
-    fn who_does_not_read_holds_a_producer_up_for_its_patience_only() {
+    fn who_does_not_read_holds_a_producer_up_for_its_timeout_only() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("scans");
         let _listener = UnixListener::bind(&path).unwrap();

@@ -155,7 +155,7 @@ impl Drive {
     }
 
     /// Puts the robot down, at rest, at another free place with another heading; it goes on with its tour from there.
-    pub(super) fn carry_away(&mut self, random: &mut Random) {
+    pub(super) fn kidnap(&mut self, random: &mut Random) {
         let place = self.tour.room().place_away_from(self.pose.position(), CARRIED_M, random);
         self.pose = Pose::new(place.x_m, place.y_m, random.between(-PI, PI));
         self.twist = Twist::default();

@@ -127,7 +127,7 @@ impl Simulation {
         }
         let now_s = self.next as f64 * self.period_s;
         while self.kidnaps_s.pop_if(|at_s| *at_s <= now_s).is_some() {
-            self.drive.carry_away(&mut self.kidnapper);
+            self.drive.kidnap(&mut self.kidnapper);
         }
         let turn = self.drive.advance(TICKS_PER_SCAN);
         self.dynamics.advance(&self.world, turn);

@@ -22,22 +22,22 @@ pub(super) struct PlanningGrid {
     height: usize,
     cell_m: f64,
     /// Per cell what a step of cost 1 costs there; 0 where the robot does not fit.
-    toll: Vec<u8>,
+    cost_of_cell: Vec<u8>,
 }
 
 impl PlanningGrid {
     /// A grid from its solid cells, row by row. Outside is solid.
     pub(super) fn new(width: usize, height: usize, cell_m: f64, solid: Vec<bool>) -> Self {
         let scale_m = cell_m / f64::from(STEP.0);
-        let toll_of = |clearance: u8| {
+        let to_cost = |clearance: u8| {
             let clearance_m = f64::from(clearance) * scale_m;
             let discomfort = ((COMFORT_M - clearance_m) / (COMFORT_M - CLEARANCE_M)).clamp(0.0, 1.0);
-            let toll = 10 + (f64::from(10 * DETOUR) * discomfort) as u8;
-            if clearance_m >= CLEARANCE_M { toll } else { 0 }
+            let cost_of_cell = 10 + (f64::from(10 * DETOUR) * discomfort) as u8;
+            if clearance_m >= CLEARANCE_M { cost_of_cell } else { 0 }
         };
-        let mut toll = clearances(width, height, &solid);
-        toll.iter_mut().for_each(|cell| *cell = toll_of(*cell));
-        Self { width, height, cell_m, toll }
+        let mut cost_of_cell = clearances(width, height, &solid);
+        cost_of_cell.iter_mut().for_each(|cell| *cell = to_cost(*cell));
+        Self { width, height, cell_m, cost_of_cell }
     }
 
     /// A smooth way between two points, about one point for each cell; `None` when there is none. (A*: Hart, Nilsson and
@@ -56,10 +56,10 @@ impl PlanningGrid {
                 continue;
             }
             for (neighbour, step) in self.neighbours(cell) {
-                if self.toll[neighbour] == 0 {
+                if self.cost_of_cell[neighbour] == 0 {
                     continue;
                 }
-                let cost = so_far + step * u32::from(self.toll[neighbour]);
+                let cost = so_far + step * u32::from(self.cost_of_cell[neighbour]);
                 if cost < seen.get(neighbour).cost {
                     seen.set(neighbour, Step { cost, came_from: cell });
                     open.push((Reverse(cost + self.least_cost(neighbour, goal)), neighbour));
@@ -71,10 +71,10 @@ impl PlanningGrid {
 
     /// The cells of the largest connected free space.
     pub(super) fn largest_room(&self) -> Vec<u32> {
-        let mut seen = vec![false; self.toll.len()];
+        let mut seen = vec![false; self.cost_of_cell.len()];
         let mut largest = Vec::new();
-        for start in 0..self.toll.len() {
-            if self.toll[start] != 0 && !seen[start] {
+        for start in 0..self.cost_of_cell.len() {
+            if self.cost_of_cell[start] != 0 && !seen[start] {
                 let room = self.flood(start, &mut seen);
                 if room.len() > largest.len() {
                     largest = room;
@@ -87,7 +87,7 @@ impl PlanningGrid {
 
     /// The cells that can be reached from a point; none when the robot does not fit there.
     pub(super) fn room_around(&self, point: Point) -> Vec<u32> {
-        let mut seen = vec![false; self.toll.len()];
+        let mut seen = vec![false; self.cost_of_cell.len()];
         let start = self.cell_at(point);
         let mut room = start.map_or_else(Vec::new, |start| self.flood(start, &mut seen));
         room.shrink_to_fit();
@@ -101,7 +101,7 @@ impl PlanningGrid {
         seen[start] = true;
         while next < room.len() {
             for (neighbour, _) in self.neighbours(room[next] as usize) {
-                if self.toll[neighbour] != 0 && !seen[neighbour] {
+                if self.cost_of_cell[neighbour] != 0 && !seen[neighbour] {
                     seen[neighbour] = true;
                     room.push(number(neighbour));
                 }
@@ -148,7 +148,7 @@ impl PlanningGrid {
         let (x, y) = ((point.x_m / self.cell_m).floor(), (point.y_m / self.cell_m).floor());
         let inside = x >= 0.0 && y >= 0.0 && x < self.width as f64 && y < self.height as f64;
         let cell = inside.then(|| y as usize * self.width + x as usize)?;
-        (self.toll[cell] != 0).then_some(cell)
+        (self.cost_of_cell[cell] != 0).then_some(cell)
     }
 }
 

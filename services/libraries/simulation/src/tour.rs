@@ -15,7 +15,7 @@ const ROOMY_CELLS: usize = 10_000;
 const REVISIT_EVERY: usize = 3;
 /// A room whose places all lie nearer to each other than this is none to drive in, metres.
 const EXTENT_MIN_M: f64 = 1.0;
-/// Visited way points that are remembered.
+/// Visited way points that are kept.
 const VISITED_MAX: usize = 4096;
 
 /// A way without end, clear of walls, that returns to places visited before; planned leg by leg.
@@ -73,7 +73,7 @@ impl Tour {
                     self.room.place(random.below(self.room.len()))
                 };
                 let last = visited[(*count - 1) % VISITED_MAX];
-                remember(visited, count, last);
+                mark_visited(visited, count, last);
                 if last.distance_m(next) < LEG_MIN_M && self.room.len() > ROOMY_CELLS {
                     continue;
                 }
@@ -88,7 +88,7 @@ impl Tour {
         match &mut self.plan {
             Plan::Guided { points, next, .. } => self.room.way(place, points[*next]),
             Plan::Random { visited, count, .. } => {
-                remember(visited, count, place);
+                mark_visited(visited, count, place);
                 self.next_leg()
             }
         }
@@ -101,7 +101,7 @@ impl Tour {
 }
 
 /// Appends a visited point; beyond [`VISITED_MAX`] in the place of the oldest.
-fn remember(visited: &mut Vec<Point>, count: &mut usize, point: Point) {
+fn mark_visited(visited: &mut Vec<Point>, count: &mut usize, point: Point) {
     if visited.len() < VISITED_MAX {
         visited.push(point);
     } else {

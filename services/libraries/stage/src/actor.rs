@@ -26,7 +26,7 @@ pub trait Actor {
     }
 
     /// The longest sleep that is allowed at `now_ns` (a deadline, the next paced scan).
-    fn patience(&self, _now_ns: u64) -> Duration {
+    fn wait_max(&self, _now_ns: u64) -> Duration {
         if self.waits() { WAITING } else { REFRESH }
     }
 
@@ -106,12 +106,12 @@ pub fn run(context: &mut StageContext, actor: &mut dyn Actor, event: &Listener) 
             step_aside();
             continue;
         }
-        let patience = actor.patience(now_ns);
+        let wait_max = actor.wait_max(now_ns);
         // A stage that has been idle for a while is woken by its event.
-        let rests = now_ns.saturating_sub(worked_ns) > RESTING_NS && patience >= REFRESH;
-        let patience = if rests { RESTING } else { patience.min(REFRESH) };
-        let patience = if is_quiet { patience } else { patience.min(until_quiet) };
-        if event.wait(patience)? == Wake::Announced {
+        let rests = now_ns.saturating_sub(worked_ns) > RESTING_NS && wait_max >= REFRESH;
+        let wait_max = if rests { RESTING } else { wait_max.min(REFRESH) };
+        let wait_max = if is_quiet { wait_max } else { wait_max.min(until_quiet) };
+        if event.wait(wait_max)? == Wake::Announced {
             awake_until_ns = context.now_ns() + AWAKE_NS;
         }
     }

@@ -44,7 +44,7 @@ impl GridReader {
     /// When the bus fails.
     pub fn ask_for_tiles(&self) -> Result<(), StageError> {
         self.control.send(&Control { kind: ControlKind::TilesWanted as u32, run: 0, value: 0 })?;
-        self.mapper.ring();
+        self.mapper.notify();
         Ok(())
     }
 

@@ -106,8 +106,8 @@ impl<M: Topic + Named> Join<M> {
     }
 
     /// Sets whether this process acknowledges scans for its stage. It does unless another process does.
-    pub fn speak(&mut self, speaks: bool) {
-        self.acknowledger.speaks = speaks;
+    pub fn set_acknowledges(&mut self, acknowledges: bool) {
+        self.acknowledger.is_active = acknowledges;
     }
 
     /// Repeats the last acknowledgement, for a source that has just started.

@@ -47,7 +47,7 @@ impl LeaderLock {
                         }
                     }
                     take(&file, &ours);
-                    event.iter().for_each(Notifier::ring);
+                    event.iter().for_each(Notifier::notify);
                 };
                 let started = thread::Builder::new().name("turn".to_owned()).spawn(waits);
                 started.map_err(|e| StageError::file(&path, e))?;

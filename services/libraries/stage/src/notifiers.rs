@@ -16,8 +16,8 @@ impl Notifiers {
     }
 
     /// Notifies them.
-    pub fn ring(&self) {
-        self.0.iter().for_each(Notifier::ring);
+    pub fn notify(&self) {
+        self.0.iter().for_each(Notifier::notify);
     }
 
     /// Announces a message that will be there in a moment.

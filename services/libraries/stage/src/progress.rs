@@ -5,7 +5,7 @@ use flockslam_bus::{Notifier, Publisher, Subscriber};
 use flockslam_messages::{Control, ControlKind, Progress, Stage};
 
 /// Live: so long after the end of the stream missing scans count as lost.
-const PATIENCE_NS: u64 = 2_000_000_000;
+const SILENCE_MAX_NS: u64 = 2_000_000_000;
 
 /// Acknowledges finished scans to the source: the credit of exact replay. A few scans are acknowledged at once, so
 /// that flow control costs little.
@@ -16,9 +16,9 @@ pub struct Acknowledger {
     message: Progress,
     step: u64,
     sent: u64,
-    rung: u64,
+    notified: u64,
     /// Another process of the stage may acknowledge for this one.
-    pub(crate) speaks: bool,
+    pub(crate) is_active: bool,
 }
 
 impl Acknowledger {
@@ -36,8 +36,8 @@ impl Acknowledger {
             message: Progress { stage: context.stage as u32, replica: context.replica, done },
             step: (context.capacity.window as u64 / 8).max(1),
             sent: done,
-            rung: done,
-            speaks: true,
+            notified: done,
+            is_active: true,
         })
     }
 
@@ -55,15 +55,15 @@ impl Acknowledger {
     /// # Errors
     /// When the bus fails.
     pub fn send(&mut self) -> Result<(), StageError> {
-        if !self.speaks {
+        if !self.is_active {
             return Ok(());
         }
         self.sent = self.message.done;
         self.publisher.send(&self.message)?;
         // A repetition does not wake the source: an idle set shall sleep.
-        if self.rung < self.sent {
-            self.rung = self.sent;
-            self.source.iter().for_each(Notifier::ring);
+        if self.notified < self.sent {
+            self.notified = self.sent;
+            self.source.iter().for_each(Notifier::notify);
         }
         Ok(())
     }
@@ -85,7 +85,7 @@ pub struct StreamEnd {
     pub end_wanted: bool,
     /// A reader has asked for all live tiles since the last look.
     pub tiles_wanted: bool,
-    heard_ns: Option<u64>,
+    received_ns: Option<u64>,
     clock: Clock,
 }
 
@@ -101,7 +101,7 @@ impl StreamEnd {
             submaps: None,
             end_wanted: false,
             tiles_wanted: false,
-            heard_ns: None,
+            received_ns: None,
             clock: context.clock.clone(),
         })
     }
@@ -115,7 +115,7 @@ impl StreamEnd {
             match control.kind {
                 kind if kind == ControlKind::StreamEnd as u32 => {
                     self.scans = Some(control.value);
-                    self.heard_ns.get_or_insert_with(|| self.clock.now_ns());
+                    self.received_ns.get_or_insert_with(|| self.clock.now_ns());
                 }
                 kind if kind == ControlKind::MapClosed as u32 => self.submaps = Some(control.value),
                 kind if kind == ControlKind::EndWanted as u32 => self.end_wanted = true,
@@ -129,8 +129,9 @@ impl StreamEnd {
     /// Whether all scans of the stream have a sequence below `done`. Live, a scan that is still missing a while after the end
     /// was lost with a stage that died.
     pub fn reached(&self, done: u64, mode: Mode) -> bool {
-        let late =
-            |heard_ns| mode == Mode::Live && self.clock.now_ns().saturating_sub(heard_ns) > PATIENCE_NS;
-        self.scans.is_some_and(|scans| done >= scans) || self.heard_ns.is_some_and(late)
+        let late = |received_ns| {
+            mode == Mode::Live && self.clock.now_ns().saturating_sub(received_ns) > SILENCE_MAX_NS
+        };
+        self.scans.is_some_and(|scans| done >= scans) || self.received_ns.is_some_and(late)
     }
 }

@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn shares_that_do_not_fit_are_missing_and_of_those_ahead_the_oldest_is_forgotten() {
+    fn shares_that_do_not_fit_are_missing_and_of_those_ahead_the_oldest_is_dropped() {
         let ahead: Vec<_> = (7..100).map(|sequence| (sequence, 1)).collect();
         let mut shares = shares(&ahead);
         begin(&mut shares, 5);

@@ -45,7 +45,7 @@ pub enum LookupError {
 pub struct TransformBuffer {
     /// By child frame.
     links: BTreeMap<String, Link>,
-    /// What is said of a frame is forgotten when its time goes back.
+    /// What is said of a frame is dropped when its time goes back.
     follows_time: bool,
 }
 
@@ -75,13 +75,13 @@ pub fn frame_name(name: &str) -> &str {
 }
 
 impl TransformBuffer {
-    /// Of those who speak now: when the stamps of a frame go back and go on from there, its poses up to then are forgotten.
+    /// Of those who speak now: when the stamps of a frame go back and go on from there, its poses up to then are dropped.
     pub fn live() -> Self {
         Self { follows_time: true, ..Self::default() }
     }
 
-    /// Forgets the poses of frames that move: time has gone back. Which frames there are, and what holds at all times, is kept.
-    pub fn forget_moving(&mut self) {
+    /// Drops the poses of frames that move: time has gone back. Which frames there are, and what holds at all times, is kept.
+    pub fn clear_moving(&mut self) {
         for link in self.links.values_mut().filter(|link| !link.is_static) {
             link.poses.clear();
             link.time = TimeWatch::default();
@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn when_time_goes_back_what_was_said_of_a_frame_is_forgotten_by_who_follows_it() {
+    fn when_time_goes_back_what_was_known_of_a_frame_is_dropped_by_who_follows_it() {
         let second = 1_000_000_000;
         for mut buffer in [TransformBuffer::live(), TransformBuffer::default()] {
             buffer.insert(&transform(0, "base_link", "laser", 0.3, 0.0), true);
@@ -288,7 +288,7 @@ mod tests {
             assert!(
                 (buffer.lookup("odom", "base_link", second / 10).unwrap().translation.x - 1.1).abs() < 1e-12
             );
-            buffer.forget_moving();
+            buffer.clear_moving();
             assert_eq!(buffer.lookup("odom", "laser", second), Err(LookupError::NotYet));
             assert!(buffer.links("odom", "laser") && buffer.lookup("base_link", "laser", 0).is_ok());
         }

@@ -1,9 +1,9 @@
-//! What is put, heard, asked and announced over a session of zenoh. The only crate that knows zenoh.
+//! What is published, subscribed to, asked and announced over a session of zenoh. The only crate that knows zenoh.
 
 mod session_configuration;
 mod zenoh_session;
 
 pub use session_configuration::SessionConfiguration;
 pub use zenoh_session::{
-    Announcement, Delivery, Heard, Publication, Question, Session, SessionError, Subscription,
+    Announcement, Delivery, Publication, Question, ReceivedMessage, Session, SessionError, Subscription,
 };

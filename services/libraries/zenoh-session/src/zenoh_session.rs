@@ -41,20 +41,20 @@ pub struct Delivery {
 #[derive(Debug)]
 pub struct Session(zenoh::Session);
 
-/// A message that was heard.
+/// A message that was received.
 #[derive(Debug)]
-pub struct Heard<'s>(&'s Sample);
+pub struct ReceivedMessage<'s>(&'s Sample);
 
 /// A question that was asked, and the way back.
 #[derive(Debug)]
 pub struct Question(Query);
 
-/// Something is heard as long as this is.
+/// Messages are received as long as this exists.
 pub struct Subscription {
     _declared: Declared,
 }
 
-#[allow(dead_code, reason = "what is heard ends with what stands in it")]
+#[allow(dead_code, reason = "what is received ends with what stands in it")]
 enum Declared {
     Plain(Subscriber<()>),
     Kept(AdvancedSubscriber<()>),
@@ -70,7 +70,7 @@ pub struct Announcement {
     _token: LivelinessToken,
 }
 
-impl Heard<'_> {
+impl ReceivedMessage<'_> {
     /// Its key.
     pub fn key(&self) -> &str {
         self.0.key_expr().as_str()
@@ -173,33 +173,33 @@ impl Session {
         Ok(Publication(publisher.wait()?))
     }
 
-    /// Hears what other sessions send to a key, on zenoh's own threads.
+    /// Subscribes to what other sessions send to a key, on zenoh's own threads.
     ///
     /// # Errors
     /// When zenoh refuses.
-    pub fn hear(
+    pub fn subscribe(
         &self,
         key: String,
-        mut hear: impl FnMut(&Heard<'_>) + Send + Sync + 'static,
+        mut handle: impl FnMut(&ReceivedMessage<'_>) + Send + Sync + 'static,
     ) -> Result<Subscription, SessionError> {
         let subscriber = self.0.declare_subscriber(key).allowed_origin(Locality::Remote);
-        let subscriber = subscriber.callback_mut(move |sample| hear(&Heard(&sample))).wait()?;
+        let subscriber = subscriber.callback_mut(move |sample| handle(&ReceivedMessage(&sample))).wait()?;
         Ok(Subscription { _declared: Declared::Plain(subscriber) })
     }
 
-    /// As [`Self::hear`], and first as many of the messages that publishers have kept.
+    /// As [`Self::subscribe`], and first as many of the messages that publishers have kept.
     ///
     /// # Errors
     /// When zenoh refuses.
-    pub fn hear_kept(
+    pub fn subscribe_with_history(
         &self,
         key: String,
         kept: usize,
-        mut hear: impl FnMut(&Heard<'_>) + Send + Sync + 'static,
+        mut handle: impl FnMut(&ReceivedMessage<'_>) + Send + Sync + 'static,
     ) -> Result<Subscription, SessionError> {
         let subscriber = self.0.declare_subscriber(key).allowed_origin(Locality::Remote);
         let subscriber = subscriber
-            .callback_mut(move |sample| hear(&Heard(&sample)))
+            .callback_mut(move |sample| handle(&ReceivedMessage(&sample)))
             .advanced()
             .history(HistoryConfig::default().detect_late_publishers().max_samples(kept))
             .recovery(RecoveryConfig::default().heartbeat())
@@ -231,11 +231,11 @@ impl Session {
         Ok(Announcement { _token: self.0.liveliness().declare_token(key).wait()? })
     }
 
-    /// Hears which keys are announced, also those that are so far, and which are no more: `note` gets the key and whether it is.
+    /// Subscribes to announcements of keys, also those of before: `note` gets the key and whether it is announced or no more.
     ///
     /// # Errors
     /// When zenoh refuses.
-    pub fn hear_announcements(
+    pub fn subscribe_to_announcements(
         &self,
         key: String,
         mut note: impl FnMut(&str, bool) + Send + Sync + 'static,

@@ -102,7 +102,7 @@ impl Feed {
 
     /// Goes past the scans that a predecessor has sent.
     pub fn skip(&mut self, scans: u64) -> Result<(), StageError> {
-        // What sensors have said is gone with the process that heard it.
+        // What sensors have sent is gone with the process that received it.
         if self.is_sensor() {
             return Ok(());
         }
@@ -187,9 +187,9 @@ impl Feed {
     }
 
     /// How long nothing can be missed; `None`: until the stage is woken.
-    pub fn patience(&self) -> Option<Duration> {
+    pub fn wait_max(&self) -> Option<Duration> {
         match &self.kind {
-            Kind::Sensors(sensors) => sensors.patience(),
+            Kind::Sensors(sensors) => sensors.wait_max(),
             _ => None,
         }
     }

@@ -83,7 +83,7 @@ impl fmt::Display for LidarState {
 }
 
 /// What a look at a lidar brings to light.
-pub trait LidarEars {
+pub trait LidarHandler {
     /// A turn is complete.
     fn turn(&mut self, spec: &LidarSpec, turn: &Turn);
 
@@ -188,7 +188,7 @@ impl LidarSession {
     }
 
     /// How long nothing needs to be done, unless bytes come.
-    pub fn patience(&self) -> Duration {
+    pub fn wait_max(&self) -> Duration {
         match &self.open {
             Some(open) if open.measures => REST,
             Some(_) => LOOK,
@@ -198,10 +198,10 @@ impl LidarSession {
     }
 
     /// Does what is due. `ready`: its line has bytes, or is gone.
-    pub fn go_on(&mut self, ready: bool, ears: &mut dyn LidarEars) {
+    pub fn go_on(&mut self, ready: bool, handler: &mut dyn LidarHandler) {
         let now_ns = monotonic_ns();
         let Some(open) = &mut self.open else {
-            self.reach_for(now_ns, ears);
+            self.reach_for(now_ns, handler);
             return;
         };
         let mut gone = None;
@@ -212,7 +212,7 @@ impl LidarSession {
                     let mut turned = false;
                     open.driver.take(&self.bytes[..length], utc_ns(), &mut |turn| {
                         (*last.0, *last.1, turned) = (turn.speed_hz, turn.len(), true);
-                        ears.turn(spec, turn);
+                        handler.turn(spec, turn);
                     });
                     open.note(now_ns, turned);
                 }
@@ -227,18 +227,18 @@ impl LidarSession {
         let is_first = open.measures && self.state != LidarState::Measuring;
         let problem = gone.map(LidarState::Gone).or_else(|| open.problem(now_ns, rate));
         match problem {
-            Some(problem) => self.close(problem, now_ns, ears),
+            Some(problem) => self.close(problem, now_ns, handler),
             None if is_first => {
                 self.returns += u64::from(self.before.turns > 0);
                 self.pause_ns = RETRY_FIRST_NS;
-                self.change(LidarState::Measuring, ears);
+                self.change(LidarState::Measuring, handler);
             }
             None => {}
         }
     }
 
     /// Opens the line, in a thread of its own: others do not wait for it.
-    fn reach_for(&mut self, now_ns: u64, ears: &mut dyn LidarEars) {
+    fn reach_for(&mut self, now_ns: u64, handler: &mut dyn LidarHandler) {
         match self.opening.as_ref().map(Receiver::try_recv) {
             Some(Ok(Ok(line))) => {
                 self.opening = None;
@@ -256,7 +256,7 @@ impl LidarSession {
             }
             Some(Ok(Err(reason))) => {
                 self.opening = None;
-                self.close(LidarState::Absent(reason), now_ns, ears);
+                self.close(LidarState::Absent(reason), now_ns, handler);
             }
             Some(Err(TryRecvError::Disconnected)) => self.opening = None,
             Some(Err(TryRecvError::Empty)) => {}
@@ -275,7 +275,7 @@ impl LidarSession {
         }
     }
 
-    fn close(&mut self, problem: LidarState, now_ns: u64, ears: &mut dyn LidarEars) {
+    fn close(&mut self, problem: LidarState, now_ns: u64, handler: &mut dyn LidarHandler) {
         if let Some(open) = self.open.take() {
             self.before = self.before.plus(open.driver.counts());
             self.device = open.driver.device().clone();
@@ -290,13 +290,13 @@ impl LidarSession {
         if problem.name() == self.state.name() {
             self.state = problem;
         } else {
-            self.change(problem, ears);
+            self.change(problem, handler);
         }
     }
 
-    fn change(&mut self, state: LidarState, ears: &mut dyn LidarEars) {
+    fn change(&mut self, state: LidarState, handler: &mut dyn LidarHandler) {
         self.state = state;
-        ears.state(self);
+        handler.state(self);
     }
 }
 

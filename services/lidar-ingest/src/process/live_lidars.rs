@@ -3,7 +3,7 @@
 use super::first_stages;
 use super::lidar_board::LidarBoard;
 use super::lidar_line::LidarSpec;
-use super::lidar_session::{LidarEars, LidarSession, LidarState};
+use super::lidar_session::{LidarHandler, LidarSession, LidarState};
 use super::scan_socket::{SCAN_SOCKET, listen_beside};
 use super::sensor_inlet::{SensorInlet, SensorOutlet, event_of, inlet, listen_too};
 use flockslam_bus::Notifier;
@@ -28,25 +28,25 @@ pub fn listen_to(context: &StageContext, lidars: &[LidarSpec]) -> Result<SensorI
     let started = listen_too(context, "lidars", maker, move |maker, bus| {
         // The bus must outlive its events: it holds the thread's place in the set.
         let notifier = |stage: &Stage| bus.as_ref()?.notifier(stage.name()).ok();
-        let ears = Ears {
+        let handler = LidarOutput {
             first: first_stages(Mode::Live).iter().filter_map(notifier).collect(),
             outlet: maker.outlet(event_of(bus.as_ref())),
             goes_on: true,
             changed: true,
             troubled: BTreeSet::new(),
         };
-        serve(LidarPolling::new(sessions), ears, board);
+        serve(LidarPolling::new(sessions), handler, board);
     });
     started.map_err(|error| StageError::Source(format!("lidars: {error}")))?;
     Ok(inlet)
 }
 
-fn serve(mut polling: LidarPolling, mut ears: Ears, mut board: LidarBoard) {
+fn serve(mut polling: LidarPolling, mut handler: LidarOutput, mut board: LidarBoard) {
     let mut written_ns = 0;
-    while ears.goes_on {
-        polling.look(&mut ears);
+    while handler.goes_on {
+        polling.look(&mut handler);
         let now_ns = monotonic_ns();
-        if std::mem::take(&mut ears.changed) || now_ns - written_ns > BOARD_NS {
+        if std::mem::take(&mut handler.changed) || now_ns - written_ns > BOARD_NS {
             written_ns = now_ns;
             board.write(polling.sessions());
         }
@@ -70,9 +70,9 @@ impl LidarPolling {
     }
 
     /// Waits until something is to be done, and does it.
-    pub fn look(&mut self, ears: &mut dyn LidarEars) {
-        let patience = self.sessions.iter().map(LidarSession::patience).min().unwrap_or(Duration::MAX);
-        let limit = Timespec::try_from(patience.min(Duration::from_secs(1))).ok();
+    pub fn look(&mut self, handler: &mut dyn LidarHandler) {
+        let wait_max = self.sessions.iter().map(LidarSession::wait_max).min().unwrap_or(Duration::MAX);
+        let limit = Timespec::try_from(wait_max.min(Duration::from_secs(1))).ok();
         let mut waits: Vec<PollFd<'_>> = self.sessions.iter().filter_map(LidarSession::poll_fd).collect();
         let polled = poll(&mut waits, limit.as_ref());
         let mut ready = waits.iter().map(|wait| polled.is_ok() && !wait.revents().is_empty());
@@ -82,12 +82,12 @@ impl LidarPolling {
             .map(|lidar| lidar.poll_fd().is_some() && ready.next() == Some(true))
             .collect();
         for (lidar, ready) in self.sessions.iter_mut().zip(ready) {
-            lidar.go_on(ready, ears);
+            lidar.go_on(ready, handler);
         }
     }
 }
 
-struct Ears {
+struct LidarOutput {
     /// The stages that read a scan first.
     first: Vec<Notifier>,
     outlet: SensorOutlet,
@@ -98,7 +98,7 @@ struct Ears {
     troubled: BTreeSet<String>,
 }
 
-impl LidarEars for Ears {
+impl LidarHandler for LidarOutput {
     fn turn(&mut self, spec: &LidarSpec, turn: &Turn) {
         // They wake up while this process brings the turn to the bus.
         self.first.iter().for_each(Notifier::announce);
@@ -106,7 +106,7 @@ impl LidarEars for Ears {
         turn.write_scan(&mut scan);
         let scan = FramedScan { frame: String::new(), scan, mounting: None };
         let frame = SensorFrame::Scan(LidarScan { lidar: spec.name.clone(), scan });
-        self.goes_on &= self.outlet.say_frame(Ok(frame));
+        self.goes_on &= self.outlet.send_frame(Ok(frame));
     }
 
     fn state(&mut self, session: &LidarSession) {

@@ -1,6 +1,6 @@
 //! Reads the standard input in a thread of its own: lines of CARMEN, or frames, whichever it begins with.
 
-use super::sensor_inlet::{Heard, SensorInlet, SensorOutlet, event_of, listen};
+use super::sensor_inlet::{SensorEvent, SensorInlet, SensorOutlet, event_of, listen};
 use crate::Settings;
 use crate::carmen::CarmenReader;
 use flockslam_bus::Notifier;
@@ -61,7 +61,7 @@ fn read<R: Read>(mut input: BufReader<Announced<R>>, settings: Settings, outlet:
 
 fn read_frames(mut input: impl BufRead, outlet: &SensorOutlet) {
     let mut reader = FrameReader::default();
-    outlet.say(Heard::Came);
+    outlet.send(SensorEvent::Came);
     loop {
         let length = match input.fill_buf() {
             Ok([]) => break,
@@ -71,18 +71,18 @@ fn read_frames(mut input: impl BufRead, outlet: &SensorOutlet) {
             }
             Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
             Err(error) => {
-                outlet.say(Heard::Failed(format!("standard input: {error}")));
+                outlet.send(SensorEvent::Failed(format!("standard input: {error}")));
                 return;
             }
         };
         input.consume(length);
         while let Some(frame) = reader.next_frame() {
-            if !outlet.say_frame(frame) {
+            if !outlet.send_frame(frame) {
                 return;
             }
         }
     }
-    outlet.say(Heard::Went { within_frame: reader.ends_within() });
+    outlet.send(SensorEvent::Went { within_frame: reader.ends_within() });
 }
 
 fn read_carmen(input: impl BufRead, settings: Settings, outlet: &SensorOutlet) {
@@ -92,10 +92,10 @@ fn read_carmen(input: impl BufRead, settings: Settings, outlet: &SensorOutlet) {
         let read = reader.next_scan(&mut scan);
         outlet.store_tally(reader.tally());
         let goes_on = match read {
-            Ok(true) => outlet.say(Heard::Scan(scan)),
+            Ok(true) => outlet.send(SensorEvent::Scan(scan)),
             Ok(false) => false,
             Err(error) => {
-                outlet.say(Heard::Failed(error.to_string()));
+                outlet.send(SensorEvent::Failed(error.to_string()));
                 false
             }
         };

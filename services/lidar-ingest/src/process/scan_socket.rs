@@ -1,6 +1,6 @@
 //! The local socket that producers of frames connect to: one thread waits for all of them.
 
-use super::sensor_inlet::{Heard, OutletMaker, SensorInlet, SensorOutlet, event_of, inlet, listen_too};
+use super::sensor_inlet::{OutletMaker, SensorEvent, SensorInlet, SensorOutlet, event_of, inlet, listen_too};
 use flockslam_sensor_stream::FrameReader;
 use flockslam_stage::{Mode, StageContext, StageError};
 use rustix::event::{PollFd, PollFlags, poll};
@@ -84,7 +84,7 @@ impl ScanSocket {
                     Look::Open => {}
                     Look::Closed => {
                         let gone = self.producers.swap_remove(at);
-                        outlet.say(Heard::Went { within_frame: gone.reader.ends_within() });
+                        outlet.send(SensorEvent::Went { within_frame: gone.reader.ends_within() });
                         if self.ends && self.producers.is_empty() {
                             return;
                         }
@@ -97,7 +97,7 @@ impl ScanSocket {
                 && stream.set_nonblocking(true).is_ok()
             {
                 self.producers.push(Connection { stream, reader: FrameReader::default() });
-                outlet.say(Heard::Came);
+                outlet.send(SensorEvent::Came);
             }
         }
     }
@@ -129,7 +129,7 @@ impl Connection {
             }
         }
         while let Some(frame) = self.reader.next_frame() {
-            if !outlet.say_frame(frame) {
+            if !outlet.send_frame(frame) {
                 return Look::Over;
             }
         }

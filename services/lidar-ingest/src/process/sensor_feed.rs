@@ -2,13 +2,13 @@
 
 use super::feed::Fed;
 use super::lidar_names::LidarNames;
-use super::sensor_inlet::{Heard, SensorInlet};
+use super::sensor_inlet::{SensorEvent, SensorInlet};
 use crate::carmen::{Rejection, Tally};
 use crate::continuity::{Continuity, follows};
 use crate::scan_locator::{ScanLocator, Sighting};
 use crate::settings::Settings;
 use flockslam_geometry::Pose;
-use flockslam_messages::{STARTS_ELSEWHERE, ScanBuffer};
+use flockslam_messages::{STARTS_DETACHED, ScanBuffer};
 use flockslam_sensor_stream::{LidarScan, SensorFrame, TransformsReading};
 use flockslam_stage::{Mode, StageContext, StageError};
 use flockslam_telemetry::monotonic_ns;
@@ -122,8 +122,8 @@ impl SensorFeed {
         self.names.name(number)
     }
 
-    /// How long nothing can be missed; `None`: until something is heard.
-    pub fn patience(&self) -> Option<Duration> {
+    /// How long nothing can be missed; `None`: until something is received.
+    pub fn wait_max(&self) -> Option<Duration> {
         (self.mode == Mode::Live && self.locator.is_waiting()).then_some(LOOK)
     }
 
@@ -141,11 +141,11 @@ impl SensorFeed {
                 return self.end();
             }
             match self.inlet.take() {
-                Ok(Some(Heard::Scan(heard))) => {
-                    *scan = heard;
+                Ok(Some(SensorEvent::Scan(received))) => {
+                    *scan = received;
                     return Ok(Fed::Scan);
                 }
-                Ok(Some(heard)) => self.hear(heard)?,
+                Ok(Some(event)) => self.handle(event)?,
                 Ok(None) => {
                     self.inlet.await_anything(self.locator.is_waiting());
                     return Ok(Fed::NotYet);
@@ -164,58 +164,58 @@ impl SensorFeed {
         Ok(Fed::End)
     }
 
-    fn hear(&mut self, heard: Heard) -> Result<(), StageError> {
-        match heard {
-            Heard::Frame(frame, heard_ns) => self.take_frame(frame, heard_ns),
-            Heard::Scan(_) => {}
-            Heard::Came => self.producers.came += 1,
-            Heard::Went { within_frame } => {
+    fn handle(&mut self, event: SensorEvent) -> Result<(), StageError> {
+        match event {
+            SensorEvent::Frame(frame, received_ns) => self.take_frame(frame, received_ns),
+            SensorEvent::Scan(_) => {}
+            SensorEvent::Came => self.producers.came += 1,
+            SensorEvent::Went { within_frame } => {
                 self.producers.went += 1;
                 self.producers.broken_off += u64::from(within_frame);
                 self.producers.said_problem = false;
                 tracing::info!(source = self.name, within_frame, "a producer has gone");
             }
-            Heard::Problem(problem) => {
+            SensorEvent::Problem(problem) => {
                 self.tally.lines += 1;
                 self.tally.reject(Rejection::BadFrame);
                 if !std::mem::replace(&mut self.producers.said_problem, true) {
                     tracing::warn!("{}: {problem}: passed over, counted", self.name);
                 }
             }
-            Heard::Failed(reason) => return Err(StageError::Source(reason)),
+            SensorEvent::Failed(reason) => return Err(StageError::Source(reason)),
         }
         Ok(())
     }
 
     /// The time at which something is taken as recorded: live that of the clock, else by the stamps.
-    fn time_ns(&mut self, stamp_ns: i64, heard_ns: u64) -> i64 {
+    fn time_ns(&mut self, stamp_ns: i64, received_ns: u64) -> i64 {
         self.newest_stamp_ns = self.newest_stamp_ns.max(stamp_ns);
         match self.mode {
-            Mode::Live => heard_ns as i64,
+            Mode::Live => received_ns as i64,
             Mode::Exact => self.newest_stamp_ns,
         }
     }
 
-    fn take_frame(&mut self, frame: SensorFrame, heard_ns: u64) {
+    fn take_frame(&mut self, frame: SensorFrame, received_ns: u64) {
         self.tally.lines += 1;
         match frame {
             SensorFrame::Scan(scan) => {
-                let at_ns = self.time_ns(scan.scan.scan.header.times.sensor_ns, heard_ns);
+                let at_ns = self.time_ns(scan.scan.scan.header.times.sensor_ns, received_ns);
                 self.take_scan(scan, at_ns);
             }
             SensorFrame::Odometry(reading) => {
-                let at_ns = self.time_ns(reading.transform.stamp_ns, heard_ns);
+                let at_ns = self.time_ns(reading.transform.stamp_ns, received_ns);
                 self.locator.push_odometry(at_ns, &reading);
             }
             SensorFrame::Transforms(TransformsReading { is_static, transforms }) => {
                 let stamps = transforms.iter().map(|transform| transform.stamp_ns);
                 // What always holds says nothing of the time.
                 let newest_ns = stamps.max().filter(|_| !is_static).unwrap_or(i64::MIN);
-                let at_ns = self.time_ns(newest_ns, heard_ns);
+                let at_ns = self.time_ns(newest_ns, received_ns);
                 self.locator.push_transforms(at_ns, &transforms, is_static);
             }
             SensorFrame::Imu(reading) => {
-                let at_ns = self.time_ns(reading.stamp_ns, heard_ns);
+                let at_ns = self.time_ns(reading.stamp_ns, received_ns);
                 self.locator.push_imu(at_ns, reading);
             }
         }
@@ -282,7 +282,7 @@ impl SensorFeed {
         let is_first = back_ns.zip(of_all_ns).is_some_and(|(_, of_all_ns)| !follows(stamp_ns, of_all_ns));
         if is_first && self.mode == Mode::Live {
             self.times_back += 1;
-            scan.header.starts_at_odometry = STARTS_ELSEWHERE;
+            scan.header.starts_at_odometry = STARTS_DETACHED;
             let back_s = back_ns.unwrap_or_default() as f64 * 1e-9;
             tracing::warn!(
                 "{}: the time of its scans has gone back by {back_s:.1} s: a new trajectory begins",

@@ -11,8 +11,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
 /// What a thread that listens has to say.
-pub enum Heard {
-    /// A frame, and when it was heard on the monotonic clock, nanoseconds.
+pub enum SensorEvent {
+    /// A frame, and when it was received on the monotonic clock, nanoseconds.
     Frame(SensorFrame, u64),
     /// A scan that has its place and its odometry: a line of CARMEN.
     Scan(ScanBuffer),
@@ -34,14 +34,14 @@ const AHEAD: usize = 64;
 
 /// The stage's end.
 pub struct SensorInlet {
-    heard: Receiver<Heard>,
+    events: Receiver<SensorEvent>,
     awaits: Arc<AtomicBool>,
     tally: Arc<Mutex<Tally>>,
 }
 
 /// The end of a thread that listens.
 pub struct SensorOutlet {
-    heard: Sender<Heard>,
+    events: Sender<SensorEvent>,
     awaits: Arc<AtomicBool>,
     tally: Arc<Mutex<Tally>>,
     event: Option<Notifier>,
@@ -50,31 +50,31 @@ pub struct SensorOutlet {
 /// What becomes an outlet in the thread that it is for: ports of the bus stay within their thread. Several threads may have one each.
 #[derive(Clone)]
 pub struct OutletMaker {
-    heard: Sender<Heard>,
+    events: Sender<SensorEvent>,
     awaits: Arc<AtomicBool>,
     tally: Arc<Mutex<Tally>>,
 }
 
 /// Both ends.
 pub fn inlet() -> (OutletMaker, SensorInlet) {
-    let (sender, heard) = bounded(AHEAD);
+    let (sender, events) = bounded(AHEAD);
     let (awaits, tally) = (Arc::new(AtomicBool::new(false)), Arc::new(Mutex::new(Tally::default())));
-    let maker = OutletMaker { heard: sender, awaits: Arc::clone(&awaits), tally: Arc::clone(&tally) };
-    (maker, SensorInlet { heard, awaits, tally })
+    let maker = OutletMaker { events: sender, awaits: Arc::clone(&awaits), tally: Arc::clone(&tally) };
+    (maker, SensorInlet { events, awaits, tally })
 }
 
 impl OutletMaker {
     /// The outlet, with the stage's event in the thread's own bus.
     pub fn outlet(self, event: Option<Notifier>) -> SensorOutlet {
-        SensorOutlet { heard: self.heard, awaits: self.awaits, tally: self.tally, event }
+        SensorOutlet { events: self.events, awaits: self.awaits, tally: self.tally, event }
     }
 }
 
 impl SensorInlet {
-    /// What was heard next; `None` for nothing yet, an error when nobody listens any more.
-    pub fn take(&self) -> Result<Option<Heard>, ()> {
-        match self.heard.try_recv() {
-            Ok(heard) => Ok(Some(heard)),
+    /// What was received next; `None` for nothing yet, an error when nobody listens any more.
+    pub fn take(&self) -> Result<Option<SensorEvent>, ()> {
+        match self.events.try_recv() {
+            Ok(event) => Ok(Some(event)),
             Err(crossbeam::channel::TryRecvError::Empty) => Ok(None),
             Err(crossbeam::channel::TryRecvError::Disconnected) => Err(()),
         }
@@ -92,26 +92,29 @@ impl SensorInlet {
 }
 
 impl SensorOutlet {
-    /// Hands on what was heard; false when the stage has ended.
-    pub fn say(&self, heard: Heard) -> bool {
+    /// Hands on what was received; false when the stage has ended.
+    pub fn send(&self, event: SensorEvent) -> bool {
         let wakes = !matches!(
-            heard,
-            Heard::Frame(SensorFrame::Odometry(_) | SensorFrame::Imu(_) | SensorFrame::Transforms(_), _)
+            event,
+            SensorEvent::Frame(
+                SensorFrame::Odometry(_) | SensorFrame::Imu(_) | SensorFrame::Transforms(_),
+                _
+            )
         );
-        if self.heard.send(heard).is_err() {
+        if self.events.send(event).is_err() {
             return false;
         }
-        if wakes || self.awaits.load(Ordering::Acquire) || self.heard.len() > AHEAD / 2 {
-            self.ring();
+        if wakes || self.awaits.load(Ordering::Acquire) || self.events.len() > AHEAD / 2 {
+            self.notify();
         }
         true
     }
 
     /// Hands on a frame, or what is wrong with one.
-    pub fn say_frame(&self, frame: Result<SensorFrame, FrameProblem>) -> bool {
+    pub fn send_frame(&self, frame: Result<SensorFrame, FrameProblem>) -> bool {
         match frame {
-            Ok(frame) => self.say(Heard::Frame(frame, monotonic_ns())),
-            Err(problem) => self.say(Heard::Problem(problem)),
+            Ok(frame) => self.send(SensorEvent::Frame(frame, monotonic_ns())),
+            Err(problem) => self.send(SensorEvent::Problem(problem)),
         }
     }
 
@@ -120,9 +123,9 @@ impl SensorOutlet {
         *self.tally.lock().expect("the stage does not panic") = tally.clone();
     }
 
-    fn ring(&self) {
+    fn notify(&self) {
         if let Some(event) = &self.event {
-            event.ring();
+            event.notify();
         }
     }
 }
@@ -131,8 +134,8 @@ impl Drop for SensorOutlet {
     /// The stage is to notice that nobody listens any more.
     fn drop(&mut self) {
         let (unused, _) = bounded(0);
-        self.heard = unused;
-        self.ring();
+        self.events = unused;
+        self.notify();
     }
 }
 

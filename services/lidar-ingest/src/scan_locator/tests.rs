@@ -271,19 +271,19 @@ fn live_several_lidars_are_brought_into_order_and_none_that_died_is_waited_for()
     // The rear lidar is half a turn behind, and its scans come 70 ms later than those of the other.
     for step in 0..12 {
         let front_ms = 100 * step;
-        let mut heard = vec![(front_ms + 10, 0, "front", front_ms)];
+        let mut arrivals = vec![(front_ms + 10, 0, "front", front_ms)];
         if step < 6 {
-            heard.push((front_ms + 70, 1, "rear", front_ms - 10));
+            arrivals.push((front_ms + 70, 1, "rear", front_ms - 10));
         }
-        for (heard_ms, lidar, frame, seen_ms) in heard {
-            locator.push_sighting(heard_ms * MS, lidar, scan_in(frame, seen_ms));
+        for (received_ms, lidar, frame, seen_ms) in arrivals {
+            locator.push_sighting(received_ms * MS, lidar, scan_in(frame, seen_ms));
             while let Some(scan) = locator.take(false).unwrap() {
-                found.push((heard_ms, scan.header.id.lidar, stamp_ms(&scan)));
+                found.push((received_ms, scan.header.id.lidar, stamp_ms(&scan)));
             }
             // Between two scans the clock goes on.
-            locator.note_time((heard_ms + 59) * MS);
+            locator.note_time((received_ms + 59) * MS);
             while let Some(scan) = locator.take(false).unwrap() {
-                found.push((heard_ms + 59, scan.header.id.lidar, stamp_ms(&scan)));
+                found.push((received_ms + 59, scan.header.id.lidar, stamp_ms(&scan)));
             }
         }
     }

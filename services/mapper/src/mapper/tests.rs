@@ -270,7 +270,7 @@ fn what_is_seen_while_the_set_localizes_leaves_the_submaps_of_the_map_as_they_ar
 }
 
 #[test]
-fn what_is_seen_while_the_set_localizes_is_forgotten_by_way_and_by_age_and_leaves_no_evidence_on_disk() {
+fn what_is_seen_while_the_set_localizes_is_dropped_by_way_and_by_age_and_leaves_no_evidence_on_disk() {
     let mut mapper = Mapper::new(Settings { window_m: 20.0, ..Settings::default() });
     let ranges: Vec<f32> = (0..100).map(|i| 3.0 + (i as f32 * 0.7).sin()).collect();
     let mut insert = |sequence: u64, x_m: f64, now_s: i64| {

@@ -74,14 +74,14 @@ impl Output {
         self.last_name.number += 1;
         let (name, resumed_submaps) = (self.last_name, self.resumed_submaps);
         self.commits.send(&Commit { name, resumed_submaps, ..*commit })?;
-        self.matcher.ring();
+        self.matcher.notify();
         Ok(())
     }
 
     /// Publishes a submap that is stored.
     pub fn publish_submap(&self, notice: &SubmapClosed) -> Result<(), StageError> {
         self.submaps.send(notice)?;
-        self.sync_manager.ring();
+        self.sync_manager.notify();
         Ok(())
     }
 

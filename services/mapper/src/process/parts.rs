@@ -54,7 +54,7 @@ impl Parts {
         let message =
             PartInserted { id, tiles, part: self.part, parts: self.parts, all_tiles: all_tiles.into() };
         self.publisher.send(&message)?;
-        self.first.ring();
+        self.first.notify();
         Ok(())
     }
 

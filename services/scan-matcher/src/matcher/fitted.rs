@@ -1,6 +1,6 @@
 //! A scan fitted to the grid: pose, velocity, and what they are worth.
 
-use super::fitting::Rival;
+use super::fitting::Alternative;
 use super::points::ScanPoints;
 use crate::prediction::Prediction;
 use flockslam_geometry::{Covariance, Pose, Twist};
@@ -29,8 +29,8 @@ pub(super) struct Fitted {
     pub(super) is_predicted: bool,
     /// Centre of the last wide search, if no fit was good since.
     pub(super) searched: Option<Pose>,
-    /// The pose that fits better than the predicted one, but is not believed yet.
-    pub(super) rival: Option<Rival>,
+    /// The pose that fits better than the predicted one, but is not accepted yet.
+    pub(super) alternative: Option<Alternative>,
     /// Whether the pose is that of the surfaces around, as the grid does not hold the scan.
     pub(super) is_open: bool,
 }
@@ -49,7 +49,7 @@ impl Fitted {
             is_fused: false,
             is_predicted: false,
             searched: None,
-            rival: None,
+            alternative: None,
             is_open: false,
         }
     }

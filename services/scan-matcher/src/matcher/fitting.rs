@@ -45,8 +45,8 @@ const STEADY_SIGMA: TwistSigma = TwistSigma { x_m_s: 0.01, y_m_s: 0.01, turn_rad
 const STEADY_SHARE: f64 = 0.02;
 /// Steps at most to pose and velocity together.
 const SWEEP_STEPS: usize = 8;
-/// Steps to pose and velocity that lose so much of the score, 0 … 1, have led astray.
-const ASTRAY: f64 = 0.05;
+/// Steps to pose and velocity that lose so much of the score, 0 … 1, are taken back.
+const SCORE_LOSS_MAX: f64 = 0.05;
 /// Position of a wall within its cell is known to this share of the cell (standard deviation). All points of a wall along the grid
 /// share that error, so it does not shrink with their number.
 const CELL_ERROR: f64 = 0.1;
@@ -67,7 +67,7 @@ pub(super) const PRIOR_SIGMA: (f64, f64) = (0.3, 0.15);
 
 /// A pose that explains the last scans better than the one that odometry gives, as when wheels slip for some scans.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Rival {
+pub(super) struct Alternative {
     /// In odom.
     pub(super) pose: Pose,
     /// The motion before the wheels slipped: it is assumed to go on.
@@ -91,8 +91,8 @@ pub(super) struct Fitter<'a, F> {
     pub(super) confidence: &'a Confidence,
     /// The pose of the scan before, in odom.
     pub(super) before: Pose,
-    /// The rival of that pose.
-    pub(super) rival: Option<Rival>,
+    /// The alternative of that pose.
+    pub(super) alternative: Option<Alternative>,
     pub(super) field: &'a F,
     pub(super) scan: ScanView<'a>,
     pub(super) mask: &'a MoverMask,
@@ -116,7 +116,7 @@ struct Settled {
     points: ScanPoints,
     /// The fit near the prediction, if it was made.
     near: Option<Fit>,
-    rival: Option<Rival>,
+    alternative: Option<Alternative>,
 }
 
 /// Where a better pose is looked for after a bad fit to the grid.
@@ -164,7 +164,7 @@ impl<F: ScoreField> Fitter<'_, F> {
         first: Option<Fit>,
         search: Search,
     ) -> Fitted {
-        let Settled { prediction, points, near, rival } = self.settled(points, prediction, first);
+        let Settled { prediction, points, near, alternative } = self.settled(points, prediction, first);
         let (mut near_pose, mut near_covariance) = (prediction.pose, prediction.covariance);
         let (points, placed) = if self.descends() {
             let near = near.unwrap_or_else(|| self.track(&points, prediction.pose, None));
@@ -180,7 +180,7 @@ impl<F: ScoreField> Fitter<'_, F> {
             is_rescued,
             is_predicted,
             searched,
-            rival,
+            alternative,
             ..Fitted::new(prediction, points, fit, covariance)
         };
         if is_predicted {
@@ -201,7 +201,7 @@ impl<F: ScoreField> Fitter<'_, F> {
     /// returned too.
     fn settled(&mut self, points: ScanPoints, prediction: Prediction, first: Option<Fit>) -> Settled {
         let Some(by_odometry) = first else {
-            return Settled { prediction, points, near: None, rival: None };
+            return Settled { prediction, points, near: None, alternative: None };
         };
         let Some(steady) = prediction.steady else {
             return self.slipped(points, prediction, by_odometry);
@@ -214,10 +214,10 @@ impl<F: ScoreField> Fitter<'_, F> {
             let prediction =
                 Prediction { pose: steady.pose, twist: steady.twist, measured: None, ..prediction };
             let near = self.track(&points, prediction.pose, Some(by_velocity));
-            return Settled { prediction, points, near: Some(near), rival: None };
+            return Settled { prediction, points, near: Some(near), alternative: None };
         }
         let points = points.straightened(prediction.twist);
-        Settled { prediction, points, near: Some(by_odometry), rival: None }
+        Settled { prediction, points, near: Some(by_odometry), alternative: None }
     }
 
     /// Whether the strategy goes down a slope, as opposed to trying poses.
@@ -225,14 +225,14 @@ impl<F: ScoreField> Fitter<'_, F> {
         !matches!(self.settings.strategy, Strategy::MonteCarlo | Strategy::HillClimbing)
     }
 
-    /// Whether fits and odometry are weighed against each other. The published methods believe their fits.
+    /// Whether fits and odometry are weighed against each other. The published methods accept their fits.
     fn weighs_odometry(&self) -> bool {
         let is_ours = matches!(self.settings.strategy, Strategy::GaussNewton | Strategy::Correlative);
         is_ours && self.scan.odometry().is_some()
     }
 
     /// Fits pose and velocity of a scan that takes time together, starting at a fit of its pose alone. Where the map is thin the steps
-    /// can lead astray: the fit of the pose alone stays if it explains the scan clearly better.
+    /// can go wrong: the fit of the pose alone stays if it explains the scan clearly better.
     fn straightened(&self, fitted: Fitted) -> Fitted {
         let Prediction { pose, twist, .. } = fitted.prediction;
         let predicted = MotionState { pose, twist };
@@ -249,7 +249,7 @@ impl<F: ScoreField> Fitter<'_, F> {
             }
         }
         let fit = Fit::at(self.field, &points.ends, now.pose);
-        if fit.score < fitted.fit.score - ASTRAY {
+        if fit.score < fitted.fit.score - SCORE_LOSS_MAX {
             return Fitted { points: points.straightened(twist), ..fitted };
         }
         let covariance = sweep(&points).covariance(self.field, now.pose, sigma, PRIOR_SIGMA);
@@ -368,15 +368,15 @@ impl<F: ScoreField> Fitter<'_, F> {
     }
 
     /// Whether wheels slip: a scan that fits badly where odometry says is tried where the robot would be if it had gone on as
-    /// before. The evidence of several scans adds up in a [`Rival`].
+    /// before. The evidence of several scans adds up in an [`Alternative`].
     fn slipped(&mut self, points: ScanPoints, prediction: Prediction, near: Fit) -> Settled {
         let is_poor = near.score < self.settings.rescue.below * self.confidence.mean_score;
         let asks = self.weighs_odometry() && self.confidence.has_started();
         let Some(coasting) = prediction.coasting.filter(|_| is_poor && asks) else {
-            return Settled { prediction, points, near: Some(near), rival: None };
+            return Settled { prediction, points, near: Some(near), alternative: None };
         };
-        let Rival { pose, motion, gain } =
-            self.rival.unwrap_or(Rival { pose: self.before, motion: coasting, gain: 0.0 });
+        let Alternative { pose, motion, gain } =
+            self.alternative.unwrap_or(Alternative { pose: self.before, motion: coasting, gain: 0.0 });
         let start = pose * motion.pose;
         let points = points.straightened(motion.twist);
         let fit = self.refine(&points, start, start);
@@ -384,11 +384,12 @@ impl<F: ScoreField> Fitter<'_, F> {
         if gain >= SLIP_COST {
             let covariance = Covariance::diagonal(COASTING_SIGMA.0, COASTING_SIGMA.1);
             let prediction = Prediction { pose: start, twist: motion.twist, covariance, ..prediction };
-            return Settled { prediction, points, near: Some(fit), rival: None };
+            return Settled { prediction, points, near: Some(fit), alternative: None };
         }
         let points = points.straightened(prediction.twist);
-        let rival = Some(Rival { pose: fit.pose, motion, gain }).filter(|rival| rival.gain > 0.0);
-        Settled { prediction, points, near: Some(near), rival }
+        let alternative =
+            Some(Alternative { pose: fit.pose, motion, gain }).filter(|alternative| alternative.gain > 0.0);
+        Settled { prediction, points, near: Some(near), alternative }
     }
 
     /// Whether a pose explains the scan so much better than another that the odometry may have been wrong: the ratio of the
@@ -409,10 +410,10 @@ impl<F: ScoreField> Fitter<'_, F> {
         fit.gain_over(other, self.confidence.noise.max(NOISE_MIN)) / self.noise.excess()
     }
 
-    /// The best of the poses in a window, each refined, that promise more than `rival`.
-    fn search(&mut self, points: &ScanPoints, window: Window, rival: Pose) -> Option<Fit> {
+    /// The best of the poses in a window, each refined, whose bound exceeds that of `alternative`.
+    fn search(&mut self, points: &ScanPoints, window: Window, alternative: Pose) -> Option<Fit> {
         let mut search = std::mem::take(&mut self.solvers.search);
-        let floor = (rival, 0.5 * RESCUE_GAIN);
+        let floor = (alternative, 0.5 * RESCUE_GAIN);
         let found = search.search(self.field, &points.ends, window, floor, RESCUE_CANDIDATES);
         let refined = found.iter().map(|(_, pose)| self.refine(points, *pose, *pose));
         let best = refined.max_by(|a, b| a.score.total_cmp(&b.score));

@@ -13,7 +13,7 @@ const SPEED_M_S: f64 = 0.5;
 impl ScanMatcher {
     /// Removes the points on other robots from those to be matched; their beams are published as moving. A robot that stands still
     /// would otherwise enter the map as a wall. `pose` is the predicted pose of this robot, in odom.
-    pub(super) fn without_companions(
+    pub(super) fn without_flock_robots(
         &self,
         scan: ScanView<'_>,
         mut points: ScanPoints,
@@ -23,7 +23,7 @@ impl ScanMatcher {
         let odom_from_map = self.map.map_from_odom.inverse();
         let base_from_odom = pose.inverse();
         let now_ns = scan.header().times.monotonic_ns;
-        for robot in self.companions.as_slice() {
+        for robot in self.flock_robots.as_slice() {
             let age_s = now_ns.saturating_sub(robot.heard_ns) as f64 * 1e-9;
             if age_s > AGE_MAX_S {
                 continue;

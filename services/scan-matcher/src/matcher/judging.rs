@@ -79,7 +79,7 @@ impl ScanMatcher {
 
     /// Whether a scan that fits badly shows that the robot was carried. In the open scans scatter too much to tell, and without odometry
     /// it is not known where the robot may have driven.
-    pub(super) fn is_carried(&mut self, scan: ScanView<'_>, fitted: &Fitted) -> bool {
+    pub(super) fn is_kidnapped(&mut self, scan: ScanView<'_>, fitted: &Fitted) -> bool {
         let is_poor = fitted.fit.score < self.settings.rescue.below * self.confidence.mean_score;
         self.settings.rescue.lost_scans_max > 0
             && scan.odometry().is_some()
@@ -87,7 +87,7 @@ impl ScanMatcher {
             && !self.confidence.is_in_the_open()
             && !fitted.is_open
             && (is_poor || fitted.is_rescued)
-            && self.carried.is_unexplained(fitted.prediction.pose, fitted.fit.pose)
+            && self.kidnap.is_unexplained(fitted.prediction.pose, fitted.fit.pose)
     }
 
     /// Whether wide searches find one scan after the other along one way, though none of them well: the robot looks at what the map
@@ -99,7 +99,7 @@ impl ScanMatcher {
             && self.confidence.found_near(fitted.fit.pose) >= FOUND_TIMES
     }
 
-    /// The score from which a fit is believed: a share of the usual one. Where scores scatter a fit near the prediction may be
+    /// The score from which a fit is accepted: a share of the usual one. Where scores scatter a fit near the prediction may be
     /// worse; a place found by a wide search must be recognised.
     fn least_score(&self, fitted: &Fitted, share: f64) -> f64 {
         let least = share * self.confidence.mean_score;
@@ -113,8 +113,8 @@ impl ScanMatcher {
         let share = fit.score / self.confidence.mean_score.max(f64::MIN_POSITIVE);
         let jumps = fit.pose.distance_m(prediction) > JUMP.0 || fit.pose.turn_rad(prediction) > JUMP.1;
         let least = self.least_score(fitted, if jumps { rescue.below } else { LOST_BELOW });
-        let believed = fit.score >= least;
-        if !believed && rescue.lost_scans_max > 0 {
+        let accepted = fit.score >= least;
+        if !accepted && rescue.lost_scans_max > 0 {
             Quality::Lost
         } else if share < rescue.below
             || fit.weakest_direction() < WEAK_DIRECTION

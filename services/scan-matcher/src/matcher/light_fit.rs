@@ -32,7 +32,7 @@ pub(super) struct Light {
 }
 
 impl<F: ScoreField> Fitter<'_, F> {
-    /// Fits a dropped scan. Its pose, velocity and covariance are believed if its points fit about as well as scans usually do. The points are
+    /// Fits a dropped scan. Its pose, velocity and covariance are used if its points fit about as well as scans usually do. The points are
     /// given back.
     pub(super) fn lightly(self, points: ScanPoints, prediction: Prediction) -> (ScanPoints, Option<Light>) {
         if points.len() < LIGHT_POINTS_MIN {

@@ -1,6 +1,6 @@
 //! The state that the matcher keeps from scan to scan: the map, and how well the robot is localised in it.
 
-use super::fitting::Rival;
+use super::fitting::Alternative;
 use super::open_place::{DENSE, is_held};
 use super::{Fitted, Judgement, MEAN_RATE, POINTS_MIN_FOR_SHARE, SLIPPED, START_SCANS};
 use flockslam_geometry::Pose;
@@ -38,7 +38,7 @@ pub(super) struct MapState {
     /// No closure connects the trajectory with the map.
     pub(super) detached: bool,
     /// The grid belongs to a trajectory before this one: it is not matched.
-    pub(super) begins_elsewhere: bool,
+    pub(super) begins_detached: bool,
     /// Pose in odom of the last scan that entered the map.
     pub(super) inserted: Option<Pose>,
 }
@@ -63,8 +63,8 @@ pub(super) struct Confidence {
     pub(super) slips: bool,
     /// Centre of the last wide search; reset by a good fit.
     pub(super) searched: Option<Pose>,
-    /// The rival of the last pose.
-    pub(super) rival: Option<Rival>,
+    /// The alternative of the last pose.
+    pub(super) alternative: Option<Alternative>,
     /// Where wide searches found the last scans of a robot that is lost, and in how many in a row.
     pub(super) found: Option<(Pose, u32)>,
     /// Scans were missing before one of those that fit nowhere.
@@ -81,7 +81,7 @@ impl MapState {
             corrections: 0,
             trajectory: 0,
             detached: false,
-            begins_elsewhere: false,
+            begins_detached: false,
             inserted: None,
         }
     }
@@ -109,7 +109,7 @@ impl Default for Confidence {
             lost: 0,
             slips: false,
             searched: None,
-            rival: None,
+            alternative: None,
             found: None,
             lost_after_gap: false,
         }
@@ -123,7 +123,7 @@ impl Confidence {
         let odometry = fitted.prediction.pose;
         self.slips = pose.distance_m(odometry) > SLIPPED.0 || pose.turn_rad(odometry) > SLIPPED.1;
         self.searched = fitted.searched;
-        self.rival = fitted.rival;
+        self.alternative = fitted.alternative;
         let place = fitted.fit.pose;
         self.found =
             (quality == Quality::Lost && fitted.is_rescued).then(|| (place, 1 + self.found_near(place)));
@@ -142,7 +142,7 @@ impl Confidence {
     }
 
     /// Counts a fit that a predecessor has published; `before` is the pose of the scan before.
-    pub(super) fn remember(&mut self, published: &PoseEstimate, before: Pose) {
+    pub(super) fn restore(&mut self, published: &PoseEstimate, before: Pose) {
         let is_lost = published.quality == Quality::Lost as u32;
         if !is_lost && !published.has(PoseFlags::MATCHED) {
             return;
@@ -208,7 +208,7 @@ impl Confidence {
         (self.matched, self.lost, self.mean_score, self.last_score) = (0, 0, 0.0, 0.0);
         self.score_variance = 0.0;
         self.searched = None;
-        self.rival = None;
+        self.alternative = None;
         self.found = None;
     }
 }

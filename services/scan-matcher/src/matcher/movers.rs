@@ -49,7 +49,7 @@ impl ScanMatcher {
         let (mut points, mut mask) = (points, std::mem::take(&mut self.buffers.mask));
         let share_max = self.settings.moving_share_max;
         if self.knows_its_place(scan, prediction) && points.len() >= POINTS_MIN_FOR_SHARE {
-            (points, mask) = self.without_companions(scan, points, mask, prediction.pose);
+            (points, mask) = self.without_flock_robots(scan, points, mask, prediction.pose);
             (points, mask) = without_movers(points, mask, prediction.pose, grid, share_max);
         }
         if share_max > 0.0 && self.confidence.lost == 0 {
@@ -75,7 +75,7 @@ fn without_movers<H: Deref<Target = Tile>>(
     grid: &TileGrid<H>,
     share_max: f64,
 ) -> (ScanPoints, MoverMask) {
-    let companions = mask.moving.len();
+    let of_flock_robots = mask.moving.len();
     mask.unmark(points.len());
     let placement = Placement::from(pose);
     let (mut first, mut wide) = (0, 0);
@@ -83,7 +83,7 @@ fn without_movers<H: Deref<Target = Tile>>(
         if points.ends.get(end).is_some_and(|next| next.distance_m(points.ends[end - 1]) < JOIN_M) {
             continue;
         }
-        let aside = mark_piece(&points, first..end, &mut mask, companions, &placement, grid);
+        let aside = mark_piece(&points, first..end, &mut mask, of_flock_robots, &placement, grid);
         if points.ends[first].distance_m(points.ends[end - 1]) > WIDE_M {
             wide += aside;
         }
@@ -92,7 +92,7 @@ fn without_movers<H: Deref<Target = Tile>>(
     }
     let share = |count: usize| count as f64 / points.len() as f64;
     if share(mask.aside) > share_max || share(wide) > WIDE_MAX {
-        mask.moving.truncate(companions);
+        mask.moving.truncate(of_flock_robots);
         mask.unmark(points.len());
         mask.aside = 0;
     }
@@ -102,12 +102,12 @@ fn without_movers<H: Deref<Target = Tile>>(
 }
 
 /// Marks those of a piece of points beside each other that lie on what moves; gives how many. Their beams are published after the first
-/// `companions` ranges.
+/// `of_flock_robots` ranges.
 fn mark_piece<H: Deref<Target = Tile>>(
     points: &ScanPoints,
     piece: Range<usize>,
     mask: &mut MoverMask,
-    companions: usize,
+    of_flock_robots: usize,
     pose: &Placement,
     grid: &TileGrid<H>,
 ) -> usize {
@@ -117,7 +117,7 @@ fn mark_piece<H: Deref<Target = Tile>>(
         if body || ends_where_nothing_stood(grid, in_odom(pose, points.ends[i])) {
             marked += 1;
             mask.marks[i] = true;
-            add_beams(&mut mask.moving, companions, points.beams[i], points.stride);
+            add_beams(&mut mask.moving, of_flock_robots, points.beams[i], points.stride);
         }
     }
     marked

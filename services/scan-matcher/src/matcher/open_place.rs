@@ -76,7 +76,7 @@ impl<F: ScoreField> Fitter<'_, F> {
             is_fused: true,
             is_predicted: false,
             searched: None,
-            rival: None,
+            alternative: None,
             is_open: true,
         }
     }

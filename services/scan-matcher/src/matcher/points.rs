@@ -139,7 +139,7 @@ impl ScanPoints {
 }
 
 impl MoverMask {
-    /// Forgets the beams of the scan before.
+    /// Drops the beams of the scan before.
     pub(super) fn clear(&mut self) {
         self.moving.clear();
         self.bodies.clear();

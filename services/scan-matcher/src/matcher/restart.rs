@@ -53,7 +53,7 @@ fn scans_before_the_grid_is_there_leave_no_false_pose_behind_either() {
 }
 
 #[test]
-fn what_a_predecessor_knew_of_its_fits_is_remembered() {
+fn what_a_predecessor_knew_of_its_fits_is_restored() {
     let (mut front_end, published) = driven(&drive()[..150]);
     let before = std::mem::take(&mut front_end.matcher.confidence);
     front_end.start_again(&published);

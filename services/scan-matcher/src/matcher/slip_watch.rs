@@ -23,9 +23,9 @@ const AGAIN_COST: f64 = 2.0;
 const TRAVEL_MAX_M: f64 = 2.5;
 /// Poses nearer than this are the same, metres and radians.
 const SAME: (f64, f64) = (0.1, 0.02);
-/// Odometry must hold less than this share of the points that the rival holds.
+/// Odometry must hold less than this share of the points that the alternative holds.
 const POOR_SHARE: f64 = 0.6;
-/// Standard deviations of a pose that a rival gives, metres and radians.
+/// Standard deviations of a pose that an alternative gives, metres and radians.
 const SIGMA: (f64, f64) = (0.1, 0.05);
 
 /// A scan as it was placed.
@@ -40,7 +40,7 @@ struct Placed {
 
 /// The robot if its wheels have slipped.
 #[derive(Clone, Copy, Debug)]
-struct Rival {
+struct Alternative {
     pose: Pose,
     /// The motion before the slip.
     twist: Twist,
@@ -55,8 +55,8 @@ struct Rival {
 /// A scan while it is open how the robot moved.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SlipStep {
-    /// The rival at the scan before.
-    rival: Rival,
+    /// The alternative at the scan before.
+    alternative: Alternative,
     /// The motion since by odometry.
     odometry_step: Pose,
     /// How long it took.
@@ -68,18 +68,18 @@ pub(super) struct SlipStep {
 pub(super) struct SlipWatch {
     /// The last two scans, the newest first.
     last: [Option<Placed>; 2],
-    rival: Option<Rival>,
+    alternative: Option<Alternative>,
 }
 
 impl SlipWatch {
-    /// Forgets all.
+    /// Clears all.
     pub(super) fn clear(&mut self) {
         *self = Self::default();
     }
 
     /// Whether it is open how the robot moved.
     pub(super) fn is_undecided(&self) -> bool {
-        self.rival.is_some()
+        self.alternative.is_some()
     }
 
     /// A scan was placed here.
@@ -94,14 +94,14 @@ impl SlipWatch {
         self.last = [Some(Placed { stamp_ns, pose, odometry, twist }), self.last[0]];
     }
 
-    /// Whether a scan may tell of a slip: what [`Self::decide`] needs then. Otherwise odometry is believed from here on.
+    /// Whether a scan may tell of a slip: what [`Self::decide`] needs then. Otherwise odometry is used from here on.
     pub(super) fn step(&mut self, scan: ScanView<'_>) -> Option<SlipStep> {
         let step = self.begun(scan);
-        self.rival = step.map(|step| step.rival);
+        self.alternative = step.map(|step| step.alternative);
         step
     }
 
-    /// The prediction of a scan with these points (frame of the robot), or that of the rival if it explains the scans better.
+    /// The prediction of a scan with these points (frame of the robot), or that of the alternative if it explains the scans better.
     pub(super) fn decide(
         &mut self,
         step: SlipStep,
@@ -109,28 +109,28 @@ impl SlipWatch {
         map: &SurfaceMap,
         prediction: Prediction,
     ) -> Prediction {
-        let SlipStep { rival, odometry_step, step_s } = step;
+        let SlipStep { alternative, odometry_step, step_s } = step;
         if points.is_empty() || map.is_empty() {
-            let pose = rival.pose * rival.twist.motion_after(step_s);
-            self.rival = Some(Rival { pose, ..rival });
+            let pose = alternative.pose * alternative.twist.motion_after(step_s);
+            self.alternative = Some(Alternative { pose, ..alternative });
             return prediction;
         }
         let usual = prior(prediction.pose, prediction.step);
         let ours = map.explained(points, &usual);
-        let goes_on = rival.pose * rival.twist.motion_after(step_s);
+        let goes_on = alternative.pose * alternative.twist.motion_after(step_s);
         let steady = Covariance::diagonal(STEADY_SIGMA.0 * step_s, STEADY_SIGMA.1 * step_s);
-        let [coasting, following] = [(goes_on, steady), (rival.pose * odometry_step, prediction.step)]
+        let [coasting, following] = [(goes_on, steady), (alternative.pose * odometry_step, prediction.step)]
             .map(|(pose, step)| map.explained(points, &prior(pose, step)));
         let theirs = if following.cost < coasting.cost { following } else { coasting };
-        let now = Rival {
+        let now = Alternative {
             pose: theirs.pose,
-            gain: rival.gain + ours.cost - theirs.cost,
-            held: [rival.held[0] + theirs.weights, rival.held[1] + ours.weights],
-            ..rival
+            gain: alternative.gain + ours.cost - theirs.cost,
+            held: [alternative.held[0] + theirs.weights, alternative.held[1] + ours.weights],
+            ..alternative
         };
         let cost = if now.was_right { AGAIN_COST } else { SLIP_COST };
         if now.gain >= cost && now.held[1] < POOR_SHARE * now.held[0] {
-            self.rival = Some(Rival { gain: 0.0, held: [0.0; 2], was_right: true, ..now });
+            self.alternative = Some(Alternative { gain: 0.0, held: [0.0; 2], was_right: true, ..now });
             let covariance = Covariance::diagonal(SIGMA.0, SIGMA.1);
             let twist = Twist { turn_rad_s: now.twist.turn_rad_s, ..prediction.twist };
             return Prediction {
@@ -147,7 +147,7 @@ impl SlipWatch {
         // What was right once begins again at the pose that was decided on.
         let pose = if now.was_right && now.gain < 0.0 { ours.pose } else { now.pose };
         let gain = if now.was_right { now.gain.max(0.0) } else { now.gain };
-        self.rival = (!is_over || now.was_right).then_some(Rival { pose, gain, ..now });
+        self.alternative = (!is_over || now.was_right).then_some(Alternative { pose, gain, ..now });
         prediction
     }
 
@@ -156,15 +156,19 @@ impl SlipWatch {
         let step_s = last.seconds_to(scan.header().times.sensor_ns)?;
         let odometry_step = last.odometry.to(odometry);
         let travel_m = hypot(odometry_step.x_m, odometry_step.y_m);
-        if let Some(rival) = self.rival {
-            let rival = Rival { travel_m: rival.travel_m + travel_m, ..rival };
-            return (rival.travel_m < TRAVEL_MAX_M).then_some(SlipStep { rival, odometry_step, step_s });
+        if let Some(alternative) = self.alternative {
+            let alternative = Alternative { travel_m: alternative.travel_m + travel_m, ..alternative };
+            return (alternative.travel_m < TRAVEL_MAX_M).then_some(SlipStep {
+                alternative,
+                odometry_step,
+                step_s,
+            });
         }
         let before = if step_s > SLOW_S { Some(last) } else { self.last[1] }?;
         let turn_rad_s = Twist::from_motion(odometry_step, step_s).turn_rad_s;
         let surprises = (turn_rad_s - before.twist.turn_rad_s).abs() > SURPRISE_RAD_S;
         let until_last_s = if step_s > SLOW_S { 0.0 } else { before.seconds_to(last.stamp_ns)? };
-        let rival = Rival {
+        let alternative = Alternative {
             pose: before.pose * before.twist.motion_after(until_last_s),
             twist: before.twist,
             gain: 0.0,
@@ -172,7 +176,7 @@ impl SlipWatch {
             travel_m,
             was_right: false,
         };
-        surprises.then_some(SlipStep { rival, odometry_step, step_s })
+        surprises.then_some(SlipStep { alternative, odometry_step, step_s })
     }
 }
 

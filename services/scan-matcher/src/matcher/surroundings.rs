@@ -10,8 +10,8 @@ use nalgebra::{Matrix3, Vector3};
 
 /// Of scans with more beams than this only every n-th beam is used: surfaces are as wide as several beams are apart.
 const BEAMS_MAX: usize = 400;
-/// Odometry is doubted when the scan alone gives a pose that costs more than this by it: three standard deviations.
-const DOUBTFUL_COST: f64 = 4.5;
+/// Odometry counts as an outlier when the scan alone gives a pose that costs more than this by it: three standard deviations.
+const UNUSUAL_COST: f64 = 4.5;
 /// Wheels are taken to slip only where fewer than the first share of the usual inliers are found by odometry, and at least the second
 /// elsewhere: surfaces that move with the robot, as the ground does, hold a scan a little better in many places.
 const POOR_SHARE: f64 = 0.6;
@@ -20,7 +20,7 @@ const GOOD_SHARE: f64 = 0.8;
 const SLIP_TIMES: f64 = 10.0;
 /// A prediction is known no better than this, metres and radians.
 const SIGMA_MIN: (f64, f64) = (1e-3, 3e-4);
-/// A fit is believed when at least this share of the points lies on surfaces, and no fewer than so many standard deviations below
+/// A fit is accepted when at least this share of the points lies on surfaces, and no fewer than so many standard deviations below
 /// the usual share.
 const INLIERS_MIN: f64 = 0.15;
 const UNUSUAL: f64 = 3.0;
@@ -46,7 +46,7 @@ pub(super) struct Surroundings {
 }
 
 impl Surroundings {
-    /// Forgets all scans.
+    /// Clears all scans.
     pub(super) fn clear(&mut self) {
         self.map.clear();
         self.slip.clear();
@@ -133,7 +133,7 @@ impl Surroundings {
     /// The fit by odometry, or a likelier one where wheels slip and turn the robot by more than they say.
     fn slipped(&self, usual: &SurfacePrior, by_odometry: SurfaceFit) -> SurfaceFit {
         let is_poor = by_odometry.inliers < POOR_SHARE * self.usual;
-        if !is_poor || prior_cost(usual, by_odometry.alone) < DOUBTFUL_COST {
+        if !is_poor || prior_cost(usual, by_odometry.alone) < UNUSUAL_COST {
             return by_odometry;
         }
         let mut weak = *usual;

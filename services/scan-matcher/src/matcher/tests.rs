@@ -4,7 +4,7 @@ use super::*;
 use crate::settings::Strategy;
 use flockslam_geometry::wrap_angle;
 use flockslam_mapper::Mapper;
-use flockslam_messages::{DropReason, FlockRobot, STARTS_ELSEWHERE, ScanBuffer};
+use flockslam_messages::{DropReason, FlockRobot, STARTS_DETACHED, ScanBuffer};
 
 /// A room of 8 × 6 m with a pillar, seen from `pose`; odometry is what the robot claims.
 fn look(sequence: u64, pose: Pose, odometry: Option<Pose>) -> ScanBuffer {
@@ -48,7 +48,7 @@ impl FrontEnd {
     pub(super) fn start_again(&mut self, published: &[PoseEstimate]) {
         let MapState { generation, active_submap, .. } = self.matcher.map;
         self.matcher = ScanMatcher::new(self.matcher.settings.clone());
-        published.iter().for_each(|pose| self.matcher.remember(pose));
+        published.iter().for_each(|pose| self.matcher.restore(pose));
         published.iter().last().iter().for_each(|last| self.matcher.resume(last));
         self.matcher.committed(&Commit { generation, active_submap, ..Commit::default() });
     }
@@ -347,7 +347,7 @@ fn a_continued_map_begins_a_chain_of_its_own_wherever_the_robot_is_by_now() {
     let mut before = FrontEnd::new(Settings::default());
     let last = (0..40).map(|i| before.step(&look(i, truth(i), Some(odometry(i))), true)).last().unwrap();
     let mut after = FrontEnd { matcher: ScanMatcher::new(Settings::default()), ..before };
-    after.matcher.resume_elsewhere(&last);
+    after.matcher.resume_detached(&last);
     // Carried to the start of the drive and turned; odometry counts from somewhere else.
     let carried = |i: u64| Pose::new(-1.0, -1.0, 2.0) * truth(i);
     for i in 0..30 {
@@ -368,7 +368,7 @@ fn a_scan_that_nothing_connects_with_the_one_before_begins_a_trajectory_of_its_o
     for i in 0..30 {
         let mut scan = look(i, truth(i), Some(odometry(i)));
         scan.header.id.sequence = 40 + i;
-        scan.header.starts_at_odometry = if i == 0 { STARTS_ELSEWHERE } else { 0 };
+        scan.header.starts_at_odometry = if i == 0 { STARTS_DETACHED } else { 0 };
         let estimate = front_end.step(&scan, true);
         assert_eq!(
             (estimate.trajectory, estimate.has(PoseFlags::MATCHED)),
@@ -417,7 +417,7 @@ fn another_robot_that_stands_at_a_wall_is_set_aside_where_it_says_that_it_is() {
     };
     (0..40).for_each(|i| assert_eq!(see(&mut front_end, i, heard_ns), []));
     let there = truth(40);
-    front_end.matcher.companions_are(&robot_at_the_pillar(heard_ns));
+    front_end.matcher.set_flock_robots(&robot_at_the_pillar(heard_ns));
     let [seen] = see(&mut front_end, 40, heard_ns + 100_000_000)[..] else { panic!("one range") };
     let bearing = (1.2 - there.y_m).atan2(2.7 - there.x_m) - there.heading_rad;
     let middle = ((bearing + 3.0) / 0.02).round() as u32;
@@ -427,12 +427,12 @@ fn another_robot_that_stands_at_a_wall_is_set_aside_where_it_says_that_it_is() {
 }
 
 #[test]
-fn movers_that_are_not_believed_take_nothing_from_the_robot_beside_them() {
+fn movers_that_are_not_confirmed_take_nothing_from_the_robot_beside_them() {
     let mut front_end = FrontEnd::new(Settings::default());
     for i in 0..40 {
         front_end.step(&look(i, truth(i), Some(truth(i))), true);
     }
-    front_end.matcher.companions_are(&robot_at_the_pillar(0));
+    front_end.matcher.set_flock_robots(&robot_at_the_pillar(0));
     front_end.step(&look(40, truth(40), Some(truth(40))), true);
     let [robot] = front_end.matcher.moving_beams()[..] else { panic!("one range") };
     // Something as wide as a wall, directly beside it.
@@ -459,6 +459,6 @@ fn somebody_in_free_space_is_set_aside_and_a_wall_is_not() {
     }
     let somebody = see(40, &|scan| hidden(scan, 20..32, 1.5));
     assert_eq!(somebody, [BeamRange { first: 20, end: 32 }]);
-    // As wide as half of a wall: the robot is not where it believes to be.
+    // As wide as half of a wall: the robot is not where the prediction has it.
     assert_eq!(see(41, &|scan| hidden(scan, 20..80, 1.8)), []);
 }

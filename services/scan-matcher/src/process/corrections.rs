@@ -48,7 +48,7 @@ impl Corrections {
         Ok(())
     }
 
-    /// A scan has entered the map: sync-manager will say what follows from it.
+    /// A scan has entered the map: sync-manager will publish what follows from it.
     pub fn accepted(&mut self, mode: Mode, sequence: u64) {
         if mode == Mode::Exact {
             self.accepted.push_back(sequence);
@@ -118,7 +118,7 @@ mod tests {
             Self { corrections, publisher: bus.publisher().unwrap(), mode, _runtime: runtime }
         }
 
-        fn say(&mut self, scan: u64) {
+        fn publish(&mut self, scan: u64) {
             self.publisher.send(&Correction { scan, ..Correction::default() }).unwrap();
             self.corrections.drain().unwrap();
         }
@@ -137,9 +137,9 @@ mod tests {
     #[test]
     fn in_replay_corrections_take_effect_at_fixed_scans_however_early_they_come() {
         let mut topic = Topic::new("cor-fix", Mode::Exact);
-        topic.say(0);
-        topic.say(3);
-        topic.say(9);
+        topic.publish(0);
+        topic.publish(3);
+        topic.publish(9);
         assert!(topic.due_before(3).is_empty());
         assert_eq!(topic.due_before(4), [0]);
         assert!(topic.due_before(6).is_empty());
@@ -154,9 +154,9 @@ mod tests {
         topic.corrections.accepted(Mode::Exact, 0);
         topic.corrections.accepted(Mode::Exact, 2);
         assert!(topic.is_ready_for(3) && !topic.is_ready_for(4));
-        topic.say(0);
+        topic.publish(0);
         assert!(topic.is_ready_for(5) && !topic.is_ready_for(6));
-        topic.say(2);
+        topic.publish(2);
         assert!(topic.is_ready_for(6));
     }
 
@@ -164,9 +164,9 @@ mod tests {
     fn a_map_that_is_gone_on_with_waits_for_what_followed_from_it() {
         let mut topic = Topic::new("cor-res", Mode::Exact);
         topic.corrections.resumed(20);
-        topic.say(10);
+        topic.publish(10);
         assert!(!topic.is_ready_for(21), "the correction after its last scan is missing");
-        topic.say(20);
+        topic.publish(20);
         assert!(topic.is_ready_for(21));
         assert_eq!(topic.due_before(21), [10, 20]);
     }
@@ -176,7 +176,7 @@ mod tests {
         let mut topic = Topic::new("cor-live", Mode::Live);
         topic.corrections.accepted(Mode::Live, 0);
         assert!(topic.is_ready_for(50));
-        topic.say(49);
+        topic.publish(49);
         assert_eq!(topic.due_before(50), [49]);
     }
 }

@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 
 impl SyncManager {
     /// Frees the points of all scans and what searches keep: nothing needs them once the run is concluded. No scan may be given afterwards.
-    pub fn forget_scans(&mut self) {
+    pub fn drop_scans(&mut self) {
         self.scans = ScanStore::default();
         self.finder = ClosureFinder::default();
         self.open_finder = OpenFinder::default();

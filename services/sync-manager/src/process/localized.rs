@@ -1,4 +1,4 @@
-//! What the shell does for a back end that localizes: it loads the known map, says what is believed, obeys orders, and stores the results of
+//! What the shell does for a back end that localizes: it loads the known map, publishes the belief, obeys orders, and stores the results of
 //! the end.
 
 use super::SyncProcess;
@@ -12,7 +12,7 @@ use flockslam_stage::{Mode, StageContext, StageError};
 use std::path::Path;
 
 impl SyncProcess {
-    /// Tells others where the robot is believed to be in the known map, when that has changed.
+    /// Publishes the belief about the pose in the known map, when that has changed.
     pub(super) fn localized(&mut self, context: &StageContext) -> Result<(), StageError> {
         let Some(localizing) = self.logic.localizing() else { return Ok(()) };
         self.trajectories.frozen(&localizing.take_frozen());
@@ -29,7 +29,7 @@ impl SyncProcess {
         let seen = self.pose.filter(|_| context.mode == Mode::Live);
         let correction = seen.and_then(|pose| localizing.fresh_correction(pose.id));
         if let Err(error) = status.write(&context.status_dir) {
-            tracing::warn!(%error, "the status does not say where the robot is believed to be");
+            tracing::warn!(%error, "the status does not say where the robot is");
         }
         self.localisation = Some(status);
         match correction {
@@ -64,7 +64,7 @@ impl SyncProcess {
         self.summary.trajectories = solution.closures.trajectories;
         self.summary.detached_scans = solution.closures.detached_scans;
         results::write_summary(directory, &self.summary)?;
-        self.finished.say(self.summary.scans)
+        self.finished.send(self.summary.scans)
     }
 }
 
@@ -80,7 +80,7 @@ pub(super) fn load(result_dir: &Path) -> Result<Surroundings, StageError> {
     Ok(Surroundings::new(map.measured()))
 }
 
-/// What is believed, as others read it.
+/// The belief, as others read it.
 fn status(logic: &LocalizingManager) -> LocalisationStatus {
     let (belief, stamp_ns) = logic.belief();
     LocalisationStatus {

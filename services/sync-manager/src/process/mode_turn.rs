@@ -67,12 +67,12 @@ impl SyncProcess {
         self.catch_up(pose.id.sequence, context)?;
         self.go_on(context)?;
         if localizes && self.is_active {
-            self.say_unattached(Unattached::default(), context);
+            self.report_unattached(Unattached::default(), context);
         }
         Ok(())
     }
 
-    /// Goes on after the poses of the journal: live, with the last conclusion that the front end has not heard of.
+    /// Goes on after the poses of the journal: live, with the last conclusion that the front end has not received.
     pub(super) fn go_on(&mut self, context: &StageContext) -> Result<(), StageError> {
         self.recovered = true;
         let Some(last) = self.pose else { return Ok(()) };

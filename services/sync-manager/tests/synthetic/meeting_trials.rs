@@ -70,8 +70,8 @@ pub fn trial(number: u64) -> Trial {
                 buildings: [building.clone(), building],
             }
         }
-        5 => strangers("different offices", &mut random, false),
-        6 => strangers("different offices, equal rooms", &mut random, true),
+        5 => different_buildings("different offices", &mut random, false),
+        6 => different_buildings("different offices, equal rooms", &mut random, true),
         _ => {
             let (period_m, deep_m) = (random.between(2.4, 4.0), random.between(0.25, 0.6));
             let ways = [path(&[(24.0, 0.0), (48.0, 0.0)]), path(&[(70.0, 0.0), (94.0, 0.0)])];
@@ -91,7 +91,7 @@ fn meeting(kind: &'static str, office: Office, a: Vec<Pose>, b: Vec<Pose>) -> Tr
     Trial { kind, is_meeting: true, buildings: [building.clone(), building], ways: [a, b] }
 }
 
-fn strangers(kind: &'static str, random: &mut Random, equal: bool) -> Trial {
+fn different_buildings(kind: &'static str, random: &mut Random, equal: bool) -> Trial {
     // Built alike: corridors equally wide.
     let seed = random.0.0;
     let one = Office::new(random, equal);
@@ -105,7 +105,7 @@ fn strangers(kind: &'static str, random: &mut Random, equal: bool) -> Trial {
 }
 
 /// Runs a trial: both map alone, meet, search for each other, and then false constraints are added: one for each record of constraints that they have
-/// found, but twelve at least; a third of the draws are groups of lies that agree. The same trial has the same outcome.
+/// found, but twelve at least; a third of the draws are groups of false constraints that agree. The same trial has the same outcome.
 pub fn run(trial: &Trial) -> Outcome {
     let [a, b] = &trial.ways;
     let mut flocks = vec![
@@ -118,7 +118,7 @@ pub fn run(trial: &Trial) -> Outcome {
         found += flocks[k].search(u64::MAX).unwrap().len();
         meet(&mut flocks);
     }
-    let lies = lie(&mut flocks[1], found.max(12), a.len() as u64);
+    let false_count = add_false_constraints(&mut flocks[1], found.max(12), a.len() as u64);
     meet(&mut flocks);
     let solution = flocks[0].solution(true);
     let merged = solution.members().len() == 2;
@@ -128,11 +128,16 @@ pub fn run(trial: &Trial) -> Outcome {
         (true, false) => f64::INFINITY,
         (false, _) => 0.0,
     };
-    Outcome { merged, worst_m, closures: (found, lies), searches: flocks.iter().map(Flock::searches).sum() }
+    Outcome {
+        merged,
+        worst_m,
+        closures: (found, false_count),
+        searches: flocks.iter().map(Flock::searches).sum(),
+    }
 }
 
-/// Robot b tells lies about how it lies to a.
-fn lie(flock: &mut Flock, count: usize, seed: u64) -> usize {
+/// Robot b publishes false constraints to nodes of a.
+fn add_false_constraints(flock: &mut Flock, count: usize, seed: u64) -> usize {
     let solution = flock.solution(false);
     let nodes = |name: &str| -> Vec<(NodeName, Pose)> {
         let ((robot, epoch), nodes) =
@@ -143,26 +148,26 @@ fn lie(flock: &mut Flock, count: usize, seed: u64) -> usize {
     let (of_a, of_b) = (nodes("a"), nodes("b"));
     let mut random = Random(Noise(seed));
     let mut published = 0;
-    let mut tell = |from: &NodeName, to: &NodeName, motion: Pose| {
+    let mut publish = |from: &NodeName, to: &NodeName, motion: Pose| {
         let information = [600.0, 0.0, 0.0, 600.0, 0.0, 1e4];
         let (from, to) = (from.clone(), to.clone());
-        let lie = Constraint { from, to, motion, information, reach_m: 0.5, shift_m: 0.0 };
-        flock.say(&Content::Constraints(vec![lie])).unwrap();
+        let constraint = Constraint { from, to, motion, information, reach_m: 0.5, shift_m: 0.0 };
+        flock.record(&Content::Constraints(vec![constraint])).unwrap();
     };
     while published < count {
         let motion =
             Pose::new(random.between(-8.0, 8.0), random.between(-8.0, 8.0), random.between(-3.1, 3.1));
         let (from, to) = (random.below(of_a.len()), random.below(of_b.len()));
         if random.below(3) > 0 {
-            tell(&of_a[from].0, &of_b[to].0, motion);
+            publish(&of_a[from].0, &of_b[to].0, motion);
             published += 1;
             continue;
         }
-        // As many agreeing lies as stay less than half of what is true: of equal stories nobody knows the right one.
+        // As many agreeing false constraints as stay less than half of what is true: of two groups of equal size nobody knows the right one.
         let a_from_b = of_a[from].1 * motion * of_b[to].1.inverse();
         for k in 0..(count / 8).clamp(2, 5) {
             let (from, to) = ((from + 4 * k) % of_a.len(), (to + 4 * k) % of_b.len());
-            tell(&of_a[from].0, &of_b[to].0, of_a[from].1.inverse() * a_from_b * of_b[to].1);
+            publish(&of_a[from].0, &of_b[to].0, of_a[from].1.inverse() * a_from_b * of_b[to].1);
             published += 1;
         }
     }

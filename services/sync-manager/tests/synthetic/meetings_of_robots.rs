@@ -1,7 +1,7 @@
 //! Robots that map for themselves and then meet, in synthetic buildings.
 
 use super::support::{Building, Noise, laps, path};
-use super::synthetic_flock::{hear, meet, robot, worst_m};
+use super::synthetic_flock::{exchange, meet, robot, worst_m};
 use flockslam_flock::{Flock, FlockSolution};
 use flockslam_geometry::Pose;
 use flockslam_records::{Constraint, Content, Limits, NodeName, RobotKey};
@@ -30,17 +30,17 @@ fn robots_with_unknown_starts_find_each_other_and_all_have_the_same_layout() {
     let worst = worst_m(&solutions[0], &ways);
     assert!(worst < 0.06, "{worst}");
 
-    // A robot that hears everything late, in small portions and over others, works out the same.
+    // A robot that receives everything late, in small portions and over others, works out the same.
     let mut late = vec![Flock::new(RobotKey::of_replay("d").unwrap(), 1, Limits::default())];
     late.push(flocks.swap_remove(1));
     let mut noise = Noise(3);
-    hear(&mut late, 0, 1, || noise.next() > 0.2);
-    hear(&mut late, 0, 1, || false);
+    exchange(&mut late, 0, 1, || noise.next() > 0.2);
+    exchange(&mut late, 0, 1, || false);
     assert_eq!(late[0].solution(true), solutions[0]);
 
-    // A robot that is not believed any more takes its ties with it.
-    let liar = *RobotKey::of_replay("b").unwrap().id().public_key();
-    late[0].collection_mut().ban(liar);
+    // A robot that is banned takes its closures with it.
+    let banned = *RobotKey::of_replay("b").unwrap().id().public_key();
+    late[0].collection_mut().ban(banned);
     assert!(!late[0].solution(false).members().iter().any(|robot| robot.name() == "b"));
 }
 
@@ -63,7 +63,7 @@ fn buildings_that_only_look_alike_are_not_merged() {
 }
 
 #[test]
-fn lies_about_how_robots_lie_to_each_other_do_not_act() {
+fn false_constraints_between_robots_do_not_act() {
     let (building, way) = (Building::ring(), laps(2));
     let half = way.len() / 2;
     let mut flocks = vec![
@@ -92,7 +92,7 @@ fn lies_about_how_robots_lie_to_each_other_do_not_act() {
         let pick = |nodes: &[NodeName], share: f64| {
             nodes[(0.5 * (share + 1.0) * (nodes.len() - 1) as f64) as usize].clone()
         };
-        let lie = Constraint {
+        let false_constraint = Constraint {
             from: pick(&of_a, noise.next()),
             to: pick(&of_b, noise.next()),
             motion: Pose::new(8.0 * noise.next(), 8.0 * noise.next(), 3.0 * noise.next()),
@@ -100,12 +100,12 @@ fn lies_about_how_robots_lie_to_each_other_do_not_act() {
             reach_m: 0.5,
             shift_m: 0.0,
         };
-        flocks[1].say(&Content::Constraints(vec![lie])).unwrap();
+        flocks[1].record(&Content::Constraints(vec![false_constraint])).unwrap();
     }
     meet(&mut flocks);
     let solution = flocks[0].solution(true);
     let ways = [("a", &way[..half]), ("b", &way[half..])];
-    // A lie for each record of true constraints neither keeps the robots apart nor bends the map.
+    // A false constraint for each record of true constraints neither keeps the robots apart nor bends the map.
     assert_eq!(solution.members().len(), 2, "{:?} of {found} true records", solution.across);
     assert!(solution.across.1 >= found as u64, "{:?} of {found} true records", solution.across);
     let worst = worst_m(&solution, &ways);
@@ -129,7 +129,7 @@ fn where_robots_are_tied_few_matches_act_that_are_expected_there() {
             let motion = of_a[from.sequence as usize].inverse() * of_b[to.sequence as usize] * *moved;
             let information = [600.0, 0.0, 0.0, 600.0, 0.0, 1e4];
             let constraint = Constraint { from, to, motion, information, reach_m: 0.5, shift_m: 0.0 };
-            flocks[1].say(&Content::Constraints(vec![constraint])).unwrap();
+            flocks[1].record(&Content::Constraints(vec![constraint])).unwrap();
         }
         meet(&mut flocks);
         flocks[0].solution(false)

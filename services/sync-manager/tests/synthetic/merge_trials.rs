@@ -8,7 +8,7 @@ use super::meeting_trials::{run, trial};
 ///
 /// Trial 1 is left out: it is of the kind of trial 0, and a trial takes seconds. The example `false_merges` runs any number of them.
 #[test]
-fn meetings_merge_and_strangers_stay_apart() {
+fn meetings_merge_and_different_buildings_stay_apart() {
     let numbers = [0, 2, 3, 4, 5, 6, 7];
     let kinds = numbers.map(|number| trial(number).kind);
     assert!((1..kinds.len()).all(|i| !kinds[..i].contains(&kinds[i])), "each kind once: {kinds:?}");

@@ -1,4 +1,4 @@
-//! Robots that map synthetic buildings and tell each other.
+//! Robots that map synthetic buildings and exchange records.
 
 use super::support::{Building, Noise, drifting};
 use flockslam_flock::{Flock, FlockSolution};
@@ -8,7 +8,7 @@ use flockslam_records::{Limits, Message, RobotKey};
 use flockslam_sync_manager::{Settings, SyncManager};
 use std::ops::Range;
 
-/// A robot that drives the stretch `range` of a way and tells what it finds; its odometry begins somewhere of its own.
+/// A robot that drives the stretch `range` of a way and publishes what it finds; its odometry begins somewhere of its own.
 pub fn robot(name: &str, building: &Building, way: &[Pose], range: Range<usize>, origin: Pose) -> Flock {
     let key = RobotKey::of_replay(name).unwrap();
     let mut flock = Flock::new(key, 1, Limits::default());
@@ -41,8 +41,8 @@ pub fn robot(name: &str, building: &Building, way: &[Pose], range: Range<usize>,
     flock
 }
 
-/// `to` hears what `from` knows, in portions; of the messages those are lost that `lost` says.
-pub fn hear(flocks: &mut [Flock], to: usize, from: usize, mut lost: impl FnMut() -> bool) {
+/// `to` receives what `from` knows, in portions; of the messages those are lost that `lost` says.
+pub fn exchange(flocks: &mut [Flock], to: usize, from: usize, mut lost: impl FnMut() -> bool) {
     for _ in 0..100 {
         let answers = {
             let have = flocks[to].have();
@@ -60,7 +60,9 @@ pub fn hear(flocks: &mut [Flock], to: usize, from: usize, mut lost: impl FnMut()
 pub fn meet(flocks: &mut [Flock]) {
     for _ in 0..2 {
         for to in 0..flocks.len() {
-            (0..flocks.len()).filter(|from| *from != to).for_each(|from| hear(flocks, to, from, || false));
+            (0..flocks.len())
+                .filter(|from| *from != to)
+                .for_each(|from| exchange(flocks, to, from, || false));
         }
     }
 }

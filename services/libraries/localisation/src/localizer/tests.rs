@@ -159,7 +159,7 @@ fn a_robot_that_is_carried_away_notices_and_is_found_again() {
 }
 
 #[test]
-fn a_break_of_odometry_and_an_order_forget_the_place() {
+fn a_break_of_odometry_and_an_order_clear_the_place() {
     let (mut localizer, map) = localizer();
     let at = Placement::new(21.0, 12.5, 0.4);
     localizer.see(at, &seen(&map, at));

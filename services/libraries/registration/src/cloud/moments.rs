@@ -16,8 +16,8 @@ const BLOCK: (i32, i32) = (16, 8);
 const BLOCK_CELLS: usize = (BLOCK.0 * BLOCK.1) as usize;
 /// Blocks of the torus.
 const BLOCKS: usize = (SIDE / BLOCK.0 * (SIDE / BLOCK.1)) as usize;
-/// Columns and rows of cells whose lines are remembered side by side, powers of two: 25.6 × 12.8 m.
-const REMEMBERED: (i32, i32) = (256, 128);
+/// Columns and rows of cells whose lines are cached side by side, powers of two: 25.6 × 12.8 m.
+const CACHED: (i32, i32) = (256, 128);
 /// Fewest points from which a line is fitted.
 const LINE_POINTS_MIN: i32 = 3;
 
@@ -95,9 +95,9 @@ pub struct Line {
     pub facing: f64,
 }
 
-/// A fitted line is remembered until the grid changes, or that of a cell further away takes its place.
+/// A fitted line is cached until the grid changes, or that of a cell further away takes its place.
 #[derive(Clone, Copy, Default, FromZeros)]
-struct Remembered {
+struct CachedLine {
     version: u32,
     cell: u32,
     flatness: f32,
@@ -108,7 +108,7 @@ struct Remembered {
     normal_y: f32,
 }
 
-impl Remembered {
+impl CachedLine {
     /// The line of a cell, in the grid's frame.
     #[inline]
     fn line(self, column: i32, row: i32) -> Line {
@@ -138,7 +138,7 @@ pub struct MomentGrid {
     points: Vec<i32>,
     /// Places that are not in use; all their cells are empty.
     unused: Vec<u16>,
-    lines: Vec<Remembered>,
+    lines: Vec<CachedLine>,
     version: u32,
 }
 
@@ -151,7 +151,7 @@ impl Default for MomentGrid {
             stored: vec![EMPTY],
             points: vec![0],
             unused: Vec::new(),
-            lines: Remembered::new_vec_zeroed((REMEMBERED.0 * REMEMBERED.1) as usize).expect(no_memory),
+            lines: CachedLine::new_vec_zeroed((CACHED.0 * CACHED.1) as usize).expect(no_memory),
             version: 1,
         }
     }
@@ -245,17 +245,17 @@ impl MomentGrid {
     pub fn line_near(&mut self, x_m: f64, y_m: f64) -> Option<Line> {
         let (x, y) = (units(x_m), units(y_m));
         let (column, row) = (x.div_euclid(CELL_UNITS), y.div_euclid(CELL_UNITS));
-        let remembered = self.lines[slot(column, row)];
-        // Only lines of occupied cells are remembered.
-        let line = if (remembered.version, remembered.cell) == (self.version, number(column, row)) {
-            remembered.line(column, row)
+        let cached = self.lines[slot(column, row)];
+        // Only lines of occupied cells are cached.
+        let line = if (cached.version, cached.cell) == (self.version, number(column, row)) {
+            cached.line(column, row)
         } else {
             self.other_line_near(x, y, column, row)?
         };
         (line.flatness > 0.0).then_some(line)
     }
 
-    /// As [`Self::line_near`], where the line of the point's own cell is not remembered.
+    /// As [`Self::line_near`], where the line of the point's own cell is not cached.
     fn other_line_near(&mut self, x: i32, y: i32, column: i32, row: i32) -> Option<Line> {
         if self.cell(column, row).count > 0 {
             return Some(self.line_of(column, row));
@@ -294,7 +294,7 @@ impl MomentGrid {
 
     /// Fits a line to the points of a cell and its eight neighbours: the direction comes from all of them,
     /// the anchor from the cell itself.
-    fn fit(&self, column: i32, row: i32) -> Remembered {
+    fn fit(&self, column: i32, row: i32) -> CachedLine {
         let (mut n, mut sx, mut sy, mut sxx, mut sxy, mut syy) = (0i64, 0i64, 0i64, 0i64, 0i64, 0i64);
         for r in -1..=1i32 {
             for c in -1..=1i32 {
@@ -312,7 +312,7 @@ impl MomentGrid {
         }
         let own = self.cell(column, row);
         let mut line =
-            Remembered { version: self.version, cell: number(column, row), ..Remembered::default() };
+            CachedLine { version: self.version, cell: number(column, row), ..CachedLine::default() };
         if n < i64::from(LINE_POINTS_MIN) || own.count == 0 {
             return line;
         }
@@ -362,10 +362,10 @@ fn index(column: i32, row: i32) -> (usize, usize) {
     (block as usize, (row % BLOCK.1 * BLOCK.0 + column % BLOCK.0) as usize)
 }
 
-/// Where the line of a cell is remembered.
+/// Where the line of a cell is cached.
 #[inline]
 fn slot(column: i32, row: i32) -> usize {
-    ((row & (REMEMBERED.1 - 1)) * REMEMBERED.0 + (column & (REMEMBERED.0 - 1))) as usize
+    ((row & (CACHED.1 - 1)) * CACHED.0 + (column & (CACHED.0 - 1))) as usize
 }
 
 /// The number of a cell of the torus.
@@ -433,7 +433,7 @@ mod tests {
     #[test]
     fn cells_that_share_a_place_for_lines_do_not_take_each_others() {
         let mut grid = MomentGrid::default();
-        let apart_m = f64::from(REMEMBERED.0) * MomentGrid::CELL_M;
+        let apart_m = f64::from(CACHED.0) * MomentGrid::CELL_M;
         let turned = Placement::new(apart_m, 0.0, 0.3);
         grid.add(&Placement::IDENTITY, &wall());
         grid.add(&turned, &wall());

@@ -34,7 +34,7 @@ impl DiagnosticStatus {
     pub const WARN: u8 = 1;
     /// It does not work.
     pub const ERROR: u8 = 2;
-    /// Nothing was heard of it for too long.
+    /// Nothing came of it for too long.
     pub const STALE: u8 = 3;
 }
 

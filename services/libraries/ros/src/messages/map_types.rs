@@ -53,7 +53,7 @@ message! {
 pub struct Particle {
     /// Where the robot may be.
     pub pose: Pose,
-    /// Its share of all that is believed.
+    /// Its weight in the belief.
     pub weight: f64,
 }
 

@@ -5,7 +5,7 @@ use flockslam_geometry::{Point, Pose};
 use flockslam_messages::ScanBuffer;
 
 /// A lidar without errors in an office in which everything happens.
-fn lively() -> Settings {
+fn with_movers() -> Settings {
     Settings {
         duration_s: 120.0,
         errors: Some(Errors::without_lidar()),
@@ -37,7 +37,7 @@ fn drive(settings: &Settings) -> Vec<Seen> {
 
 #[test]
 fn beams_on_the_world_and_on_people_are_labelled_so_and_those_without_return_too() {
-    let seen = drive(&lively());
+    let seen = drive(&with_movers());
     let World::FloorPlan(plan) = World::floor_plan() else { unreachable!() };
     let mut counts = [0u32; 4];
     for pair in seen.windows(2) {
@@ -80,7 +80,7 @@ fn off_bodies_m(movers: &[MoverTruth], seconds: f64, end: Point) -> f64 {
 
 #[test]
 fn people_walk_at_speeds_of_their_own_and_make_way_for_the_robot() {
-    let seen = drive(&lively());
+    let seen = drive(&with_movers());
     assert!(seen.iter().all(|seen| seen.movers.len() == 9));
     let speeds = |id: usize| seen.iter().map(move |seen| seen.movers[id].velocity_m_s.norm_m());
     // Half of the time that somebody walks, which is most of it, they walk at a speed of their own.
@@ -120,16 +120,16 @@ fn doors_and_pallets_come_and_go() {
 
 /// No person walks.
 fn still() -> Settings {
-    Settings { walkers: 0, follower: false, doors: 0, pallets: 0, ..lively() }
+    Settings { walkers: 0, follower: false, doors: 0, pallets: 0, ..with_movers() }
 }
 
 #[test]
 fn whoever_walks_hides_the_world_and_changes_nothing_else() {
-    let (alone, lively) = (drive(&still()), drive(&lively()));
-    for (alone, lively) in alone.iter().zip(&lively) {
-        assert_eq!(alone.truth, lively.truth);
-        for (beam, label) in lively.labels.iter().enumerate() {
-            let (free, seen) = (alone.scan.numbers[beam], lively.scan.numbers[beam]);
+    let (alone, with_movers) = (drive(&still()), drive(&with_movers()));
+    for (alone, with_movers) in alone.iter().zip(&with_movers) {
+        assert_eq!(alone.truth, with_movers.truth);
+        for (beam, label) in with_movers.labels.iter().enumerate() {
+            let (free, seen) = (alone.scan.numbers[beam], with_movers.scan.numbers[beam]);
             match label {
                 BeamLabel::Static => assert_eq!(free, seen),
                 BeamLabel::MotionState | BeamLabel::Changed => assert!(seen < free),

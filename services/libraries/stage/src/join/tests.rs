@@ -108,8 +108,8 @@ fn what_is_finished_is_released_and_acknowledged_and_comes_too_late_afterwards()
     assert_eq!(bench.progress.receive().unwrap().map(|progress| progress.done), Some(16));
     bench.send_verdict(4);
     assert_eq!(bench.wait_for_verdict(4), Waited::NotYet, "its scan is finished");
-    // A process that does not speak for its stage acknowledges nothing.
-    bench.join.speak(false);
+    // A process that is not active acknowledges nothing.
+    bench.join.set_acknowledges(false);
     bench.join.finished(32).unwrap();
     assert!(bench.progress.receive().unwrap().is_none());
 }

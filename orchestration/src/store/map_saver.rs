@@ -9,7 +9,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 /// Saves the map of a running set again and again. A thread of its own does it: a disk that is slow, full or gone holds nobody up.
-pub struct MapKeeper {
+pub struct MapSaver {
     orders: Sender<Sender<()>>,
     state: Arc<Mutex<State>>,
     directory: PathBuf,
@@ -22,7 +22,7 @@ struct State {
     problem: Option<String>,
 }
 
-impl MapKeeper {
+impl MapSaver {
     /// Starts saving with this period; `directory` is where, for people.
     ///
     /// # Errors
@@ -32,7 +32,7 @@ impl MapKeeper {
         let state = Arc::new(Mutex::new(State::default()));
         let shared = Arc::clone(&state);
         let save = move || keep(mirror, &shared, &received, period);
-        thread::Builder::new().name("keeper".to_owned()).spawn(save)?;
+        thread::Builder::new().name("saver".to_owned()).spawn(save)?;
         Ok(Self { orders, state, directory })
     }
 
@@ -50,7 +50,7 @@ impl MapKeeper {
 
     /// How it went so far.
     pub fn status(&self) -> SaveStatus {
-        let state = self.state.lock().expect("the keeper does not panic");
+        let state = self.state.lock().expect("the saver does not panic");
         SaveStatus {
             directory: self.directory.display().to_string(),
             durable: state.problem.is_none() && state.saved.is_some(),

@@ -12,7 +12,7 @@ pub fn cut_at(k: usize, scans: usize) -> (usize, usize) {
 }
 
 /// The log without the scans between the first, whose place the second takes, while odometry notices nothing.
-pub fn carried(log: &Path, (first, second): (usize, usize)) -> String {
+pub fn kidnapped(log: &Path, (first, second): (usize, usize)) -> String {
     let text = String::from_utf8_lossy(&std::fs::read(log).unwrap()).into_owned();
     let scans: Vec<&str> = text.lines().filter(|line| line.starts_with("FLASER ")).collect();
     let (before, after) = (odometry(scans[first - 1]), odometry(scans[second]));

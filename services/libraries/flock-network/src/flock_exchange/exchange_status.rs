@@ -1,6 +1,6 @@
 //! The state of the flock as others see it: the status file and the metrics.
 
-use super::{Talk, kept};
+use super::{FlockExchange, kept};
 use crate::link::hexadecimal;
 use crate::thread_state::locked;
 use flockslam_geometry::Pose;
@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 /// What others can see is brought up to date this often.
 const PERIOD: Duration = Duration::from_millis(250);
 
-impl Talk {
+impl FlockExchange {
     pub(super) fn show(&mut self) {
         if self.shown.is_some_and(|at| at.elapsed() < PERIOD) {
             return;
@@ -50,7 +50,7 @@ impl Talk {
                 [x_m, y_m, heading_rad]
             }),
             searches: flock.searches(),
-            heard_bytes: traffic.values().map(|(heard, _)| heard).sum(),
+            heard_bytes: traffic.values().map(|(received, _)| received).sum(),
             said_bytes: traffic.values().map(|(_, said)| said).sum(),
             traffic,
             across: self.common.across,

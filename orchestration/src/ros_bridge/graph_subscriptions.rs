@@ -1,8 +1,8 @@
-//! What the bridge hears of the graph: topics and calls, put into one bounded queue.
+//! What the bridge receives from the graph: topics and calls, put into one bounded queue.
 
 use super::bridge_parameters::BridgeParameters;
 use super::lifecycle::NodeState;
-use super::transform_sieve::TransformSieve;
+use super::transform_filter::TransformFilter;
 use flockslam_ros::messages::{
     ChangeState, Clock, GetAvailableStates, GetAvailableStatesResponse, GetAvailableTransitions,
     GetAvailableTransitionsResponse, GetState, Imu, LaserScan, Odometry, PoseWithCovariance,
@@ -15,7 +15,7 @@ use std::sync::mpsc::SyncSender;
 use std::time::Instant;
 
 /// What the graph says.
-pub enum Heard {
+pub enum GraphInput {
     /// A scan, the topic that it came on, and when it came.
     Scan(Arc<str>, Box<LaserScan>, Instant),
     /// Transforms; whether they hold at all times.
@@ -36,81 +36,89 @@ pub enum Heard {
     GetTransitions(Call<GetAvailableTransitions>),
 }
 
-/// Hands on what is heard.
-pub struct Ear {
-    heard: SyncSender<Heard>,
+/// Hands on what is received.
+pub struct InputSender {
+    inputs: SyncSender<GraphInput>,
     dropped: Arc<AtomicU64>,
 }
 
-impl Ear {
-    /// An ear that puts what it hears into `heard`; what does not fit is counted in `dropped`.
-    pub fn new(heard: SyncSender<Heard>, dropped: Arc<AtomicU64>) -> Self {
-        Self { heard, dropped }
+impl InputSender {
+    /// A sender that puts what is received into `inputs`; what does not fit is counted in `dropped`.
+    pub fn new(inputs: SyncSender<GraphInput>, dropped: Arc<AtomicU64>) -> Self {
+        Self { inputs, dropped }
     }
 
-    fn put(&self) -> impl Fn(Heard) + Send + 'static {
-        let (heard, dropped) = (self.heard.clone(), Arc::clone(&self.dropped));
+    fn put(&self) -> impl Fn(GraphInput) + Send + 'static {
+        let (inputs, dropped) = (self.inputs.clone(), Arc::clone(&self.dropped));
         move |what| {
-            if heard.try_send(what).is_err() {
+            if inputs.try_send(what).is_err() {
                 dropped.fetch_add(1, Ordering::Relaxed);
             }
         }
     }
 }
 
-/// Hears everything that the bridge wants to hear.
+/// Subscribes to everything that the bridge needs.
 ///
 /// # Errors
 /// When DDS refuses.
-pub fn listen(node: &mut Node, parameters: &BridgeParameters, ear: &Ear) -> Result<(), RosError> {
+pub fn subscribe(
+    node: &mut Node,
+    parameters: &BridgeParameters,
+    sender: &InputSender,
+) -> Result<(), RosError> {
     let sensor = |depth| QualityOfService::Sensor { depth };
     for topic in &parameters.scan_topics {
-        let (put, name) = (ear.put(), Arc::<str>::from(topic.as_str()));
+        let (put, name) = (sender.put(), Arc::<str>::from(topic.as_str()));
         node.subscribe(topic, sensor(10), move |scan| {
-            put(Heard::Scan(Arc::clone(&name), Box::new(scan), Instant::now()));
+            put(GraphInput::Scan(Arc::clone(&name), Box::new(scan), Instant::now()));
         })?;
     }
-    let (put, mut sieve) = (ear.put(), TransformSieve::of_moving());
+    let (put, mut filter) = (sender.put(), TransformFilter::of_moving());
     node.subscribe("/tf", QualityOfService::Reliable { depth: 100 }, move |message| {
-        if let Some(message) = sieve.sift(message) {
-            put(Heard::Transforms(message, false));
+        if let Some(message) = filter.filter(message) {
+            put(GraphInput::Transforms(message, false));
         }
     })?;
-    let (put, mut sieve) = (ear.put(), TransformSieve::of_static());
+    let (put, mut filter) = (sender.put(), TransformFilter::of_static());
     node.subscribe("/tf_static", QualityOfService::Latched { depth: 100 }, move |message| {
-        if let Some(message) = sieve.sift(message) {
-            put(Heard::Transforms(message, true));
+        if let Some(message) = filter.filter(message) {
+            put(GraphInput::Transforms(message, true));
         }
     })?;
     if !parameters.odom_topic.is_empty() {
-        let put = ear.put();
+        let put = sender.put();
         node.subscribe(&parameters.odom_topic, sensor(50), move |message| {
-            put(Heard::Odometry(Box::new(message)))
+            put(GraphInput::Odometry(Box::new(message)))
         })?;
     }
     if !parameters.imu_topic.is_empty() {
-        let put = ear.put();
-        node.subscribe(&parameters.imu_topic, sensor(50), move |message| put(Heard::Imu(Box::new(message))))?;
+        let put = sender.put();
+        node.subscribe(&parameters.imu_topic, sensor(50), move |message| {
+            put(GraphInput::Imu(Box::new(message)))
+        })?;
     }
     if parameters.use_sim_time {
-        let put = ear.put();
-        node.subscribe("/clock", sensor(10), move |message: Clock| put(Heard::Clock(message.clock.ns())))?;
+        let put = sender.put();
+        node.subscribe("/clock", sensor(10), move |message: Clock| {
+            put(GraphInput::Clock(message.clock.ns()))
+        })?;
     }
-    let put = ear.put();
+    let put = sender.put();
     node.subscribe(
         "/initialpose",
         QualityOfService::Reliable { depth: 10 },
         move |message: PoseWithCovarianceStamped| {
-            put(Heard::InitialPose(Box::new(message.pose)));
+            put(GraphInput::InitialPose(Box::new(message.pose)));
         },
     )?;
-    let put = ear.put();
-    node.serve::<ChangeState>("~/change_state", move |call| put(Heard::ChangeState(call)))?;
-    let put = ear.put();
-    node.serve::<GetState>("~/get_state", move |call| put(Heard::GetState(call)))?;
-    let put = ear.put();
+    let put = sender.put();
+    node.serve::<ChangeState>("~/change_state", move |call| put(GraphInput::ChangeState(call)))?;
+    let put = sender.put();
+    node.serve::<GetState>("~/get_state", move |call| put(GraphInput::GetState(call)))?;
+    let put = sender.put();
     node.serve::<GetAvailableTransitions>("~/get_available_transitions", move |call| {
-        put(Heard::GetTransitions(call));
+        put(GraphInput::GetTransitions(call));
     })?;
     node.serve::<GetAvailableTransitions>("~/get_transition_graph", |call| {
         call.answer.send(GetAvailableTransitionsResponse { available_transitions: NodeState::graph() });

@@ -5,12 +5,12 @@ use crate::supervisor::{ControlSocket, ProcessSet, Reply, Request, SideProcess, 
 
 /// Who looks at a live run from outside: its page, and who asks how it is.
 #[derive(Default)]
-pub struct Attendants {
+pub struct RunServices {
     page: Option<SideProcess>,
     control: Option<ControlSocket>,
 }
 
-impl Attendants {
+impl RunServices {
     /// Opens the control socket and starts the page.
     pub fn start(set: &ProcessSet) -> Result<Self, CommandError> {
         let control = ControlSocket::open(&set.runtime().control_socket()).map_err(CommandError::failed)?;

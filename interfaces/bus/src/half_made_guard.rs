@@ -19,15 +19,15 @@ pub fn half_made_publishers() -> u64 {
     HALF_MADE.load(Ordering::Relaxed)
 }
 
-/// Bears with publishers whose process was killed while it made them: there is nothing to receive until they are cleaned up.
+/// Tolerates publishers whose process was killed while it made them: there is nothing to receive until they are cleaned up.
 #[derive(Debug, Default)]
-pub struct Patience {
+pub struct HalfMadeGuard {
     since: Cell<Option<Instant>>,
 }
 
-impl Patience {
+impl HalfMadeGuard {
     /// The received message; none while a publisher is half made.
-    pub fn bear<S>(
+    pub fn pass<S>(
         &self,
         topic: &'static str,
         received: Result<Option<S>, ReceiveError>,
@@ -59,14 +59,14 @@ mod tests {
 
     #[test]
     fn a_half_made_publisher_is_nothing_there_for_a_while_and_counted_once() {
-        let (patience, before) = (Patience::default(), half_made_publishers());
+        let (guard, before) = (HalfMadeGuard::default(), half_made_publishers());
         for _ in 0..3 {
-            assert!(patience.met("scan", "half made").is_ok());
+            assert!(guard.met("scan", "half made").is_ok());
         }
         assert_eq!(half_made_publishers() - before, 1);
-        assert!(matches!(patience.bear("scan", Ok(Some(()))), Ok(Some(()))));
-        patience.since.set(Instant::now().checked_sub(2 * LIMIT));
-        assert!(patience.met("scan", "half made").is_err());
-        assert!(patience.bear::<()>("scan", Err(ReceiveError::ExceedsMaxBorrows)).is_err());
+        assert!(matches!(guard.pass("scan", Ok(Some(()))), Ok(Some(()))));
+        guard.since.set(Instant::now().checked_sub(2 * LIMIT));
+        assert!(guard.met("scan", "half made").is_err());
+        assert!(guard.pass::<()>("scan", Err(ReceiveError::ExceedsMaxBorrows)).is_err());
     }
 }

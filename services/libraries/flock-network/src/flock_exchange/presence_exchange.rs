@@ -1,6 +1,6 @@
 //! Presences: takes in where neighbours say that they are, and tells them where this robot is.
 
-use super::Talk;
+use super::FlockExchange;
 use crate::drops::Dropped;
 use crate::link::address;
 use crate::thread_state::locked;
@@ -15,21 +15,21 @@ const BODY_RADIUS_M: f64 = 0.35;
 /// The robot's pose is sent to neighbours this often.
 const PERIOD: Duration = Duration::from_secs(1);
 
-impl Talk {
+impl FlockExchange {
     /// Takes note of where a neighbour says that it is. Nobody says so for another.
     pub(super) fn meet(&mut self, presence: Presence, sender: &str) {
         if address(&presence.robot) != sender {
             return self.drops.count(Dropped::Malformed, 1);
         }
-        if self.companions.hear(presence, monotonic_ns(), &self.common) {
-            self.show_companions();
+        if self.robot_poses.insert(presence, monotonic_ns(), &self.common) {
+            self.show_robot_poses();
         }
     }
 
-    pub(super) fn show_companions(&self) {
+    pub(super) fn show_robot_poses(&self) {
         let Some(frame) = *locked(&self.shared.frame) else { return };
         *locked(&self.shared.robots) =
-            self.companions.in_map(&self.common, frame.flock_from_map, BODY_RADIUS_M);
+            self.robot_poses.in_map(&self.common, frame.flock_from_map, BODY_RADIUS_M);
     }
 
     /// Tells those who are near where this robot is, when it is somewhere else than before and knows where.
@@ -48,7 +48,7 @@ impl Talk {
         let here = self.publisher.flock().here(id.sequence, submap, odom_from_base);
         for (peer, neighbour) in &mut self.near {
             if neighbour.budget.left(now) > 0 {
-                neighbour.budget.spend(link.say_to(peer, &here));
+                neighbour.budget.spend(link.send_to(peer, &here));
             }
         }
     }

@@ -8,30 +8,30 @@ use std::collections::BTreeMap;
 
 /// Where the other robots of the common map say that they are.
 #[derive(Debug, Default)]
-pub struct Companions {
-    /// The newest of each, and CLOCK_MONOTONIC of when it was heard, nanoseconds.
-    heard: BTreeMap<RobotId, (Presence, u64)>,
+pub struct RobotPoses {
+    /// The newest of each, and CLOCK_MONOTONIC of when it was received, nanoseconds.
+    newest: BTreeMap<RobotId, (Presence, u64)>,
 }
 
-impl Companions {
-    /// Takes in what a robot says of itself; false when that is not used: it is not newer than what was heard of it, or nobody knows how
+impl RobotPoses {
+    /// Takes in what a robot says of itself; false when that is not used: it is not newer than the last, or nobody knows how
     /// its map lies.
-    pub fn hear(&mut self, presence: Presence, heard_ns: u64, common: &Common) -> bool {
-        self.heard.retain(|_, (known, _)| common.place_of(known).is_some());
-        let known = self.heard.get(&presence.robot);
+    pub fn insert(&mut self, presence: Presence, heard_ns: u64, common: &Common) -> bool {
+        self.newest.retain(|_, (known, _)| common.place_of(known).is_some());
+        let known = self.newest.get(&presence.robot);
         let is_new = known.is_none_or(|(known, _)| presence.is_newer_than(known));
-        let has_room = known.is_some() || self.heard.len() < FLOCK_ROBOTS_MAX;
+        let has_room = known.is_some() || self.newest.len() < FLOCK_ROBOTS_MAX;
         if !is_new || !has_room || common.place_of(&presence).is_none() {
             return false;
         }
-        self.heard.insert(presence.robot.clone(), (presence, heard_ns));
+        self.newest.insert(presence.robot.clone(), (presence, heard_ns));
         true
     }
 
     /// Where they are in this robot's map, given how that lies in the flock's. `radius_m` is that of a body.
     pub fn in_map(&self, common: &Common, flock_from_map: Pose, radius_m: f64) -> FlockRobots {
         let mut robots = FlockRobots::default();
-        let places = self.heard.values().filter_map(|(presence, heard_ns)| {
+        let places = self.newest.values().filter_map(|(presence, heard_ns)| {
             let map_from_base =
                 flock_from_map.inverse() * common.place_of(presence)? * presence.odom_from_base;
             let mut name = [0; 32];
@@ -54,26 +54,24 @@ mod tests {
 
     #[test]
     fn who_is_in_the_common_map_is_where_it_says_and_nothing_old_counts() {
-        let [a, b, stranger] = ["a", "b", "stranger"].map(|name| RobotKey::of_replay(name).unwrap());
+        let [a, b, outsider] = ["a", "b", "outsider"].map(|name| RobotKey::of_replay(name).unwrap());
         let pose = |x: f64| Pose::new(x, 0.0, 0.0);
         let common =
             Common::with_submaps(a.id(), [((b.id().clone(), 1), vec![(0, pose(10.0)), (3, pose(20.0))])]);
         let says = |key: &RobotKey, sequence, submap| Presence::sign(key, 1, sequence, submap, pose(1.0));
-        let mut companions = Companions::default();
-        assert!(!companions.hear(says(&stranger, 5, 0), 7, &common));
-        assert!(companions.hear(says(&b, 5, 4), 7, &common));
-        assert!(!companions.hear(says(&b, 5, 4), 8, &common) && !companions.hear(says(&b, 4, 4), 8, &common));
-        let published = companions.in_map(&common, pose(100.0), 0.4);
+        let mut poses = RobotPoses::default();
+        assert!(!poses.insert(says(&outsider, 5, 0), 7, &common));
+        assert!(poses.insert(says(&b, 5, 4), 7, &common));
+        assert!(!poses.insert(says(&b, 5, 4), 8, &common) && !poses.insert(says(&b, 4, 4), 8, &common));
+        let published = poses.in_map(&common, pose(100.0), 0.4);
         let [robot] = published.as_slice() else { panic!("{published:?}") };
         assert_eq!((robot.name(), robot.heard_ns, robot.radius_m), ("b", 7, 0.4));
         assert!((robot.map_from_base.x_m + 79.0).abs() < 1e-9, "{robot:?}");
         // The submap that it is in is not known yet: the one before it tells best.
-        assert!(companions.hear(says(&b, 6, 2), 9, &common));
-        assert!(
-            (companions.in_map(&common, pose(100.0), 0.4).robots[0].map_from_base.x_m + 89.0).abs() < 1e-9
-        );
+        assert!(poses.insert(says(&b, 6, 2), 9, &common));
+        assert!((poses.in_map(&common, pose(100.0), 0.4).robots[0].map_from_base.x_m + 89.0).abs() < 1e-9);
         // Who is no part of it any more is nowhere.
         let apart = Common::with_submaps(a.id(), []);
-        assert_eq!(companions.in_map(&apart, pose(0.0), 0.4).count, 0);
+        assert_eq!(poses.in_map(&apart, pose(0.0), 0.4).count, 0);
     }
 }

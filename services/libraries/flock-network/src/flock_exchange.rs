@@ -1,14 +1,14 @@
-//! The conversation of the flock: takes what comes over the network, answers, tells what is new, and works out the common map in between.
+//! The exchange of records with the flock: takes what comes over the network, answers, publishes what is new, and works out the common map in between.
 
 use super::common::Common;
-use super::companions::Companions;
 use super::drops::{Dropped, Drops};
-use super::link::{Heard, Link, Traffic, address, hexadecimal};
+use super::link::{Link, ReceivedMessage, Traffic, address, hexadecimal};
 use super::metrics::FlockMetrics;
 use super::pace::{Budget, Pace};
 use super::proximity::Proximity;
 use super::record_publisher::RecordPublisher;
 use super::relay::Relay;
+use super::robot_poses::RobotPoses;
 use super::thread_state::{Shared, Task, locked};
 use crate::settings::FlockSettings;
 use flockslam_flock::Flock;
@@ -21,8 +21,8 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
-mod talk_status;
-mod whereabouts;
+mod exchange_status;
+mod presence_exchange;
 
 /// How long the thread sleeps when nothing happens.
 const PAUSE: Duration = Duration::from_millis(50);
@@ -47,8 +47,8 @@ const SEARCH_PACE: (Duration, u32) = (Duration::from_millis(200), 1);
 const SOLUTION_PACE: (Duration, u32) = (Duration::from_secs(1), 3);
 /// A network that cannot be opened is tried again after this.
 const OPEN_PERIOD: Duration = Duration::from_secs(3);
-/// What a robot says before it leaves is heard within this.
-const HEARD_WITHIN: Duration = Duration::from_millis(500);
+/// What a robot sends before it leaves is received within this.
+const FLUSH_TIME: Duration = Duration::from_millis(500);
 
 /// A robot that is near.
 struct Neighbour {
@@ -60,7 +60,7 @@ struct Neighbour {
 }
 
 /// What the thread of the flock knows.
-pub struct Talk {
+pub struct FlockExchange {
     settings: FlockSettings,
     publisher: RecordPublisher,
     link: Option<Link>,
@@ -83,7 +83,7 @@ pub struct Talk {
     /// Where this robot's submaps lie in its own map.
     map_from_odom: Vec<(u32, Pose)>,
     shared: Arc<Shared>,
-    companions: Companions,
+    robot_poses: RobotPoses,
     /// When the robot's pose was sent to neighbours last, and the scan of that.
     was_here: Option<(Instant, u64)>,
     status_dir: PathBuf,
@@ -92,8 +92,8 @@ pub struct Talk {
     ending: Option<(Sender<()>, Instant)>,
 }
 
-impl Talk {
-    /// A talk that has not begun.
+impl FlockExchange {
+    /// An exchange that has not begun.
     pub fn new(
         settings: &FlockSettings,
         publisher: RecordPublisher,
@@ -122,7 +122,7 @@ impl Talk {
             revision: 0,
             map_from_odom: Vec::new(),
             shared,
-            companions: Companions::default(),
+            robot_poses: RobotPoses::default(),
             was_here: None,
             status_dir,
             metrics,
@@ -145,7 +145,7 @@ impl Talk {
             }
             self.open();
             self.look_around();
-            self.hear();
+            self.receive();
             self.search();
             self.conclude();
             self.announce_to_neighbours();
@@ -211,24 +211,24 @@ impl Talk {
         }
     }
 
-    fn hear(&mut self) {
+    fn receive(&mut self) {
         self.relay.look(Instant::now(), self.publisher.flock().collection());
-        while let Some(heard) = self.link.as_ref().and_then(Link::next) {
-            self.answer(&heard);
+        while let Some(received) = self.link.as_ref().and_then(Link::next) {
+            self.answer(&received);
         }
     }
 
-    fn answer(&mut self, heard: &Heard) {
-        let message = match Message::decode(&heard.bytes) {
+    fn answer(&mut self, received: &ReceivedMessage) {
+        let message = match Message::decode(&received.bytes) {
             Ok(message) => message,
             Err(RecordError::Version(_)) => return self.drops.count(Dropped::Version, 1),
             Err(_) => return self.drops.count(Dropped::Malformed, 1),
         };
-        let Some(neighbour) = self.near.get_mut(&heard.sender) else {
+        let Some(neighbour) = self.near.get_mut(&received.sender) else {
             return self.drops.count(Dropped::NotNear, 1);
         };
         if let Message::Here(presence) = message {
-            return self.meet(presence, &heard.sender);
+            return self.meet(presence, &received.sender);
         }
         let now = Instant::now();
         let asks = !matches!(message, Message::Records(_));
@@ -245,12 +245,12 @@ impl Talk {
         }
         let message = match message {
             Message::Have(theirs) => {
-                let near = self.near.keys().filter(|peer| **peer != heard.sender);
-                Message::Have(self.relay.patient(theirs, self.publisher.flock().collection(), near))
+                let near = self.near.keys().filter(|peer| **peer != received.sender);
+                Message::Have(self.relay.held_back(theirs, self.publisher.flock().collection(), near))
             }
             other => other,
         };
-        let neighbour = self.near.get_mut(&heard.sender).expect("it was there");
+        let neighbour = self.near.get_mut(&received.sender).expect("it was there");
         let answers = match self.publisher.answer(&message, budget, &self.drops) {
             Ok(answers) => answers,
             Err(error) => return kept(Err(error)),
@@ -260,7 +260,7 @@ impl Talk {
         }
         let Some(link) = &self.link else { return };
         for answer in &answers {
-            neighbour.budget.spend(link.say_to(&heard.sender, answer));
+            neighbour.budget.spend(link.send_to(&received.sender, answer));
         }
     }
 
@@ -300,7 +300,7 @@ impl Talk {
     fn place(&self) {
         let frame = self.common.frame(&self.map_from_odom, self.revision);
         *locked(&self.shared.frame) = frame;
-        self.show_companions();
+        self.show_robot_poses();
     }
 
     fn announce_to_neighbours(&mut self) {
@@ -323,24 +323,24 @@ impl Talk {
                 continue;
             }
             let have = have.get_or_insert_with(|| self.publisher.flock().have());
-            neighbour.budget.spend(link.say_to(peer, have));
+            neighbour.budget.spend(link.send_to(peer, have));
         }
     }
 
     /// After the end of the source: waits for the others, but not for ever.
     fn end(&mut self) {
         let Some((_, since)) = &self.ending else { return };
-        let over = since.elapsed().as_secs_f64() > self.settings.farewell_s;
+        let over = since.elapsed().as_secs_f64() > self.settings.wait_max_s;
         let known = self.known();
         let quiet = known == self.searched && (self.is_alone() || known == self.common.of_records);
-        let mut agreed = quiet && self.settings.companions == 0 && self.near.is_empty();
+        let mut agreed = quiet && self.settings.wait_for_robots == 0 && self.near.is_empty();
         if let (Some(link), true) = (&mut self.link, quiet) {
             let hash = hexadecimal(&known[..16]);
-            let was_heard = link.announce_end(&hash) >= HEARD_WITHIN;
+            let was_sent = link.announce_end(&hash) >= FLUSH_TIME;
             let mut ended = link.ended_with(&hash);
             ended.remove(&address(self.publisher.flock().robot()));
             let all_ended = self.near.keys().all(|peer| ended.contains(peer));
-            agreed |= was_heard && all_ended && ended.len() >= self.settings.companions;
+            agreed |= was_sent && all_ended && ended.len() >= self.settings.wait_for_robots;
         }
         // Nobody will come to a robot without a network.
         agreed |= self.link.is_none() && self.problem.is_some();

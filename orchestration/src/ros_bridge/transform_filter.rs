@@ -10,12 +10,12 @@ const FRAMES_MAX: usize = 1024;
 
 /// Knows of each frame when it was let through last.
 #[derive(Debug)]
-pub struct TransformSieve {
+pub struct TransformFilter {
     spacing_ns: u64,
     passed_ns: HashMap<String, i64>,
 }
 
-impl TransformSieve {
+impl TransformFilter {
     /// Of transforms that hold at a time.
     pub fn of_moving() -> Self {
         Self { spacing_ns: SPACING_NS, passed_ns: HashMap::new() }
@@ -27,7 +27,7 @@ impl TransformSieve {
     }
 
     /// The part of a message that is needed; `None` for none of it.
-    pub fn sift(&mut self, mut message: TFMessage) -> Option<TFMessage> {
+    pub fn filter(&mut self, mut message: TFMessage) -> Option<TFMessage> {
         message.transforms.retain(|transform| {
             let stamp_ns = transform.header.stamp.ns();
             match self.passed_ns.get_mut(&transform.child_frame_id) {
@@ -65,9 +65,10 @@ mod tests {
 
     #[test]
     fn a_frame_that_says_too_much_is_thinned_out_and_others_are_not() {
-        let mut sieve = TransformSieve::of_moving();
+        let mut filter = TransformFilter::of_moving();
         let mut passed = |stamp_us: i64, frames: &[&str]| {
-            let found = sieve.sift(message(stamp_us, frames)).map_or_else(Vec::new, |found| found.transforms);
+            let found =
+                filter.filter(message(stamp_us, frames)).map_or_else(Vec::new, |found| found.transforms);
             found.into_iter().map(|transform| transform.child_frame_id).collect::<Vec<_>>()
         };
         assert_eq!(passed(0, &["base", "wheel"]), ["base", "wheel"]);
@@ -80,11 +81,11 @@ mod tests {
 
     #[test]
     fn frames_without_end_take_no_memory_without_end() {
-        let mut sieve = TransformSieve::of_static();
+        let mut filter = TransformFilter::of_static();
         for number in 0..2 * FRAMES_MAX {
             let name = format!("frame{number}");
-            assert_eq!(sieve.sift(message(0, &[name.as_str()])).is_some(), number < FRAMES_MAX);
+            assert_eq!(filter.filter(message(0, &[name.as_str()])).is_some(), number < FRAMES_MAX);
         }
-        assert!(sieve.sift(message(0, &["frame0"])).is_some());
+        assert!(filter.filter(message(0, &["frame0"])).is_some());
     }
 }

@@ -20,9 +20,9 @@ const CONTRADICTED: (f64, f64) = (0.4, 0.1);
 const CONTRADICTED_ALONE: f64 = 0.8;
 /// So many scans in a row that fit badly and contradict the last explained one by these shares at the predicted pose, and by this sum wherever
 /// else the robot may be, show the same. No three in a row did in three logs.
-const DOUBTS: u32 = 3;
-const DOUBTED: (f64, f64) = (0.2, 0.03);
-const DOUBTED_ELSEWHERE: f64 = 0.15;
+const CONTRADICTIONS_IN_A_ROW: u32 = 3;
+const PARTLY_CONTRADICTED: (f64, f64) = (0.2, 0.03);
+const CONTRADICTED_AROUND: f64 = 0.15;
 /// Once a view is unexplained, a later one is too with these shares.
 const STILL_CONTRADICTED: (f64, f64) = (0.25, 0.08);
 /// A kick, or wheels that jump, leave a robot no farther than this from where odometry has it, or from where it was, metres and radians.
@@ -42,13 +42,13 @@ struct View {
 
 /// The last scan that the robot's way explains, and the present one.
 #[derive(Debug, Default)]
-pub(super) struct Carried {
+pub(super) struct KidnapDetector {
     explained: View,
     present: View,
     /// Scans in a row that the way does not explain.
     unexplained: u32,
     /// Scans in a row that contradict it a little.
-    doubted: u32,
+    contradicted: u32,
 }
 
 /// How far two views contradict each other: the shares of their points in the other's free space, both together and the lesser.
@@ -64,7 +64,7 @@ struct Outline {
     nearest_m: [f64; SECTORS],
 }
 
-impl Carried {
+impl KidnapDetector {
     /// Takes the points of a scan in, before any is set aside.
     pub(super) fn sees(&mut self, scan: ScanView<'_>, points: &ScanPoints) {
         self.present.ends.clone_from(&points.ends);
@@ -83,18 +83,18 @@ impl Carried {
         }
         let outlines = [&self.explained, &self.present].map(Outline::new);
         let found = |place: Pose| self.contradiction(&outlines, before.inverse() * place);
-        let (found_there, found_elsewhere) =
+        let (found_there, found_around) =
             (found(predicted), [Some(before), fit].map(|place| place.and_then(found)));
-        let judged = found_there.iter().chain(found_elsewhere.iter().flatten());
+        let judged = found_there.iter().chain(found_around.iter().flatten());
         if judged.clone().next().is_none() {
             return self.unexplained > 0;
         }
-        let is_doubted = found_there.is_some_and(|found| found.is_at_least(DOUBTED))
-            && judged.clone().all(|found| found.sum >= DOUBTED_ELSEWHERE);
-        self.doubted = if is_doubted { self.doubted + 1 } else { 0 };
+        let is_contradicted = found_there.is_some_and(|found| found.is_at_least(PARTLY_CONTRADICTED))
+            && judged.clone().all(|found| found.sum >= CONTRADICTED_AROUND);
+        self.contradicted = if is_contradicted { self.contradicted + 1 } else { 0 };
         let limit = if self.unexplained > 0 { STILL_CONTRADICTED } else { CONTRADICTED };
         let is_plain = |found: &Contradiction| found.is_at_least(limit) || found.sum >= CONTRADICTED_ALONE;
-        let is_unexplained = judged.clone().all(is_plain) || self.doubted >= DOUBTS;
+        let is_unexplained = judged.clone().all(is_plain) || self.contradicted >= CONTRADICTIONS_IN_A_ROW;
         self.unexplained = if is_unexplained { self.unexplained + 1 } else { 0 };
         is_unexplained
     }
@@ -103,7 +103,7 @@ impl Carried {
     pub(super) fn explains(&mut self, odom_from_base: Pose) {
         std::mem::swap(&mut self.explained, &mut self.present);
         self.explained.odom_from_base = odom_from_base;
-        (self.unexplained, self.doubted) = (0, 0);
+        (self.unexplained, self.contradicted) = (0, 0);
     }
 
     /// Whether the last scans, more than one, were not taken where the robot may have driven to.
@@ -111,10 +111,10 @@ impl Carried {
         self.unexplained > 1
     }
 
-    /// Forgets what was seen.
+    /// Drops what was seen.
     pub(super) fn clear(&mut self) {
         self.explained.ends.clear();
-        (self.unexplained, self.doubted) = (0, 0);
+        (self.unexplained, self.contradicted) = (0, 0);
     }
 
     /// How far the two views contradict each other, the present one from `before_from_now`; `None` when they show too little in common.
@@ -185,8 +185,8 @@ mod tests {
 
     fn contradict(explained: View, present: View, before_from_now: Pose) -> Option<bool> {
         let outlines = [&explained, &present].map(Outline::new);
-        let carried = Carried { explained, present, ..Carried::default() };
-        let found = carried.contradiction(&outlines, before_from_now)?;
+        let detector = KidnapDetector { explained, present, ..KidnapDetector::default() };
+        let found = detector.contradiction(&outlines, before_from_now)?;
         Some(found.is_at_least(CONTRADICTED) || found.sum >= CONTRADICTED_ALONE)
     }
 
@@ -226,10 +226,11 @@ mod tests {
 
     /// Whether four scans in a row are unexplained after one of the middle of a room.
     fn unexplained(mut present: impl FnMut() -> View) -> [bool; 4] {
-        let mut carried = Carried { explained: view(4.0, 3.0, MIDDLE, NOBODY), ..Carried::default() };
+        let mut detector =
+            KidnapDetector { explained: view(4.0, 3.0, MIDDLE, NOBODY), ..KidnapDetector::default() };
         [(); 4].map(|()| {
-            carried.present = present();
-            carried.is_unexplained(MIDDLE, MIDDLE)
+            detector.present = present();
+            detector.is_unexplained(MIDDLE, MIDDLE)
         })
     }
 

@@ -1,4 +1,4 @@
-//! The stand-in of the matcher: poses by odometry alone, for a robot whose matcher cannot be started.
+//! The fallback of the matcher: poses by odometry alone, for a robot whose matcher cannot be started.
 
 use super::last_pose;
 use super::metrics::PoseMetrics;
@@ -11,7 +11,7 @@ use flockslam_stage::{Acknowledger, Actor, JournalWriter, LeaderLock, StageConte
 ///
 /// # Errors
 /// When the bus fails.
-pub fn run_stand_in(context: &mut StageContext, settings: Settings) -> Result<(), StageError> {
+pub fn run_odometry_fallback(context: &mut StageContext, settings: Settings) -> Result<(), StageError> {
     let event = context.bus.listener(Stage::ScanMatcher.name())?;
     // Another process of the stage may still work.
     let turn = LeaderLock::ask(context)?;
@@ -23,7 +23,7 @@ pub fn run_stand_in(context: &mut StageContext, settings: Settings) -> Result<()
     let last = last_pose(context).ok().flatten();
     last.iter().for_each(|last| logic.resume(last));
     let next = last.map_or(context.first_sequence, |last| last.id.sequence + 1);
-    let mut actor = StandIn {
+    let mut actor = OdometryFallback {
         logic,
         scans: context.bus.scan_subscriber()?,
         poses: context.bus.publisher()?,
@@ -34,7 +34,7 @@ pub fn run_stand_in(context: &mut StageContext, settings: Settings) -> Result<()
     run(context, &mut actor, &event)
 }
 
-struct StandIn {
+struct OdometryFallback {
     logic: ScanMatcher,
     scans: ScanSubscriber,
     poses: Publisher<PoseEstimate>,
@@ -43,7 +43,7 @@ struct StandIn {
     metrics: PoseMetrics,
 }
 
-impl Actor for StandIn {
+impl Actor for OdometryFallback {
     fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
         let mut any = false;
         while let Some(sample) = self.scans.receive()? {

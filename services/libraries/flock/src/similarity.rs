@@ -12,11 +12,11 @@ const WHOLE: u64 = 1 << 16;
 
 /// How far away things are as seen from each node, whatever the heading: a histogram of the ranges of its points and its neighbours'.
 /// It orders the work of matching; agreement decides.
-pub struct Resemblance {
+pub struct Similarity {
     shares: Vec<[u32; BINS]>,
 }
 
-impl Resemblance {
+impl Similarity {
     /// Describes all nodes of an atlas.
     pub fn new(atlas: &Atlas) -> Self {
         let seen: Vec<[u32; BINS]> = atlas.nodes.iter().map(|node| counted(atlas, node.scan)).collect();

@@ -1,4 +1,4 @@
-//! Other explanations of a tie between two robots: looks for places in what the first robot saw where the second robot's scans fit as well.
+//! Other explanations of the relative pose of two robots: looks for places in what the first robot saw where the second robot's scans fit as well.
 
 use super::Atlas;
 use super::overlap::{Fit, Overlap};
@@ -12,7 +12,7 @@ use std::ops::Range;
 /// Of a group, those count as one place whose ends lie within this along both ways, metres.
 const PLACE_M: f64 = 15.0;
 /// Ties that a place is judged by.
-const TIES_MAX: usize = 64;
+const RELATIVES_MAX: usize = 64;
 /// What the second robot has seen so much before and after these is compared, metres of its way.
 const BESIDE_M: f64 = 3.0;
 /// What the first robot has seen so much before and after these is looked through for other explanations, metres of its way.
@@ -34,7 +34,7 @@ const SUMS_MAX: u64 = 120_000;
 
 /// Where a closure says that a node of one robot lies to one of another.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Tie {
+pub(super) struct RelativePose {
     /// The first robot's node.
     pub from: usize,
     /// The second robot's node.
@@ -43,7 +43,7 @@ pub(super) struct Tie {
     pub motion: Placement,
 }
 
-impl Tie {
+impl RelativePose {
     /// The relative pose of a closure.
     pub fn of(closure: &Closure) -> Self {
         let Edge { from, to, motion, .. } = closure.edge;
@@ -58,35 +58,35 @@ impl Tie {
 
 /// A place where closures say that two robots have both been.
 pub(super) struct Place {
-    /// The tie in its middle.
-    middle: Tie,
+    /// The relative pose in its middle.
+    middle: RelativePose,
     /// Ends of the closures around it in the second robot's way, in order, each with what takes the frame of the second's odometry to that of the
     /// first's.
-    pub ties: Vec<(usize, Placement)>,
+    pub relatives: Vec<(usize, Placement)>,
     /// Nodes of both that it is judged by.
     pub nodes: [Range<usize>; 2],
 }
 
 impl Place {
-    /// The place around one tie of a group.
-    pub fn new(atlas: &Atlas, middle: &Tie, group: &[Tie]) -> Self {
+    /// The place around one relative pose of a group.
+    pub fn new(atlas: &Atlas, middle: &RelativePose, group: &[RelativePose]) -> Self {
         let travel_m = |node: usize| atlas.nodes[node].drift_bound_m;
-        let is_near = |tie: &&Tie| {
+        let is_near = |relative: &&RelativePose| {
             let apart_m = |a: usize, b: usize| (travel_m(a) - travel_m(b)).abs();
-            apart_m(tie.from, middle.from) <= PLACE_M && apart_m(tie.to, middle.to) <= PLACE_M
+            apart_m(relative.from, middle.from) <= PLACE_M && apart_m(relative.to, middle.to) <= PLACE_M
         };
         // The first in order, so that what is found later changes little.
-        let near: Vec<&Tie> = group.iter().filter(is_near).take(TIES_MAX).collect();
-        let first_from_second = |tie: &&Tie| {
-            let (from, to) = (&atlas.nodes[tie.from], &atlas.nodes[tie.to]);
-            (tie.to, from.local_pose.compose(tie.motion).compose(to.local_pose.inverse()))
+        let near: Vec<&RelativePose> = group.iter().filter(is_near).take(RELATIVES_MAX).collect();
+        let first_from_second = |relative: &&RelativePose| {
+            let (from, to) = (&atlas.nodes[relative.from], &atlas.nodes[relative.to]);
+            (relative.to, from.local_pose.compose(relative.motion).compose(to.local_pose.inverse()))
         };
-        let mut ties: Vec<(usize, Placement)> = near.iter().map(first_from_second).collect();
-        ties.sort_by_key(|(to, _)| *to);
-        let stretch = |end: fn(&Tie) -> usize, beside_m: f64| {
+        let mut relatives: Vec<(usize, Placement)> = near.iter().map(first_from_second).collect();
+        relatives.sort_by_key(|(to, _)| *to);
+        let stretch = |end: fn(&RelativePose) -> usize, beside_m: f64| {
             let (low, high) = near
                 .iter()
-                .map(|tie| end(tie))
+                .map(|relative| end(relative))
                 .fold((usize::MAX, 0), |(low, high), node| (low.min(node), high.max(node)));
             let (low_m, high_m) = (travel_m(low) - beside_m, travel_m(high) + beside_m);
             // Drift bound jumps where a trajectory or a log ends: none is left.
@@ -94,14 +94,14 @@ impl Place {
             let end = high + atlas.nodes[high..].partition_point(|node| node.drift_bound_m <= high_m);
             start..end
         };
-        let nodes = [stretch(|tie| tie.from, AROUND_M), stretch(|tie| tie.to, BESIDE_M)];
-        Self { middle: *middle, ties, nodes }
+        let nodes = [stretch(|relative| relative.from, AROUND_M), stretch(|relative| relative.to, BESIDE_M)];
+        Self { middle: *middle, relatives, nodes }
     }
 
     /// How well what both have seen here fits together as the closures say, and where it fits next best, if anywhere.
     pub fn fits(&self, atlas: &Atlas) -> (Fit, Option<Fit>) {
         let overlap = self.overlap(atlas);
-        let other = self.elsewhere(atlas).map(|moved| overlap.fit(&moved));
+        let other = self.other_place(atlas).map(|moved| overlap.fit(&moved));
         (overlap.fit(&Placement::IDENTITY), other)
     }
 
@@ -119,12 +119,12 @@ impl Place {
     /// A node of the second robot in the frame of the first's odometry, by the nearest closure.
     fn placed(&self, atlas: &Atlas, node: usize) -> Placement {
         let nearest =
-            self.ties.iter().min_by_key(|(to, _)| to.abs_diff(node)).expect("a place has a closure");
+            self.relatives.iter().min_by_key(|(to, _)| to.abs_diff(node)).expect("a place has a closure");
         nearest.1.compose(atlas.nodes[node].local_pose)
     }
 
     /// How what lies around the middle would have to be moved to lie where else it fits best to what the first robot has seen.
-    fn elsewhere(&self, atlas: &Atlas) -> Option<Placement> {
+    fn other_place(&self, atlas: &Atlas) -> Option<Placement> {
         let query = self.middle.to;
         let at = self.placed(atlas, query);
         let mut points = Vec::new();

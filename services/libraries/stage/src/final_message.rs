@@ -5,14 +5,14 @@ use flockslam_bus::Publisher;
 use flockslam_messages::{Control, ControlKind};
 
 /// The last message of a stage on the control topic.
-pub struct LastWord {
+pub struct FinalMessage {
     control: Publisher<Control>,
     listeners: Notifiers,
     message: Control,
-    is_said: bool,
+    is_sent: bool,
 }
 
-impl LastWord {
+impl FinalMessage {
     /// Prepares the message of this run and the events that it notifies.
     ///
     /// # Errors
@@ -24,15 +24,15 @@ impl LastWord {
         listeners: Notifiers,
     ) -> Result<Self, StageError> {
         let message = Control { kind: kind as u32, run, value: 0 };
-        Ok(Self { control: context.bus.publisher()?, listeners, message, is_said: false })
+        Ok(Self { control: context.bus.publisher()?, listeners, message, is_sent: false })
     }
 
     /// Sends it for the first time.
     ///
     /// # Errors
     /// When the bus fails.
-    pub fn say(&mut self, value: u64) -> Result<(), StageError> {
-        (self.message.value, self.is_said) = (value, true);
+    pub fn send(&mut self, value: u64) -> Result<(), StageError> {
+        (self.message.value, self.is_sent) = (value, true);
         self.repeat()
     }
 
@@ -42,15 +42,15 @@ impl LastWord {
     /// When the bus fails.
     pub fn repeat(&self) -> Result<(), StageError> {
         self.control.refresh();
-        if self.is_said {
+        if self.is_sent {
             self.control.send(&self.message)?;
-            self.listeners.ring();
+            self.listeners.notify();
         }
         Ok(())
     }
 
     /// Whether it was sent.
-    pub fn is_said(&self) -> bool {
-        self.is_said
+    pub fn is_sent(&self) -> bool {
+        self.is_sent
     }
 }

@@ -4,7 +4,7 @@
 use super::Atlas;
 use super::flock_solution::Solved;
 use super::inspection::Inspected;
-use super::resemblance::Resemblance;
+use super::similarity::Similarity;
 use flockslam_loop_closure::closure::Closure;
 use flockslam_loop_closure::connectivity::TrajectoryConnectivity;
 use flockslam_loop_closure::finder::{ANYWHERE, ClosureFinder, QUERY_NODES, SIGHT_M, World, apart_m, window};
@@ -18,12 +18,12 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 const WIDE_EVERY: usize = 2;
 /// Squares that a search anywhere looks at before it gives up.
 const WIDE_SUMS_MAX: u64 = 250_000;
-/// So many queries before and after one that tied two robots together are looked for near where that says.
+/// So many queries before and after one that connected two robots are looked for near where that says.
 const NEIGHBOURS: usize = 3;
 /// What a match would have along so much of both ways before and after it is looked for, metres, each query in so many segments.
 const FOLLOWED_M: f64 = 10.0;
 const FOLLOWED_IN: usize = 2;
-/// Closures between two logs that are inliers from which it counts as known how they lie to each other. Until then rival explanations are looked for.
+/// Closures between two logs that are inliers from which it counts as known how they lie to each other. Until then alternative explanations are looked for.
 const FIRM: usize = 6;
 /// Segments kept ready for matching.
 const FIELDS: usize = 160;
@@ -120,8 +120,8 @@ impl Search {
         solved: &mut Solved,
         inspected: &mut Inspected,
     ) {
-        let mut known = firmly_tied(atlas, solved);
-        let mut order: VecDeque<Pair> = self.resembling(atlas, queries, &known).into();
+        let mut known = firmly_connected(atlas, solved);
+        let mut order: VecDeque<Pair> = self.most_similar(atlas, queries, &known).into();
         while let Some(Pair { place, segment, .. }) = order.pop_front() {
             let query = queries[place];
             if self.searches() >= until {
@@ -143,18 +143,18 @@ impl Search {
                 neighbours.for_each(|place| self.near(atlas, queries[place], solved));
                 *solved = atlas.solve(inspected);
             }
-            known = firmly_tied(atlas, solved);
+            known = firmly_connected(atlas, solved);
         }
     }
 
     /// All pairs of a query and a segment of which it is not known how they lie to each other, the most similar first.
-    fn resembling(&self, atlas: &Atlas, queries: &[usize], known: &TrajectoryConnectivity) -> Vec<Pair> {
-        let resemblance = Resemblance::new(atlas);
+    fn most_similar(&self, atlas: &Atlas, queries: &[usize], known: &TrajectoryConnectivity) -> Vec<Pair> {
+        let similarity = Similarity::new(atlas);
         let mut pairs = Vec::new();
         for (place, &query) in queries.iter().enumerate() {
             let strange = (0..atlas.segments.len()).filter(|k| is_strange(atlas, known, query, *k));
             pairs.extend(strange.map(|segment| {
-                let apart = resemblance.distance(query, &atlas.segments[segment]);
+                let apart = similarity.distance(query, &atlas.segments[segment]);
                 Pair { apart, place, segment }
             }));
         }
@@ -228,8 +228,8 @@ impl Search {
     }
 }
 
-/// Which trajectories are tied to each other by enough inlier closures.
-fn firmly_tied(atlas: &Atlas, solved: &Solved) -> TrajectoryConnectivity {
+/// Which trajectories are connected to each other by enough inlier closures.
+fn firmly_connected(atlas: &Atlas, solved: &Solved) -> TrajectoryConnectivity {
     let logs = |i: usize| {
         let edge = &atlas.closures[i].edge;
         let (a, b) = (atlas.owner(edge.from), atlas.owner(edge.to));
