@@ -11,7 +11,7 @@ use flockslam_loop_closure::closure::{CHI_SQUARED_MAX, Closure};
 use flockslam_loop_closure::connectivity::{self, TrajectoryConnectivity};
 use flockslam_loop_closure::finder::{ClosureFinder, EVERY_M, LEAST_TRAVEL_M, QUERY_NODES, World, in_reach};
 use flockslam_loop_closure::graph_distances::{CLOSURE_M, JOINT_M, graph_distances, graph_distances_to};
-use flockslam_loop_closure::node::NewNode;
+use flockslam_loop_closure::node::{NewNode, Node};
 use flockslam_loop_closure::odometry_graph::OdometryGraph;
 use flockslam_loop_closure::open_finder::OpenFinder;
 use flockslam_loop_closure::place::Placer;
@@ -283,7 +283,10 @@ impl SyncManager {
     fn close_loops(&mut self, known: usize, searches: usize, at_submap: bool) {
         self.follow_odometry(known);
         let from = self.segments.last().map_or(0, |s| s.nodes.end);
-        self.segments.extend(Segment::cut(&self.odometry.nodes()[..known], from));
+        for segment in Segment::cut(&self.odometry.nodes()[..known], from) {
+            self.smooth(&segment);
+            self.segments.push(segment);
+        }
         if !self.settings.close_loops {
             return;
         }
@@ -309,6 +312,24 @@ impl SyncManager {
             self.solve(known);
             self.solving_credit = self.solving_credit.saturating_sub(self.solving_cost);
             self.unsolved = false;
+        }
+    }
+
+    /// Smooths the odometry of the last segment and of a new one that goes on from it, and moves their nodes in the solution likewise.
+    fn smooth(&mut self, segment: &Segment) {
+        let Some(last) = self.segments.last() else { return };
+        let nodes = self.odometry.nodes();
+        let (start, trajectory) = (last.nodes.start, nodes[segment.nodes.start].trajectory);
+        let is_matched = |node: &Node| node.trajectory == trajectory && !node.is_open && !node.is_given;
+        if !nodes[start..segment.nodes.end].iter().all(is_matched) {
+            return;
+        }
+        let before: Vec<Placement> =
+            nodes[start..self.poses.len()].iter().map(|node| node.local_pose).collect();
+        self.odometry.smooth([last, segment], &self.scans, self.finder.scratch());
+        let nodes = &self.odometry.nodes()[start..];
+        for ((pose, node), before) in self.poses[start..].iter_mut().zip(nodes).zip(before) {
+            *pose = pose.compose(before.to(node.local_pose));
         }
     }
 

@@ -2,26 +2,19 @@
 //! better ones.
 
 use crate::connectivity::TrajectoryConnectivity;
-use crate::node::{Node, POINT_INFORMATION};
+use crate::node::Node;
 use crate::scans::ScanStore;
-use crate::segment::{Segment, load, unload};
-use flockslam_pose_graph::Edge;
-use flockslam_pose_graph::{RobustSettings, solve};
-use flockslam_pose_graph::{in_frame, inflated};
-use flockslam_registration::cloud::{AlignSettings, Aligner, MomentGrid, Placement};
+use crate::segment::Segment;
+use crate::segment_matcher::{ROBUST, SegmentMatcher};
+use flockslam_pose_graph::{Edge, solve};
+use flockslam_registration::cloud::{MomentGrid, Placement};
 
 /// Segments within this of a node are matched to, metres.
 const NEAR_M: f64 = 3.0;
 /// Most segments that a node is matched to.
 const SEGMENTS_MAX: usize = 4;
-/// Share of points on lines that a match needs.
-const INLIERS_MIN: f64 = 0.5;
-/// Farthest that a match may move, metres and radians.
-const MOVE_MAX: (f64, f64) = (0.4, 0.1);
 /// Errors of a match beyond those of its points.
 const SLACK: (f64, f64) = (0.04, 0.01);
-/// Squared Mahalanobis error from which a match is an outlier.
-const CHI_SQUARED_MAX: f64 = 25.0;
 
 /// Re-measures the whole solution once loops have brought it close: each node against the segments near it, in
 /// place of the loops.
@@ -46,18 +39,11 @@ impl DensePass<'_> {
         let mut edges = self.odometry.to_vec();
         edges.extend_from_slice(self.constraints);
         let wanted = self.pairs(poses);
-        let aligner = Aligner::new(AlignSettings { gate_wide_m: 0.4, ..AlignSettings::default() });
-        for (segment, nodes) in self.segments.iter().zip(&wanted) {
-            if nodes.is_empty() {
-                continue;
-            }
-            load(grid, self.nodes, self.scans, segment.nodes.clone(), |i| poses[i]);
-            edges.extend(nodes.iter().filter_map(|&node| self.measure(&aligner, grid, segment, node, poses)));
-            unload(grid, self.nodes, self.scans, segment.nodes.clone(), |i| poses[i]);
+        let matcher = SegmentMatcher::new(self.nodes, self.scans, SLACK);
+        for (segment, nodes) in self.segments.iter().zip(wanted).filter(|(_, nodes)| !nodes.is_empty()) {
+            edges.extend(matcher.constraints(grid, segment, nodes, |node| poses[node]));
         }
-        let settings =
-            RobustSettings { chi_squared_max: CHI_SQUARED_MAX, growth: 2.0, rounds: 12, warm_up: 2 };
-        solve(self.nodes.len(), &edges, self.odometry.len(), &settings, poses);
+        solve(self.nodes.len(), &edges, self.odometry.len(), &ROBUST, poses);
     }
 
     /// For each segment the nodes to match to it.
@@ -90,37 +76,5 @@ impl DensePass<'_> {
             near.iter().take(SEGMENTS_MAX).for_each(|&(_, number)| pairs[number].push(node));
         }
         pairs
-    }
-
-    fn measure(
-        &self,
-        aligner: &Aligner,
-        grid: &mut MomentGrid,
-        segment: &Segment,
-        node: usize,
-        poses: &[Placement],
-    ) -> Option<Edge> {
-        let guess = poses[node];
-        let points = self.scans.points(self.nodes[node].scan);
-        let found = aligner.align(grid, points, guess)?;
-        let moved = (found.placement.distance_m(&guess), found.placement.turn_rad(&guess));
-        if found.inliers < INLIERS_MIN || moved.0 > MOVE_MAX.0 || moved.1 > MOVE_MAX.1 {
-            return None;
-        }
-        let nearest = segment
-            .nodes
-            .clone()
-            .min_by(|&a, &b| poses[a].distance_m(&guess).total_cmp(&poses[b].distance_m(&guess)))?;
-        let from = poses[nearest];
-        let mut information = found.information.map(|v| POINT_INFORMATION * v);
-        // A direction that the points leave open must not make the matrix singular.
-        [0, 3, 5].into_iter().for_each(|i| information[i] += 1.0);
-        let information = inflated(&information, SLACK.0, SLACK.1)?;
-        Some(Edge {
-            from: nearest,
-            to: node,
-            motion: from.to(found.placement),
-            information: in_frame(&information, &from),
-        })
     }
 }

@@ -19,3 +19,5 @@ pub mod polar;
 pub mod refine;
 pub mod scans;
 pub mod segment;
+mod segment_matcher;
+mod smoothing;

@@ -3,7 +3,8 @@
 
 use crate::node::{BROKEN_M, NewNode, Node, POINT_INFORMATION};
 use crate::scans::ScanStore;
-use crate::segment::{cloud, picked, scan_cloud};
+use crate::segment::{Segment, cloud, picked, scan_cloud};
+use crate::smoothing::smoothed;
 use flockslam_geometry::Covariance;
 use flockslam_odometry_noise::OdometryNoise;
 use flockslam_pose_graph::Edge;
@@ -187,6 +188,28 @@ impl OdometryGraph {
         self.first -= range.len();
     }
 
+    /// Smooths two successive segments once the second is complete: their nodes but the first move, and those behind move with them.
+    /// `grid` is empty before and after.
+    ///
+    /// # Panics
+    /// When the segments do not follow each other.
+    pub fn smooth(&mut self, segments: [&Segment; 2], scans: &ScanStore, grid: &mut MomentGrid) {
+        let [start, end] = [segments[0].nodes.start, segments[1].nodes.end];
+        let poses = smoothed(&self.nodes, &self.edges, scans, segments, grid);
+        self.withdraw_window(scans);
+        let moved = poses[end - 1 - start].compose(self.nodes[end - 1].local_pose.inverse());
+        for (i, node) in self.nodes[start..].iter_mut().enumerate() {
+            node.local_pose = poses.get(i).copied().unwrap_or_else(|| moved.compose(node.local_pose));
+            node.start = self.start_from_local.compose(node.local_pose);
+        }
+        for number in start..end - 1 {
+            self.edges[number].motion = self.nodes[number].local_pose.to(self.nodes[number + 1].local_pose);
+        }
+        for node in &self.nodes[self.first..] {
+            self.grid.add(&node.local_pose, scans.points(node.scan));
+        }
+    }
+
     /// Renames the scans of all nodes.
     pub fn rename_scans(&mut self, renamed: &[usize]) {
         self.nodes.iter_mut().for_each(|node| node.scan = renamed[node.scan]);
@@ -226,10 +249,14 @@ impl OdometryGraph {
 
     /// Empties the window: nothing before here is to be matched to.
     fn withdraw_all(&mut self, scans: &ScanStore) {
+        self.withdraw_window(scans);
+        self.first = self.nodes.len();
+    }
+
+    fn withdraw_window(&mut self, scans: &ScanStore) {
         for node in &self.nodes[self.first..] {
             self.grid.withdraw(&node.local_pose, scans.points(node.scan));
         }
-        self.first = self.nodes.len();
     }
 
     /// The constraint that odometry gives between the last node and a new one of another trajectory, its covariance inflated.
