@@ -228,7 +228,8 @@ impl ClosureFinder {
             intrusions(world, query, points, segment, nearest, &refined.placement, at);
         let usual = self_intrusion(world, query, points);
         let free_space_agrees = intruding <= INTRUDING_MAX + usual && intruded <= INTRUDED_MAX + usual;
-        if !free_space_agrees {
+        // A search for a runner-up costs more than all that comes before it: most matches are rejected without one.
+        if !free_space_agrees || self.is_ambiguous(world, points, number, guess, window, &found) {
             return None;
         }
         let edge = edge(query, nearest, &at(nearest), &refined)?;
@@ -244,25 +245,45 @@ impl ClosureFinder {
         guess: Placement,
         window: Window,
     ) -> Option<Found> {
-        let segment = &world.segments[number];
-        let make = || PooledField::new(&segment.cloud(world.nodes, world.scans));
-        let field = self.fields.get(world.nodes[segment.anchor].sequence, make);
-        let anywhere = window == ANYWHERE;
-        let few = picked(points, if anywhere { SEARCH_POINTS / 2 } else { SEARCH_POINTS });
-        let searcher = if anywhere { &mut self.searcher_anywhere } else { &mut self.searcher };
+        let searcher = if window == ANYWHERE { &mut self.searcher_anywhere } else { &mut self.searcher };
+        let (field, few) = (field(&mut self.fields, world, number), few(points, window));
         self.counts.searches += 1;
         let found = searcher.best(field, &few, guess, window, SCORE_MIN, None)?;
         self.counts.matches += 1;
-        if window.reach_m > WIDE_M {
-            let exclude = Some((found.placement, APART));
-            let searcher = if anywhere { &mut self.searcher_runner_up } else { searcher };
-            let second = searcher.best(field, &few, guess, window, RUNNER_UP * found.score, exclude);
-            if second.is_some() || searcher.gave_up() {
-                return None;
-            }
-        }
         Some(found)
     }
+
+    /// Whether another place in a wide window fits nearly as well as the one found, or may do so.
+    fn is_ambiguous(
+        &mut self,
+        world: &World<'_>,
+        points: &[(f64, f64)],
+        number: usize,
+        guess: Placement,
+        window: Window,
+        found: &Found,
+    ) -> bool {
+        if window.reach_m <= WIDE_M {
+            return false;
+        }
+        let searcher = if window == ANYWHERE { &mut self.searcher_runner_up } else { &mut self.searcher };
+        let (field, few) = (field(&mut self.fields, world, number), few(points, window));
+        let exclude = Some((found.placement, APART));
+        let second = searcher.best(field, &few, guess, window, RUNNER_UP * found.score, exclude);
+        second.is_some() || searcher.gave_up()
+    }
+}
+
+/// The field of a segment, from the cache where it is.
+fn field<'a>(fields: &'a mut FieldCache, world: &World<'_>, number: usize) -> &'a PooledField {
+    let segment = &world.segments[number];
+    let make = || PooledField::new(&segment.cloud(world.nodes, world.scans));
+    fields.get(world.nodes[segment.anchor].sequence, make)
+}
+
+/// The points of a query that a search in a window looks at.
+fn few(points: &[(f64, f64)], window: Window) -> Vec<(f64, f64)> {
+    picked(points, if window == ANYWHERE { SEARCH_POINTS / 2 } else { SEARCH_POINTS })
 }
 
 /// Whether a segment lies so far back that a query is looked for in it.
