@@ -3,7 +3,10 @@
 //! Both come from messages of their own, which may be recorded later than the scan and out of order: scans wait for them, for a time
 //! that is counted in the recording.
 
+mod lidar_place;
 mod robot_motion;
+
+use lidar_place::Place;
 
 use crate::cloud_slice::slice;
 use crate::gyro_heading::GyroHeading;
@@ -14,7 +17,7 @@ use flockslam_messages::ScanBuffer;
 use flockslam_recordings::FramedCloud;
 use flockslam_sensor_stream::{FramedScan, ImuReading, OdometryReading};
 use flockslam_transforms::{
-    Isometry3, LookupError, Mounting, MountingError, StampedTransform, TransformBuffer, frame_name,
+    LookupError, Mounting, MountingError, StampedTransform, TransformBuffer, frame_name, planar,
 };
 use std::collections::{BTreeMap, VecDeque};
 
@@ -107,9 +110,11 @@ pub struct ScanLocator {
     waiting: VecDeque<Waiting>,
     /// When the last message was recorded, nanoseconds.
     newest_ns: i64,
+    /// The first scan waits until then for what has not come since it was looked at last, nanoseconds.
+    waits_until_ns: Option<i64>,
     frames: Option<Frames>,
     /// Where each lidar sat at its scan before, by its number.
-    last_places: BTreeMap<u32, Isometry3<f64>>,
+    last_places: BTreeMap<u32, Place>,
     /// Of live sensors: times are those of the clock at which they were received.
     live: Option<Live>,
 }
@@ -164,7 +169,7 @@ impl ScanLocator {
 
     /// From now on there are so many lidars.
     pub fn set_lidars(&mut self, lidars: usize) {
-        self.lidars = lidars;
+        (self.lidars, self.waits_until_ns) = (lidars, None);
     }
 
     /// It is that late, by the time at which things are recorded or received.
@@ -179,6 +184,7 @@ impl ScanLocator {
 
     /// Gives up the scan that could not be placed; the lidar that took it.
     pub fn give_up(&mut self) -> Option<u32> {
+        self.waits_until_ns = None;
         self.waiting.pop_front().map(|waiting| waiting.lidar)
     }
 
@@ -198,6 +204,9 @@ impl ScanLocator {
         if let Some(live) = &mut self.live {
             live.order.note(lidar, sighting.stamp_ns(), recorded_ns);
         }
+        if at == 0 {
+            self.waits_until_ns = None;
+        }
         self.waiting.insert(at, Waiting { recorded_ns, lidar, sighting });
     }
 
@@ -206,16 +215,18 @@ impl ScanLocator {
         self.newest_ns = self.newest_ns.max(recorded_ns);
         let transform = &reading.transform;
         // Some drivers leave the names out.
-        let name = |name: &str, missing: &str| match frame_name(name) {
-            "" => missing.to_owned(),
-            name => name.to_owned(),
-        };
-        let (parent, child) = (name(&transform.parent, "odom"), name(&transform.child, "base_link"));
-        let frames = Some((parent.clone(), child.clone()));
-        let is_new = frames != self.odometry_frames;
-        self.odometry_frames = frames;
+        let (parent, child) = (frame_name(&transform.parent), frame_name(&transform.child));
+        let frames = (
+            if parent.is_empty() { "odom" } else { parent },
+            if child.is_empty() { "base_link" } else { child },
+        );
+        let is_new =
+            self.odometry_frames.as_ref().is_none_or(|(parent, child)| (&**parent, &**child) != frames);
+        if is_new {
+            self.odometry_frames = Some((frames.0.to_owned(), frames.1.to_owned()));
+        }
         self.note_motion(is_new, Some(reading.twist));
-        self.odometry.insert(&StampedTransform { parent, child, ..transform.clone() }, false);
+        self.odometry.insert_pose(frames, transform.stamp_ns, &transform.parent_from_child, false);
     }
 
     /// Takes rates of turning.
@@ -236,9 +247,10 @@ impl ScanLocator {
         self.note_motion(is_new, None);
     }
 
-    /// Live, a new link between frames may be the one that was missing: they are chosen anew.
+    /// A scan may wait for it. Live, a new link between frames may be the one that was missing: they are chosen anew.
     fn note_motion(&mut self, links_anew: bool, twist: Option<Option<Twist>>) {
         let newest_ns = self.newest_ns;
+        self.waits_until_ns = None;
         if let Some(live) = &mut self.live {
             live.motion_ns = newest_ns;
             live.twist = twist.unwrap_or(live.twist);
@@ -254,28 +266,56 @@ impl ScanLocator {
     /// # Errors
     /// When transforms do not say where the lidar sits, or say that it is tilted.
     pub fn take(&mut self, at_end: bool) -> Result<Option<ScanBuffer>, LocateError> {
-        let Some(front) = self.waiting.front() else { return Ok(None) };
+        let has_come = |until_ns| self.newest_ns >= until_ns || at_end;
+        if self.waits_until_ns.is_some_and(|until_ns| !has_come(until_ns)) {
+            return Ok(None);
+        }
+        let Some(mut front) = self.waiting.pop_front() else { return Ok(None) };
+        let located = match self.frames.take().or_else(|| self.frames_for(&front, at_end)) {
+            Some(frames) => {
+                let located = self.locate(&mut front, &frames, at_end);
+                self.frames = Some(frames);
+                located
+            }
+            None => Ok(None),
+        };
+        if !matches!(located, Ok(Some(_))) {
+            // It leaves the queue when it is placed, or given up.
+            self.waiting.push_front(front);
+        }
+        located
+    }
+
+    /// The frames, once enough transforms have come for the first scan.
+    fn frames_for(&self, front: &Waiting, at_end: bool) -> Option<Frames> {
         let waited_ns = self.newest_ns.saturating_sub(front.recorded_ns);
-        let (lidar, stamp_ns) = (front.lidar, front.sighting.stamp_ns());
-        let frame = front.sighting.frame().to_owned();
-        let given = front.sighting.mounting();
+        let frame = front.sighting.frame();
         let first_wait_ns = match &self.live {
             None => FIRST_WAIT_NS,
-            Some(_) if given.is_some() || frame.is_empty() || self.is_placed(lidar, &frame) => 0,
+            Some(_) if front.sighting.mounting().is_some() || frame.is_empty() => 0,
+            Some(_) if self.is_placed(front.lidar, frame) => 0,
             Some(_) => LIVE_FIRST_WAIT_NS,
         };
-        let frames = match &self.frames {
-            Some(frames) => frames.clone(),
-            None if waited_ns < first_wait_ns && !at_end => return Ok(None),
-            None => self.frames.insert(self.choose_frames(&frame)).clone(),
-        };
-        self.integrate_gyro(&frames);
+        (waited_ns >= first_wait_ns || at_end).then(|| self.choose_frames(frame))
+    }
+
+    /// Places what was seen; `None` while it waits for more.
+    fn locate(
+        &mut self,
+        front: &mut Waiting,
+        frames: &Frames,
+        at_end: bool,
+    ) -> Result<Option<ScanBuffer>, LocateError> {
+        let Waiting { recorded_ns, lidar, ref mut sighting } = *front;
+        let waited_ns = self.newest_ns.saturating_sub(recorded_ns);
+        let stamp_ns = sighting.stamp_ns();
+        self.integrate_gyro(frames);
         // The clocks of lidar and odometry may differ.
         let odometry_ns = stamp_ns.saturating_add(self.offset_ns(lidar));
-        let odometry = self.odometry_at(&frames, odometry_ns);
-        let heading_rad = self.heading_at(&frames, odometry_ns);
-        let moved = odometry.ok().map(|odometry| self.moved_during(&frames, odometry, odometry_ns));
-        let is_open = moved == Some(Err(LookupError::NotYet)) && self.live.is_none();
+        let odometry = self.odometry_in_space(frames, odometry_ns);
+        let heading_rad = self.heading_at(frames, odometry_ns);
+        let end = odometry.ok().map(|_| self.motion_end(frames, sighting, odometry_ns));
+        let is_open = matches!(end, Some(Err(LookupError::NotYet))) && self.live.is_none();
         let may_come =
             odometry == Err(LookupError::NotYet) || heading_rad == Err(LookupError::NotYet) || is_open;
         let (waits, wait_ns) = match &self.live {
@@ -287,35 +327,25 @@ impl ScanLocator {
             }
         };
         if waits && waited_ns < wait_ns && !at_end {
+            self.waits_until_ns = self.live.is_none().then(|| recorded_ns.saturating_add(wait_ns));
             return Ok(None);
         }
-        let place = match given {
-            Some(mounting) if self.settings.lidars.get(lidar as usize).is_none() => mounting.in_space(),
-            _ => self.place(&frames, lidar, &frame, stamp_ns)?,
-        };
-        if let Some(Waiting { sighting: Sighting::Scan(_), .. }) = self.waiting.front() {
-            // Before it leaves the queue, from which it is given up.
-            Mounting::from_transform(&place)
-                .map_err(|problem| LocateError::Tilted { frame: frame.clone(), problem })?;
-        }
-        self.last_places.insert(lidar, place);
-        let known = odometry.ok();
-        let odometry = known.or_else(|| self.last_odometry(&frames, odometry_ns));
-        self.count_guess(known.is_some(), odometry.is_some());
-        let Some(Waiting { sighting, .. }) = self.waiting.pop_front() else { return Ok(None) };
+        let place = self.sits_at(frames, lidar, sighting)?;
+        let known = odometry.ok().map(|pose| planar(&pose));
+        let odometry = known.or_else(|| self.last_odometry(frames, odometry_ns));
+        self.count_guess(frames, known.is_some(), odometry.is_some());
         let mut scan = match sighting {
-            Sighting::Scan(scan) => self
-                .mounted(scan.scan, lidar, &place)
-                .map_err(|problem| LocateError::Tilted { frame, problem })?,
-            Sighting::Cloud(cloud) => slice(&cloud, &place, self.settings.cloud_heights_m),
+            Sighting::Scan(scan) => self.mounted(std::mem::take(&mut scan.scan), lidar, &place),
+            Sighting::Cloud(cloud) => slice(cloud, &place.base_from_laser, self.settings.cloud_heights_m),
         };
         scan.header.id.lidar = lidar;
         self.add_odometry(&mut scan, odometry, heading_rad.ok());
-        if let Some(Ok(motion)) =
-            moved.filter(|_| !self.gyro_leads && known.is_some_and(|pose| pose.is_finite()))
+        if let (Some(from), Some(Ok(end))) = (known.filter(|pose| pose.is_finite()), end)
+            && let Some(motion) = end.motion_from(from).filter(|_| !self.gyro_leads)
         {
             scan.add_motion(motion);
         }
+        self.waits_until_ns = None;
         Ok(Some(scan))
     }
 
@@ -324,77 +354,11 @@ impl ScanLocator {
         calibration.map_or(0, |calibration| (calibration.offset_s * 1e9).round() as i64)
     }
 
-    /// Whether it is known where a lidar sits.
-    fn is_placed(&self, lidar: u32, frame: &str) -> bool {
-        let child = self.odometry_frames.as_ref().map(|(_, child)| child.as_str());
-        let mut bases = BASE_FRAMES.into_iter().chain(child);
-        self.settings.lidars.get(lidar as usize).is_some()
-            || bases.any(|base| self.transforms.links(base, frame))
-    }
-
-    fn count_guess(&mut self, is_known: bool, is_near: bool) {
-        let gets_motion =
-            self.odometry_frames.is_some() || self.frames.as_ref().is_some_and(|f| f.odom.is_some());
+    fn count_guess(&mut self, frames: &Frames, is_known: bool, is_near: bool) {
+        let gets_motion = self.odometry_frames.is_some() || frames.odom.is_some();
         let Some(live) = self.live.as_mut().filter(|_| gets_motion && !is_known) else { return };
         let guesses = &mut live.guesses;
         *(if is_near { &mut guesses.carried_on } else { &mut guesses.without }) += 1;
-    }
-
-    fn choose_frames(&self, laser: &str) -> Frames {
-        let child = self.odometry_frames.as_ref().map(|(_, child)| child.as_str());
-        let linked = |base: &&str| *base == laser || self.transforms.links(base, laser);
-        let candidates = || BASE_FRAMES.into_iter().chain(child);
-        let linked = candidates().find(linked);
-        let base = linked.or_else(|| candidates().find(|base| self.transforms.knows(base))).unwrap_or(laser);
-        let ancestors = self.transforms.ancestors(base);
-        Frames {
-            base: base.to_owned(),
-            odom: ancestors.into_iter().find(|frame| frame.contains("odom")).map(str::to_owned),
-        }
-    }
-
-    /// `base_from_laser`, in space.
-    fn place(
-        &self,
-        frames: &Frames,
-        lidar: u32,
-        laser: &str,
-        stamp_ns: i64,
-    ) -> Result<Isometry3<f64>, LocateError> {
-        if let Some(given) = self.settings.lidars.get(lidar as usize) {
-            return Ok(given.base_from_laser());
-        }
-        if frames.base == laser || self.transforms.is_empty() {
-            // Nobody has said anything: the lidar is the robot.
-            return Ok(Isometry3::identity());
-        }
-        let before = self.last_places.get(&lidar).copied();
-        let at_stamp = self.transforms.lookup(&frames.base, laser, stamp_ns).ok();
-        // What is published as if it moved, and is fixed, holds beyond its last message.
-        let last = || {
-            let until_ns = self.transforms.known_until_ns(&frames.base, laser)?;
-            self.transforms.lookup(&frames.base, laser, until_ns).ok()
-        };
-        let place = at_stamp.or(before).or_else(last);
-        place.ok_or(LocateError::Unlinked { frame: laser.to_owned() })
-    }
-
-    /// A scan with the place of its lidar, in the plane.
-    fn mounted(
-        &self,
-        mut scan: ScanBuffer,
-        lidar: u32,
-        place: &Isometry3<f64>,
-    ) -> Result<ScanBuffer, MountingError> {
-        let mounting = Mounting::from_transform(place)?;
-        let mirrored = self.settings.lidars.get(lidar as usize).is_some_and(|given| given.mirrored);
-        let header = &mut scan.header;
-        header.base_from_laser = mounting.base_from_laser;
-        if mounting.upside_down != mirrored {
-            header.angle_min_rad = -header.angle_min_rad;
-            header.angle_increment_rad = -header.angle_increment_rad;
-        }
-        Ok(scan)
     }
 }
 

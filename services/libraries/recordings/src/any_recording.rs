@@ -3,6 +3,7 @@
 use crate::bag_file::{self, BagFile};
 use crate::db3_file::{self, Db3File, ZSTD_MAGIC};
 use crate::mcap_messages::{self, McapFile};
+use crate::ros_messages::Spares;
 use crate::{Message, MessageProblem, Reading, ReadingKind, RecordingError, Wire};
 use std::fs::{self, File};
 use std::io::{self, Read};
@@ -46,8 +47,8 @@ pub(crate) trait MessageSource: Send {
     fn topics(&self) -> &[Topic];
     /// From now on only messages of these topics are given.
     fn want(&mut self, is_wanted: &dyn Fn(&Topic) -> bool);
-    /// The next message of a wanted topic.
-    fn next(&mut self) -> Result<Option<Message>, RecordingError>;
+    /// Gives the next message of a wanted topic where it was read, and its topic; false at the end.
+    fn next(&mut self, give: &mut dyn FnMut(&Topic, Message<'_>)) -> Result<bool, RecordingError>;
     /// Why it does not go on, when it ends before its end.
     fn cut_short(&self) -> Option<&str>;
 }
@@ -61,10 +62,22 @@ pub struct Recording {
     topics: Vec<Topic>,
     wanted: Vec<bool>,
     cut_short: Option<String>,
+    spares: Spares,
+}
+
+/// A topic of a file whose messages are understood.
+#[derive(Clone, Copy)]
+struct Understood {
+    /// Which of the recording's topics it is.
+    topic: usize,
+    kind: ReadingKind,
+    wire: Wire,
 }
 
 struct OpenFile {
     messages: Box<dyn MessageSource>,
+    /// By the number of a topic of the file, once a message of it was met; `Some(None)`: it is not understood.
+    understood: Vec<Option<Option<Understood>>>,
     /// What was unpacked, for as long as it is read.
     _unpacked: Option<NamedTempFile>,
 }
@@ -114,6 +127,7 @@ impl Recording {
             topics: Vec::new(),
             wanted: Vec::new(),
             cut_short: None,
+            spares: Spares::default(),
         };
         for file in recording.files.clone() {
             for topic in open(&file)?.messages.topics() {
@@ -168,22 +182,33 @@ impl Recording {
                 self.next_file += 1;
                 continue;
             };
-            let message = source.messages.next()?;
-            let Some(message) = message else {
-                let reason = source.messages.cut_short().map(str::to_owned);
+            let (OpenFile { messages, understood, .. }, topics) = (source, &self.topics);
+            let (spares, mut found) = (&mut self.spares, None);
+            let goes_on = messages.next(&mut |topic, message| {
+                if understood.len() <= message.topic {
+                    understood.resize(message.topic + 1, None);
+                }
+                let known = understood[message.topic].get_or_insert_with(|| topic.understood(topics));
+                found = known.map(|Understood { topic, kind, wire }| TopicReading {
+                    topic,
+                    recorded_ns: message.recorded_ns,
+                    reading: Reading::decode_with(kind, message.bytes, wire, spares),
+                });
+            })?;
+            if found.is_some() {
+                return Ok(found);
+            }
+            if !goes_on {
+                let reason = messages.cut_short().map(str::to_owned);
                 self.cut_short = self.cut_short.take().or(reason);
                 self.source = None;
-                continue;
-            };
-            let topic = &source.messages.topics()[message.topic];
-            let known = self.topics.iter().position(|known| known.is_same(topic));
-            let (Some(at), Some(kind), Some(wire)) = (known, topic.kind(), topic.wire) else { continue };
-            return Ok(Some(TopicReading {
-                topic: at,
-                recorded_ns: message.recorded_ns,
-                reading: Reading::decode(kind, &message.bytes, wire),
-            }));
+            }
         }
+    }
+
+    /// Takes back the numbers of a scan that is no longer needed: their memory is used again.
+    pub fn take_back(&mut self, numbers: Vec<f32>) {
+        self.spares.numbers = numbers;
     }
 
     /// Why it ends before its end, once that was met: it was not closed, or is cut off.
@@ -195,6 +220,12 @@ impl Recording {
 impl Topic {
     fn is_same(&self, other: &Topic) -> bool {
         self.name == other.name && self.type_name == other.type_name && self.wire == other.wire
+    }
+
+    /// What its messages are among those of the recording's topics.
+    fn understood(&self, topics: &[Self]) -> Option<Understood> {
+        let topic = topics.iter().position(|known| known.is_same(self))?;
+        Some(Understood { topic, kind: self.kind()?, wire: self.wire? })
     }
 }
 
@@ -219,7 +250,7 @@ fn open(path: &Path) -> Result<OpenFile, RecordingError> {
             return Ok(OpenFile { _unpacked: Some(unpacked), ..inner });
         }
     };
-    Ok(OpenFile { messages, _unpacked: None })
+    Ok(OpenFile { messages, understood: Vec::new(), _unpacked: None })
 }
 
 /// Files of a folder, in the order in which they were written.

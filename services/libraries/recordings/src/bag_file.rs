@@ -145,9 +145,10 @@ impl BagFile {
     fn count(&mut self, first: u64) -> Result<(), RecordingError> {
         self.want(&|_| true);
         loop {
-            match self.next() {
-                Ok(Some(message)) => self.topics[message.topic].messages += 1,
-                Ok(None) => break,
+            let mut topic = 0;
+            match self.next(&mut |_, message| topic = message.topic) {
+                Ok(true) => self.topics[topic].messages += 1,
+                Ok(false) => break,
                 // What a killed recorder was about to write.
                 Err(RecordingError::Damaged { .. }) => {
                     self.end = self.at;
@@ -186,11 +187,20 @@ impl BagFile {
         self.connections.insert(number, at);
     }
 
-    fn message(&self, fields: &FieldList<'_>, data: &[u8]) -> Option<Message> {
+    fn message<'a>(&self, fields: &FieldList<'_>, data: &'a [u8]) -> Option<Message<'a>> {
         let topic = *self.connections.get(&fields.u32("conn")?)?;
         let is_wanted = self.wanted.get(topic).copied().unwrap_or(false);
         let recorded_ns = fields.time_ns("time")?;
-        is_wanted.then(|| Message { topic, recorded_ns, bytes: data.to_vec() })
+        is_wanted.then_some(Message { topic, recorded_ns, bytes: data })
+    }
+
+    /// Gives a message, when its topic is wanted.
+    fn give(&self, fields: &FieldList<'_>, data: &[u8], give: &mut dyn FnMut(&Topic, Message<'_>)) -> bool {
+        let message = self.message(fields, data);
+        if let Some(message) = message {
+            give(&self.topics[message.topic], message);
+        }
+        message.is_some()
     }
 
     fn unpack(&mut self, record: &RecordAt, at: u64) -> Result<(), RecordingError> {
@@ -239,7 +249,7 @@ impl MessageSource for BagFile {
         self.wanted = self.topics.iter().map(is_wanted).collect();
     }
 
-    fn next(&mut self) -> Result<Option<Message>, RecordingError> {
+    fn next(&mut self, give: &mut dyn FnMut(&Topic, Message<'_>)) -> Result<bool, RecordingError> {
         loop {
             while self.chunk_at < self.chunk.len() {
                 let chunk = std::mem::take(&mut self.chunk);
@@ -249,21 +259,21 @@ impl MessageSource for BagFile {
                         match fields.kind() {
                             Some(RecordKind::Connection) => {
                                 self.connect(&fields, data);
-                                Ok(None)
+                                Ok(false)
                             }
-                            Some(RecordKind::Message) => Ok(self.message(&fields, data)),
-                            _ => Ok(None),
+                            Some(RecordKind::Message) => Ok(self.give(&fields, data, give)),
+                            _ => Ok(false),
                         }
                     }
                     None => Err(self.damaged(self.at, "a record in the chunk before breaks off")),
                 };
                 self.chunk = chunk;
-                if let Some(message) = found? {
-                    return Ok(Some(message));
+                if found? {
+                    return Ok(true);
                 }
             }
             if self.at >= self.end {
-                return Ok(None);
+                return Ok(false);
             }
             let at = self.at;
             let Some(record) = self.record(at, self.end)? else {
@@ -279,8 +289,8 @@ impl MessageSource for BagFile {
                 Some(RecordKind::Message) => {
                     let data = self.data(&record)?;
                     self.at = record.end();
-                    if let Some(message) = self.message(&record.fields(), &data) {
-                        return Ok(Some(message));
+                    if self.give(&record.fields(), &data, give) {
+                        return Ok(true);
                     }
                 }
                 _ => {}

@@ -39,8 +39,15 @@ pub struct Db3File {
     wanted_numbers: String,
     /// Time and number of the last message that was fetched.
     last: Option<(i64, i64)>,
-    fetched: VecDeque<Message>,
+    fetched: VecDeque<Fetched>,
     cut_short: Option<String>,
+}
+
+/// A message that was copied out of the database.
+struct Fetched {
+    topic: usize,
+    recorded_ns: i64,
+    bytes: Vec<u8>,
 }
 
 impl Db3File {
@@ -120,7 +127,7 @@ impl Db3File {
             self.last = Some((recorded_ns, number));
             if let Some(topic) = self.numbers.get(&topic) {
                 let bytes = row.get_ref(3)?.as_blob().map(<[u8]>::to_vec).unwrap_or_default();
-                self.fetched.push_back(Message { topic: *topic, recorded_ns, bytes });
+                self.fetched.push_back(Fetched { topic: *topic, recorded_ns, bytes });
             }
         }
         Ok(())
@@ -166,7 +173,7 @@ impl MessageSource for Db3File {
         self.wanted_numbers = wanted.map(|(number, _)| number.to_string()).collect::<Vec<_>>().join(",");
     }
 
-    fn next(&mut self) -> Result<Option<Message>, RecordingError> {
+    fn next(&mut self, give: &mut dyn FnMut(&Topic, Message<'_>)) -> Result<bool, RecordingError> {
         if self.fetched.is_empty() && self.cut_short.is_none() {
             match self.fetch() {
                 Ok(()) => {}
@@ -176,12 +183,14 @@ impl MessageSource for Db3File {
                 Err(error) => return Err(RecordingError::damaged(&self.name, "the SQLite file", error)),
             }
         }
-        let Some(mut message) = self.fetched.pop_front() else { return Ok(None) };
+        let Some(mut message) = self.fetched.pop_front() else { return Ok(false) };
         if message.bytes.starts_with(ZSTD_MAGIC) {
             message.bytes = unpacked(&message.bytes)
                 .map_err(|error| RecordingError::damaged(&self.name, "a message packed with zstd", error))?;
         }
-        Ok(Some(message))
+        let Fetched { topic, recorded_ns, bytes } = &message;
+        give(&self.topics[*topic], Message { topic: *topic, recorded_ns: *recorded_ns, bytes });
+        Ok(true)
     }
 
     fn cut_short(&self) -> Option<&str> {

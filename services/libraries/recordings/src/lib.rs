@@ -24,12 +24,12 @@ pub use ros_messages::{LaserScanMessage, Reading, ReadingKind};
 pub use set_record::{SET_RECORD_TYPE, SetRecord, bus_encoding, set_record_encoding};
 
 /// A message as it was recorded.
-#[derive(Clone, Debug, PartialEq, Eq)]
-struct Message {
-    /// Which of the recording's topics.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Message<'a> {
+    /// Which of the file's topics.
     topic: usize,
     /// When it was recorded, nanoseconds.
     recorded_ns: i64,
-    /// Its serialized fields.
-    bytes: Vec<u8>,
+    /// Its serialized fields, where they were read.
+    bytes: &'a [u8],
 }

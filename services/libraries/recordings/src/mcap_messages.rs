@@ -3,9 +3,9 @@
 use crate::any_recording::{MessageSource, Topic};
 use crate::set_record::{bus_encoding, set_record_encoding};
 use crate::{Message, RecordingError, Wire};
-use mcap::records::Record;
+use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions, SummaryReadEvent, SummaryReader};
-use mcap::{McapError, parse_record};
+use mcap::{McapError, McapResult, parse_record};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
@@ -18,17 +18,26 @@ const RECORD_BYTES_MAX: usize = 256 << 20;
 /// Read at once. A record that claims to be longer than the file then costs no memory.
 const BUFFER_BYTES: usize = 1 << 18;
 
+/// A message's channel, number, and the times at which it was recorded and sent lie before its fields, bytes.
+const MESSAGE_HEAD: usize = 2 + 4 + 8 + 8;
+
 /// An MCAP file that is read from its beginning to its end.
 pub struct McapFile {
-    file: BufReader<File>,
+    file: File,
     name: String,
     reader: LinearReader,
+    contents: Contents,
+    cut_short: Option<String>,
+}
+
+/// What is known of the topics of a file.
+#[derive(Default)]
+struct Contents {
     schemas: BTreeMap<u16, String>,
     /// By number of the channel.
     channels: BTreeMap<u16, usize>,
     topics: Vec<Topic>,
     wanted: Vec<bool>,
-    cut_short: Option<String>,
 }
 
 fn linear_reader() -> LinearReader {
@@ -53,25 +62,18 @@ impl McapFile {
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let name = path.display().to_string();
         let file = File::open(path).map_err(|error| RecordingError::unreadable(&name, error))?;
-        let mut found = Self {
-            file: BufReader::with_capacity(BUFFER_BYTES, file),
-            name,
-            reader: linear_reader(),
-            schemas: BTreeMap::new(),
-            channels: BTreeMap::new(),
-            topics: Vec::new(),
-            wanted: Vec::new(),
-            cut_short: None,
-        };
+        let (reader, contents) = (linear_reader(), Contents::default());
+        let mut found = Self { file, name, reader, contents, cut_short: None };
         if !found.read_summary() {
-            found.topics.clear();
+            found.contents.topics.clear();
             found.rewind()?;
             found.want(&|_| true);
-            while let Some(message) = found.next()? {
-                found.topics[message.topic].messages += 1;
+            let mut topic = 0;
+            while found.next(&mut |_, message| topic = message.topic)? {
+                found.contents.topics[topic].messages += 1;
             }
         }
-        found.channels.clear();
+        found.contents.channels.clear();
         found.rewind()?;
         Ok(found)
     }
@@ -87,14 +89,16 @@ impl McapFile {
     /// Topics and their numbers of messages from the end of the file; false when it says nothing of them.
     fn read_summary(&mut self) -> bool {
         let mut reader = SummaryReader::new();
+        // Its records are many and small.
+        let mut file = BufReader::with_capacity(BUFFER_BYTES, &mut self.file);
         while let Some(event) = reader.next_event() {
             let done = match event {
                 Ok(SummaryReadEvent::SeekRequest(to)) => {
-                    self.file.seek(to).map(|position| reader.notify_seeked(position))
+                    file.seek(to).map(|position| reader.notify_seeked(position))
                 }
                 Ok(SummaryReadEvent::ReadRequest(bytes)) if bytes <= RECORD_BYTES_MAX => {
                     let bytes = bytes.min(BUFFER_BYTES);
-                    self.file.read(reader.insert(bytes)).map(|read| reader.notify_read(read))
+                    file.read(reader.insert(bytes)).map(|read| reader.notify_read(read))
                 }
                 _ => return false,
             };
@@ -114,12 +118,14 @@ impl McapFile {
         }
         for (number, channel) in channels {
             let type_name = channel.schema.as_ref().map_or(String::new(), |schema| schema.name.clone());
-            let at = self.topic(&channel.topic, type_name, &channel.message_encoding);
-            self.topics[at].messages += counts.get(&number).copied().unwrap_or(0);
+            let at = self.contents.topic(&channel.topic, type_name, &channel.message_encoding);
+            self.contents.topics[at].messages += counts.get(&number).copied().unwrap_or(0);
         }
         true
     }
+}
 
+impl Contents {
     fn topic(&mut self, name: &str, type_name: String, encoding: &str) -> usize {
         let wire = wire(encoding);
         let same = |topic: &Topic| topic.name == name && topic.type_name == type_name && topic.wire == wire;
@@ -130,8 +136,15 @@ impl McapFile {
         })
     }
 
-    fn take(&mut self, record: Record<'_>) -> Option<Message> {
-        match record {
+    /// A message of a wanted topic; what else a record says is kept.
+    fn take<'a>(&mut self, opcode: u8, data: &'a [u8]) -> McapResult<Option<Message<'a>>> {
+        match (opcode, data.split_first_chunk::<MESSAGE_HEAD>()) {
+            (op::MESSAGE, Some((head, bytes))) => return Ok(self.message(head, bytes)),
+            // Where messages lie is of no use to one who reads all of them.
+            (op::MESSAGE_INDEX, _) => return Ok(None),
+            _ => {}
+        }
+        match parse_record(opcode, data)? {
             Record::Schema { header, .. } => {
                 self.schemas.insert(header.id, header.name);
             }
@@ -140,28 +153,31 @@ impl McapFile {
                 let at = self.topic(&channel.topic, type_name, &channel.message_encoding);
                 self.channels.insert(channel.id, at);
             }
-            Record::Message { header, data } => {
-                let topic = *self.channels.get(&header.channel_id)?;
-                let is_wanted = self.wanted.get(topic).copied().unwrap_or(false);
-                let recorded_ns = header.log_time as i64;
-                return is_wanted.then(|| Message { topic, recorded_ns, bytes: data.into_owned() });
-            }
             _ => {}
         }
-        None
+        Ok(None)
     }
 
-    fn damaged(&self, error: McapError) -> RecordingError {
-        let problem = match error {
-            McapError::UnsupportedCompression(packing) => {
-                format!(
-                    "it is packed with {packing:?}: none, lz4 and zstd are known; `mcap compress` packs it anew"
-                )
-            }
-            other => format!("{other}; `mcap recover` saves what is left"),
-        };
-        RecordingError::damaged(&self.name, "the MCAP file", problem)
+    fn message<'a>(&self, head: &[u8; MESSAGE_HEAD], bytes: &'a [u8]) -> Option<Message<'a>> {
+        let channel = u16::from_le_bytes([head[0], head[1]]);
+        let topic = *self.channels.get(&channel)?;
+        let recorded_ns = i64::from_le_bytes(*head[6..].first_chunk().expect("eight are there"));
+        let is_wanted = self.wanted.get(topic).copied().unwrap_or(false);
+        is_wanted.then_some(Message { topic, recorded_ns, bytes })
     }
+}
+
+/// What is said when a file is damaged.
+fn damaged(name: &str, error: McapError) -> RecordingError {
+    let problem = match error {
+        McapError::UnsupportedCompression(packing) => {
+            format!(
+                "it is packed with {packing:?}: none, lz4 and zstd are known; `mcap compress` packs it anew"
+            )
+        }
+        other => format!("{other}; `mcap recover` saves what is left"),
+    };
+    RecordingError::damaged(name, "the MCAP file", problem)
 }
 
 /// Whether the file ends where it should go on.
@@ -173,61 +189,45 @@ fn breaks_off(error: &McapError) -> bool {
     }
 }
 
-/// What the reader wants next.
-enum Step {
-    Read(usize),
-    Taken(Option<Message>),
-    CutShort,
-}
-
 impl MessageSource for McapFile {
     fn topics(&self) -> &[Topic] {
-        &self.topics
+        &self.contents.topics
     }
 
     fn want(&mut self, is_wanted: &dyn Fn(&Topic) -> bool) {
-        self.wanted = self.topics.iter().map(is_wanted).collect();
+        self.contents.wanted = self.contents.topics.iter().map(is_wanted).collect();
     }
 
-    fn next(&mut self) -> Result<Option<Message>, RecordingError> {
-        let mut reader = std::mem::take(&mut self.reader);
-        let found = self.next_of(&mut reader);
-        self.reader = reader;
-        found
+    fn next(&mut self, give: &mut dyn FnMut(&Topic, Message<'_>)) -> Result<bool, RecordingError> {
+        let Self { file, name, reader, contents, cut_short } = self;
+        while let Some(event) = reader.next_event() {
+            let taken = match event {
+                Ok(LinearReadEvent::ReadRequest(_)) => {
+                    // As much as fits, not only the record that is wanted next.
+                    let read = file.read(reader.insert(BUFFER_BYTES));
+                    reader.notify_read(read.map_err(|error| RecordingError::unreadable(name, error))?);
+                    continue;
+                }
+                Ok(LinearReadEvent::Record { opcode, data }) => contents.take(opcode, data),
+                Err(error) => Err(error),
+            };
+            match taken {
+                Ok(Some(message)) => {
+                    give(&contents.topics[message.topic], message);
+                    return Ok(true);
+                }
+                Ok(None) => {}
+                Err(error) if breaks_off(&error) => {
+                    *cut_short = Some("the MCAP file was not closed or is cut off".to_owned());
+                    return Ok(false);
+                }
+                Err(error) => return Err(damaged(name, error)),
+            }
+        }
+        Ok(false)
     }
 
     fn cut_short(&self) -> Option<&str> {
         self.cut_short.as_deref()
-    }
-}
-
-impl McapFile {
-    fn next_of(&mut self, reader: &mut LinearReader) -> Result<Option<Message>, RecordingError> {
-        loop {
-            let step = match reader.next_event() {
-                None => return Ok(None),
-                Some(Ok(LinearReadEvent::ReadRequest(bytes))) => Step::Read(bytes),
-                Some(Ok(LinearReadEvent::Record { opcode, data })) => match parse_record(opcode, data) {
-                    Ok(record) => Step::Taken(self.take(record)),
-                    Err(error) if breaks_off(&error) => Step::CutShort,
-                    Err(error) => return Err(self.damaged(error)),
-                },
-                Some(Err(error)) if breaks_off(&error) => Step::CutShort,
-                Some(Err(error)) => return Err(self.damaged(error)),
-            };
-            match step {
-                Step::Read(bytes) => {
-                    let read = self.file.read(reader.insert(bytes.min(BUFFER_BYTES)));
-                    let read = read.map_err(|error| RecordingError::unreadable(&self.name, error))?;
-                    reader.notify_read(read);
-                }
-                Step::Taken(Some(message)) => return Ok(Some(message)),
-                Step::Taken(None) => {}
-                Step::CutShort => {
-                    self.cut_short = Some("the MCAP file was not closed or is cut off".to_owned());
-                    return Ok(None);
-                }
-            }
-        }
     }
 }

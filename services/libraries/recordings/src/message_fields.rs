@@ -97,15 +97,35 @@ impl<'a> Fields<'a> {
         Ok(f32::from_le_bytes(self.number()?))
     }
 
-    pub fn f64(&mut self) -> Result<f64, MessageProblem> {
-        Ok(f64::from_le_bytes(self.number()?))
+    /// So many numbers of 32 bits, one after the other.
+    pub fn f32s<const N: usize>(&mut self) -> Result<[f32; N], MessageProblem> {
+        self.align(4);
+        let bytes = self.take(4 * N)?.as_chunks().0;
+        Ok(std::array::from_fn(|at| match self.big_endian {
+            true => f32::from_be_bytes(bytes[at]),
+            false => f32::from_le_bytes(bytes[at]),
+        }))
+    }
+
+    /// So many numbers of 64 bits, one after the other.
+    pub fn f64s<const N: usize>(&mut self) -> Result<[f64; N], MessageProblem> {
+        self.align(8);
+        let bytes = self.take(8 * N)?.as_chunks().0;
+        Ok(std::array::from_fn(|at| match self.big_endian {
+            true => f64::from_be_bytes(bytes[at]),
+            false => f64::from_le_bytes(bytes[at]),
+        }))
     }
 
     /// A text; what is not UTF-8 in it is replaced.
     pub fn text(&mut self) -> Result<String, MessageProblem> {
         let length = self.u32()? as usize;
         let bytes = self.take(length)?;
-        Ok(String::from_utf8_lossy(bytes.strip_suffix(&[0]).unwrap_or(bytes)).into_owned())
+        let bytes = bytes.strip_suffix(&[0]).unwrap_or(bytes);
+        Ok(match std::str::from_utf8(bytes) {
+            Ok(text) => text.to_owned(),
+            Err(_) => String::from_utf8_lossy(bytes).into_owned(),
+        })
     }
 
     /// A `std_msgs/Header`: its stamp, nanoseconds, and its frame.
@@ -131,11 +151,12 @@ impl<'a> Fields<'a> {
     pub fn floats(&mut self, numbers: &mut Vec<f32>) -> Result<usize, MessageProblem> {
         let count = self.u32()? as usize;
         let bytes = self.take(count.checked_mul(4).ok_or(MessageProblem::BreaksOff)?)?;
-        let big_endian = self.big_endian;
-        numbers.extend(bytes.chunks_exact(4).map(|bytes| {
-            let bytes: [u8; 4] = bytes.try_into().expect("four of them");
-            if big_endian { f32::from_be_bytes(bytes) } else { f32::from_le_bytes(bytes) }
-        }));
+        let (fours, _) = bytes.as_chunks::<4>();
+        if self.big_endian {
+            numbers.extend(fours.iter().map(|four| f32::from_be_bytes(*four)));
+        } else {
+            numbers.extend(fours.iter().map(|four| f32::from_le_bytes(*four)));
+        }
         Ok(count)
     }
 }
@@ -150,7 +171,7 @@ mod tests {
         let little =
             [&[0u8, 1, 0, 0][..], &2u32.to_le_bytes(), b"a\0", &[0; 2], &7.5f64.to_le_bytes()].concat();
         let mut fields = Fields::new(&little, Wire::Cdr).unwrap();
-        assert_eq!((fields.text().unwrap().as_str(), fields.f64().unwrap()), ("a", 7.5));
+        assert_eq!((fields.text().unwrap().as_str(), fields.f64s().unwrap()), ("a", [7.5]));
         let big = [&[0u8, 0, 0, 0][..], &1u32.to_be_bytes(), &2.5f32.to_be_bytes()].concat();
         let mut numbers = Vec::new();
         assert_eq!(Fields::new(&big, Wire::Cdr).unwrap().floats(&mut numbers), Ok(1));

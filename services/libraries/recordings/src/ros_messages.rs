@@ -82,6 +82,16 @@ impl Reading {
     /// # Errors
     /// When the bytes are not such a message, or it has more beams than are taken.
     pub fn decode(kind: ReadingKind, bytes: &[u8], wire: Wire) -> Result<Self, MessageProblem> {
+        Self::decode_with(kind, bytes, wire, &mut Spares::default())
+    }
+
+    /// As [`Reading::decode`], with memory of messages before.
+    pub(crate) fn decode_with(
+        kind: ReadingKind,
+        bytes: &[u8],
+        wire: Wire,
+        spares: &mut Spares,
+    ) -> Result<Self, MessageProblem> {
         if matches!(kind, ReadingKind::BusScan | ReadingKind::SetRecord) != (wire == Wire::Bus) {
             return Err(MessageProblem::UnknownEncoding);
         }
@@ -93,7 +103,9 @@ impl Reading {
             ReadingKind::SetRecord => {
                 SetRecord::from_bytes(bytes).map(Self::SetRecord).ok_or(MessageProblem::BreaksOff)
             }
-            ReadingKind::Scan | ReadingKind::MultiEchoScan => laser_scan(fields, kind).map(Self::Scan),
+            ReadingKind::Scan | ReadingKind::MultiEchoScan => {
+                laser_scan(fields, kind, spares).map(Self::Scan)
+            }
             ReadingKind::Cloud => point_cloud(fields).map(Self::Cloud),
             ReadingKind::Odometry => odometry(fields).map(Self::Odometry),
             ReadingKind::Imu => imu(fields).map(Self::Imu),
@@ -102,14 +114,23 @@ impl Reading {
     }
 }
 
-fn laser_scan(mut fields: Fields<'_>, kind: ReadingKind) -> Result<FramedScan, MessageProblem> {
+/// Memory that is used again for the next message.
+#[derive(Debug, Default)]
+pub(crate) struct Spares {
+    /// Of a scan.
+    pub numbers: Vec<f32>,
+}
+
+fn laser_scan(
+    mut fields: Fields<'_>,
+    kind: ReadingKind,
+    spares: &mut Spares,
+) -> Result<FramedScan, MessageProblem> {
     let (stamp_ns, frame) = fields.header()?;
-    let mut shape = [0.0; 7];
-    for number in &mut shape {
-        *number = fields.f32()?;
-    }
-    let [angle_min, _angle_max, increment, time_increment, _scan_time, range_min, range_max] = shape;
-    let mut numbers = Vec::new();
+    let [angle_min, _angle_max, increment, time_increment, _scan_time, range_min, range_max] =
+        fields.f32s()?;
+    let mut numbers = std::mem::take(&mut spares.numbers);
+    numbers.clear();
     let beams = match kind {
         ReadingKind::MultiEchoScan => last_echoes(&mut fields, &mut numbers)?,
         _ => fields.floats(&mut numbers)?,
@@ -235,10 +256,8 @@ fn odometry(mut fields: Fields<'_>) -> Result<OdometryReading, MessageProblem> {
 fn imu(mut fields: Fields<'_>) -> Result<ImuReading, MessageProblem> {
     let (stamp_ns, frame) = fields.header()?;
     // A quaternion and its covariance.
-    for _ in 0..4 + 9 {
-        fields.f64()?;
-    }
-    let turn_rad_s = Vector3::new(fields.f64()?, fields.f64()?, fields.f64()?);
+    fields.f64s::<{ 4 + 9 }>()?;
+    let turn_rad_s = Vector3::from(fields.f64s::<3>()?);
     if !turn_rad_s.iter().all(|rate| rate.is_finite()) {
         return Err(MessageProblem::NotFinite);
     }
@@ -259,11 +278,7 @@ fn transforms(mut fields: Fields<'_>) -> Result<Vec<StampedTransform>, MessagePr
 
 /// A position and a quaternion.
 fn pose(fields: &mut Fields<'_>) -> Result<Isometry3<f64>, MessageProblem> {
-    let mut numbers = [0.0; 7];
-    for number in &mut numbers {
-        *number = fields.f64()?;
-    }
-    let [x, y, z, rotation @ ..] = numbers;
+    let [x, y, z, rotation @ ..] = fields.f64s::<7>()?;
     pose_in_space([x, y, z], rotation).ok_or(MessageProblem::NotFinite)
 }
 
@@ -321,6 +336,15 @@ mod tests {
         for cut in 0..message(0.0).len() {
             assert!(scan(&message(0.0)[..cut], ReadingKind::Scan).is_err(), "{cut}");
         }
+    }
+
+    #[test]
+    fn nothing_of_the_scan_before_is_left_in_its_memory() {
+        let mut spares = Spares { numbers: vec![9.0; 100] };
+        let found = Reading::decode_with(ReadingKind::Scan, &message(0.0), Wire::Ros1, &mut spares);
+        let Ok(Reading::Scan(found)) = found else { panic!("not a scan") };
+        assert_eq!((found.scan.numbers.len(), found.scan.numbers[3]), (4, 2.5));
+        assert!(found.scan.numbers.capacity() >= 100 && spares.numbers.is_empty());
     }
 
     #[test]

@@ -10,6 +10,8 @@ const KEPT_NS: i64 = 30_000_000_000;
 const GAP_MAX_NS: i64 = 1_000_000_000;
 /// Quaternions of other lengths are no rotations.
 const LENGTHS: std::ops::Range<f64> = 1e-6..1e6;
+/// So many of the last poses are looked through one by one.
+const LAST_FEW: usize = 4;
 /// A chain of frames is not longer: one that is goes round in a circle.
 const CHAIN_MAX: usize = 64;
 
@@ -91,8 +93,19 @@ impl TransformBuffer {
     /// Takes a transform. Those of one frame may come in any order; of equal stamps the last counts. One with numbers that are not
     /// finite, or from a frame to itself, is left out.
     pub fn insert(&mut self, transform: &StampedTransform, is_static: bool) {
-        let (parent, child) = (frame_name(&transform.parent), frame_name(&transform.child));
-        let pose = transform.parent_from_child;
+        let StampedTransform { stamp_ns, parent, child, parent_from_child } = transform;
+        self.insert_pose((parent, child), *stamp_ns, parent_from_child, is_static);
+    }
+
+    /// As [`TransformBuffer::insert`], of a parent and a child and the pose of one in the other.
+    pub fn insert_pose(
+        &mut self,
+        (parent, child): (&str, &str),
+        stamp_ns: i64,
+        pose: &Isometry3<f64>,
+        is_static: bool,
+    ) {
+        let (parent, child) = (frame_name(parent), frame_name(child));
         let finite = pose.translation.vector.iter().chain(pose.rotation.coords.iter()).all(|v| v.is_finite());
         if parent == child || !finite {
             return;
@@ -103,17 +116,20 @@ impl TransformBuffer {
             poses: VecDeque::new(),
             time: TimeWatch::default(),
         };
-        let link = self.links.entry(child.to_owned()).or_insert_with(fresh);
+        if !self.links.contains_key(child) {
+            self.links.insert(child.to_owned(), fresh());
+        }
+        let Some(link) = self.links.get_mut(child) else { return };
         if link.parent != parent || link.is_static != is_static || is_static {
             *link = fresh();
         }
-        if link.time.goes_back(transform.stamp_ns) && self.follows_time {
+        if link.time.goes_back(stamp_ns) && self.follows_time {
             link.poses.clear();
         }
-        let at = link.poses.partition_point(|(stamp_ns, _)| *stamp_ns < transform.stamp_ns);
+        let at = link.first_from(stamp_ns);
         match link.poses.get_mut(at) {
-            Some(same) if same.0 == transform.stamp_ns => same.1 = pose,
-            _ => link.poses.insert(at, (transform.stamp_ns, pose)),
+            Some(same) if same.0 == stamp_ns => same.1 = *pose,
+            _ => link.poses.insert(at, (stamp_ns, *pose)),
         }
         let newest_ns = link.poses.back().map_or(i64::MIN, |(stamp_ns, _)| *stamp_ns);
         while link.poses.front().is_some_and(|(stamp_ns, _)| newest_ns.saturating_sub(*stamp_ns) > KEPT_NS) {
@@ -134,13 +150,13 @@ impl TransformBuffer {
 
     /// The frames above a frame, the nearest first, up to the root.
     pub fn ancestors<'a>(&'a self, frame: &'a str) -> Vec<&'a str> {
-        let mut at = frame_name(frame);
-        let mut found = Vec::new();
-        while let Some(link) = self.links.get(at).filter(|_| found.len() < CHAIN_MAX) {
-            at = &link.parent;
-            found.push(at);
-        }
-        found
+        self.above(frame_name(frame)).skip(1).collect()
+    }
+
+    /// A frame, and those above it.
+    fn above<'a>(&'a self, frame: &'a str) -> impl Iterator<Item = &'a str> {
+        let parent = |at: &&'a str| self.links.get(*at).map(|link| link.parent.as_str());
+        std::iter::successors(Some(frame), parent).take(CHAIN_MAX + 1)
     }
 
     /// `target_from_source` at a time, interpolated.
@@ -149,6 +165,9 @@ impl TransformBuffer {
     /// When the frames are not linked, or a transform between them is not known for that time.
     pub fn lookup(&self, target: &str, source: &str, at_ns: i64) -> Result<Isometry3<f64>, LookupError> {
         let (target, source) = (frame_name(target), frame_name(source));
+        if let Some(pose) = self.straight_up(target, source, at_ns) {
+            return pose.map(|pose| Isometry3::identity().inv_mul(&pose));
+        }
         let common = self.common(target, source).ok_or(LookupError::Unlinked)?;
         Ok(self.up_to(common, target, at_ns)?.inv_mul(&self.up_to(common, source, at_ns)?))
     }
@@ -162,18 +181,33 @@ impl TransformBuffer {
     pub fn known_until_ns(&self, target: &str, source: &str) -> Option<i64> {
         let (target, source) = (frame_name(target), frame_name(source));
         let common = self.common(target, source)?;
-        let up = |frame| {
-            let up_to_common = move |at: &&str| *at != common;
-            std::iter::once(frame).chain(self.ancestors(frame)).take_while(up_to_common)
-        };
+        let up = |frame| self.above(frame).take_while(move |at| *at != common);
         let links = up(target).chain(up(source)).filter_map(|frame| self.links.get(frame));
         links.filter(|link| !link.is_static).filter_map(|link| link.poses.back()).map(|(at, _)| *at).min()
     }
 
     /// The nearest frame that both are, or lie below.
     fn common<'a>(&'a self, target: &'a str, source: &'a str) -> Option<&'a str> {
-        let above = |frame| std::iter::once(frame).chain(self.ancestors(frame));
-        above(target).find(|frame| above(source).any(|other| other == *frame))
+        self.above(target).find(|frame| self.above(source).any(|other| other == *frame))
+    }
+
+    /// `ancestor_from_frame` at a time; `None` where one does not lie above the other.
+    fn straight_up(
+        &self,
+        ancestor: &str,
+        frame: &str,
+        at_ns: i64,
+    ) -> Option<Result<Isometry3<f64>, LookupError>> {
+        let (mut at, mut pose) = (frame, Ok(Isometry3::identity()));
+        for _ in 0..=CHAIN_MAX {
+            if at == ancestor {
+                return Some(pose);
+            }
+            let link = self.links.get(at)?;
+            pose = pose.and_then(|pose| Ok(link.pose_at(at_ns)? * pose));
+            at = &link.parent;
+        }
+        None
     }
 
     /// `ancestor_from_frame` at a time.
@@ -189,12 +223,19 @@ impl TransformBuffer {
 }
 
 impl Link {
+    /// Which pose is the first that is not older. Most questions are about the last few.
+    fn first_from(&self, at_ns: i64) -> usize {
+        let is_older = |(stamp_ns, _): &(i64, Isometry3<f64>)| *stamp_ns < at_ns;
+        let later = self.poses.iter().rev().take(LAST_FEW).take_while(|pose| !is_older(pose)).count();
+        if later < LAST_FEW { self.poses.len() - later } else { self.poses.partition_point(is_older) }
+    }
+
     fn pose_at(&self, at_ns: i64) -> Result<Isometry3<f64>, LookupError> {
         if self.poses.is_empty() {
             // Its time has gone back, and nothing was said since.
             return Err(LookupError::NotYet);
         }
-        let after = self.poses.partition_point(|(stamp_ns, _)| *stamp_ns < at_ns);
+        let after = self.first_from(at_ns);
         let next = self.poses.get(after);
         if let Some((stamp_ns, pose)) = next
             && (*stamp_ns == at_ns || self.is_static)

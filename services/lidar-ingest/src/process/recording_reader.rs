@@ -103,7 +103,8 @@ impl RecordingReader {
                 ReadRecordingError::NotLocated { name: self.recording.name().to_owned(), problem }
             })?;
             if let Some(located) = located {
-                *scan = located;
+                let before = std::mem::replace(scan, located);
+                self.recording.take_back(before.numbers);
                 self.count(scan);
                 return Ok(true);
             }

@@ -3,7 +3,26 @@
 use super::{Frames, Live, ODOMETRY_AGE_NS, ScanLocator, Sighting};
 use flockslam_geometry::{Pose, Twist, wrap_angle};
 use flockslam_messages::{HEADING_ONLY, ScanBuffer};
-use flockslam_transforms::{LookupError, planar};
+use flockslam_transforms::{Isometry3, LookupError, planar};
+
+/// Where odometry has the robot at the end of a scan, or as far as it reaches.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct MotionEnd {
+    odom_from_base: Isometry3<f64>,
+    /// For so long it is known, of the duration of the scan, seconds; `None`: to the end.
+    carried_on: Option<(f64, f64)>,
+}
+
+impl MotionEnd {
+    /// The motion during the scan from the pose at its beginning; `None` where numbers are not finite.
+    pub(super) fn motion_from(&self, from: Pose) -> Option<Pose> {
+        let known = from.to(planar(&self.odom_from_base));
+        let motion = self.carried_on.map_or(known, |(known_s, duration_s)| {
+            Twist::from_motion(known, known_s).motion_after(duration_s)
+        });
+        Some(motion).filter(|motion| motion.is_finite())
+    }
+}
 
 impl ScanLocator {
     pub(super) fn integrate_gyro(&mut self, frames: &Frames) {
@@ -25,44 +44,55 @@ impl ScanLocator {
     }
 
     /// `odom_from_base` at a time.
-    pub(super) fn odometry_at(&self, frames: &Frames, at_ns: i64) -> Result<Pose, LookupError> {
-        if let Some((parent, child)) = &self.odometry_frames {
-            let moved = self.odometry.lookup(parent, child, at_ns)?;
-            let base = self.transforms.lookup(child, &frames.base, at_ns);
-            return Ok(planar(&(moved * base.unwrap_or_default())));
-        }
-        let odom = frames.odom.as_deref().ok_or(LookupError::Unlinked)?;
-        self.transforms.lookup(odom, &frames.base, at_ns).map(|moved| planar(&moved))
-    }
-
-    /// The motion by odometry from this pose at a time, that of the first scan that waits, until its last beam. Live, where odometry
-    /// reaches over half of the scan and no further, it is carried on.
-    pub(super) fn moved_during(
+    pub(super) fn odometry_in_space(
         &self,
         frames: &Frames,
-        from: Pose,
+        at_ns: i64,
+    ) -> Result<Isometry3<f64>, LookupError> {
+        if let Some((parent, child)) = &self.odometry_frames {
+            let moved = self.odometry.lookup(parent, child, at_ns)?;
+            let base = match *child == frames.base {
+                true => Isometry3::identity(),
+                false => self.transforms.lookup(child, &frames.base, at_ns).unwrap_or_default(),
+            };
+            return Ok(moved * base);
+        }
+        let odom = frames.odom.as_deref().ok_or(LookupError::Unlinked)?;
+        self.transforms.lookup(odom, &frames.base, at_ns)
+    }
+
+    fn odometry_at(&self, frames: &Frames, at_ns: i64) -> Result<Pose, LookupError> {
+        self.odometry_in_space(frames, at_ns).map(|pose| planar(&pose))
+    }
+
+    /// Where odometry has the robot at the last beam of a scan that began at a time. Live, where odometry reaches over half of the scan
+    /// and no further, where it has the robot last.
+    pub(super) fn motion_end(
+        &self,
+        frames: &Frames,
+        sighting: &Sighting,
         from_ns: i64,
-    ) -> Result<Pose, LookupError> {
-        let scan = self.waiting.front().and_then(|waiting| match &waiting.sighting {
+    ) -> Result<MotionEnd, LookupError> {
+        let scan = match sighting {
             Sighting::Scan(scan) => scan.scan.view().ok().filter(|scan| scan.takes_time()),
             Sighting::Cloud(_) => None,
-        });
+        };
         let duration_s = scan.map_or(0.0, |scan| scan.time_s(scan.len() - 1));
         if duration_s <= 0.0 {
             return Err(LookupError::Unlinked);
         }
         let until_ns = from_ns.saturating_add((duration_s * 1e9) as i64);
-        let at_end = self.odometry_at(frames, until_ns);
+        let at_end = self.odometry_in_space(frames, until_ns);
         if at_end != Err(LookupError::NotYet) || self.live.is_none() {
-            return at_end.map(|end| from.to(end)).and_then(finite);
+            return at_end.map(|odom_from_base| MotionEnd { odom_from_base, carried_on: None });
         }
         let known_ns = self.odometry_known_until_ns(frames).ok_or(LookupError::NotYet)?;
         let known_s = known_ns.saturating_sub(from_ns) as f64 * 1e-9;
         if known_s < 0.5 * duration_s {
             return Err(LookupError::NotYet);
         }
-        let known = from.to(self.odometry_at(frames, known_ns)?);
-        finite(Twist::from_motion(known, known_s).motion_after(duration_s))
+        let odom_from_base = self.odometry_in_space(frames, known_ns)?;
+        Ok(MotionEnd { odom_from_base, carried_on: Some((known_s, duration_s)) })
     }
 
     fn odometry_known_until_ns(&self, frames: &Frames) -> Option<i64> {
@@ -123,8 +153,4 @@ impl ScanLocator {
             (None, None) => {}
         }
     }
-}
-
-fn finite(pose: Pose) -> Result<Pose, LookupError> {
-    if pose.is_finite() { Ok(pose) } else { Err(LookupError::Unlinked) }
 }

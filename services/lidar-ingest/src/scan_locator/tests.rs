@@ -3,6 +3,7 @@
 use super::*;
 use crate::settings::{LidarCalibration, LidarMounting};
 use flockslam_messages::HEADING_ONLY;
+use flockslam_transforms::Isometry3;
 use nalgebra::Vector3;
 
 const MS: i64 = 1_000_000;
