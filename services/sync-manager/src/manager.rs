@@ -315,7 +315,8 @@ impl SyncManager {
         }
     }
 
-    /// Smooths the odometry of the last segment and of a new one that goes on from it, and moves their nodes in the solution likewise.
+    /// Smooths the odometry of the last segment and of a new one that goes on from it. In the solution the nodes behind the last closure
+    /// follow: to those before it the closure has given its place already.
     fn smooth(&mut self, segment: &Segment) {
         let Some(last) = self.segments.last() else { return };
         let nodes = self.odometry.nodes();
@@ -324,12 +325,12 @@ impl SyncManager {
         if !nodes[start..segment.nodes.end].iter().all(is_matched) {
             return;
         }
-        let before: Vec<Placement> =
-            nodes[start..self.poses.len()].iter().map(|node| node.local_pose).collect();
         self.odometry.smooth([last, segment], &self.scans, self.finder.scratch());
-        let nodes = &self.odometry.nodes()[start..];
-        for ((pose, node), before) in self.poses[start..].iter_mut().zip(nodes).zip(before) {
-            *pose = pose.compose(before.to(node.local_pose));
+        let inliers = self.closures.iter().zip(&self.is_inlier).filter(|(_, is_inlier)| **is_inlier);
+        let held = inliers.map(|(closure, _)| closure.edge.to).fold(start, usize::max);
+        let (at, nodes) = (self.poses[held], self.odometry.nodes());
+        for (pose, node) in self.poses[held..].iter_mut().zip(&nodes[held..]) {
+            *pose = at.compose(nodes[held].local_pose.to(node.local_pose));
         }
     }
 
