@@ -138,7 +138,7 @@ fn join_late(world: &str, duration_s: f64, then: impl FnOnce(&mut FlockRobot)) {
     let directory = tempfile::tempdir().unwrap();
     let [first, second] = [(); 2].map(|()| format!("tcp/127.0.0.1:{}", free_port()));
     // The first one stays when its drive has ended.
-    let stays = (world, "wait_for_robots = 1\nfarewell_s = 80.0");
+    let stays = (world, "wait_for_robots = 1\nwait_max_s = 80.0");
     let drive = Drive { duration_s, rate: 10.0, ..MEETING };
     let test = format!("late-{}", &world[..4]);
     let mut early =

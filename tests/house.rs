@@ -324,7 +324,7 @@ fn each_invariant_names_what_asserts_it() {
     let files = all_files();
     for bullet in bullets {
         let asserting: Vec<_> = bullet.split('`').filter_map(|word| word.split_once(".rs::")).collect();
-        assert!(!asserting.is_empty(), "nothing is named that keeps: {bullet}");
+        assert!(!asserting.is_empty(), "nothing is named that asserts it: {bullet}");
         for (path, name) in asserting {
             let whole = repository().join(format!("{path}.rs"));
             // Where the directory is clear from the text only the end of a path is given.

@@ -78,7 +78,7 @@ fn run(neighbours: Neighbours) -> Run {
 /// The robot that is measured, and one that has driven before.
 fn beside_a_converged_one(directory: &Path) -> Vec<FlockRobot> {
     let endpoints = [(); 2].map(|()| format!("tcp/127.0.0.1:{}", free_port()));
-    let stays = ("office", "wait_for_robots = 1\nfarewell_s = 90.0");
+    let stays = ("office", "wait_for_robots = 1\nwait_max_s = 90.0");
     let before = Drive { duration_s: 200.0, rate: 20.0, ..DRIVE };
     let mut converged = FlockRobot::start_one("latency", directory, before, &endpoints, 1, stays);
     converged.wait_for_flock("the end of its drive", |flock| flock.has_ended && flock.converged);

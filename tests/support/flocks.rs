@@ -103,7 +103,7 @@ impl FlockRobot {
     pub fn start_in(namespaces: &[Namespace; 2], test: &str, directory: &Path, drive: Drive) -> Vec<Self> {
         let endpoints: Vec<String> =
             namespaces.iter().map(|space| format!("tcp/{}:7447", space.address)).collect();
-        let more = format!("wait_for_robots = 1\nfarewell_s = {WAIT_MAX_S}.0");
+        let more = format!("wait_for_robots = 1\nwait_max_s = {WAIT_MAX_S}.0");
         let start = |(number, space): (usize, &Namespace)| {
             Self::start(test, directory, &endpoints, number, (WORLD, &more), |set, description, more| {
                 let mut command = Command::new("ip");

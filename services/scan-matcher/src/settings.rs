@@ -57,7 +57,7 @@ pub enum Strategy {
 #[serde(default, deny_unknown_fields)]
 pub struct Rescue {
     /// A score below this share of the running mean is a bad one: a wide search begins, the pose is degraded, and the next drop is
-    /// overruled; 0 = none is, and odometry is used whatever it is.
+    /// overruled; 0 = none is, and odometry is used without a check.
     pub below: f64,
     /// After this many scans in a row that are not accepted the robot is taken to be somewhere else: the map is left as it is and
     /// a new trajectory begins, which a closure may attach; 0 = every fit is accepted.
