@@ -357,7 +357,7 @@ pub fn hostile(robot: &FlockRobot, flood: usize) -> usize {
     };
     let _subscriber =
         session.declare_subscriber(format!("{prefix}/to/forger-0/*")).callback(receive).wait().unwrap();
-    let _there = session.liveliness().declare_token(format!("{prefix}/there/evil-0")).wait().unwrap();
+    let _there = session.liveliness().declare_token(format!("{prefix}/there/forger-0")).wait().unwrap();
     let mut sent = 0;
     let mut send = |sender: &str, bytes: Vec<u8>| {
         let put = session.put(format!("{prefix}/to/{victim}/{sender}"), bytes);
