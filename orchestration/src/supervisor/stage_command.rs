@@ -4,6 +4,7 @@ use super::SetFile;
 use flockslam_bus::RuntimeDir;
 use flockslam_lidar_ingest::process::Task;
 use flockslam_messages::Stage;
+use flockslam_scan_matcher::process::GridFormat;
 use flockslam_stage::{Actor, StageContext, StageError, StopFlag};
 use std::path::Path;
 
@@ -23,13 +24,20 @@ pub fn run_stage(stage: Stage, replica: u32, set_dir: &Path, is_fallback: bool) 
     run_in(&mut context, set)
 }
 
+/// What the matcher has to know of the grid that it reads.
+fn grid_format(mapper: &flockslam_mapper::Settings) -> GridFormat {
+    let unknown_score = f64::from(mapper.read_out().unknown()) / f64::from(u16::MAX);
+    GridFormat { cell_size_m: mapper.cell_size_m, unknown_score }
+}
+
 /// Runs a stage on a context that is already there.
 ///
 /// # Errors
 /// As [`run_stage`].
 pub fn run_in(context: &mut StageContext, set: SetFile) -> Result<(), StageError> {
     let SetFile { source, rate, world, configuration, .. } = set;
-    let cell_size_m = configuration.mapper.cell_size_m;
+    let grid = grid_format(&configuration.mapper);
+    let cell_size_m = grid.cell_size_m;
     match context.stage {
         Stage::LidarIngest => {
             let (settings, simulation) = (configuration.lidar_ingest, configuration.simulation);
@@ -42,7 +50,7 @@ pub fn run_in(context: &mut StageContext, set: SetFile) -> Result<(), StageError
             flockslam_correlation_filter::process::run_stage(context, configuration.correlation_filter)
         }
         Stage::ScanMatcher => {
-            flockslam_scan_matcher::process::run_stage(context, configuration.scan_matcher, cell_size_m)
+            flockslam_scan_matcher::process::run_stage(context, configuration.scan_matcher, grid)
         }
         Stage::Mapper => flockslam_mapper::process::run_stage(context, configuration.mapper),
         Stage::DynamicCleaner => {
@@ -58,7 +66,8 @@ pub fn run_in(context: &mut StageContext, set: SetFile) -> Result<(), StageError
 /// As [`run_stage`].
 pub fn shell_in(context: &mut StageContext, set: SetFile) -> Result<Box<dyn Actor>, StageError> {
     let SetFile { source, rate, world, configuration, .. } = set;
-    let cell_size_m = configuration.mapper.cell_size_m;
+    let grid = grid_format(&configuration.mapper);
+    let cell_size_m = grid.cell_size_m;
     match context.stage {
         Stage::LidarIngest => {
             let (settings, simulation) = (configuration.lidar_ingest, configuration.simulation);
@@ -69,7 +78,7 @@ pub fn shell_in(context: &mut StageContext, set: SetFile) -> Result<Box<dyn Acto
             flockslam_correlation_filter::process::shell(context, configuration.correlation_filter)
         }
         Stage::ScanMatcher => {
-            flockslam_scan_matcher::process::shell(context, configuration.scan_matcher, cell_size_m)
+            flockslam_scan_matcher::process::shell(context, configuration.scan_matcher, grid)
         }
         Stage::Mapper => flockslam_mapper::process::shell(context, configuration.mapper),
         Stage::DynamicCleaner => {

@@ -53,8 +53,7 @@ const STANDING: (f64, f64) = (0.05, 0.05);
 /// let scan = ScanBuffer::from_ranges(&[5.0; 720], -PI, TAU / 720.0);
 ///
 /// // By default three views from different places are needed, and most of the map must be confirmed.
-/// let settings = Settings { votes: 1, contradiction_max: 1.0, ..Settings::default() };
-/// let mut cleaner = DynamicCleaner::new(settings);
+/// let mut cleaner = DynamicCleaner::new(Settings::sectors());
 /// let unmatched = PoseEstimate::default();
 /// assert!(cleaner.handle(scan.view()?, &unmatched, &grid).cleared.is_empty());
 /// let matched = PoseEstimate { flags: PoseFlags::MATCHED, ..unmatched };
@@ -107,7 +106,7 @@ impl DynamicCleaner {
             found: Vec::with_capacity(SEEN_THROUGH_MAX),
             judged: None,
             seen_through: Vec::with_capacity(SEEN_THROUGH_MAX),
-            cleared: Vec::with_capacity(settings.cleared_max),
+            cleared: Vec::with_capacity(settings.method.cleared_max()),
             tracker: Tracker::default(),
             moving: Vec::new(),
             watched: None,
@@ -296,7 +295,7 @@ impl DynamicCleaner {
     /// is in the wrong place.
     fn is_plausible(&self, supported: usize) -> bool {
         let (contradicted, judged) = (self.seen_through.len(), self.seen_through.len() + supported);
-        contradicted as f64 <= self.settings.contradiction_max * judged as f64
+        contradicted as f64 <= self.settings.method.contradiction_max() * judged as f64
     }
 
     fn vote(&mut self, odom_from_laser: Pose, counts: Counts) {
@@ -304,7 +303,10 @@ impl DynamicCleaner {
         let decides = matches!(counts, Counts::FromOtherPlaces { .. });
         for cell in &self.seen_through {
             let votes = self.votes.add(*cell, odom_from_laser, self.scans, counts);
-            if decides && votes >= self.settings.votes && self.cleared.len() < self.settings.cleared_max {
+            if decides
+                && votes >= self.settings.votes
+                && self.cleared.len() < self.settings.method.cleared_max()
+            {
                 self.cleared.push(ClearedCell { x: cell.x, y: cell.y });
                 self.votes.remove(*cell);
             }

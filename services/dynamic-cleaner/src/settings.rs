@@ -15,11 +15,6 @@ pub struct Settings {
     /// So many scans must have looked through a cell, from places 0.15 m or 0.3 rad apart, before it is cleared; scans of a robot that
     /// stands count up to the last vote but one when they are 0.3 s apart.
     pub votes: u8,
-    /// A scan that looks through more than this share of the cells that it can judge votes for nothing: then the pose
-    /// or the grid is wrong, not the world.
-    pub contradiction_max: f64,
-    /// Cells cleared by one scan at most; the rest follow with the next ones.
-    pub cleared_max: usize,
     /// Processes of this stage, each of which judges the cells in its sector of the circle around the lidar.
     pub replicas: usize,
 }
@@ -34,30 +29,34 @@ pub enum Method {
     Sectors,
 }
 
+impl Method {
+    /// A scan that looks through more than this share of the cells that it can judge votes for nothing: then the pose or the grid is
+    /// wrong, not the world. The published method has no such limit.
+    pub(crate) fn contradiction_max(self) -> f64 {
+        match self {
+            Self::Beams => 0.2,
+            Self::Sectors => 1.0,
+        }
+    }
+
+    /// Cells cleared by one scan at most; the rest follow with the next ones.
+    pub(crate) fn cleared_max(self) -> usize {
+        match self {
+            Self::Beams => 4096,
+            Self::Sectors => 1 << 14,
+        }
+    }
+}
+
 impl Default for Settings {
     fn default() -> Self {
-        Self {
-            enabled: true,
-            method: Method::Beams,
-            radius_m: 12.0,
-            votes: 3,
-            contradiction_max: 0.2,
-            cleared_max: 4096,
-            replicas: 1,
-        }
+        Self { enabled: true, method: Method::Beams, radius_m: 12.0, votes: 3, replicas: 1 }
     }
 }
 
 impl Settings {
     /// The published map update by ray tracing in sectors: what one scan looks through within 4 m is removed at once.
     pub fn sectors() -> Self {
-        Self {
-            method: Method::Sectors,
-            radius_m: 4.0,
-            votes: 1,
-            contradiction_max: 1.0,
-            cleared_max: 1 << 14,
-            ..Self::default()
-        }
+        Self { method: Method::Sectors, radius_m: 4.0, votes: 1, ..Self::default() }
     }
 }

@@ -18,11 +18,13 @@ pub(crate) struct Scores {
 impl Scores {
     pub(crate) fn new(settings: &Settings) -> Self {
         let cap = |nat: f64| Cell::from_weights(nat, 0.0).occupied;
+        let read_out = settings.read_out();
+        let (occupied_nat, free_nat) = read_out.caps_nat();
         Self {
-            read_out: settings.read_out,
-            occupied_cap: cap(settings.occupied_cap_nat),
-            free_cap: cap(settings.free_cap_nat),
-            known: Box::new([(Cell::UNKNOWN, settings.read_out.unknown()); PLACES]),
+            read_out,
+            occupied_cap: cap(occupied_nat),
+            free_cap: cap(free_nat),
+            known: Box::new([(Cell::UNKNOWN, read_out.unknown()); PLACES]),
         }
     }
 
@@ -69,7 +71,7 @@ mod tests {
         assert_eq!(scores.of(Cell::UNKNOWN), 0);
         for i in (0..200_000u32).chain(0..200_000) {
             let cell = Cell { occupied: i.wrapping_mul(613) % 80_000, free: i.wrapping_mul(89) % 20_000 };
-            assert_eq!(scores.of(cell), settings.read_out.score(cell.masses()));
+            assert_eq!(scores.of(cell), settings.read_out().score(cell.masses()));
         }
     }
 }

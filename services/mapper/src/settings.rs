@@ -15,7 +15,7 @@ pub(crate) const SUBMAP_LENGTH_M: f64 = 5.0;
 pub struct Settings {
     /// Side of a cell, metres.
     pub cell_size_m: f64,
-    /// Which evidence a beam leaves.
+    /// Which evidence a beam leaves, and which score of it the matcher reads.
     pub sensor_model: SensorModelKind,
     /// Weight of evidence of a miss, nat (`evidence` model).
     pub miss_nat: f64,
@@ -26,12 +26,6 @@ pub struct Settings {
     /// What stands where the map knows free space enters it once so many scans, at least 0.3 s apart, have seen it there: who
     /// walks by leaves no trail. 1 = at once.
     pub newcomer_views: u8,
-    /// Score that the matcher reads.
-    pub read_out: ReadOut,
-    /// Evidence for "occupied" counts at most this much in the score, nat.
-    pub occupied_cap_nat: f64,
-    /// Evidence for "free" counts at most this much in the score, nat.
-    pub free_cap_nat: f64,
     /// A submap is closed after 5 m of travel or this many insertions, which keeps its sums far from saturation.
     pub submap_insertions: u32,
     /// Travel that the closed submaps beside the active one cover in the grid that is matched, metres (rounded up to
@@ -45,15 +39,14 @@ pub struct Settings {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SensorModelKind {
-    /// 1.5 nat for "occupied" at the end, `miss_nat` for "free" on the way.
+    /// 1.5 nat for "occupied" at the end, `miss_nat` for "free" on the way; read is the mass on "occupied".
     Evidence,
-    /// vinySLAM's masses and blur.
+    /// vinySLAM's masses, blur and score.
     Vinyslam,
 }
 
 /// Score of a cell that the matcher reads.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReadOut {
     /// The mass on "occupied"; unknown and free alike are 0, so that no edge of knowledge pulls.
     Occupied,
@@ -70,9 +63,6 @@ impl Default for Settings {
             range_min_m: 0.4,
             skip_isolated: true,
             newcomer_views: 3,
-            read_out: ReadOut::Occupied,
-            occupied_cap_nat: 20.0,
-            free_cap_nat: 5.0,
             submap_insertions: 200,
             window_m: 30.0,
             replicas: 1,
@@ -89,9 +79,6 @@ impl Settings {
             range_min_m: 0.0,
             skip_isolated: false,
             newcomer_views: 1,
-            read_out: ReadOut::Vinyslam,
-            occupied_cap_nat: 16.0,
-            free_cap_nat: 16.0,
             submap_insertions: 2000,
             window_m: 0.0,
             ..Self::default()
@@ -117,6 +104,14 @@ impl Settings {
         (self.window_m > 0.0).then(|| (self.window_m / SUBMAP_LENGTH_M).ceil() as usize)
     }
 
+    /// Score that the matcher reads: that of the sensor model.
+    pub fn read_out(&self) -> ReadOut {
+        match self.sensor_model {
+            SensorModelKind::Evidence => ReadOut::Occupied,
+            SensorModelKind::Vinyslam => ReadOut::Vinyslam,
+        }
+    }
+
     /// The inverse sensor model that the settings name.
     pub fn model(&self) -> SensorModel {
         match self.sensor_model {
@@ -129,6 +124,14 @@ impl Settings {
 }
 
 impl ReadOut {
+    /// Evidence for "occupied" and for "free" counts at most this much in the score, nat.
+    pub(crate) fn caps_nat(self) -> (f64, f64) {
+        match self {
+            Self::Occupied => (20.0, 5.0),
+            Self::Vinyslam => (16.0, 16.0),
+        }
+    }
+
     /// Score of a cell without evidence, 0 … 65535.
     pub fn unknown(self) -> u16 {
         self.score(Masses::UNKNOWN)

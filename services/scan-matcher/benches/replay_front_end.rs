@@ -183,8 +183,9 @@ struct Run {
 
 impl Run {
     fn new(options: &Options) -> Self {
+        let unknown_score = f64::from(options.mapper.read_out().unknown()) / f64::from(u16::MAX);
         Self {
-            matcher: ScanMatcher::new(options.matcher.clone()),
+            matcher: ScanMatcher::new(options.matcher.clone()).with_unknown_score(unknown_score),
             mapper: Mapper::new(options.mapper.clone()),
             grid: TileGrid::new(options.mapper.cell_size_m),
             spare: Vec::new(),

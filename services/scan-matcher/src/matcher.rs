@@ -359,7 +359,7 @@ impl ScanMatcher {
         let memory = std::mem::take(&mut self.buffers.points);
         let mask = std::mem::take(&mut self.buffers.mask);
         let points = memory.thinned(scan, prediction.twist, &mask, self.settings.range_max_m, LIGHT_BEAMS);
-        let field = GridField::new(grid, self.settings.unknown_score);
+        let field = GridField::new(grid, self.map.unknown_score);
         let (points, light) = self.fitter(scan, &mask, &field).lightly(points, *prediction);
         (self.buffers.points, self.buffers.mask) = (points, mask);
         light.map_or(predicted, |Light { pose, twist, covariance }| PoseEstimate {
@@ -378,7 +378,7 @@ impl ScanMatcher {
         prediction: Prediction,
         grid: &TileGrid<H>,
     ) -> Fitted {
-        let field = GridField::new(grid, self.settings.unknown_score);
+        let field = GridField::new(grid, self.map.unknown_score);
         self.fitter(scan, mask, &field).fit(points, prediction)
     }
 

@@ -38,14 +38,23 @@ const LAG_LIVE: usize = 1;
 /// Reason of scans that never reached the matcher.
 pub const LOST: &str = "lost";
 
+/// What the stage has to know of the mapper's grid before its first tile.
+#[derive(Clone, Copy, Debug)]
+pub struct GridFormat {
+    /// Side of a cell, metres.
+    pub cell_size_m: f64,
+    /// Score of a cell without evidence, 0 … 1.
+    pub unknown_score: f64,
+}
+
 /// Runs the stage until it is asked to stop.
 ///
 /// # Errors
 /// When the bus or the journal fails.
-pub fn run_stage(context: &mut StageContext, settings: Settings, cell_size_m: f64) -> Result<(), StageError> {
+pub fn run_stage(context: &mut StageContext, settings: Settings, grid: GridFormat) -> Result<(), StageError> {
     let event = context.bus.listener(Stage::ScanMatcher.name())?;
     let lock = LeaderLock::ask(context)?;
-    let mut actor = Matcher::open(context, settings, cell_size_m)?;
+    let mut actor = Matcher::open(context, settings, grid)?;
     if !lock.is_ours() && context.mode == Mode::Live {
         actor.grid.ask_for_tiles()?;
     }
@@ -63,9 +72,9 @@ pub fn run_stage(context: &mut StageContext, settings: Settings, cell_size_m: f6
 pub fn shell(
     context: &mut StageContext,
     settings: Settings,
-    cell_size_m: f64,
+    grid: GridFormat,
 ) -> Result<Box<dyn Actor>, StageError> {
-    let mut actor = Matcher::open(context, settings, cell_size_m)?;
+    let mut actor = Matcher::open(context, settings, grid)?;
     actor.begin(context)?;
     Ok(Box::new(actor))
 }
@@ -105,15 +114,15 @@ struct Matcher {
 }
 
 impl Matcher {
-    fn open(context: &mut StageContext, settings: Settings, cell_size_m: f64) -> Result<Self, StageError> {
+    fn open(context: &mut StageContext, settings: Settings, grid: GridFormat) -> Result<Self, StageError> {
         let bus = &context.bus;
         Ok(Self {
-            logic: ScanMatcher::new(settings),
+            logic: ScanMatcher::new(settings).with_unknown_score(grid.unknown_score),
             join: Join::open(context, VERDICT_DEADLINE_NS)?,
             corrections: Corrections::open(context)?,
             flock_robots: bus.subscriber()?,
             flock_robots_known: 0,
-            grid: GridReader::open(context, cell_size_m)?,
+            grid: GridReader::open(context, grid.cell_size_m)?,
             inputs: InputLog::open(context)?,
             awaited: VecDeque::with_capacity(2 + LAG_LIVE),
             commit_deadline: Deadline::live(context.mode, COMMIT_DEADLINE_NS),

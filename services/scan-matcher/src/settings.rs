@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 pub struct Settings {
     /// How a scan is fitted to the grid.
     pub strategy: Strategy,
-    /// Settings of `ndt`; it needs the mapper's read-out `occupied`.
+    /// Settings of `ndt`; it needs the mapper's sensor model `evidence`.
     pub ndt: NdtSettings,
     /// What happens after a bad fit.
     pub rescue: Rescue,
@@ -30,8 +30,6 @@ pub struct Settings {
     pub moving_share_max: f64,
     /// Processes of this stage: one matches, the others know what it knows and are on standby to go on in its place.
     pub replicas: usize,
-    /// Score (0 … 1) where the grid has no tile: what the mapper's read-out gives for an unknown cell.
-    pub unknown_score: f64,
     /// Seed of all random numbers.
     pub seed: u64,
 }
@@ -87,7 +85,6 @@ impl Default for Settings {
             skip_isolated: true,
             moving_share_max: 0.6,
             replicas: 1,
-            unknown_score: 0.0,
             seed: 1,
         }
     }
@@ -137,7 +134,6 @@ impl Settings {
             range_min_m: 0.0,
             skip_isolated: false,
             moving_share_max: 0.0,
-            unknown_score: 0.5,
             ..Self::default()
         }
     }

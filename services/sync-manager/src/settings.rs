@@ -11,11 +11,6 @@ pub struct Settings {
     pub enabled: bool,
     /// Whether loops are closed.
     pub close_loops: bool,
-    /// How many stretches through the same place, in the same direction, stay in the graph: later ones are frozen relative to
-    /// them, which keeps memory and work bounded in a building that is known; 0 = all stay. Not a key: the same in every
-    /// configuration, other numbers are for tests.
-    #[serde(skip)]
-    pub visits_kept: usize,
     /// A submap retires from the fused map when so many newer ones know all that it knows (98 % of it); 0 = never.
     pub retire_covered_by: usize,
     /// Whether cells that stand occupied in the finished map are cleared when at least three later scans, at their final poses, look
@@ -32,8 +27,6 @@ impl Default for Settings {
         Self {
             enabled: true,
             close_loops: true,
-            // Enough to hold the others in place, few enough to stay cheap to solve.
-            visits_kept: 4,
             retire_covered_by: 8,
             clear_at_end: true,
             flock: FlockSettings::default(),

@@ -60,8 +60,7 @@ impl GroundTruth {
     /// # Errors
     /// When there is no such simulation.
     pub fn of_drive(settings: &Settings, world: World, cell_size_m: f64) -> Result<Self, SimulationError> {
-        let exact = Settings { errors: Some(settings.errors().of_wheels()), ..settings.clone() };
-        let mut simulation = Simulation::new(&exact, world)?;
+        let mut simulation = Simulation::with_errors(settings, world, &settings.errors().of_wheels())?;
         let mut truth = Self { cell_size_m, tiles: TileDirectory::default() };
         let (mut scan, mut entered, mut number) = (ScanBuffer::default(), None::<Pose>, 0);
         while let Some(pose) = simulation.next_scan(&mut scan) {

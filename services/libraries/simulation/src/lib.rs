@@ -83,6 +83,14 @@ impl Simulation {
     /// # Errors
     /// When a setting is out of its range or the world has no room for the robot to drive in.
     pub fn new(settings: &Settings, world: World) -> Result<Self, SimulationError> {
+        Self::with_errors(settings, world, &settings.errors())
+    }
+
+    /// As [`Simulation::new`], with these errors of lidar and wheels in place of those that are usual in the world.
+    ///
+    /// # Errors
+    /// As [`Simulation::new`].
+    pub fn with_errors(settings: &Settings, world: World, errors: &Errors) -> Result<Self, SimulationError> {
         settings.check().map_err(SimulationError::Setting)?;
         let period_s = 1.0 / settings.scan_rate_hz;
         let tour = world.tour(Random::new(settings.seed, "tour"))?;
@@ -97,8 +105,8 @@ impl Simulation {
             world,
             drive,
             dynamics,
-            wheels: Wheels::new(settings),
-            lidar: Lidar::new(settings, period_s),
+            wheels: Wheels::new(settings, errors),
+            lidar: Lidar::new(settings, errors, period_s),
             kidnaps_s,
             kidnapper: Random::new(settings.seed, "kidnapper"),
             period_s,

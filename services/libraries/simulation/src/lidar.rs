@@ -42,12 +42,12 @@ pub(super) struct Lidar {
 
 impl Lidar {
     /// A lidar that gives a scan every `period_s` seconds.
-    pub(super) fn new(settings: &Settings, period_s: f64) -> Self {
+    pub(super) fn new(settings: &Settings, errors: &Errors, period_s: f64) -> Self {
         let view_rad = settings.field_of_view_deg.to_radians();
         let angle_increment_rad = view_rad / f64::from(settings.beams);
         Self {
             settings: settings.clone(),
-            errors: settings.errors(),
+            errors: errors.clone(),
             mount: Pose::new(MOUNT_M, 0.0, 0.0),
             angle_min_rad: -view_rad / 2.0,
             angle_increment_rad,

@@ -59,9 +59,6 @@ pub struct Settings {
     pub doors: u32,
     /// Pallets that appear around the robot and vanish.
     pub pallets: u32,
-    /// Errors of lidar and wheels. Not a key; `None`: those that the world has, other ones are for tests.
-    #[serde(skip)]
-    pub errors: Option<Errors>,
 }
 
 /// Kidnaps in one drive.
@@ -87,16 +84,14 @@ impl Default for Settings {
             follower: false,
             doors: 0,
             pallets: 0,
-            errors: None,
         }
     }
 }
 
 impl Settings {
-    /// Errors of lidar and wheels: those given, else those usual in the world.
+    /// Errors of lidar and wheels that are usual in the world.
     pub(super) fn errors(&self) -> Errors {
-        let outdoors = matches!(self.world, WorldName::Campus);
-        self.errors.clone().unwrap_or_else(|| if outdoors { Errors::outdoors() } else { Errors::default() })
+        if matches!(self.world, WorldName::Campus) { Errors::outdoors() } else { Errors::default() }
     }
 
     /// Says which setting is out of its range, and what the range is.

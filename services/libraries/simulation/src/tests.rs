@@ -10,13 +10,21 @@ fn short() -> Settings {
 }
 
 /// A lidar and wheels without errors.
-fn ideal(settings: Settings) -> Settings {
-    let errors = Errors { odometry_scale_error: 0.0, odometry_walk: [0.0; 2], ..Errors::without_lidar() };
-    Settings { errors: Some(errors), wheel_slips: 0, ..settings }
+fn no_errors() -> Errors {
+    Errors { odometry_scale_error: 0.0, odometry_walk: [0.0; 2], ..Errors::without_lidar() }
 }
 
 fn run(settings: &Settings) -> Vec<(ScanBuffer, Pose)> {
-    Simulation::new(settings, World::built_in(settings)).unwrap().collect()
+    run_with(settings, &settings.errors())
+}
+
+fn run_with(settings: &Settings, errors: &Errors) -> Vec<(ScanBuffer, Pose)> {
+    Simulation::with_errors(settings, World::built_in(settings), errors).unwrap().collect()
+}
+
+/// With a lidar and wheels that err in nothing, and no slips but those that are asked for.
+fn run_ideal(settings: Settings, wheel_slips: u32) -> Vec<(ScanBuffer, Pose)> {
+    run_with(&Settings { wheel_slips, ..settings }, &no_errors())
 }
 
 /// Bounded motion, clear of walls, past every way point, and at the end back near the start.
@@ -68,9 +76,9 @@ fn the_worlds_have_rounds_that_close() {
 /// The wheels do not notice that the robot is carried away; only the truth jumps, and what the lidar sees with it.
 #[test]
 fn a_kidnap_moves_the_truth_only() {
-    let free = Settings { duration_s: 60.0, ..ideal(Settings::default()) };
+    let free = Settings { duration_s: 60.0, ..Settings::default() };
     let carried = Settings { kidnap_at_s: vec![40.0, 20.0], ..free.clone() };
-    let (free, carried) = (run(&free), run(&carried));
+    let (free, carried) = (run_ideal(free, 0), run_ideal(carried, 0));
     assert_eq!(free[..200], carried[..200]);
     let World::FloorPlan(plan) = World::floor_plan() else { unreachable!() };
     for (i, pair) in carried.windows(2).enumerate() {
@@ -106,7 +114,7 @@ fn a_patrol_goes_on_for_hours() {
 /// Each beam of an ideal lidar ends on a wall, seen from where the robot is at that beam's time.
 #[test]
 fn ranges_belong_to_the_moving_pose() {
-    let scans = run(&ideal(short()));
+    let scans = run_ideal(short(), 0);
     let World::FloorPlan(plan) = World::floor_plan() else { unreachable!() };
     let (mut skewed, mut flat) = (0.0f64, 0.0f64);
     for pair in scans.windows(2) {
@@ -132,7 +140,7 @@ fn end_point(view: &ScanView<'_>, base: Pose, beam: usize, range_m: f64) -> Poin
 
 #[test]
 fn ideal_wheels_give_the_truth_and_real_ones_do_not() {
-    let scans = run(&ideal(short()));
+    let scans = run_ideal(short(), 0);
     let start = scans[0].1;
     assert!(scans.iter().all(|(scan, truth)| (start * scan.header.odometry).distance_m(*truth) < 1e-6));
     let drifting = run(&Settings::default());
@@ -143,15 +151,14 @@ fn ideal_wheels_give_the_truth_and_real_ones_do_not() {
 
 #[test]
 fn a_slip_turns_odometry_only() {
-    let with =
-        |wheel_slips| ideal(Settings { duration_s: 60.0, ..Settings::default() }).with_slips(wheel_slips);
+    let with = |wheel_slips| run_ideal(Settings { duration_s: 60.0, ..Settings::default() }, wheel_slips);
     let turned = |scans: &[(ScanBuffer, Pose)]| {
         let error = |pair: &[(ScanBuffer, Pose)]| {
             pair[0].0.header.odometry.to(pair[1].0.header.odometry).turn_rad(pair[0].1.to(pair[1].1))
         };
         scans.windows(2).map(error).sum::<f64>()
     };
-    let (without, slipping) = (run(&with(0)), run(&with(4)));
+    let (without, slipping) = (with(0), with(4));
     assert!(turned(&without) < 1e-6);
     assert!((0.1..5.0).contains(&turned(&slipping)));
     let is_same =
@@ -159,17 +166,10 @@ fn a_slip_turns_odometry_only() {
     assert!(without.iter().zip(&slipping).all(is_same), "way and ranges are the same");
 }
 
-impl Settings {
-    fn with_slips(self, wheel_slips: u32) -> Self {
-        Self { wheel_slips, ..self }
-    }
-}
-
 #[test]
 fn noise_has_the_size_that_was_asked_for() {
-    let exact = run(&ideal(short()));
-    let noisy =
-        run(&Settings { errors: Some(Errors { mixed_pixel_share: 0.0, ..Errors::default() }), ..short() });
+    let exact = run_ideal(short(), 0);
+    let noisy = run_with(&short(), &Errors { mixed_pixel_share: 0.0, ..Errors::default() });
     let (mut errors, mut lost, mut seen) = (Vec::new(), 0.0, 0.0);
     for ((exact, _), (noisy, _)) in exact.iter().zip(&noisy) {
         for (exact, noisy) in exact.numbers.iter().zip(&noisy.numbers).filter(|(exact, _)| **exact < 11.9) {
@@ -182,10 +182,8 @@ fn noise_has_the_size_that_was_asked_for() {
     let sigma = (errors.iter().map(|e| (e - mean) * (e - mean)).sum::<f64>() / errors.len() as f64).sqrt();
     assert!((mean - 0.005).abs() < 0.001 && (sigma - 0.01).abs() < 0.001, "{mean} {sigma}");
     assert!((lost / seen - 0.01f64).abs() < 0.003, "{lost} of {seen}");
-    let mixed = run(&Settings {
-        errors: Some(Errors { mixed_pixel_share: 0.2, ..ideal(short()).errors() }),
-        ..ideal(short())
-    });
+    let settings = Settings { wheel_slips: 0, ..short() };
+    let mixed = run_with(&settings, &Errors { mixed_pixel_share: 0.2, ..no_errors() });
     let far_off = |(a, b): (&f32, &f32)| a.is_finite() && b.is_finite() && (a - b).abs() > 0.1;
     let pixels: usize = exact
         .iter()

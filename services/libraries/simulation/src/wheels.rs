@@ -1,7 +1,7 @@
 //! The simulated wheels: odometry with scale errors, random walk and slips.
 
-use super::Settings;
 use super::drive::Turn;
+use super::{Errors, Settings};
 use flockslam_geometry::{Pose, Twist};
 use flockslam_random::Random;
 use std::collections::VecDeque;
@@ -40,9 +40,8 @@ struct Slip {
 }
 
 impl Wheels {
-    pub(super) fn new(settings: &Settings) -> Self {
+    pub(super) fn new(settings: &Settings, errors: &Errors) -> Self {
         let mut random = Random::new(settings.seed, "wheels");
-        let errors = settings.errors();
         let scale = [0; 2].map(|_| 1.0 + errors.odometry_scale_error * random.normal());
         let slips = draw_slips(settings, &mut random);
         let drift_rad_m = errors.heading_drift_deg_m.to_radians();

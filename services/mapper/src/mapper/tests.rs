@@ -190,7 +190,7 @@ proptest! {
             }
             for (_, tile) in window_of(&mapper) {
                 for (cell, score) in tile.cells.iter().zip(tile.score) {
-                    prop_assert_eq!(settings.read_out.score(cell.masses()), score);
+                    prop_assert_eq!(settings.read_out().score(cell.masses()), score);
                 }
             }
         }

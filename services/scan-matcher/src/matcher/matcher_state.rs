@@ -1,5 +1,6 @@
 //! The state that the matcher keeps from scan to scan: the map, and how well the robot is localised in it.
 
+use super::ScanMatcher;
 use super::fitting::Alternative;
 use super::open_place::{DENSE, is_held};
 use super::{Fitted, Judgement, MEAN_RATE, POINTS_MIN_FOR_SHARE, SLIPPED, START_SCANS};
@@ -41,6 +42,8 @@ pub(super) struct MapState {
     pub(super) begins_detached: bool,
     /// Pose in odom of the last scan that entered the map.
     pub(super) inserted: Option<Pose>,
+    /// Score (0 … 1) where the grid has no tile.
+    pub(super) unknown_score: f64,
 }
 
 /// How well the robot is localised, by the fits so far.
@@ -71,6 +74,15 @@ pub(super) struct Confidence {
     pub(super) lost_after_gap: bool,
 }
 
+impl ScanMatcher {
+    /// With this score (0 … 1) where the grid has no tile, in place of 0: what the mapper gives an unknown cell.
+    #[must_use]
+    pub fn with_unknown_score(mut self, unknown_score: f64) -> Self {
+        self.map.unknown_score = unknown_score;
+        self
+    }
+}
+
 impl MapState {
     /// An empty map at the origin of odom.
     pub(super) fn new() -> Self {
@@ -83,6 +95,7 @@ impl MapState {
             detached: false,
             begins_detached: false,
             inserted: None,
+            unknown_score: 0.0,
         }
     }
 

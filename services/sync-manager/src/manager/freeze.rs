@@ -10,6 +10,9 @@ use flockslam_pose_graph::Symmetric;
 use flockslam_registration::cloud::Placement;
 use std::ops::Range;
 
+/// How many stretches through the same place, in the same direction, stay in the graph: later ones are frozen relative to them, which
+/// keeps memory and work bounded in a building that is known. Enough to hold the others in place, few enough to stay cheap to solve.
+const VISITS_KEPT: usize = 4;
 /// Nodes less than this back are never frozen, metres of travel: loops that they may close are still searched.
 const HORIZON_M: f64 = 60.0;
 /// Stretches are of the same place and direction when their middles are closer than this, metres and radians: half of what the
@@ -30,9 +33,6 @@ pub(super) struct FrozenSubmap {
 impl SyncManager {
     /// Freezes the stretches that have passed the horizon through places that enough older ones cover.
     pub(super) fn freeze(&mut self, known: usize) {
-        if self.settings.visits_kept == 0 {
-            return;
-        }
         let Some(newest_m) = known.checked_sub(1).map(|last| self.odometry.nodes()[last].travel_m) else {
             return;
         };
@@ -71,7 +71,7 @@ impl SyncManager {
         let covering: Vec<usize> = self.segments[..number].iter().filter(same).map(|s| s.anchor).collect();
         let away_m = |node: &usize| self.poses[*node].distance_m(&middle);
         let nearest = covering.iter().min_by(|a, b| away_m(a).total_cmp(&away_m(b)));
-        nearest.copied().filter(|_| covering.len() >= self.settings.visits_kept)
+        nearest.copied().filter(|_| covering.len() >= VISITS_KEPT)
     }
 
     /// Gives the scans of a segment their poses relative to the node `host`, and takes its nodes out of the graph.

@@ -257,8 +257,7 @@ fn a_place_never_seen_before_stays_apart() {
 fn what_is_known_well_freezes_and_memory_stays_where_it_is() {
     let (building, truth) = (Building::ring(), laps(12));
     let odom = drifting(&truth, 0.002, 1.005);
-    let settings = Settings { visits_kept: 2, ..Settings::default() };
-    let mut manager = SyncManager::new(settings);
+    let mut manager = SyncManager::new(Settings::default());
     let mut noise = Noise(7);
     let (mut frozen, mut held) = (Vec::new(), Vec::new());
     for (i, (at, odom)) in truth.iter().zip(&odom).enumerate() {

@@ -4,17 +4,9 @@ use crate::{BeamLabel, Errors, MoverTruth, Settings, Simulation, World};
 use flockslam_geometry::{Point, Pose};
 use flockslam_messages::ScanBuffer;
 
-/// A lidar without errors in an office in which everything happens.
+/// An office in which everything happens.
 fn with_movers() -> Settings {
-    Settings {
-        duration_s: 120.0,
-        errors: Some(Errors::without_lidar()),
-        walkers: 8,
-        follower: true,
-        doors: 4,
-        pallets: 4,
-        ..Settings::default()
-    }
+    Settings { duration_s: 120.0, walkers: 8, follower: true, doors: 4, pallets: 4, ..Settings::default() }
 }
 
 struct Seen {
@@ -24,8 +16,10 @@ struct Seen {
     truth: Pose,
 }
 
+/// By a lidar without errors.
 fn drive(settings: &Settings) -> Vec<Seen> {
-    let mut simulation = Simulation::new(settings, World::floor_plan()).unwrap();
+    let (world, errors) = (World::floor_plan(), Errors::without_lidar());
+    let mut simulation = Simulation::with_errors(settings, world, &errors).unwrap();
     let (mut scan, mut all) = (ScanBuffer::default(), Vec::new());
     while let Some(truth) = simulation.next_scan(&mut scan) {
         let labels = simulation.labels().to_vec();
