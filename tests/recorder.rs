@@ -2,7 +2,7 @@
 //! up by a recorder, however it ends.
 
 use crate::support;
-use crate::support::tools::{python_with, tool};
+use crate::support::tools::{self, tool};
 use crate::support::{
     Drive, LiveSet, Outputs, RunningSet, flockslam, run_well, send, simulated_log, stderr, stdout, wait_for,
 };
@@ -198,7 +198,7 @@ print(json.dumps(counts))
 fn the_public_python_package_opens_a_file_and_its_schemas_hold() {
     let directory = tempfile::tempdir().unwrap();
     let place = directory.path();
-    let Some(python) = python_with(place, &["mcap", "jsonschema"]) else { return };
+    let Some(python) = tools::RECORDINGS.python() else { return };
     let mut set = talking_set("python", place);
     let file = place.join("drive.mcap");
     let recorder = Recorder::start(&set, &[file.to_str().unwrap()]);

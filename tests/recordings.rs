@@ -2,7 +2,7 @@
 
 use crate::support;
 use crate::support::public_logs::{LOGS, Log};
-use crate::support::tools::{python_with, tool};
+use crate::support::tools::{self, tool};
 use crate::support::{Outputs, data_dir, repository, stderr};
 use flockslam::evaluation::{evaluate_truth, parse_tum};
 use std::fs;
@@ -75,9 +75,7 @@ fn one_drive_in_eight_formats_gives_one_map() {
     let Some(bag) = recording("carried/after.bag") else { return };
     let directory = tempfile::tempdir().unwrap();
     let place = directory.path();
-    if python_with(place, &["rosbags"]).is_none() {
-        return;
-    }
+    let Some(python) = tools::RECORDINGS.python() else { return };
     let plain = mapped(place, &bag).report.map_hash;
     for (to, options) in [
         ("sqlite", "--dst-storage sqlite3"),
@@ -90,7 +88,7 @@ fn one_drive_in_eight_formats_gives_one_map() {
     ] {
         let mut args = vec!["--src", bag.to_str().unwrap(), "--dst", to];
         args.extend(options.split(' '));
-        tool(place, &place.join("venv/bin/rosbags-convert"), &args).expect("it was installed");
+        tool(place, &python.with_file_name("rosbags-convert"), &args).expect("it was installed");
         assert_eq!(mapped(place, &place.join(to)).report.map_hash, plain, "{to}");
     }
     // Whatever lies beside the files of a folder, and whether its description is there.
@@ -110,7 +108,7 @@ fn logs_written_as_bags_and_these_converted_give_the_maps_of_the_logs() {
     let directory = tempfile::tempdir().unwrap();
     let place = directory.path();
     let Some(logs) = LOGS.map(|log| log.file("clf")).into_iter().collect::<Option<Vec<_>>>() else { return };
-    let Some(python) = python_with(place, &["rosbags"]) else { return };
+    let Some(python) = tools::RECORDINGS.python() else { return };
     let script = repository().join("tests/carmen_to_bag.py").display().to_string();
     for log in logs {
         let name = log.file_stem().unwrap().to_str().unwrap();
@@ -135,7 +133,7 @@ fn logs_written_as_bags_and_these_converted_give_the_maps_of_the_logs() {
             let to = format!("{name}-{to}");
             let args: Vec<&str> =
                 ["--src", &bag, "--dst", &to].into_iter().chain(options.split(' ')).collect();
-            tool(place, &place.join("venv/bin/rosbags-convert"), &args).expect("it was installed");
+            tool(place, &python.with_file_name("rosbags-convert"), &args).expect("it was installed");
             let report = mapped(place, &place.join(&to)).report;
             assert_eq!(report.map_hash, of_bag.report.map_hash, "{to}");
         }

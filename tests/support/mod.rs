@@ -80,6 +80,7 @@ const ROBOT_NAME_MAX: usize = 22;
 
 /// A name for a process set that no other test and no other run has.
 pub fn robot(test: &str) -> String {
+    tools::install_early();
     machine_share::computes();
     static COUNT: AtomicU32 = AtomicU32::new(0);
     // The last letter keeps one name from being the beginning of another.

@@ -1,27 +1,12 @@
 //! Nodes of ROS 2 that a set speaks with, by the client library of ROS and by Cyclone DDS, from the public index.
 
-use super::tools::{python_with, tool};
-use super::{LiveSet, flockslam, repository, robot, wait_for};
+use super::{LiveSet, flockslam, repository, robot, tools, wait_for};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Lines, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// The packages of the index, by the version that they were tested with.
-const PACKAGES: [&str; 10] = [
-    "ros-jazzy-rclpy==7.1.*",
-    "ros-jazzy-rmw-fastrtps-cpp==8.4.*",
-    "ros-jazzy-nav-msgs",
-    "ros-jazzy-sensor-msgs",
-    "ros-jazzy-std-srvs",
-    "ros-jazzy-diagnostic-msgs",
-    "ros-jazzy-lifecycle-msgs",
-    "ros-jazzy-visualization-msgs",
-    "cyclonedds==11.*",
-    "eclipse-zenoh==1.10.*",
-];
 /// Cyclone DDS on the loopback interface, which has no multicast.
 const CYCLONE: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\"/></Interfaces>\
     <AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>\
@@ -35,34 +20,16 @@ pub struct Graph {
     python: PathBuf,
 }
 
-/// The interpreter with the client library of ROS; `None`, said clearly, where it cannot be installed. It is kept in the target folder.
-fn python() -> Option<PathBuf> {
-    static PYTHON: OnceLock<Option<PathBuf>> = OnceLock::new();
-    let make = || {
-        let place = Path::new(env!("CARGO_TARGET_TMPDIR")).join("ros-peers");
-        let (python, complete) = (place.join("venv/bin/python"), place.join("complete"));
-        if std::fs::read_to_string(&complete).is_ok_and(|with| with == PACKAGES.join("\n")) {
-            return Some(python);
-        }
-        std::fs::create_dir_all(&place).unwrap();
-        let python = python_with(&place, &PACKAGES)?;
-        tool(&place, &python, &["-c", "import rclpy, cyclonedds, zenoh"])?;
-        std::fs::write(complete, PACKAGES.join("\n")).unwrap();
-        Some(python)
-    };
-    PYTHON.get_or_init(make).clone()
-}
-
 /// The folder with the definitions of the packages of ROS; `None` where they cannot be installed.
 pub fn packages_of_ros() -> Option<PathBuf> {
-    python().map(|python| python.with_file_name("../share"))
+    tools::ROS.python().map(|python| python.with_file_name("../share"))
 }
 
 impl Graph {
     /// A graph of its own; `None` where peers cannot be run.
     pub fn new() -> Option<Self> {
         static NEXT: AtomicU32 = AtomicU32::new(0);
-        let python = python()?;
+        let python = tools::ROS.python()?;
         let next = std::process::id() * 7 + NEXT.fetch_add(1, Ordering::Relaxed);
         Some(Self { domain: 1 + next % DOMAINS, python })
     }
