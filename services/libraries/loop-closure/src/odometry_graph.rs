@@ -99,6 +99,8 @@ enum Link {
 pub struct OdometryGraph {
     nodes: Vec<Node>,
     edges: Vec<Edge>,
+    /// By edge: its motion as it was matched, before smoothing.
+    matched: Vec<Placement>,
     grid: MomentGrid,
     /// First node whose points are in the grid.
     first: usize,
@@ -120,6 +122,7 @@ impl Default for OdometryGraph {
         Self {
             nodes: Vec::new(),
             edges: Vec::new(),
+            matched: Vec::new(),
             grid: MomentGrid::default(),
             first: 0,
             start_from_local: Placement::IDENTITY,
@@ -142,6 +145,15 @@ impl OdometryGraph {
     /// The edges: number k leads from node k to k + 1.
     pub fn edges(&self) -> &[Edge] {
         &self.edges
+    }
+
+    /// The edges before smoothing, for a pass that matches nodes to the segments behind them itself: such a match must count once.
+    pub fn matched_edges(&self) -> Vec<Edge> {
+        self.edges
+            .iter()
+            .zip(&self.matched)
+            .map(|(edge, matched)| Edge { motion: *matched, ..*edge })
+            .collect()
     }
 
     /// Nodes whose match was rejected.
@@ -180,6 +192,8 @@ impl OdometryGraph {
         }
         self.nodes.drain(range.clone());
         self.edges.drain(range.clone());
+        self.matched.drain(range.clone());
+        self.matched[before] = bridge;
         let edge = &mut self.edges[before];
         (edge.motion, edge.information) = (bridge, known);
         for (number, edge) in self.edges.iter_mut().enumerate().skip(before) {
@@ -239,7 +253,9 @@ impl OdometryGraph {
         let to = self.nodes.len();
         let said = self.odometry.zip(new.odometry).map(|(before, now)| before.to(now));
         let information = in_frame(&self.information(&link, &motion, said), &last.local_pose);
-        self.edges.push(Edge { from: to - 1, to, motion: last.local_pose.to(local_pose), information });
+        let motion = last.local_pose.to(local_pose);
+        self.edges.push(Edge { from: to - 1, to, motion, information });
+        self.matched.push(motion);
         let way_m = local_pose.distance_m(&last.local_pose);
         // No drift is between poses that are given.
         let drift_m = if new.is_given { 0.0 } else { way_m + drift_bound_m };

@@ -81,7 +81,7 @@ impl SyncManager {
             nodes,
             scans: &self.scans,
             segments: &segments,
-            odometry: self.odometry.edges(),
+            odometry: &self.odometry.matched_edges(),
             constraints: &self.constraints_that_stay(),
             connectivity: &connectivity,
         };
@@ -108,7 +108,7 @@ impl SyncManager {
         let nodes = self.odometry.nodes();
         let connectivity = self.connectivity(nodes.len());
         let in_map: Vec<bool> = nodes.iter().map(|node| connectivity.is_attached(node.trajectory)).collect();
-        let (odometry, constraints) = (self.odometry.edges(), &self.constraints_that_stay());
+        let (odometry, constraints) = (&self.odometry.matched_edges(), &self.constraints_that_stay());
         let refinement = Refinement { nodes, scans: &self.scans, odometry, constraints, in_map: &in_map };
         refinement.run(self.finder.scratch(), &mut self.poses);
         self.hold_given();
