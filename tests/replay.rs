@@ -3,6 +3,8 @@
 
 use crate::support;
 use crate::support::{Outputs, building, run_well, truth_error_m};
+use std::path::Path;
+use std::sync::LazyLock;
 
 const DURATION_S: u32 = 40;
 const SCANS: usize = 400;
@@ -10,15 +12,26 @@ const SCANS: usize = 400;
 const ERROR_MAX_M: f64 = 0.10;
 const REPEATED: [&str; 5] = ["trajectory.tum", "trajectory_online.tum", "truth.tum", "map.pgm", "map.yaml"];
 
-fn replay(directory: &std::path::Path) -> Outputs {
+fn replay(directory: &Path) -> Outputs {
     run_well("replay", directory, &building(DURATION_S))
+}
+
+/// The outputs of one replay, which several tests look at; the next run of the tests writes them anew.
+fn outputs() -> &'static Outputs {
+    static REPLAYED: LazyLock<Outputs> = LazyLock::new(|| {
+        let out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("runs/replay");
+        let _ = std::fs::remove_dir_all(&out);
+        std::fs::create_dir_all(out.parent().unwrap()).unwrap();
+        replay(&out)
+    });
+    &REPLAYED
 }
 
 #[test]
 fn ten_replays_give_the_same_bytes() {
-    let directories: Vec<_> = (0..10).map(|_| tempfile::tempdir().unwrap()).collect();
-    let first = replay(directories[0].path());
-    for directory in &directories[1..] {
+    let first = outputs();
+    for _ in 1..10 {
+        let directory = tempfile::tempdir().unwrap();
         let again = replay(directory.path());
         for name in REPEATED {
             assert!(first.bytes(name) == again.bytes(name), "{name} differs");
@@ -33,8 +46,7 @@ fn another_seed_gives_another_map_and_a_trajectory_that_is_true_as_well() {
     let directory = tempfile::tempdir().unwrap();
     let mut other = building(DURATION_S);
     other.extend(["--set".to_owned(), "simulation.seed=2".to_owned()]);
-    let directory_of_first = tempfile::tempdir().unwrap();
-    let (first, second) = (replay(directory_of_first.path()), run_well("seed", directory.path(), &other));
+    let (first, second) = (outputs(), run_well("seed", directory.path(), &other));
     assert_ne!(first.report.map_hash, second.report.map_hash);
     let error_m = truth_error_m(&second);
     println!("error against the truth with another seed: {error_m:.4} m");
@@ -43,22 +55,20 @@ fn another_seed_gives_another_map_and_a_trajectory_that_is_true_as_well() {
 
 #[test]
 fn every_scan_has_its_line_in_order_and_the_final_trajectory_is_true() {
-    let directory = tempfile::tempdir().unwrap();
-    let outputs = replay(directory.path());
+    let outputs = outputs();
     let expected: Vec<_> = (0..SCANS).map(|i| format!("{}.{}00000", i / 10, i % 10)).collect();
     for name in ["trajectory.tum", "trajectory_online.tum", "truth.tum"] {
         assert_eq!(outputs.stamps(name), expected, "{name}");
         assert!(outputs.lines(name).iter().all(|line| line.split(' ').count() == 8), "{name}");
     }
-    let error_m = truth_error_m(&outputs);
+    let error_m = truth_error_m(outputs);
     println!("final trajectory: {error_m:.4} m against the truth (rms)");
     assert!(error_m < ERROR_MAX_M, "{error_m} m");
 }
 
 #[test]
 fn the_report_has_the_documented_fields() {
-    let directory = tempfile::tempdir().unwrap();
-    let outputs = replay(directory.path());
+    let outputs = outputs();
     let report: serde_json::Value = serde_json::from_slice(&outputs.bytes("report.json")).unwrap();
     assert_eq!(report["version"], flockslam::VERSION);
     assert_eq!(report["scans"], SCANS);
@@ -96,8 +106,7 @@ fn the_report_has_the_documented_fields() {
 
 #[test]
 fn a_map_server_can_read_the_map() {
-    let directory = tempfile::tempdir().unwrap();
-    let outputs = replay(directory.path());
+    let outputs = outputs();
     let yaml = outputs.lines("map.yaml");
     let value = |key: &str| {
         let line = yaml.iter().find_map(|line| line.strip_prefix(&format!("{key}: ")));
@@ -109,7 +118,7 @@ fn a_map_server_can_read_the_map() {
         value("origin").trim_matches(['[', ']']).split(", ").map(|n| n.parse().unwrap()).collect();
     let (occupied, free): (f64, f64) =
         (value("occupied_thresh").parse().unwrap(), value("free_thresh").parse().unwrap());
-    let picture = image::open(directory.path().join(value("image"))).unwrap().into_luma8();
+    let picture = image::open(outputs.directory.join(value("image"))).unwrap().into_luma8();
     let darkness = |pixel: u8| f64::from(255 - pixel) / 255.0;
     let cells_with =
         |is: &dyn Fn(f64) -> bool| picture.pixels().filter(|pixel| is(darkness(pixel.0[0]))).count();
@@ -129,20 +138,20 @@ fn a_map_server_can_read_the_map() {
         "{in_space} of {} poses in free space",
         trajectory.len()
     );
-    let people = image::open(directory.path().join("map.png")).unwrap();
+    let people = image::open(outputs.directory.join("map.png")).unwrap();
     assert!(people.width() >= picture.width() / 2 && people.height() > 100);
 }
 
 #[test]
 fn an_evaluation_against_the_truth_is_written_as_json() {
+    let outputs = outputs();
     let directory = tempfile::tempdir().unwrap();
-    let outputs = replay(directory.path());
-    let (at, json) = (|name: &str| directory.path().join(name), directory.path().join("figures.json"));
+    let (at, json) = (|name: &str| outputs.directory.join(name), directory.path().join("figures.json"));
     let mut command = support::flockslam();
     command.arg("evaluate").arg("--trajectory").arg(at("trajectory.tum")).arg("--truth").arg(at("truth.tum"));
     let output = command.arg("--json").arg(&json).output().unwrap();
     assert!(output.status.success(), "{}", support::stderr(&output));
     let figures: serde_json::Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
     let rmse = figures["truth"]["absolute"]["translation_m"]["rmse"].as_f64().unwrap();
-    assert!((rmse - truth_error_m(&outputs)).abs() < 1e-9);
+    assert!((rmse - truth_error_m(outputs)).abs() < 1e-9);
 }
