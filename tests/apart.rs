@@ -1,6 +1,6 @@
 //! What nothing connects with the map: said while the set runs, and written beside the map at its end.
 
-use crate::support::{Drive, LiveSet, wait_for};
+use crate::support::{Drive, LiveSet, machine_share, wait_for};
 use flockslam::supervisor::SetStatus;
 use flockslam_messages::Stage;
 use flockslam_stage::metrics_socket;
@@ -13,6 +13,7 @@ const SECOND: Drive = Drive { scan_rate_hz: 10.0, duration_s: 40.0, rate: 6.0 };
 
 #[test]
 fn a_drive_in_another_building_is_said_to_be_unattached_and_gets_a_map_of_its_own() {
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let keeps = format!("map = {:?}\nsave_every_s = 0.2", directory.path().join("map"));
     let mut first = LiveSet::start("apart1", directory.path(), FIRST, &keeps);

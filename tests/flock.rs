@@ -50,6 +50,7 @@ fn three_robots_of_a_swarm_end_with_one_map() {
 
 #[test]
 fn robots_die_until_one_is_left_which_goes_on_and_one_without_its_log_rejoins() {
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let mut robots = FlockRobot::start_all("mortal", directory.path(), LONG, 3);
     for robot in &mut robots {
@@ -100,8 +101,11 @@ fn saved_maps_are_merged() {
         let world = format!("[simulation]\nseed = {}\nlead_s = {lead_s}.0\n", 1 + lead_s);
         std::fs::write(own.join("world.toml"), world).unwrap();
         let set = LiveSet::start(day, &own, drive, "map = \"map\"\nconfig = \"world.toml\"");
+        (set, own.join("map"))
+    });
+    let saved = saved.map(|(set, map)| {
         set.finish();
-        own.join("map")
+        map
     });
     let out = directory.path().join("both");
     let mut command = flockslam();
@@ -139,7 +143,7 @@ fn join_late(world: &str, duration_s: f64, then: impl FnOnce(&mut FlockRobot)) {
     let [first, second] = [(); 2].map(|()| format!("tcp/127.0.0.1:{}", free_port()));
     // The first one stays when its drive has ended.
     let stays = (world, "wait_for_robots = 1\nwait_max_s = 80.0");
-    let drive = Drive { duration_s, rate: 10.0, ..MEETING };
+    let drive = Drive { duration_s, rate: 20.0, ..MEETING };
     let test = format!("late-{}", &world[..4]);
     let mut early =
         FlockRobot::start_one(&test, directory.path(), drive, std::slice::from_ref(&first), 0, stays);
@@ -166,6 +170,7 @@ fn join_late(world: &str, duration_s: f64, then: impl FnOnce(&mut FlockRobot)) {
 
 #[test]
 fn a_process_that_is_killed_while_it_talks_is_not_quarantined_and_keeps_its_epoch() {
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let mut robots = FlockRobot::start_all("twice", directory.path(), LONG, 2);
     for robot in &mut robots {
@@ -189,6 +194,7 @@ fn a_process_that_is_killed_while_it_talks_is_not_quarantined_and_keeps_its_epoc
 
 #[test]
 fn a_link_that_was_cut_and_mended_leaves_both_robots_with_one_map() {
+    machine_share::mostly_waits();
     let Some(namespaces) = Namespace::pair("flock-cut") else { return };
     let directory = tempfile::tempdir().unwrap();
     let mut robots = FlockRobot::start_in(&namespaces, "cut", directory.path(), MEETING);
@@ -243,6 +249,7 @@ fn resident_kb(pid: u32) -> u64 {
 
 #[test]
 fn who_has_no_certificate_of_the_flock_is_kept_out() {
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let Some([good, other]) = own_certificates(directory.path()) else { return };
     let mut robots =
@@ -260,6 +267,7 @@ fn who_has_no_certificate_of_the_flock_is_kept_out() {
 
 #[test]
 fn robots_talk_only_when_somebody_reports_a_contact() {
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let more = "proximity = \"contacts\"";
     let mut robots = FlockRobot::start_with("contacts", directory.path(), LONG, 2, more);

@@ -2,6 +2,7 @@
 //! and a killed supervisor leaves no stage behind.
 
 use crate::support;
+use crate::support::machine_share;
 use crate::support::{RunningSet, building, live_building, processes_of, run_well, truth_error_m, wait_for};
 use flockslam_messages::Stage;
 use flockslam_stage::heartbeat_file;
@@ -23,6 +24,7 @@ fn undisturbed_area_m2() -> f64 {
 }
 
 fn kill_during_a_live_replay(stage: Stage) {
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let mut set = RunningSet::start("killed", directory.path(), &live_building(DURATION_S, RATE));
     set.wait_until_handled(Stage::LidarIngest, SCANS as u64 / 3);
@@ -85,6 +87,7 @@ const STORM: usize = 12;
 
 #[test]
 fn a_storm_of_kills_of_one_stage_does_not_end_a_live_run() {
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let mut set = RunningSet::start("storm", directory.path(), &live_building(DURATION_S, 2));
     let file = heartbeat_file(&set.status_dir(), "mapper-0");

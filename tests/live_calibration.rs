@@ -1,5 +1,6 @@
 //! Where the lidar of a running set sits is said by its drive.
 
+use crate::support::machine_share;
 use crate::support::{Drive, LiveSet};
 use flockslam_messages::Stage;
 
@@ -14,6 +15,7 @@ const OFF_MAX: (f64, f64) = (0.03, 1.0);
 
 #[test]
 fn a_running_set_says_where_its_lidar_sits() {
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let mut set = LiveSet::start("calibrated", directory.path(), DRIVE, "");
     set.wait_until_handled(Stage::SyncManager, SCANS);

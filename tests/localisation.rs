@@ -1,5 +1,6 @@
 //! A set that localizes: it finds its robot in a map that is known and follows it there. The map is only read.
 
+use crate::support::machine_share;
 use crate::support::{
     Drive, LiveSet, Outputs, building, data_dir, flockslam, robot, run, run_well, send, stderr,
 };
@@ -62,6 +63,7 @@ fn a_robot_is_followed_in_a_known_map_which_stays_the_same_to_the_byte() {
 
 #[test]
 fn killed_stages_and_orders_leave_the_known_map_as_it_is() {
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let known = directory.path().join("known");
     map_in(&known);

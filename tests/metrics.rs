@@ -1,6 +1,7 @@
 //! Every stage answers with its metrics, and the supervisor merges them into one page.
 
 use crate::support;
+use crate::support::machine_share;
 use crate::support::{Drive, LiveSet, RunningSet, free_port, http_get, live_building, wait_for};
 use flockslam_messages::Stage;
 use flockslam_telemetry::names;
@@ -91,6 +92,7 @@ fn value(page: &str, series: &str) -> Option<f64> {
 
 #[test]
 fn counters_go_on_when_a_stage_is_replaced_and_the_reason_is_shown() {
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let (port, drive) = (free_port(), Drive { scan_rate_hz: 10.0, duration_s: 2000.0, rate: 5.0 });
     let more = format!("metrics_port = {port}");

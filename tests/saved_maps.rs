@@ -1,6 +1,7 @@
 //! A map outlives its set: it is saved while the set runs, continued by the next one, checked, loaded and exported.
 
 use crate::support;
+use crate::support::machine_share;
 use crate::support::{Drive, LiveSet, Outputs, flockslam, not_tested, of, send, stderr, wait_for};
 use flockslam::store::SavedMap;
 use flockslam::supervisor::SetStatus;
@@ -20,6 +21,7 @@ fn keeps(map: &Path) -> String {
 
 #[test]
 fn the_next_set_continues_a_saved_map_and_a_closure_attaches_it() {
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let map = directory.path().join("map");
     let mut first = LiveSet::start("first", directory.path(), LONG, &keeps(&map));
@@ -54,6 +56,7 @@ fn the_next_set_continues_a_saved_map_and_a_closure_attaches_it() {
 
 #[test]
 fn a_running_set_saves_elsewhere_and_goes_on_with_what_it_is_given() {
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let mut set = LiveSet::start("orders", directory.path(), LONG, "");
     set.wait_until_handled(Stage::ScanMatcher, 60);
@@ -76,6 +79,7 @@ fn a_running_set_saves_elsewhere_and_goes_on_with_what_it_is_given() {
 
 #[test]
 fn damage_is_found_and_reported() {
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let map = directory.path().join("map");
     let mut set = LiveSet::start("damage", directory.path(), LONG, &keeps(&map));
@@ -97,6 +101,7 @@ fn damage_is_found_and_reported() {
 
 #[test]
 fn a_disk_that_refuses_leaves_the_poses_alone_and_is_reported() {
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let map = directory.path().join("map");
     fs::write(&map, b"in the way").unwrap();
@@ -127,6 +132,7 @@ fn in_a_namespace() -> Command {
 
 #[test]
 fn a_full_disk_leaves_the_poses_alone_until_there_is_room_again() {
+    machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let disk = directory.path().join("disk");
     fs::create_dir(&disk).unwrap();
@@ -180,6 +186,7 @@ fn maps_of_all_formats_so_far_are_read() {
 
 #[test]
 fn maps_of_all_formats_so_far_are_continued() {
+    machine_share::mostly_waits();
     for (name, poses, _, submaps) in GOLDEN {
         let directory = tempfile::tempdir().unwrap();
         let map = directory.path().join("map");
