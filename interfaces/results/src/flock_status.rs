@@ -21,7 +21,7 @@ pub struct FlockStatus {
     pub problem: Option<String>,
     /// Robots that are connected, by their addresses.
     pub peers: Vec<String>,
-    /// Of those, robots that are near: only they are talked to.
+    /// Of those, robots that are near: records are exchanged with them alone.
     pub near: Vec<String>,
     /// Names of all robots of which something is known, this one among them.
     pub robots: Vec<String>,

@@ -17,7 +17,7 @@ pub const FLOCK_NEAR: Metric = of_one_stage(
     "sync-manager",
     "flockslam_flock_near",
     Kind::Gauge,
-    "Of the robots that are connected, those that are near: only they are talked to",
+    "Of the robots that are connected, those that are near: records are exchanged with them alone",
 );
 /// Robots in the common map.
 pub const FLOCK_MEMBERS: Metric = of_one_stage(

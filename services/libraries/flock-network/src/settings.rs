@@ -9,7 +9,7 @@ use std::path::PathBuf;
 pub struct FlockSettings {
     /// Name of this robot in its flock: letters, digits, `-`, `_` and `.`, at most 32; empty = it is alone and keeps no records.
     pub name: String,
-    /// Whether the robot talks to others over the network; otherwise it only keeps what it would say, for `flockslam store merge`.
+    /// Whether the robot exchanges records with others over the network; otherwise it only keeps its own, for `flockslam store merge`.
     pub enabled: bool,
     /// Name of the flock: robots of different flocks do not exchange anything.
     pub flock: String,
@@ -19,8 +19,8 @@ pub struct FlockSettings {
     pub connect: Vec<String>,
     /// Whether robots look for each other by multicast in the local network.
     pub multicast: bool,
-    /// Who is near and so talked to: `always` – Whoever is connected; `contacts` – Whom an outside program reports on the
-    /// set's socket.
+    /// Who is near, so that records are exchanged with it: `always` – Whoever is connected; `contacts` – Whom an outside program
+    /// reports on the set's socket.
     pub proximity: ProximitySource,
     /// File with the robot's secret key and the number of its last epoch, made when it is not there; empty = `flock.key` beside
     /// the saved map, or, without one, a key that goes with the set.
@@ -111,7 +111,7 @@ impl FlockSettings {
         let transports: &[&str] = if given == 3 { &["tls/"] } else { &["tcp/"] };
         let rules = [
             (plain(&self.name), "name", "letters, digits, '-', '_' and '.', at most 32"),
-            (!self.enabled || !self.name.is_empty(), "name", "a robot that talks to others needs a name"),
+            (!self.enabled || !self.name.is_empty(), "name", "a robot that exchanges records needs a name"),
             (
                 plain(&self.flock) && !self.flock.is_empty(),
                 "flock",
