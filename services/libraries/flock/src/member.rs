@@ -99,7 +99,7 @@ impl Flock {
     /// Says what its own back end has found out.
     ///
     /// # Errors
-    /// As [`Self::say`].
+    /// As [`Self::record`].
     pub fn publish(&mut self, findings: &Findings) -> Result<Vec<Arc<[u8]>>, RecordError> {
         let mut said = Vec::new();
         for stretch in &findings.stretches {
@@ -122,7 +122,7 @@ impl Flock {
     /// Makes records of new constraints, as few as possible.
     ///
     /// # Errors
-    /// As [`Self::say`].
+    /// As [`Self::record`].
     pub fn record_constraints(&mut self, constraints: &[Constraint]) -> Result<Vec<Arc<[u8]>>, RecordError> {
         let records = constraints.chunks(CONSTRAINTS_MAX);
         records.map(|some| self.record(&Content::Constraints(some.to_vec()))).collect()
@@ -131,7 +131,7 @@ impl Flock {
     /// Makes a record of the evidence of a closed submap.
     ///
     /// # Errors
-    /// As [`Self::say`].
+    /// As [`Self::record`].
     pub fn record_submap(&mut self, submap: &flockslam_evidence::Submap) -> Result<Arc<[u8]>, RecordError> {
         self.record(&Content::Submap(SubmapRecord::of(&submap.coarsened())))
     }
@@ -154,7 +154,7 @@ impl Flock {
     /// Looks for places that it shares with others, with at most about so many searches, and says what it has found.
     ///
     /// # Errors
-    /// As [`Self::say`].
+    /// As [`Self::record`].
     pub fn search(&mut self, searches_max: u64) -> Result<Vec<Arc<[u8]>>, RecordError> {
         let found = self.find(searches_max);
         self.record_constraints(&found)
