@@ -214,7 +214,8 @@ impl ClosureFinder {
         } else {
             world.poses[segment.anchor].to(world.poses[query])
         };
-        let found = self.search(world, points, number, guess, window)?;
+        let few = picked(points, if window == ANYWHERE { SEARCH_POINTS / 2 } else { SEARCH_POINTS });
+        let found = self.search(world, &few, number, guess, window)?;
         let (nodes, scans) = (world.nodes, world.scans);
         let anchor = nodes[segment.anchor].local_pose;
         let at = |i: usize| anchor.to(nodes[i].local_pose);
@@ -228,8 +229,8 @@ impl ClosureFinder {
             intrusions(world, query, points, segment, nearest, &refined.placement, at);
         let usual = self_intrusion(world, query, points);
         let free_space_agrees = intruding <= INTRUDING_MAX + usual && intruded <= INTRUDED_MAX + usual;
-        // A search for a runner-up costs more than all that comes before it: most matches are rejected without one.
-        if !free_space_agrees || self.is_ambiguous(world, points, number, guess, window, &found) {
+        // The search for a runner-up comes last: a match that is rejected otherwise needs none.
+        if !free_space_agrees || self.is_ambiguous(world, &few, number, guess, window, &found) {
             return None;
         }
         let edge = edge(query, nearest, &at(nearest), &refined)?;
@@ -240,15 +241,15 @@ impl ClosureFinder {
     fn search(
         &mut self,
         world: &World<'_>,
-        points: &[(f64, f64)],
+        few: &[(f64, f64)],
         number: usize,
         guess: Placement,
         window: Window,
     ) -> Option<Found> {
         let searcher = if window == ANYWHERE { &mut self.searcher_anywhere } else { &mut self.searcher };
-        let (field, few) = (field(&mut self.fields, world, number), few(points, window));
+        let field = field(&mut self.fields, world, number);
         self.counts.searches += 1;
-        let found = searcher.best(field, &few, guess, window, SCORE_MIN, None)?;
+        let found = searcher.best(field, few, guess, window, SCORE_MIN, None)?;
         self.counts.matches += 1;
         Some(found)
     }
@@ -257,7 +258,7 @@ impl ClosureFinder {
     fn is_ambiguous(
         &mut self,
         world: &World<'_>,
-        points: &[(f64, f64)],
+        few: &[(f64, f64)],
         number: usize,
         guess: Placement,
         window: Window,
@@ -267,9 +268,9 @@ impl ClosureFinder {
             return false;
         }
         let searcher = if window == ANYWHERE { &mut self.searcher_runner_up } else { &mut self.searcher };
-        let (field, few) = (field(&mut self.fields, world, number), few(points, window));
+        let field = field(&mut self.fields, world, number);
         let exclude = Some((found.placement, APART));
-        let second = searcher.best(field, &few, guess, window, RUNNER_UP * found.score, exclude);
+        let second = searcher.best(field, few, guess, window, RUNNER_UP * found.score, exclude);
         second.is_some() || searcher.gave_up()
     }
 }
@@ -279,11 +280,6 @@ fn field<'a>(fields: &'a mut FieldCache, world: &World<'_>, number: usize) -> &'
     let segment = &world.segments[number];
     let make = || PooledField::new(&segment.cloud(world.nodes, world.scans));
     fields.get(world.nodes[segment.anchor].sequence, make)
-}
-
-/// The points of a query that a search in a window looks at.
-fn few(points: &[(f64, f64)], window: Window) -> Vec<(f64, f64)> {
-    picked(points, if window == ANYWHERE { SEARCH_POINTS / 2 } else { SEARCH_POINTS })
 }
 
 /// Whether a segment lies so far back that a query is looked for in it.

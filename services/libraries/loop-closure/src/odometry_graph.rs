@@ -100,7 +100,7 @@ pub struct OdometryGraph {
     nodes: Vec<Node>,
     edges: Vec<Edge>,
     /// By edge: its motion as it was matched, before smoothing.
-    matched: Vec<Placement>,
+    matched_motions: Vec<Placement>,
     grid: MomentGrid,
     /// First node whose points are in the grid.
     first: usize,
@@ -122,7 +122,7 @@ impl Default for OdometryGraph {
         Self {
             nodes: Vec::new(),
             edges: Vec::new(),
-            matched: Vec::new(),
+            matched_motions: Vec::new(),
             grid: MomentGrid::default(),
             first: 0,
             start_from_local: Placement::IDENTITY,
@@ -151,7 +151,7 @@ impl OdometryGraph {
     pub fn matched_edges(&self) -> Vec<Edge> {
         self.edges
             .iter()
-            .zip(&self.matched)
+            .zip(&self.matched_motions)
             .map(|(edge, matched)| Edge { motion: *matched, ..*edge })
             .collect()
     }
@@ -192,8 +192,8 @@ impl OdometryGraph {
         }
         self.nodes.drain(range.clone());
         self.edges.drain(range.clone());
-        self.matched.drain(range.clone());
-        self.matched[before] = bridge;
+        self.matched_motions.drain(range.clone());
+        self.matched_motions[before] = bridge;
         let edge = &mut self.edges[before];
         (edge.motion, edge.information) = (bridge, known);
         for (number, edge) in self.edges.iter_mut().enumerate().skip(before) {
@@ -255,7 +255,7 @@ impl OdometryGraph {
         let information = in_frame(&self.information(&link, &motion, said), &last.local_pose);
         let motion = last.local_pose.to(local_pose);
         self.edges.push(Edge { from: to - 1, to, motion, information });
-        self.matched.push(motion);
+        self.matched_motions.push(motion);
         let way_m = local_pose.distance_m(&last.local_pose);
         // No drift is between poses that are given.
         let drift_m = if new.is_given { 0.0 } else { way_m + drift_bound_m };
