@@ -18,6 +18,10 @@ pub enum CellState {
 impl CellState {
     /// Of a cell with this evidence: thresholds as in nav2, on p/(p+q).
     pub fn of(cell: &Cell) -> Self {
+        // Most cells of a tile have none, and masses take two exponentials.
+        if *cell == Cell::default() {
+            return Self::Unknown;
+        }
         match cell.masses().occupancy() {
             Some(occupancy) if occupancy > 0.65 => Self::Occupied,
             Some(occupancy) if occupancy < 0.25 => Self::Free,

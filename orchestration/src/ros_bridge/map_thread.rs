@@ -17,6 +17,8 @@ use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
+/// Added to the niceness that a process begins with.
+const NICENESS: i32 = 10;
 /// The bus is looked at so often.
 const LOOK: Duration = Duration::from_millis(200);
 /// Submaps are brought to their places for no longer than this at a time.
@@ -118,6 +120,8 @@ impl MapPublishers {
 pub fn start(place: MapPlace, publishers: MapPublishers) -> Result<Sender<MapOrder>, BridgeError> {
     let (sender, orders) = channel();
     std::thread::Builder::new().name("map".to_owned()).spawn(move || {
+        // Transforms go before maps. Should it be refused, a map takes a processor from them for some milliseconds.
+        let _ = rustix::process::setpriority_process(Some(rustix::thread::gettid()), NICENESS);
         if let Err(error) = keep(&place, &publishers, &orders) {
             // Without the bus there is nothing to do for this process; its successor may have it.
             tracing::error!(%error, "the map cannot be read");

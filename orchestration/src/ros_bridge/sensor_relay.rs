@@ -56,6 +56,8 @@ struct Waiting {
     topic: String,
     scan: FramedScan,
     received: Instant,
+    /// The version of the links with which nothing led to its frame.
+    unlinked_at: Option<u64>,
 }
 
 /// What became of scans.
@@ -150,7 +152,7 @@ impl SensorRelay {
             self.waiting.pop_front();
             self.counts.unplaced += 1;
         }
-        self.waiting.push_back(Waiting { topic: topic.to_owned(), scan, received });
+        self.waiting.push_back(Waiting { topic: topic.to_owned(), scan, received, unlinked_at: None });
         self.relay_scans();
     }
 
@@ -256,14 +258,22 @@ impl SensorRelay {
     }
 
     fn relay_scans(&mut self) {
+        let links_version = self.transforms.links_version();
         let mut index = 0;
         while let Some(next) = self.waiting.get(index) {
             let stamp_ns = next.scan.scan.header.times.sensor_ns;
             let waits = next.received.elapsed() < PLACE_WAIT && !self.placeless.contains(&next.scan.frame);
+            // Transforms may come ten thousand times a second.
+            if waits && next.unlinked_at == Some(links_version) {
+                index += 1;
+                continue;
+            }
             let place = match self.place(&next.scan.frame, stamp_ns) {
                 Ok(place) => place,
-                Err(_) if waits => {
+                Err(error) if waits => {
                     // Those of other lidars behind it do not wait for it.
+                    self.waiting[index].unlinked_at =
+                        (error == LookupError::Unlinked).then_some(links_version);
                     index += 1;
                     continue;
                 }
@@ -281,7 +291,7 @@ impl SensorRelay {
                     continue;
                 }
             };
-            let Some(Waiting { topic, mut scan, received }) = self.waiting.remove(index) else { return };
+            let Some(Waiting { topic, mut scan, received, .. }) = self.waiting.remove(index) else { return };
             match Mounting::from_transform(&place) {
                 Ok(mounting) => scan.mounting = Some(mounting),
                 Err(tilted) => {

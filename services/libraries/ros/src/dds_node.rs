@@ -12,10 +12,13 @@ use std::net::Ipv4Addr;
 use std::pin::Pin;
 use std::rc::Rc;
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-/// After a message that is none the next is waited for so long: who sends nothing else does not get all of a core.
+/// After a message that is none the next is waited for so long: who sends nothing else does not get all of a core …
 const PAUSE_AFTER_GARBAGE: Duration = Duration::from_millis(1);
+/// … but only after so many of them within this: good messages of the topic wait, too.
+const GARBAGE_FREE: u32 = 10;
+const GARBAGE_SPAN: Duration = Duration::from_millis(10);
 
 /// What receives on a topic or a service, once the node runs.
 type SubscriptionTask = Box<dyn FnOnce() -> Pin<Box<dyn Future<Output = ()>>> + Send>;
@@ -94,6 +97,7 @@ impl DdsNode {
             .map_err(|error| refused(&full, &error))?;
         let (undecodable, own) = (Arc::clone(&self.undecodable), Arc::clone(&self.own));
         let listen = async move {
+            let mut garbage = Garbage::default();
             loop {
                 match subscription.async_take().await {
                     Ok((message, info)) => {
@@ -103,7 +107,10 @@ impl DdsNode {
                             handle(message);
                         }
                     }
-                    Err(error) => note(&undecodable, &full, &error).await,
+                    Err(error) => {
+                        undecodable.note(&full, &error);
+                        garbage.pause().await;
+                    }
                 }
             }
         };
@@ -131,6 +138,7 @@ impl DdsNode {
         let server = Arc::new(server);
         let undecodable = Arc::clone(&self.undecodable);
         let listen = async move {
+            let mut garbage = Garbage::default();
             loop {
                 match server.async_receive_request().await {
                     Ok((id, request)) => {
@@ -142,7 +150,10 @@ impl DdsNode {
                         };
                         handle(Call { request, answer: Answer(Box::new(answer)) });
                     }
-                    Err(error) => note(&undecodable, &full, &error).await,
+                    Err(error) => {
+                        undecodable.note(&full, &error);
+                        garbage.pause().await;
+                    }
                 }
             }
         };
@@ -206,9 +217,24 @@ impl Drop for RunningDdsNode {
     }
 }
 
-async fn note(undecodable: &Undecodable, name: &str, error: &impl std::fmt::Debug) {
-    undecodable.note(name, &format!("{error:?}"));
-    tokio::time::sleep(PAUSE_AFTER_GARBAGE).await;
+/// How many messages that are none have come of late.
+#[derive(Default)]
+struct Garbage {
+    since: Option<Instant>,
+    count: u32,
+}
+
+impl Garbage {
+    /// Counts one, and waits where there are too many.
+    async fn pause(&mut self) {
+        if self.since.is_none_or(|since| since.elapsed() > GARBAGE_SPAN) {
+            *self = Self { since: Some(Instant::now()), count: 0 };
+        }
+        self.count += 1;
+        if self.count > GARBAGE_FREE {
+            tokio::time::sleep(PAUSE_AFTER_GARBAGE).await;
+        }
+    }
 }
 
 fn parsed(full: &str) -> Result<Name, RosError> {

@@ -52,10 +52,10 @@ pub struct Undecodable(AtomicU64);
 
 impl Undecodable {
     /// Counts one; says it at the first, and then when there are twice as many.
-    pub fn note(&self, name: &str, error: &str) {
+    pub fn note(&self, name: &str, error: &dyn std::fmt::Debug) {
         let count = self.0.fetch_add(1, Ordering::Relaxed) + 1;
         if count.is_power_of_two() {
-            tracing::warn!(name, error, count, "a message is not of the type of its topic");
+            tracing::warn!(name, ?error, count, "a message is not of the type of its topic");
         }
     }
 }

@@ -178,7 +178,7 @@ impl ZenohNode {
         let take = move |question: Question| {
             let beside = question.attachment().and_then(|bytes| Beside::decode(&bytes));
             let Some(beside) = beside else {
-                return undecodable.note(&name, "who has called is not said");
+                return undecodable.note(&name, &"who has called is not said");
             };
             let request = match decode::<S::Request>(&question.bytes()) {
                 Ok(request) => request,

@@ -49,6 +49,8 @@ pub struct TransformBuffer {
     links: BTreeMap<String, Link>,
     /// What is said of a frame is dropped when its time goes back.
     follows_time: bool,
+    /// How often a frame has got a parent, or another one.
+    links_version: u64,
 }
 
 #[derive(Debug)]
@@ -118,8 +120,10 @@ impl TransformBuffer {
         };
         if !self.links.contains_key(child) {
             self.links.insert(child.to_owned(), fresh());
+            self.links_version += 1;
         }
         let Some(link) = self.links.get_mut(child) else { return };
+        self.links_version += u64::from(link.parent != parent);
         if link.parent != parent || link.is_static != is_static || is_static {
             *link = fresh();
         }
@@ -135,6 +139,11 @@ impl TransformBuffer {
         while link.poses.front().is_some_and(|(stamp_ns, _)| newest_ns.saturating_sub(*stamp_ns) > KEPT_NS) {
             link.poses.pop_front();
         }
+    }
+
+    /// Changes when a frame gets a parent, or another one: until then, frames that nothing connects stay so.
+    pub fn links_version(&self) -> u64 {
+        self.links_version
     }
 
     /// Whether no transform has come.
@@ -295,6 +304,11 @@ mod tests {
         assert!(buffer.links("wheel", "/laser") && !buffer.links("wheel", "camera"));
         assert_eq!(buffer.lookup("base_link", "camera", 5), Err(LookupError::Unlinked));
         assert!(buffer.knows("wheel") && buffer.knows("base_footprint") && !buffer.knows("camera"));
+        let version = buffer.links_version();
+        buffer.insert(&transform(1, "base_footprint", "wheel", 2.0, 0.0), true);
+        assert_eq!(buffer.links_version(), version);
+        buffer.insert(&transform(1, "base_link", "wheel", 2.0, 0.0), true);
+        assert_ne!(buffer.links_version(), version);
     }
 
     #[test]
