@@ -48,7 +48,7 @@ const LIDARS_MAX: usize = 16;
 /// A scan becomes a node of the graph after this much travel, metres …
 const NODE_DISTANCE_M: f64 = 0.3;
 /// … or this much turning, radians.
-const NODE_TURN_RAD: f64 = 0.35;
+const NODE_TURN_RAD: f64 = 0.2;
 /// Each scan is placed at the end against the nodes up to this many before and after it.
 const FINAL_NODES: usize = 3;
 /// Most branch-and-bound searches from one closed submap to the next.
