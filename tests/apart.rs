@@ -12,7 +12,7 @@ const FIRST: Drive = Drive { scan_rate_hz: 10.0, duration_s: 3000.0, rate: 6.0 }
 const SECOND: Drive = Drive { scan_rate_hz: 10.0, duration_s: 40.0, rate: 6.0 };
 
 #[test]
-fn a_drive_in_another_building_is_said_to_be_unattached_and_gets_a_map_of_its_own() {
+fn a_drive_in_another_building_is_reported_as_unattached_and_gets_its_own_map() {
     machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let keeps = format!("map = {:?}\nsave_every_s = 0.2", directory.path().join("map"));

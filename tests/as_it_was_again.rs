@@ -169,7 +169,7 @@ fn the_poses_of_a_recorded_drive_with_killed_stages_are_computed_again_to_the_bi
     }
     assert!(!said.contains("exact: every pose") && report["gaps"].as_array().unwrap().len() >= 3, "{said}");
 
-    // The beginning is missing.
+    // The start is missing.
     let late = place.join("late.mcap");
     let is_early = |record: &SetRecord| match record {
         SetRecord::Inputs(inputs) => inputs.id.sequence < 50,

@@ -34,7 +34,7 @@ fn a_mapper_that_replays_what_it_has_in_store_has_scans_twice() {
 }
 
 #[test]
-fn a_matcher_that_begins_anew_is_not_where_it_was() {
+fn a_restarted_matcher_without_its_state_has_lost_its_pose() {
     machine_share::mostly_waits();
     // Without odometry that would tell it.
     let trial = with_failpoint("no-resume", &[Stage::ScanMatcher], &["lidar_ingest.odometry=false"]);

@@ -103,7 +103,7 @@ fn expressions(file: &str) -> Vec<String> {
 }
 
 #[test]
-fn boards_and_rules_ask_for_what_exists() {
+fn boards_and_rules_query_existing_metrics() {
     for rules in RULES {
         expressions(rules).iter().for_each(|expression| assert_known(rules, expression));
     }

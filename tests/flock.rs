@@ -169,7 +169,7 @@ fn join_late(world: &str, duration_s: f64, then: impl FnOnce(&mut FlockRobot)) {
 }
 
 #[test]
-fn a_process_that_is_killed_while_it_talks_is_not_quarantined_and_keeps_its_epoch() {
+fn a_process_killed_while_publishing_is_not_quarantined_and_keeps_its_epoch() {
     machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let mut robots = FlockRobot::start_all("twice", directory.path(), LONG, 2);
@@ -248,7 +248,7 @@ fn resident_kb(pid: u32) -> u64 {
 }
 
 #[test]
-fn who_has_no_certificate_of_the_flock_is_kept_out() {
+fn a_peer_without_a_certificate_of_the_flock_is_rejected() {
     machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let Some([good, other]) = own_certificates(directory.path()) else { return };
@@ -266,7 +266,7 @@ fn who_has_no_certificate_of_the_flock_is_kept_out() {
 }
 
 #[test]
-fn robots_talk_only_when_somebody_reports_a_contact() {
+fn robots_exchange_records_only_during_a_reported_contact() {
     machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let more = "proximity = \"contacts\"";

@@ -129,7 +129,7 @@ fn one_crate_each_opens_the_networks() {
 const LIDAR_MARKS: [&str; 6] = ["0x54, 0x2c", "0xaa, 0x55", "0xa5, 0x5a", "lmdscandata", "scip2.0", "sopas"];
 
 #[test]
-fn only_lidars_knows_the_bytes_of_a_lidar() {
+fn only_lidars_parses_the_bytes_of_a_lidar() {
     assert_eq!(importers("serialport"), ["flockslam-lidar-ingest"]);
     assert_eq!(importers("flockslam-lidars"), ["flockslam", "flockslam-lidar-ingest"]);
     let product = ["interfaces", "services", "orchestration/src", "dashboards/page/src"];
@@ -233,7 +233,7 @@ const WALL_CLOCK: [&str; 6] = [
 ];
 
 #[test]
-fn nothing_but_exports_knows_the_wall_clock() {
+fn only_exports_use_the_wall_clock() {
     let tops = ["interfaces", "services", "orchestration/src", "dashboards"]
         .map(|top| rust_files(&repository().join(top)));
     let files =

@@ -29,7 +29,7 @@ fn effort(pid: u32) -> (u64, f64) {
 }
 
 #[test]
-fn a_set_whose_pipe_is_silent_seldom_wakes_up() {
+fn a_set_with_an_idle_pipe_has_few_wakeups() {
     machine_share::alone();
     let directory = tempfile::tempdir().unwrap();
     let args = ["map", "--source", "-"].map(str::to_owned);

@@ -109,7 +109,7 @@ fn a_storm_of_kills_of_one_stage_does_not_end_a_live_run() {
 }
 
 #[test]
-fn an_exact_replay_ends_with_the_name_of_what_died_and_no_outputs() {
+fn an_exact_replay_ends_with_the_name_of_the_dead_stage_and_no_outputs() {
     let directory = tempfile::tempdir().unwrap();
     let mut messages = None;
     let mut set = RunningSet::start_with("exact", directory.path(), &building(400), |command| {

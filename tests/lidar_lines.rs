@@ -136,7 +136,7 @@ fn a_lidar_that_is_unplugged_twenty_times_comes_back_each_time_and_the_map_is_no
 }
 
 #[test]
-fn what_is_wrong_with_a_lidar_is_said_in_one_line_and_it_is_taken_once_it_is_right() {
+fn a_lidar_fault_is_reported_in_one_line_and_the_lidar_is_used_once_it_is_repaired() {
     machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("lidar");

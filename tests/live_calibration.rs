@@ -14,7 +14,7 @@ const AHEAD_M: f64 = 0.1;
 const OFF_MAX: (f64, f64) = (0.03, 1.0);
 
 #[test]
-fn a_running_set_says_where_its_lidar_sits() {
+fn a_running_set_reports_the_mounting_of_its_lidar() {
     machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let mut set = LiveSet::start("calibrated", directory.path(), DRIVE, "");

@@ -209,7 +209,7 @@ fn without_a_matcher_odometry_is_followed_until_it_gets_up() {
 }
 
 #[test]
-fn a_set_whose_supervisor_was_killed_goes_on_with_what_it_knew() {
+fn a_set_whose_supervisor_was_killed_continues_from_its_stored_state() {
     machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let drive = Drive { scan_rate_hz: 20.0, duration_s: 40.0, rate: 4.0 };

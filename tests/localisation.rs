@@ -204,7 +204,7 @@ fn between_maps(in_one: &Outputs, in_other: &Outputs) -> Pose {
     Pose::new(median(|pose| pose.x_m), median(|pose| pose.y_m), median(|pose| pose.heading_rad))
 }
 
-/// One robot in one floor before and after it was carried: each drive is found in the map of the other, and both agree on how the maps lie.
+/// One robot in one floor before and after a kidnapping: each drive is found in the map of the other, and both agree on how the maps lie.
 #[test]
 fn a_robot_that_was_carried_elsewhere_is_found_in_the_map_of_before_and_the_other_way_round() {
     let Some(data) = data_dir() else { return };

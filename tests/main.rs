@@ -1,4 +1,4 @@
-//! Whole-system tests: they start the real executable, each with a root and a name of its own, and look at it from outside.
+//! Whole-system tests: they start the real executable, each with a root and a name of its own, and test it from outside.
 //!
 //! All of them are one executable, since linking takes longer than most of the tests. `house.rs` keeps this list complete.
 

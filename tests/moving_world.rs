@@ -27,7 +27,7 @@ fn an_office_full_of_people_keeps_its_walls_and_no_ghosts() {
 
 /// Whoever stays 1.2 m behind the robot looks as if it stood still. In a bare corridor nothing says otherwise.
 #[test]
-fn somebody_who_follows_does_not_hold_the_robot_back() {
+fn a_person_who_follows_does_not_bias_the_pose() {
     let Some(map) = moving_building("stata_basement") else { return };
     for seed in [1, 2] {
         let settings = Settings { seed, follower: true, ..Settings::default() };

@@ -164,7 +164,7 @@ fn a_browser_shows_the_run_and_what_happens_to_it() {
 
 /// A robot that stands gives its mapper one scan: the page has to ask for the tiles that came before it.
 #[test]
-fn the_map_of_a_robot_that_stands_is_shown_to_whoever_comes_later() {
+fn the_map_of_a_standing_robot_reaches_late_subscribers() {
     machine_share::mostly_waits();
     let Some(browser) = Browser::start("the map of a robot that stands") else { return };
     let directory = tempfile::tempdir().unwrap();

@@ -14,7 +14,7 @@ const RUNS: u64 = 50;
 const MEAN_NEES: std::ops::RangeInclusive<f64> = 2.36..=3.72;
 
 #[test]
-fn poses_are_as_wrong_as_their_covariance_says() {
+fn pose_errors_match_their_covariance() {
     let all: Vec<f64> = (0..RUNS).map(nees_of_run).collect();
     let mean = all.iter().sum::<f64>() / RUNS as f64;
     let mut sorted = all.clone();

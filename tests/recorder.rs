@@ -216,7 +216,7 @@ fn the_public_python_package_opens_a_file_and_its_schemas_hold() {
     assert_eq!(counts, ours);
 }
 
-/// Subscribes to all channels with the public client, and prints the topics once each has spoken.
+/// Subscribes to all channels with the public client, and prints the topics once each has had a message.
 const READ_SOCKET: &str = r#"
 const { FoxgloveClient } = require("@foxglove/ws-protocol");
 const WebSocket = require("ws");

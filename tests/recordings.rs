@@ -102,7 +102,7 @@ fn one_drive_in_eight_formats_gives_one_map() {
     assert!((300..500).contains(&scans), "{scans} of 730");
 }
 
-/// The beginning of each public log, written as a bag by the public package, and that converted: one map, to the bit.
+/// The start of each public log, written as a bag by the public package, and that converted: one map, to the bit.
 #[test]
 fn logs_written_as_bags_and_these_converted_give_the_maps_of_the_logs() {
     let directory = tempfile::tempdir().unwrap();
@@ -161,7 +161,7 @@ fn a_bag_that_was_cut_off_is_read_up_to_there_and_a_damaged_one_is_refused() {
 }
 
 #[test]
-fn what_is_missing_or_not_clear_is_said_in_one_line_with_its_cure() {
+fn missing_and_ambiguous_input_is_reported_in_one_line_with_its_cure() {
     let Some(bag) = recording("carried/before.bag") else { return };
     let directory = tempfile::tempdir().unwrap();
     let place = directory.path();

@@ -16,7 +16,7 @@ fn replay(directory: &Path) -> Outputs {
     run_well("replay", directory, &building(DURATION_S))
 }
 
-/// The outputs of one replay, which several tests look at; the next run of the tests writes them anew.
+/// The outputs of one replay, which several tests read; the next run of the tests writes them anew.
 fn outputs() -> &'static Outputs {
     static REPLAYED: LazyLock<Outputs> = LazyLock::new(|| {
         let out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("runs/replay");

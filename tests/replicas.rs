@@ -116,7 +116,7 @@ fn each_stage_gets_a_second_process_and_loses_it_again_without_a_lost_scan() {
 }
 
 #[test]
-fn who_stands_by_goes_on_with_the_next_scan_when_the_one_that_acts_is_killed() {
+fn a_standby_takes_over_at_the_next_scan_when_the_active_one_is_killed() {
     machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let stages = [Stage::ScanMatcher, Stage::SyncManager, Stage::LidarIngest];

@@ -65,8 +65,8 @@ fn a_log_played_into_the_graph_is_mapped_as_the_file_is() {
     let mut delays_ms = Vec::new();
     for (scan, pose) in sent.iter().zip(&poses) {
         assert_eq!(scan.0, pose.0);
-        let heard_at_ns = assert_composed(scan, pose.1, &corrections);
-        delays_ms.push((heard_at_ns - scan.2) as f64 * 1e-6);
+        let received_ns = assert_composed(scan, pose.1, &corrections);
+        delays_ms.push((received_ns - scan.2) as f64 * 1e-6);
     }
     delays_ms.sort_by(f64::total_cmp);
     let quantile = |share: f64| delays_ms[((delays_ms.len() - 1) as f64 * share) as usize];
@@ -152,7 +152,7 @@ fn a_manager_takes_the_node_up_and_down_and_the_bond_outlives_a_kill() {
 }
 
 #[test]
-fn services_and_parameters_do_what_they_say() {
+fn services_and_parameters_have_their_documented_effect() {
     machine_share::mostly_waits();
     let Some(graph) = Graph::new() else { return };
     let directory = tempfile::tempdir().unwrap();
@@ -203,8 +203,8 @@ fn services_and_parameters_do_what_they_say() {
     let is_quiet = |followed: &Value| (followed["quiet_s"].as_f64()? > 3.0).then(|| followed.clone());
     let followed = peer.wait_for("the last map", &json!(["followed"]), is_quiet);
     assert!(followed["changes"].as_u64().unwrap() > 0 && followed["nearer"] == true, "{followed}");
-    let graph_heard = heard(&mut peer, "/slam_toolbox/graph_visualization");
-    let last = graph_heard["last"].as_array().unwrap().last().unwrap();
+    let graph_received = heard(&mut peer, "/slam_toolbox/graph_visualization");
+    let last = graph_received["last"].as_array().unwrap().last().unwrap();
     let way = last["markers"].as_array().unwrap().iter().find(|marker| marker["ns"] == "way").unwrap();
     assert!(way["points"].as_array().unwrap().len() > 5 && way["header"]["frame_id"] == "map", "{way}");
     let hint = json!({ "header": { "frame_id": "map" }, "pose": { "pose": { "position": { "x": 1.0 } } } });

@@ -31,7 +31,7 @@ fn the_next_set_continues_a_saved_map_and_a_closure_attaches_it() {
     let saved = SavedMap::at(&map).check().unwrap();
     println!("saved: {saved:?}");
     assert!(saved.problems.is_empty() && saved.poses >= 400 && saved.submaps > 0);
-    // The same drive from its start: the robot has been carried back there.
+    // The same drive from its start: the robot has been moved back there.
     let second = LiveSet::start("second", directory.path(), DRIVE, &keeps(&map));
     let outputs = second.finish();
     let report = &outputs.report;

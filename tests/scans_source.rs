@@ -63,7 +63,7 @@ fn same(one: &Outputs, other: &Outputs) -> bool {
 }
 
 #[test]
-fn a_recording_a_pipe_and_a_socket_say_the_same() {
+fn a_recording_a_pipe_and_a_socket_give_the_same_map() {
     let directory = tempfile::tempdir().unwrap();
     let place = directory.path();
     let drive = SensorDrive::new(&settings(20.0, 10.0), &[front()]);
@@ -87,7 +87,7 @@ fn a_recording_a_pipe_and_a_socket_say_the_same() {
 }
 
 #[test]
-fn two_lidars_of_a_recording_and_of_a_socket_say_the_same() {
+fn two_lidars_of_a_recording_and_of_a_socket_give_the_same_map() {
     let directory = tempfile::tempdir().unwrap();
     let place = directory.path();
     let drive = SensorDrive::new(&settings(10.0, 10.0), &[front(), rear()]);
@@ -210,7 +210,7 @@ fn frames_of(
 }
 
 #[test]
-fn a_lidar_that_dies_is_missed_and_one_that_comes_back_is_used() {
+fn a_lidar_that_stops_is_detected_and_used_again_after_its_return() {
     machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let drive = SensorDrive::new(&settings(20.0, 10.0), &[front(), rear()]);

@@ -1,5 +1,5 @@
 //! The benchmark logs with every scan processed, as they are and made harder: accuracy, odometry that jumps, false beams,
-//! scans that are missing, and a robot that is carried elsewhere.
+//! scans that are missing, and a kidnapped robot.
 
 use crate::support::data_dir;
 use crate::support::kidnapped_log::kidnapped;
@@ -22,7 +22,7 @@ const POOR_WHEELS: Conditions =
 
 const NO_WHEELS: Conditions = (&["lidar_ingest.odometry=false"], &[(FR079, 0.0298), (ACES, 0.0344)]);
 
-/// Where a log is cut, so that the robot is carried from before the first scan to the second, and the mean error then, metres. In FR079 it gets
+/// Where a log is cut, so that the robot is kidnapped from before the first scan to the second, and the mean error then, metres. In FR079 it gets
 /// from one corridor to another of the same width; in ACES the map nearby looks like where it gets to.
 const CUTS: [(Log, (usize, usize), f64); 3] =
     [(INTEL, (4000, 7000), 0.0140), (FR079, (548, 1041), 0.0305), (ACES, (5735, 6472), 0.0345)];
@@ -91,7 +91,7 @@ fn no_odometry_costs_no_loop() {
 }
 
 #[test]
-fn a_robot_carried_elsewhere_finds_its_own_past() {
+fn a_kidnapped_robot_is_relocalized_in_a_public_log() {
     for (log, cut, reached_m) in CUTS {
         let Some(file) = log.file("clf") else { return };
         let directory = tempfile::tempdir().unwrap();

@@ -18,7 +18,7 @@ fn people_are_followed() {
     assert!(false_tracks * 10 < positions, "{false_tracks} of {positions}");
 }
 
-/// In a real hall, from a lidar that stands still: whoever is followed walks, and nobody is followed at rest on the walls.
+/// In a real hall, from a lidar that stands still: tracked people walk, and no track stands still on the walls.
 #[test]
 fn people_in_a_hall_are_followed_from_a_stand() {
     let Some(data) = data_dir() else { return };

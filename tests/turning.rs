@@ -163,7 +163,7 @@ fn scans_of_a_robot_that_turns_fast_are_straightened() {
 
 /// The mask is learned while the robot moves; here a post stands on it.
 #[test]
-fn what_a_lidar_sees_of_its_robot_is_learned_when_asked() {
+fn the_self_mask_of_a_lidar_is_learned_on_request() {
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("post.mcap");
     let mut recording = RosRecording::create(&file);

@@ -65,7 +65,7 @@ fn of_a_thousand_seconds_in_a_yard_said_to_be_tracked_few_are_wrong() {
     assert!(1000 * wrong <= FALSE_CLAIMS_PER_MILLE * claims, "{wrong} of {claims}: {drives:?}");
     let error_m = drives.iter().map(|drive| drive.ate_m).sum::<f64>() / drives.len() as f64;
     assert!(error_m < YARD_ERROR_M, "{error_m} m: {drives:?}");
-    // Nor does it never trust itself: 0.50 to 0.59 of the scans by seed.
+    // Nor does it always report lost: 0.50 to 0.59 of the scans by seed.
     assert!(drives.iter().all(|drive| drive.tracked > 0.45), "{drives:?}");
 }
 

@@ -126,7 +126,7 @@ mod tests {
     use ratatui::backend::TestBackend;
 
     #[test]
-    fn a_wall_ahead_is_drawn_above_the_middle_and_said() {
+    fn a_wall_ahead_is_drawn_above_the_middle_and_reported() {
         let ranges: Vec<f32> =
             (-30..=30).map(|degree: i32| 3.0 / (degree as f32).to_radians().cos()).collect();
         let mut scan = ScanBuffer::from_ranges(&ranges, -30f64.to_radians(), 1f64.to_radians());

@@ -1,6 +1,6 @@
 //! What a running set says on its bus, in the forms that Foxglove and its relatives read: a file (MCAP) and a websocket.
 //!
-//! A recorder is one more reader of the bus. It holds nobody up: what it is too slow for is replaced by newer messages, and the
+//! A recorder is one more reader of the bus. It delays nothing else: what it is too slow for is replaced by newer messages, and the
 //! gap is counted.
 
 mod foxglove_messages;
@@ -15,7 +15,7 @@ pub use foxglove_messages::{Recorded, bus_scan, log, pose, scan, set_record, tra
 pub use live_grid::LiveGrid;
 pub use mcap_file::McapFile;
 pub use scene::tracks;
-pub use set_reader::{SetReader, ask_for_tiles};
+pub use set_reader::{SetReader, request_tiles};
 pub use topics::RecordTopic;
 pub use websocket::FoxgloveServer;
 
@@ -35,7 +35,7 @@ pub enum RecordError {
     Port {
         /// Which port.
         port: u16,
-        /// What the system said.
+        /// Message of the system.
         source: std::io::Error,
     },
     /// The set cannot be listened to.

@@ -81,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_asked_for_is_taken_and_a_place_that_cannot_be_written_is_not() {
+    fn a_requested_directory_is_used_unless_it_is_not_writable() {
         let directory = tempfile::tempdir().unwrap();
         let file = directory.path().join("file");
         std::fs::write(&file, b"").unwrap();

@@ -2,7 +2,7 @@
 //!
 //! A saved map is a directory: `map.head` (who made it, with which layouts and settings), `scans.journal` (every pose, and each
 //! accepted scan beside its pose) and `submaps/` (the closed ones). All of it is checksummed; the submaps follow from the journal,
-//! so a damaged one is only made again. The journal is always ahead of the submaps, whatever dies when.
+//! so a damaged one is only made again. The journal is always ahead of the submaps, after a crash at any time.
 
 mod head;
 mod imported_map;
@@ -65,7 +65,7 @@ pub enum StoreError {
     Io {
         /// Which file.
         path: PathBuf,
-        /// What the system said.
+        /// Message of the system.
         source: std::io::Error,
     },
     /// The journal failed.

@@ -1,5 +1,6 @@
 //! How outcomes that depend on a seed are spread: `cargo bench -p flockslam --bench seeds -- [yard|campus|people|flat|cuts] [SEEDS]`, twenty seeds
-//! of each by default; cuts: the robot is carried at eight places of each public log. Tests judge a few of these drives; their limits come from here.
+//! of each by default; cuts: the robot is kidnapped at eight places of each public log.
+//! Tests check a few of these drives; their limits come from here.
 
 #![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
 
@@ -63,7 +64,7 @@ fn main() {
     }
 }
 
-/// Prints what becomes of a robot that is carried on its way, unnoticed by its odometry.
+/// Prints the results for a robot that is kidnapped on its way, without a trace in its odometry.
 fn print_cuts(log: &Log) {
     let Some(file) = log.file("clf") else { return };
     let text = String::from_utf8_lossy(&std::fs::read(&file).unwrap()).into_owned();

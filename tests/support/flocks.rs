@@ -364,7 +364,7 @@ pub fn hostile(robot: &FlockRobot, flood: usize) -> usize {
         put.congestion_control(zenoh::qos::CongestionControl::Block).wait().unwrap();
         sent += 1;
     };
-    // The robot answers whoever asks: it is sent its own records back, bent.
+    // The robot answers every request: it is sent its own records back, altered.
     let asked = wait_for("records of the victim", || {
         send("forger-0", Message::Have(Vector::default()).encode());
         std::thread::sleep(std::time::Duration::from_millis(100));

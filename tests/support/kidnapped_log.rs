@@ -1,4 +1,4 @@
-//! A benchmark log whose robot is carried elsewhere on its way.
+//! A benchmark log with a kidnapped robot.
 
 use flockslam_geometry::Pose;
 use std::fmt::Write;

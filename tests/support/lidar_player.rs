@@ -84,7 +84,7 @@ impl Played {
         }
     }
 
-    fn sends_unasked(&self) -> bool {
+    fn streams_unrequested(&self) -> bool {
         matches!(self, Self::Ld06(_) | Self::Bytes(..) | Self::Garbage)
     }
 
@@ -188,7 +188,7 @@ impl LidarPlayer {
         let (stop, turns_ns) = (Arc::new(AtomicBool::new(false)), Arc::new(Mutex::new(Vec::new())));
         let (stopped, turned) = (Arc::clone(&stop), Arc::clone(&turns_ns));
         let thread = spawn(move || {
-            let mut measures = lidar.sends_unasked();
+            let mut measures = lidar.streams_unrequested();
             let (mut bytes, mut received) = ([0; 256], Vec::new());
             let mut decoder = lidar.family().map(|family| family.driver(None, None));
             let mut due = Instant::now();

@@ -73,12 +73,12 @@ fn take(shares: u32) {
     });
 }
 
-/// At the beginning of a test: its set has a few scans a second to handle and mostly waits.
+/// At the start of a test: its set has a few scans a second to handle and mostly waits.
 pub fn mostly_waits() {
     take(1);
 }
 
-/// At the beginning of a test: what it measures suffers from whatever runs beside it, or it makes others suffer.
+/// At the start of a test: what it measures suffers from whatever runs beside it, or it makes others suffer.
 pub fn alone() {
     take(WHOLE);
 }

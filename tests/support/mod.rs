@@ -83,7 +83,7 @@ pub fn robot(test: &str) -> String {
     tools::install_early();
     machine_share::computes();
     static COUNT: AtomicU32 = AtomicU32::new(0);
-    // The last letter keeps one name from being the beginning of another.
+    // The last letter keeps one name from being a prefix of another.
     let number = format!("-{}-{}t", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
     // A longer name is refused, and so would be that of a late test in a process with a great number.
     let kept = test.len().min(ROBOT_NAME_MAX - number.len());

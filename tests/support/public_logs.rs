@@ -61,7 +61,7 @@ pub fn assert_no_worse(log: &Log, errors: &Errors, figures: &[(f64, f64)]) {
     }
 }
 
-/// A run that several tests look at.
+/// A run that several tests read.
 type Shared = Arc<OnceLock<Outputs>>;
 
 impl Log {
@@ -83,7 +83,7 @@ impl Log {
         let log = self.file("clf")?;
         let key = [&[self.name], more].concat().join("_").replace(['/', '=', '.', ','], "-");
         let run = Arc::clone(RUNS.lock().unwrap().entry(key.clone()).or_default());
-        // Kept after the tests for whoever wants to look at it, and written anew by the next.
+        // Kept after the tests for inspection, and overwritten by the next run.
         let out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("runs").join(key);
         run.get_or_init(|| {
             let _ = std::fs::remove_dir_all(&out);

@@ -28,7 +28,7 @@ pub struct StartTrial {
     pub at_truth: Vec<Agreement>,
 }
 
-/// Lets a robot drive the way from its beginning, and looks when it is found; what is found farther from the truth than `false_from`, metres
+/// Lets a robot drive the way from its start, and records when it is localized; a pose that is found farther from the truth than `false_from`, metres
 /// and radians, is false.
 pub fn start_trial(
     localizer: &mut Localizer,

@@ -1,4 +1,4 @@
-//! The thread that reads the bus while somebody looks at the page, and leaves the bus some time after the last browser has gone.
+//! The thread that reads the bus while a browser shows the page. It leaves the bus some time after the last browser has disconnected.
 
 use crate::session::Session;
 use crate::shared_view::{Place, Shared};
@@ -7,14 +7,14 @@ use std::time::{Duration, Instant};
 
 /// Time between two frames.
 const PERIOD: Duration = Duration::from_millis(100);
-/// While nobody looks, it is looked so often whether somebody does.
+/// Period of the check for a browser while there is none.
 const PERIOD_IDLE: Duration = Duration::from_millis(200);
 /// The bus is left so long after the last browser has gone: it may have been reloaded.
 const LINGER: Duration = Duration::from_secs(20);
 /// After an error the bus is joined again after this.
 const PAUSE: Duration = Duration::from_secs(1);
 
-/// Watches the bus for as long as somebody looks at the page; until the set ends.
+/// Watches the bus while a browser shows the page, until the set ends.
 pub fn watch_bus(place: &Place, shared: &Shared) {
     let mut session: Option<Session> = None;
     let mut last_seen = Instant::now();

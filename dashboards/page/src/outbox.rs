@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn a_view_that_begins_anew_is_sent_from_the_beginning() {
+    fn a_restarted_view_is_sent_from_its_start() {
         let (mut view, mut outbox) = (view(), Outbox::default());
         view.robot.set(robot(1));
         outbox.next_frame(&view, Controls::Off, 0).unwrap();

@@ -36,7 +36,7 @@ const FILES_EVERY: u64 = 5;
 /// Closed loops are reported no oftener than this: there may be many, one after the other.
 const LOOPS_EVERY_MS: u64 = 20_000;
 
-/// A look at the bus: joined when somebody looks at the page, left when nobody does any more.
+/// A connection to the bus: joined with the first browser, left after the last one.
 pub struct Session {
     poses: Subscriber<PoseEstimate>,
     scans: ScanSubscriber,
@@ -52,8 +52,8 @@ pub struct Session {
     loops: Option<(u64, u64)>,
     shader: Shader,
     ticks: u64,
-    /// What all tiles were asked for with: the question goes with its publisher.
-    _asked: Publisher<Control>,
+    /// The publisher of the request for all tiles: the request ends with it.
+    _tile_request: Publisher<Control>,
     // The bus goes last.
     _bus: Bus,
 }
@@ -71,7 +71,7 @@ impl Session {
             scans: bus.scan_subscriber()?,
             tiles: bus.subscriber()?,
             // Once they are received.
-            _asked: ask_for_tiles(&bus)?,
+            _tile_request: request_tiles(&bus)?,
             tracks: bus.slice_subscriber()?,
             other_robots: bus.subscriber()?,
             waiting_scans: VecDeque::new(),
@@ -257,7 +257,7 @@ impl Session {
 }
 
 /// The mapper sends all its tiles once more; otherwise only those came that change.
-fn ask_for_tiles(bus: &Bus) -> Result<Publisher<Control>, StageError> {
+fn request_tiles(bus: &Bus) -> Result<Publisher<Control>, StageError> {
     let control = bus.publisher()?;
     control.send(&Control { kind: ControlKind::TilesWanted as u32, run: 0, value: 0 })?;
     bus.notifier(Stage::Mapper.name())?.notify();

@@ -10,9 +10,9 @@ use std::path::Path;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How often the supervisor is asked while somebody looks.
+/// How often the supervisor is queried while a browser shows the page.
 const PERIOD: Duration = Duration::from_millis(250);
-/// … and while nobody does. So often latencies are read, too.
+/// The same while none does. Latencies are read at this period, too.
 const PERIOD_IDLE: Duration = Duration::from_secs(1);
 /// A stage that does not give its metrics within this is passed over.
 const SCRAPE_LIMIT: Duration = Duration::from_millis(200);

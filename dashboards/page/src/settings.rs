@@ -17,8 +17,8 @@ pub struct Settings {
     /// Address and port at which it is served. Beyond this machine (any other address than 127.0.0.1 or `[::1]`) everybody who reaches
     /// the address sees the map.
     pub listen: SocketAddr,
-    /// File with the token that the page's buttons ask for, at least 16 characters. Without it they work for who is on this machine
-    /// while `listen` is on it, and for nobody otherwise.
+    /// File with the token that the page's buttons ask for, at least 16 characters. Without it they work only for requests from this machine,
+    /// while `listen` is an address of this machine.
     pub token_file: Option<PathBuf>,
     /// Directory in which the page's button saves the map, each time under a new name; without it there is no such button.
     pub save_dir: Option<PathBuf>,
@@ -43,7 +43,7 @@ pub enum SettingsError {
     Unreadable {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// Message of the system.
         source: std::io::Error,
     },
     /// The token is not a secret.

@@ -1,4 +1,4 @@
-//! Latencies of a stage between two looks at its metrics page: quantiles of the difference of two histograms.
+//! Latencies of a stage between two readings of its metrics page: quantiles of the difference of two histograms.
 
 use flockslam_telemetry::{bucket_quantile, names};
 use serde::Serialize;

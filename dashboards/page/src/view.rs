@@ -187,7 +187,7 @@ pub struct View {
     pub scan: Versioned<ScanNow>,
     /// Where submaps lie.
     pub graph: Versioned<Graph>,
-    /// What moves; `None` when nobody tells.
+    /// Moving objects; `None` without a source.
     pub tracks: Versioned<Option<Vec<Track>>>,
     /// The other robots of the flock.
     pub other_robots: Versioned<Vec<OtherRobot>>,

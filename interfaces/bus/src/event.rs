@@ -8,7 +8,7 @@ use std::time::Duration;
 pub enum Wake {
     /// No notification came within the limit.
     TimedOut,
-    /// There is something to look at.
+    /// A message is available.
     Notified,
     /// There will be, in a moment.
     Announced,

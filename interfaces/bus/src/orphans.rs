@@ -44,7 +44,7 @@ fn orphans(nodes: &Path, prefix: &str) -> BTreeMap<u128, Vec<PathBuf>> {
         let name = entry.file_name().to_string_lossy().into_owned();
         let number = name.strip_prefix(prefix).unwrap_or(&name).split('.').next();
         let id = number.and_then(|number| number.parse().ok());
-        if let Some(id) = id.filter(|id| is_dead(process_of_node(*id))) {
+        if let Some(id) = id.filter(|id| has_exited(process_of_node(*id))) {
             orphans.entry(id).or_default().push(entry.path());
         }
     }
@@ -56,7 +56,7 @@ fn process_of_node(id: u128) -> u32 {
     (id >> 64) as u32
 }
 
-fn is_dead(pid: u32) -> bool {
+fn has_exited(pid: u32) -> bool {
     !Path::new("/proc").join(pid.to_string()).exists()
 }
 
@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_dead_left_goes_and_what_the_living_have_stays() {
+    fn leftovers_of_dead_processes_are_removed_and_files_of_running_ones_stay() {
         let runtime = RuntimeDir::create(&format!("orphans-{}", std::process::id())).unwrap();
         let nodes = runtime.nodes();
         // No process has the greatest number.

@@ -32,7 +32,7 @@ thread_local! {
 pub struct Room {
     /// All of it, bytes.
     pub total_bytes: u64,
-    /// What nobody has taken, bytes.
+    /// Bytes of messages without a reader.
     pub free_bytes: u64,
 }
 

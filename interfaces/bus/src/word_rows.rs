@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_slice_of_any_length_comes_back_whole() {
+    fn a_slice_of_any_length_round_trips() {
         for count in [0_usize, 1, 2, 3, 1000] {
             let mut words = vec![0; words_of_slice::<[u32; 3], f32>(count)];
             let elements: Vec<f32> = (0..count).map(|i| i as f32).collect();

@@ -170,7 +170,7 @@ mod tests {
         }
 
         #[test]
-        fn masses_come_back_from_their_weights(a in 0.0..8.0f64, b in 0.0..8.0f64) {
+        fn masses_are_recovered_from_their_weights(a in 0.0..8.0f64, b in 0.0..8.0f64) {
             let cell = Cell::from_weights(a, b);
             let back = Cell::from_masses(cell.masses());
             prop_assert!(back.occupied.abs_diff(cell.occupied) <= 1 && back.free.abs_diff(cell.free) <= 1);

@@ -22,8 +22,8 @@ pub struct CellModel {
     bits: [u32; 2],
     block_is_empty: [Likelihood; 4],
     chunk_is_empty: [Likelihood; 4],
-    first_guess: Box<[Likelihood; CLASSES * CLASSES]>,
-    second_guess: Box<[Likelihood; CLASSES * CLASSES]>,
+    first_prediction: Box<[Likelihood; CLASSES * CLASSES]>,
+    second_prediction: Box<[Likelihood; CLASSES * CLASSES]>,
     is_occupied: [Likelihood; 4],
     occupied: [Likelihood; PLACES],
     free_if_occupied: [Likelihood; PLACES],
@@ -39,8 +39,8 @@ impl CellModel {
             bits: [bits(levels.occupied.weights().len()), bits(levels.free.weights().len())],
             block_is_empty: Default::default(),
             chunk_is_empty: Default::default(),
-            first_guess: pairs(),
-            second_guess: pairs(),
+            first_prediction: pairs(),
+            second_prediction: pairs(),
             is_occupied: Default::default(),
             occupied: [Likelihood::default(); PLACES],
             free_if_occupied: [Likelihood::default(); PLACES],
@@ -117,10 +117,10 @@ impl CellModel {
         cell: Symbol,
     ) -> Symbol {
         let context = class(first) * CLASSES + class(second);
-        if coder.code(&mut self.first_guess[context], cell == first) {
+        if coder.code(&mut self.first_prediction[context], cell == first) {
             return first;
         }
-        if second != first && coder.code(&mut self.second_guess[context], cell == second) {
+        if second != first && coder.code(&mut self.second_prediction[context], cell == second) {
             return second;
         }
         let near = usize::from(first[0] > 0) + 2 * usize::from(second[0] > 0);

@@ -100,7 +100,7 @@ impl RangeEncoder {
     }
 }
 
-/// Gives the bits back. Behind the end of its bytes it reads zeros: whoever reads must know what to expect.
+/// Gives the bits back. Behind the end of its bytes it reads zeros: the reader must know the number of bits.
 #[derive(Debug)]
 pub struct RangeDecoder<'a> {
     code: u32,
@@ -183,7 +183,7 @@ mod tests {
         }
 
         #[test]
-        fn any_bytes_are_some_bits_and_these_come_back(bytes in proptest::collection::vec(any::<u8>(), 0..40)) {
+        fn any_bytes_decode_to_bits_that_round_trip(bytes in proptest::collection::vec(any::<u8>(), 0..40)) {
             let read = |bytes: &[u8]| -> Vec<bool> {
                 let (mut decoder, mut likelihood) = (RangeDecoder::new(bytes), Likelihood::default());
                 (0..1000).map(|_| decoder.get(&mut likelihood)).collect()

@@ -421,7 +421,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn sizes_are_checked_before_memory_is_asked_for() {
+    fn sizes_are_checked_before_allocation() {
         let mut bytes = empty().encode();
         let count = bytes.len() - 8;
         bytes[count..count + 4].fill(0xff);

@@ -92,7 +92,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_point_is_carried_as_the_motion_says() {
+    fn a_point_is_moved_by_the_motion() {
         for turn_rad_s in [0.0, 1e-9, -0.3, 2.0, 4.9, -5.1, 40.0] {
             let twist = Twist { x_m_s: 0.7, y_m_s: -0.2, turn_rad_s };
             for seconds in [-0.1, 0.0, 0.03, 0.1] {

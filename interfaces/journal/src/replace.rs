@@ -19,7 +19,7 @@ pub enum Durability {
 const SUFFIX: &str = ".flocktmp";
 static COUNTER: AtomicU64 = AtomicU64::new(0);
 
-/// Replaces the file at `path` by one with these bytes, or makes it: whoever reads the path at any instant, also after
+/// Replaces the file at `path` by one with these bytes, or makes it: a reader of the path at any instant, also after
 /// a kill, finds the whole old or the whole new file.
 ///
 /// # Errors

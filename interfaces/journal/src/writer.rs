@@ -55,7 +55,7 @@ impl RecordWriter {
         Self::open_from(path, 0)
     }
 
-    /// As [`Self::open`], by who has read the journal up to `good_bytes` already: only what lies behind is looked at.
+    /// As [`Self::open`], for a caller that has read the journal up to `good_bytes` already: only later bytes are checked.
     ///
     /// # Errors
     /// As [`Self::open`].
@@ -128,7 +128,7 @@ impl RecordWriter {
     }
 }
 
-/// Opens without cutting anything: the lock is taken first. It dies with the process.
+/// Opens without cutting anything: the lock is taken first. It is released when the process ends.
 fn open_locked(path: &Path) -> Result<File, JournalError> {
     let file = OpenOptions::new()
         .read(true)

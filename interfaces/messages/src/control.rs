@@ -27,6 +27,6 @@ pub enum ControlKind {
     EndWanted = 5,
     /// The mapper has closed its last submap; `value` submaps there are.
     MapClosed = 4,
-    /// A restarted reader asks the mapper for all live tiles.
+    /// A restarted reader requests all live tiles from the mapper.
     TilesWanted = 3,
 }

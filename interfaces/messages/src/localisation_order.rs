@@ -1,4 +1,4 @@
-//! The message by which somebody asks for the robot to be looked for in the known map.
+//! The message that requests a global localization in the known map.
 
 use crate::message::message;
 use flockslam_geometry::Pose;

@@ -12,7 +12,7 @@ message! {
         pub times: Times,
         /// Grid generation that was read.
         pub generation: u64,
-        /// Beams judged to lie on moving objects.
+        /// Beams classified as moving objects.
         pub moving_beams: u32,
         /// Number of cleared cells that follow.
         pub cleared: u32,
@@ -45,7 +45,7 @@ message! {
 }
 
 message! {
-    /// An occupied cell (index in the odom lattice) that a scan judges.
+    /// An occupied cell (index in the odom lattice) that a scan classifies.
     #[derive(Eq)]
     pub struct JudgedCell = "flockslam/judged-cell/v1" {
         /// Column of cells.

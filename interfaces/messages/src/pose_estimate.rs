@@ -77,14 +77,14 @@ impl PoseFlags {
     pub const OVERRIDDEN: u32 = 4;
     /// A wide search was needed.
     pub const RESCUED: u32 = 8;
-    /// The scan carried wheel odometry.
+    /// The scan had wheel odometry.
     pub const HAS_ODOMETRY: u32 = 16;
-    /// The scan begins a trajectory after the robot was lost, and nothing contradicts odometry: it says where the trajectory begins
+    /// The scan begins a trajectory after the robot was lost, and nothing contradicts odometry: its pose is the start of the trajectory
     /// relative to the one before.
     pub const CONTINUES: u32 = 32;
     /// The grid does not hold the scan: its pose follows from the surfaces that the last scans have shown, and from the prediction.
     pub const OPEN: u32 = 64;
-    /// The set localizes in a known map and has not found its place there: `map_from_odom` says nothing.
+    /// The set localizes in a known map and is not localized there: `map_from_odom` is not valid.
     pub const UNPLACED: u32 = 128;
     /// The set localizes: the scan is no part of the map.
     pub const LOCALIZING: u32 = 256;

@@ -235,7 +235,7 @@ impl<'a> ScanView<'a> {
         (motion.is_finite() && duration_s > 0.0).then(|| Twist::from_motion(motion, duration_s))
     }
 
-    /// How far the robot has turned by its gyroscope, radians from an arbitrary beginning, where odometry is not known.
+    /// How far the robot has turned by its gyroscope, radians from an arbitrary origin, where odometry is not known.
     pub fn gyro_heading_rad(&self) -> Option<f64> {
         (self.header.has_odometry == HEADING_ONLY).then_some(self.header.odometry.heading_rad)
     }

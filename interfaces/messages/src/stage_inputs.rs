@@ -26,7 +26,7 @@ message! {
         pub stage: u32,
         /// How the process began, a [`StageStart`] as number.
         pub start: u32,
-        /// scan-matcher: 1 when the verdict was to process the scan.
+        /// scan-matcher: 1 when the filter's result was to process the scan.
         pub keep: u32,
         /// scan-matcher: reason of the verdict.
         pub reason: u32,

@@ -52,7 +52,7 @@ pub enum DropReason {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u32)]
 pub enum KeepReason {
-    /// Nothing is filtered, or nothing is known by which to judge.
+    /// The filter is off, or has no reference to compare with.
     Unfiltered = 32,
     /// There are too few kept scans to compare with.
     FirstScans = 33,

@@ -169,7 +169,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn numbers_come_back_and_are_written_in_one_way(value in any::<u64>(), signed in any::<i64>()) {
+        fn numbers_round_trip_with_one_encoding(value in any::<u64>(), signed in any::<i64>()) {
             let mut writer = Writer::default();
             writer.varint(value);
             writer.signed(signed);

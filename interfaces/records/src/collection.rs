@@ -158,7 +158,7 @@ impl Collection {
         self.drop_untrusted();
     }
 
-    /// Takes in what this robot says whatever there is already: its own records are not for others to crowd out.
+    /// Inserts a record of this robot without a limit: records of others must not displace its own.
     pub fn never_refuse(&mut self, robot: RobotId) {
         self.own = Some(robot);
     }

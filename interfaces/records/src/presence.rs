@@ -50,7 +50,7 @@ impl Presence {
         out.bytes(&self.signature);
     }
 
-    /// Reads one, and looks at its signature.
+    /// Reads one, and verifies its signature.
     pub(crate) fn read(input: &mut Reader<'_>) -> Result<Self, RecordError> {
         let said = Self {
             robot: input.robot()?,
@@ -82,7 +82,7 @@ mod tests {
     use crate::Message;
 
     #[test]
-    fn a_presence_comes_as_it_was_said_and_nobody_else_can_say_it() {
+    fn a_presence_round_trips_and_cannot_be_forged() {
         let key = RobotKey::of_replay("a").unwrap();
         let said = Presence::sign(&key, 2, 70, 3, Pose::new(1.5, -2.25, 0.5));
         assert!((said.odom_from_base.x_m - 1.5).abs() < 1e-4);

@@ -29,7 +29,7 @@ pub struct RecordName {
 /// let record = Record::new(&key, 1, 7, &content)?;
 /// let read = Record::read(record.bytes())?;
 /// assert_eq!((read.name.number, &read.content), (7, &content));
-/// // Nobody else can change what a robot has said.
+/// // No other robot can change a record.
 /// let mut forged = record.bytes().to_vec();
 /// forged[60] ^= 1;
 /// assert!(Record::read(&forged).is_err());

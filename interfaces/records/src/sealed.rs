@@ -13,7 +13,7 @@ pub const PAYLOAD_BYTES_MAX: usize = 256 * 1024;
 pub const RECORD_BYTES_MAX: usize = PAYLOAD_BYTES_MAX + 256;
 const SIGNATURE_BYTES: usize = 64;
 
-/// The outside of a record: who says it, which of its records it is, and the payload, whose inside has not been looked at.
+/// The envelope of a record: author, sequence number, and the payload, which is not decoded yet.
 ///
 /// Little-endian: `FLRC`, schema version, kind, robot (length of its name, name, public key), epoch, number, length of the payload,
 /// payload, signature (Ed25519) of the BLAKE3 hash of all before.

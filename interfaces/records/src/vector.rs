@@ -27,7 +27,7 @@ pub struct LogState {
 }
 
 impl Vector {
-    /// What it says of one log.
+    /// Its entry for one log.
     pub fn log(&self, robot: &RobotId, epoch: u64) -> Option<&LogState> {
         let place = self.logs.binary_search_by(|log| (&log.robot, log.epoch).cmp(&(robot, epoch)));
         place.ok().map(|place| &self.logs[place])

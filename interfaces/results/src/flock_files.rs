@@ -106,7 +106,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn records_and_poses_come_back() {
+    fn records_and_poses_round_trip() {
         let directory = tempfile::tempdir().unwrap();
         let (mut log, before) = RecordLog::open(directory.path()).unwrap();
         assert!(before.is_empty());

@@ -5,7 +5,7 @@ use flockslam_journal::{Durability, replace_file};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// What a robot's sync-manager tells of its flock, as JSON beside the heartbeats.
+/// Status of the flock that a robot's sync-manager publishes, as JSON beside the heartbeats.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default)]
 pub struct FlockStatus {
@@ -47,7 +47,7 @@ pub struct FlockStatus {
     pub said_bytes: u64,
     /// The same by robot, in this order.
     pub traffic: BTreeMap<String, (u64, u64)>,
-    /// Closures between robots that act, and those that contradict what the rest says.
+    /// Closures between robots that are used, and those that contradict the rest.
     pub across: (u64, u64),
     /// Messages and records that were dropped, by reason.
     pub dropped: BTreeMap<String, u64>,
@@ -56,7 +56,7 @@ pub struct FlockStatus {
 }
 
 impl FlockStatus {
-    /// Leaves it for who asks.
+    /// Writes it for readers.
     ///
     /// # Errors
     /// When the disk refuses.

@@ -1,4 +1,4 @@
-//! How each lidar of a robot is: what lidar-ingest leaves for who asks.
+//! Status of each lidar of a robot, as lidar-ingest writes it.
 
 use crate::ResultsError;
 use flockslam_journal::{Durability, replace_file};
@@ -30,7 +30,7 @@ impl LidarStatus {
         now_ns.saturating_sub(self.last_ns) > SILENT_NS
     }
 
-    /// Leaves how all lidars are for who asks.
+    /// Writes the status of all lidars for readers.
     ///
     /// # Errors
     /// When the disk refuses.

@@ -59,7 +59,7 @@ impl LocalisationStatus {
         status_dir.join("localisation.json")
     }
 
-    /// Leaves it for who asks.
+    /// Writes it for readers.
     ///
     /// # Errors
     /// When the disk refuses.

@@ -31,7 +31,7 @@ pub const SUMMARY: &str = "summary.json";
 /// Where submaps lie and which loops are closed, as of the last closed submap, as JSON.
 const LIVE_POSES: &str = "live_poses.json";
 
-/// What sync-manager tells about the whole run.
+/// Results of sync-manager for the whole run.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Summary {
     /// Poses published.
@@ -133,7 +133,7 @@ pub struct SubmapRow {
     pub map_from_odom: [f64; 3],
 }
 
-/// What sync-manager has concluded so far, for who watches a set that runs.
+/// Results of sync-manager so far, for observers of a running set.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct LivePoses {
     /// Submaps that are part of the map.
@@ -226,7 +226,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn trajectories_come_back_and_torn_ones_do_not() {
+    fn whole_trajectories_are_read_and_torn_ones_are_not() {
         let directory = tempfile::tempdir().unwrap();
         let rows: Vec<_> =
             (0..3).map(|i| StampedPose { stamp_ns: -i, pose: Pose::new(i as f64, 0.5, 0.1) }).collect();

@@ -1,4 +1,4 @@
-//! Whether a set makes a map or localizes in one, as a file that outlives all processes: the supervisor writes it, the others look at it.
+//! Whether a set makes a map or localizes in one, as a file that outlives all processes: the supervisor writes it, the other processes read it.
 
 use crate::ResultsError;
 use flockslam_journal::{Durability, replace_file};
@@ -89,7 +89,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_mode_is_seen_by_who_watches_and_by_who_comes_later() {
+    fn a_mode_reaches_present_and_later_readers() {
         let directory = tempfile::tempdir().unwrap();
         let mut early = ModeWatch::of(directory.path(), true);
         assert!(early.localizes() && SetMode::read(directory.path()).is_none());

@@ -300,7 +300,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn rows_come_back_and_torn_ones_do_not(cells in cells(), width in 1usize..30) {
+        fn whole_rows_are_read_and_torn_ones_are_not(cells in cells(), width in 1usize..30) {
             let directory = tempfile::tempdir().unwrap();
             let map = map(width, &cells);
             write_map(directory.path(), &map).unwrap();
@@ -331,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_unknown_takes_no_room() {
+    fn unknown_cells_take_no_memory() {
         let (width, height) = (4000, 500);
         let mut row = vec![Cell::UNKNOWN; width];
         let wall = Cell { occupied: 9000, free: 90 };

@@ -17,7 +17,7 @@ pub struct Unattached {
 }
 
 impl Unattached {
-    /// Leaves it for who asks.
+    /// Writes it for readers.
     ///
     /// # Errors
     /// When the disk refuses.

@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn clients_that_say_nothing_or_nonsense_or_do_not_read_do_not_keep_others_away() {
+    fn silent_invalid_and_stalled_clients_do_not_block_others() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("s.sock");
         let _endpoint = MetricsEndpoint::on_unix_socket(&path, || "a 1\n".repeat(100_000)).unwrap();

@@ -1,6 +1,6 @@
 //! Switches by which a test takes a protection away, to see that its loss is noticed. Only builds with debug assertions have them.
 
-/// Whether a test wants to have this done, to see that what is thereby broken is noticed: a protection that can be taken away shows
+/// Whether a test has requested this failure, to see that what is thereby broken is noticed: a protection that can be taken away shows
 /// that the check behind it is one.
 #[doc(hidden)]
 #[inline]
@@ -11,7 +11,7 @@ pub fn failpoint(_what: &str) -> bool {
     false
 }
 
-/// The word behind `what:`, when a test wants it.
+/// The word behind `what:`, when a test has requested it.
 #[doc(hidden)]
 #[inline]
 pub fn failpoint_value(_what: &str) -> Option<&'static str> {

@@ -62,13 +62,13 @@ impl Heartbeat {
         Ok(Self { file, path: path.to_owned(), last_ns: None, ready: false, works: false, durable: true })
     }
 
-    /// From now on the process is ready: the next sign of life says so at once.
+    /// From now on the process is ready: the next heartbeat reports it at once.
     pub fn set_ready(&mut self) {
         self.ready = true;
         self.last_ns = None;
     }
 
-    /// Whether all that the process has to keep is in its files; true when that has changed, of which the next sign of life tells at once.
+    /// Whether all that the process has to keep is in its files; true when that has changed, which the next heartbeat reports at once.
     pub fn set_durable(&mut self, durable: bool) -> bool {
         let changes = self.durable != durable;
         if changes {
@@ -77,7 +77,7 @@ impl Heartbeat {
         changes
     }
 
-    /// The process has met a scan; true when it is the first, of which the next sign of life tells at once.
+    /// The process has met a scan; true when it is the first, which the next heartbeat reports at once.
     pub fn set_works(&mut self) -> bool {
         let begins = !self.works;
         if begins {

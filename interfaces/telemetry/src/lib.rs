@@ -1,4 +1,4 @@
-//! What a stage tells about itself: log lines, metrics over a local socket, a heartbeat, latency records.
+//! Telemetry of a stage: log lines, metrics over a local socket, a heartbeat, latency records.
 //!
 //! Nothing here decides anything: a stage whose telemetry fails goes on with its work.
 

@@ -19,7 +19,7 @@ pub const LABEL_REPLICA: &str = "replica";
 pub const LABEL_REASON: &str = "reason";
 /// Label: another robot of the flock: its name and the first digits of its key, or `others` beyond 32 of them.
 pub const LABEL_PEER: &str = "peer";
-/// Label: `said` to another robot, or `heard` of it.
+/// Label: `said` (sent to another robot) or `heard` (received from it).
 pub const LABEL_DIRECTION: &str = "direction";
 /// Label: one of the robot's lidars, by its name: that of its driver, the topic of a recording, else `0`.
 pub const LABEL_LIDAR: &str = "lidar";
@@ -59,7 +59,7 @@ pub struct Metric {
     pub kind: Kind,
     /// Names of its labels.
     pub labels: &'static [&'static str],
-    /// Who tells it: a stage, `each stage`, or `supervisor`.
+    /// Its source: a stage, `each stage`, or `supervisor`.
     pub source: &'static str,
     /// One line for people.
     pub help: &'static str,
@@ -357,7 +357,7 @@ pub const STAGE_DEGRADED: Metric = of_supervisor(
 pub const NOT_DURABLE: Metric =
     of_supervisor("flockslam_not_durable", Kind::Gauge, &[], "1 when the map cannot be saved to disk");
 
-/// All metrics, by who tells them.
+/// All metrics, by source.
 pub const ALL: [Metric; 53] = [
     STAGE_LATENCY,
     SCAN_TO_OUTPUT,

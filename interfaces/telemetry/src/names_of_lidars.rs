@@ -6,13 +6,13 @@ use crate::names::{
 
 /// Label: `starting`, `measuring`, `absent`, `gone`, `silent`, `garbled` or `stands`.
 pub const LABEL_STATE: &str = "state";
-/// Label: the model that a lidar says it is.
+/// Label: the model that a lidar reports.
 pub const LABEL_MODEL: &str = "model";
-/// Label: the firmware that a lidar says it has.
+/// Label: the firmware that a lidar reports.
 pub const LABEL_FIRMWARE: &str = "firmware";
-/// Label: the serial number that a lidar says it has.
+/// Label: the serial number that a lidar reports.
 pub const LABEL_SERIAL_NUMBER: &str = "serial_number";
-/// Label: how a lidar says it is: `good`, or `warning` or `failed` with its code.
+/// Label: the health that a lidar reports: `good`, or `warning` or `failed` with its code.
 pub const LABEL_HEALTH: &str = "health";
 
 const LIDAR_INGEST: &str = "lidar-ingest";
@@ -87,5 +87,5 @@ pub const LIDAR_SPEED: Metric = with_labels(
     ),
     STAGE_LIDAR,
 );
-/// Of lidars on lines of their own; where there are none, nobody tells these.
+/// Of lidars on lines of their own; without such lidars these metrics are absent.
 pub const OF_LIDAR_LINES: [Metric; 4] = [LIDAR_LOST, LIDAR_RETURNS, LIDAR_STATE, LIDAR_SPEED];

@@ -6,7 +6,7 @@ use crate::registered::registered;
 use prometheus::{Counter, IntGauge, Opts, Registry};
 use std::fs;
 
-/// What the process takes of the machine: looked up only when somebody asks.
+/// Resources of the process: read only on request.
 #[derive(Clone)]
 pub(crate) struct ProcessUse {
     cpu: Counter,

@@ -28,7 +28,7 @@ pub struct StageMetrics {
     heartbeat: Gauge,
     /// CLOCK_MONOTONIC of the last handled scan's capture.
     captured_ns: Arc<AtomicU64>,
-    /// What is only looked up when somebody asks.
+    /// Values that are read only on request.
     scan_age: Gauge,
     process: ProcessUse,
 }

@@ -5,7 +5,7 @@ use crate::process_use::ProcessUse;
 use crate::registered::registered;
 use prometheus::{GaugeVec, IntCounterVec, IntGauge, IntGaugeVec, Opts, Registry, TextEncoder};
 
-/// What the supervisor says of its process set; its page is merged with those of the stages. Clones share the same
+/// Metrics of the supervisor about its process set; its page is merged with those of the stages. Clones share the same
 /// numbers.
 #[derive(Clone)]
 pub struct SupervisorMetrics {
@@ -28,7 +28,7 @@ pub enum RestartReason {
     Died,
     /// It gave no sign of life and was killed.
     Hung,
-    /// Somebody asked for it.
+    /// It was requested.
     Ordered,
 }
 

@@ -45,7 +45,7 @@ pub enum Gap {
         /// Which.
         scan: u64,
     },
-    /// Nothing tells how a pose was computed.
+    /// There is no record of how a pose was computed.
     NoInputs {
         /// The scan.
         scan: u64,

@@ -74,7 +74,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_reader_that_comes_later_has_only_what_changed_since() {
+    fn a_late_reader_has_only_later_changes() {
         let key = |x| TileKey { x, y: 0 };
         let tile = || Some(Arc::from(Tile::unknown(0)));
         let mut changes = CommitChanges::default();

@@ -102,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_is_far_or_behind_a_wall_is_not_near() {
+    fn robots_far_away_or_behind_a_wall_are_not_near() {
         let contacts = Contacts {
             robots: Vec::new(),
             world: World::floor_plan(),

@@ -275,7 +275,7 @@ pub fn alone(member: &Member) -> Result<Flock, CommandError> {
     Ok(flock)
 }
 
-/// Each robot tells every other what it has, until nobody learns anything; gives the bytes that travelled.
+/// Each robot sends its records to every other until no robot receives a new one; gives the bytes that were sent.
 fn exchange(flocks: &mut [Flock]) -> u64 {
     let mut bytes = 0;
     let mut carry = |message: &Message| {

@@ -49,7 +49,7 @@ impl Met {
     }
 }
 
-/// Lets the robots meet, each every other, until nobody learns anything more, and writes what one of them has then.
+/// Lets the robots meet in pairs until no robot receives anything new, and writes the map of one of them.
 ///
 /// # Errors
 /// When the disk refuses.

@@ -3,7 +3,7 @@
 use super::CommandError;
 use crate::supervisor::{ControlSocket, ProcessSet, Reply, Request, SideProcess, known_stage};
 
-/// Who looks at a live run from outside: its page, and who asks how it is.
+/// Services of a live run: its page, and its metrics.
 #[derive(Default)]
 pub struct RunServices {
     page: Option<SideProcess>,

@@ -115,7 +115,7 @@ fn others(args: &SetupArgs, questions: &mut dyn Questions) -> Result<Others, Set
         let mut take = |text: &str| text.parse().map(|mounting| others.mounting = mounting);
         questions.ask("--mounting X_M,Y_M,HEADING_DEG", question, "0,0,0", &mut take)?;
         let mut take = |text: &str| yes_no(text).map(|yes| others.upside_down |= yes);
-        if !args.upside_down && questions.can_ask() {
+        if !args.upside_down && questions.is_interactive() {
             questions.ask("--upside-down", "Does it hang upside down?", "no", &mut take)?;
         }
     }

@@ -7,7 +7,7 @@ use flockslam_stage::StageError;
 use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 use std::process::ExitCode;
 
-/// Runs the stage. It dies with its supervisor, whatever kills that.
+/// Runs the stage. It is killed when its supervisor ends.
 pub fn run(args: &StageArgs) -> ExitCode {
     flockslam_telemetry::init_tracing(args.stage.name());
     if !die_with(args.parent) {
@@ -23,7 +23,7 @@ pub fn run(args: &StageArgs) -> ExitCode {
     }
 }
 
-/// From now on this process dies with its parent, whatever kills that; false when the parent is not this one any more.
+/// From now on this process is killed when its parent ends; false when the parent is not this one any more.
 pub(super) fn die_with(parent: Option<u32>) -> bool {
     let _ = set_parent_process_death_signal(Some(Signal::KILL));
     // The parent may have died before that took effect.

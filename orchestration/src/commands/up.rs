@@ -22,7 +22,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-/// The supervisor looks around at least this often; deaths wake it at once.
+/// The supervisor checks its processes at least this often; the end of one wakes it at once.
 const LOOK: Duration = Duration::from_millis(50);
 /// At the end the disk is waited for no longer than this: all in all it shall take less than 2 s.
 const LAST_SAVE_LIMIT: Duration = Duration::from_millis(1200);

@@ -2,7 +2,7 @@
 //! way of the robot.
 
 use crate::outputs::{PictureTracks, TrajectoryPoint, render_picture};
-use crate::recording::ask_for_tiles;
+use crate::recording::request_tiles;
 use crate::ros_bridge::MapPainter;
 use crate::supervisor::SetFile;
 use flockslam_bus::{Bus, Capacity, RuntimeDir};
@@ -43,7 +43,7 @@ fn take_grid(runtime: &RuntimeDir, painter: &mut MapPainter) -> Result<(), Strin
     let bus = Bus::join(runtime, &name, Capacity::default()).map_err(wrong)?;
     let tiles = bus.subscriber::<TileMessage>().map_err(wrong)?;
     let commits = bus.subscriber::<Commit>().map_err(wrong)?;
-    let _asked = ask_for_tiles(&bus).map_err(wrong)?;
+    let _tile_request = request_tiles(&bus).map_err(wrong)?;
     let (until, mut taken) = (Instant::now() + GRID, 0);
     while Instant::now() < until {
         while let Some(tile) = tiles.receive().map_err(wrong)? {

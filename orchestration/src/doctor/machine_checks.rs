@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_good_machine_nothing_is_found_nor_of_one_that_says_nothing() {
+    fn a_good_machine_and_one_without_readings_have_no_findings() {
         assert_eq!(check_machine(&good()), []);
         let silent = Machine { utc_ns: NOT_BEFORE_NS, processors: 2, ..Machine::default() };
         assert_eq!(check_machine(&silent), []);

@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_known_is_said_and_used_and_what_is_not_stays() {
+    fn estimated_parameters_are_reported_and_used_and_others_stay() {
         let row = row([true, false, true, true]);
         let expected = "lidar 1 by the drive: x 0.250 ± 0.002 m, y not shown by this drive, heading 179.50 ± 0.10°, offset 50 ± 1 ms; \
                         assumed 0.200 m, 0.000 m, -179.00°, 10 ms; lidar_ingest.calibrate=true uses it\n";

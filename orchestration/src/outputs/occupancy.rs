@@ -134,7 +134,7 @@ mod tests {
     use CellState::{Free, Occupied, Unknown};
 
     #[test]
-    fn cells_come_back_whatever_the_width() {
+    fn cells_round_trip_at_any_width() {
         for width in 1..10 {
             let state = |i: usize| [Unknown, Free, Occupied][i * i % 7 % 3];
             let cells: Vec<_> = (0..width * 5).map(state).collect();

@@ -109,7 +109,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn microseconds_come_back_exactly(microseconds in -4_000_000_000_000_000_i64..4_000_000_000_000_000) {
+        fn microseconds_round_trip_exactly(microseconds in -4_000_000_000_000_000_i64..4_000_000_000_000_000) {
             let digits = stamp(microseconds * 1000).replace('.', "");
             prop_assert_eq!(digits.parse::<i64>().unwrap(), microseconds);
         }

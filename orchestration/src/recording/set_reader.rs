@@ -44,7 +44,7 @@ pub struct SetReader {
     /// Sequences of the next scan and the next pose, when nothing is missed.
     expected: [Option<u64>; 2],
     missed: u64,
-    _asked: Publisher<Control>,
+    _tile_request: Publisher<Control>,
     // The ports go before the bus.
     _bus: Bus,
 }
@@ -75,7 +75,7 @@ impl SetReader {
             base_from_laser: Pose::IDENTITY,
             expected: [None; 2],
             missed: 0,
-            _asked: ask_for_tiles(&bus)?,
+            _tile_request: request_tiles(&bus)?,
             _bus: bus,
         };
         Ok(reader)
@@ -177,7 +177,7 @@ impl SetReader {
 ///
 /// # Errors
 /// When the bus refuses.
-pub fn ask_for_tiles(bus: &Bus) -> Result<Publisher<Control>, BusError> {
+pub fn request_tiles(bus: &Bus) -> Result<Publisher<Control>, BusError> {
     let control = bus.publisher::<Control>()?;
     control.send(&Control { kind: ControlKind::TilesWanted as u32, run: 0, value: 0 })?;
     bus.notifier(Stage::Mapper.name())?.notify();

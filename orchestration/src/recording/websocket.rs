@@ -31,7 +31,7 @@ const MESSAGE_DATA: u8 = 1;
 /// of them holds up the recorder or another.
 pub struct FoxgloveServer {
     clients: Arc<Mutex<Vec<Client>>>,
-    /// The last grid, for who comes later: it changes seldom while a robot stands.
+    /// The last grid, for late subscribers: it changes seldom while a robot stands.
     grid: Arc<Mutex<Option<Arc<Recorded>>>>,
     missed: Arc<AtomicU64>,
     port: u16,

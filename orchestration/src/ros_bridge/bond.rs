@@ -5,7 +5,7 @@ use std::time::Duration;
 
 /// A heartbeat follows another after this.
 pub const HEARTBEAT_PERIOD: Duration = Duration::from_millis(100);
-/// Who was silent for so long is dead.
+/// A node without a heartbeat for this time counts as dead.
 pub const HEARTBEAT_TIMEOUT: Duration = Duration::from_secs(4);
 
 /// One side of a bond.

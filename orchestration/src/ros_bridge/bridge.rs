@@ -39,7 +39,7 @@ use std::time::{Duration, Instant};
 const NODE: &str = "flockslam";
 /// What was received and is not yet handled; more is dropped and counted.
 const INPUTS_MAX: usize = 1024;
-/// While the pose of a scan is awaited, the bus is looked at so often: the matcher wakes nobody for each pose, and one is there within a
+/// While the pose of a scan is awaited, the bus is polled at this period: the matcher sends no event for each pose, and one is there within a
 /// few milliseconds …
 const LOOK_AWAITING: Duration = Duration::from_micros(100);
 /// … when it takes longer than this, it may take much longer …
@@ -57,7 +57,7 @@ const DIAGNOSTICS_PERIOD: Duration = Duration::from_secs(1);
 const REPORT_LATE_MAX: Duration = Duration::from_millis(500);
 /// Another node that was seen to publish map → odom within this still does, nanoseconds.
 const FOREIGN_NS: u64 = 5_000_000_000;
-/// Lines of the log that who comes late gets.
+/// Lines of the log that late subscribers get.
 const LINES_KEPT: usize = 100;
 /// Messages that are handled before the bus is looked at again.
 const BATCH: usize = 256;
@@ -381,7 +381,7 @@ impl Bridge {
         Ok(())
     }
 
-    /// Looks at who subscribes to what is made on demand only.
+    /// Checks for subscribers of the topics that are made on demand only.
     fn look_around(&mut self) {
         self.tracks_subscribed = self.node.has_subscribers(self.publishers.tracks.topic());
         let [changes, graph] = [0, 1].map(|index| self.node.has_subscribers(&self.on_demand_topics[index]));

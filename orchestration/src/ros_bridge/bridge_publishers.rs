@@ -1,4 +1,4 @@
-//! What the bridge sends into the graph besides the map: transforms, poses, and who is alive.
+//! What the bridge publishes besides the map: transforms, poses, and diagnostics.
 
 use super::BridgeError;
 use super::bridge_parameters::BridgeParameters;

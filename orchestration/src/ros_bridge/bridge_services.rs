@@ -56,7 +56,7 @@ pub enum MapSource {
 }
 
 impl MapSource {
-    /// Of a set that began with a known map or not, whose node was asked to use the map of another.
+    /// Of a set that began with a known map or not, whose node was requested to use another map.
     pub fn of(is_map_given: bool, uses_map_topic: bool) -> Self {
         if uses_map_topic && !is_map_given {
             tracing::warn!("use_map_topic has no effect while the map is being made");

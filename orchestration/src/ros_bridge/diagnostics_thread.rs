@@ -19,7 +19,7 @@ pub enum Report {
     Jump(Correction, i64),
 }
 
-/// Starts the thread that asks the supervisor how the set is, and publishes it. It ends the process when the set has ended.
+/// Starts the thread that queries the supervisor for the set's status, and publishes it. It ends the process when the set has ended.
 ///
 /// # Errors
 /// When the system refuses.

@@ -66,7 +66,7 @@ mod tests {
     const SECOND: i64 = 1_000_000_000;
 
     #[test]
-    fn a_simulation_says_the_time_and_may_begin_again() {
+    fn a_simulation_gives_the_time_and_may_restart() {
         let mut clock = GraphClock::new(true);
         assert_eq!(clock.now_ns(), None);
         let steps_back = [50, 70, 30].map(|now_s| clock.advance(now_s * SECOND));

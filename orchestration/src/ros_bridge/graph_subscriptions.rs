@@ -26,13 +26,13 @@ pub enum GraphInput {
     Imu(Box<Imu>),
     /// The time, nanoseconds.
     Clock(i64),
-    /// Where somebody says that the robot is.
+    /// An initial pose of the robot.
     InitialPose(Box<PoseWithCovariance>),
-    /// A transition is asked for.
+    /// A transition is requested.
     ChangeState(Call<ChangeState>),
-    /// The state is asked for.
+    /// The state is requested.
     GetState(Call<GetState>),
-    /// The transitions from here are asked for.
+    /// The available transitions are requested.
     GetTransitions(Call<GetAvailableTransitions>),
 }
 

@@ -60,13 +60,13 @@ impl NodeState {
         Self::ALL.map(Self::message).into()
     }
 
-    /// The transition that is asked for by its number, or else by its name; `None` when it does not begin in this state.
+    /// The transition that is requested by its number, or else by its name; `None` when it does not begin in this state.
     pub fn transition(self, asked: &Transition) -> Option<Made> {
         let by_name = asked.id == 0 && !asked.label.is_empty();
-        let is_asked = |made: &Made| {
+        let is_requested = |made: &Made| {
             if by_name { made.transition.1 == asked.label } else { made.transition.0 == asked.id }
         };
-        TRANSITIONS.into_iter().find(|made| made.from == self && is_asked(made))
+        TRANSITIONS.into_iter().find(|made| made.from == self && is_requested(made))
     }
 
     /// The transitions that begin in this state, as messages.

@@ -199,7 +199,7 @@ impl MapCorrection {
         (self.last, self.last_stamp_ns) = (None, i64::MIN);
     }
 
-    /// Repeated stamps are refused by who listens.
+    /// Subscribers reject repeated stamps.
     fn stamp(&mut self, wanted_ns: i64) -> i64 {
         self.last_stamp_ns = wanted_ns.max(self.last_stamp_ns.saturating_add(1));
         self.last_stamp_ns
@@ -289,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn without_poses_it_holds_for_a_second_and_then_falls_silent() {
+    fn without_poses_the_correction_is_published_for_another_second() {
         let (mut correction, mut buffer) = (MapCorrection::new("odom", "base"), TransformBuffer::default());
         odometry(&mut buffer, 100, 0.0);
         assert!(correction.is_silent(&buffer, 0));

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 
 /// Edges of the map move outwards in steps of this, metres: a map of another size makes nav2 clear its costmap.
 const STEP_M: f64 = 6.4;
-/// So much unknown lies around what is known, metres.
+/// Margin of unknown cells around the map, metres.
 const MARGIN_M: f64 = 2.0;
 /// Cells along a side of a map at most; what lies beyond is not in it.
 const SIDE_CELLS_MAX: i64 = 16_384;
@@ -331,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn the_grid_lies_where_the_correction_has_it() {
+    fn the_grid_is_at_the_corrected_pose() {
         let mut painter = MapPainter::new(0.05, 0.05);
         painter.take(&tile(0, 0, &[(0, occupied())]));
         let moved = Pose::new(1.0, 0.0, std::f64::consts::FRAC_PI_2);

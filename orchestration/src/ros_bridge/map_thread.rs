@@ -5,7 +5,7 @@ use super::bridge_parameters::LiveNumber;
 use super::graph_markers::GraphMarkers;
 use super::map_change::map_change;
 use super::map_picture::{MapPainter, MapPicture};
-use crate::recording::ask_for_tiles;
+use crate::recording::request_tiles;
 use flockslam_bus::{Bus, Capacity, RuntimeDir, Subscriber};
 use flockslam_geometry::Pose;
 use flockslam_messages::{Commit, Control, PoseEstimate, TileMessage};
@@ -23,9 +23,9 @@ const NICENESS: i32 = 10;
 const LOOK: Duration = Duration::from_millis(200);
 /// Submaps are brought to their places for no longer than this at a time.
 const STEPS: Duration = Duration::from_millis(50);
-/// Who asks for the map gets it after so long, even when submaps are not at their places yet.
+/// A request for the map is answered after this time, even when submaps are not at their places yet.
 const SETTLE: Duration = Duration::from_secs(10);
-/// The first map follows what is known at once, within this.
+/// The first map is published within this time.
 const FIRST: Duration = Duration::from_millis(500);
 
 /// Changes of the map are published this often, while they have subscribers.
@@ -135,7 +135,7 @@ struct MapThread<'p> {
     place: &'p MapPlace,
     publishers: &'p MapPublishers,
     tiles: Subscriber<TileMessage>,
-    /// What all tiles were asked for with: the question goes with its publisher.
+    /// The publisher of the request for all tiles: the request ends with it.
     asked: Option<flockslam_bus::Publisher<Control>>,
     commits: Subscriber<Commit>,
     poses: Subscriber<PoseEstimate>,
@@ -157,7 +157,7 @@ struct MapThread<'p> {
     painted: Option<MapPicture>,
     published: Option<MapPicture>,
     published_at: Option<Instant>,
-    /// What those see who have received all changes; `None` when it is what was published.
+    /// The map of subscribers that have received all changes; `None` when it is the published one.
     changed: Option<MapPicture>,
     /// When changes are looked for again.
     change_due: Instant,
@@ -227,14 +227,14 @@ impl<'p> MapThread<'p> {
             runtime,
             bus,
         };
-        thread.ask_for_tiles()?;
+        thread.request_tiles()?;
         Ok(thread)
     }
 
     /// The mapper sends all its tiles once more; otherwise only those came that change.
-    fn ask_for_tiles(&mut self) -> Result<(), BridgeError> {
+    fn request_tiles(&mut self) -> Result<(), BridgeError> {
         self.asked = None;
-        self.asked = Some(ask_for_tiles(&self.bus)?);
+        self.asked = Some(request_tiles(&self.bus)?);
         Ok(())
     }
 
@@ -265,7 +265,7 @@ impl<'p> MapThread<'p> {
             (self.painted, self.published, self.changed) = (None, None, None);
             self.graph = GraphMarkers::default();
             self.is_stale = true;
-            self.ask_for_tiles()?;
+            self.request_tiles()?;
         }
         while let Some(tile) = self.tiles.receive()? {
             if !self.localizes {

@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_transform_is_left_out() {
+    fn invalid_transforms_are_left_out() {
         let transform = |w: f64, x: f64| TransformStamped {
             header: Header::new(1, "odom"),
             child_frame_id: "base".to_owned(),

@@ -277,7 +277,7 @@ impl SensorRelay {
                     index += 1;
                     continue;
                 }
-                // Nobody has said anything: the lidar is the robot.
+                // No mounting is given: the lidar's frame is the base frame.
                 Err(_) if self.transforms.is_empty() => Isometry3::identity(),
                 Err(error) => {
                     let (topic, frame) = (next.topic.clone(), next.scan.frame.clone());
@@ -430,11 +430,11 @@ mod tests {
     }
 
     #[test]
-    fn a_scan_in_an_unknown_frame_holds_nobody_up() {
+    fn a_scan_in_an_unknown_frame_delays_no_other() {
         let (mut relay, mut ingest, _directory) = relay();
         relay.take_transforms(transform(0, "base", "laser", 0.3), true);
-        let of_nobody = LaserScan { header: Header::new(90 * MS, "nobody"), ..scan(90) };
-        relay.take_scan("/scan", of_nobody, Instant::now(), Some(90 * MS));
+        let without_transform = LaserScan { header: Header::new(90 * MS, "nobody"), ..scan(90) };
+        relay.take_scan("/scan", without_transform, Instant::now(), Some(90 * MS));
         relay.take_scan("/scan", scan(100), Instant::now(), Some(100 * MS));
         let frames = ingest.frames(1);
         let SensorFrame::Scan(LidarScan { scan, .. }) = &frames[0] else { panic!("{frames:?}") };
@@ -463,7 +463,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_else_corrects_odometry_is_noticed_and_not_used() {
+    fn a_foreign_odometry_correction_is_detected_and_not_used() {
         let (mut relay, _ingest, _directory) = relay();
         let noticed = relay.take_transforms(transform(10, "/map", "odom", 1.0), false);
         assert_eq!(noticed, Some(ForeignCorrection));

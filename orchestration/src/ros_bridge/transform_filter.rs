@@ -64,7 +64,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_says_too_much_is_thinned_out_and_others_are_not() {
+    fn transforms_of_a_frame_with_a_high_rate_are_thinned_out() {
         let mut filter = TransformFilter::of_moving();
         let mut passed = |stamp_us: i64, frames: &[&str]| {
             let found =

@@ -28,7 +28,7 @@ pub trait Questions {
     ) -> Result<(), SetupError>;
 
     /// Whether somebody is there; what has a usual answer is asked only then.
-    fn can_ask(&self) -> bool {
+    fn is_interactive(&self) -> bool {
         true
     }
 
@@ -93,7 +93,7 @@ impl Questions for NoTerminal {
         Ok(())
     }
 
-    fn can_ask(&self) -> bool {
+    fn is_interactive(&self) -> bool {
         false
     }
 

@@ -29,7 +29,7 @@ mod tests {
     use flockslam_messages::ScanBuffer;
 
     #[test]
-    fn a_picture_without_a_scan_says_so_in_text() {
+    fn a_picture_without_a_scan_has_a_text() {
         let mut picture = LidarPicture::default();
         picture.show(&ScanBuffer::default());
         let text = scan_picture(&picture);

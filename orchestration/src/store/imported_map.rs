@@ -16,7 +16,7 @@ use std::path::Path;
 
 /// Tiles along a side of the block that makes a submap.
 const BLOCK_TILES: i32 = 4;
-/// Name of who has made the map.
+/// Name of the map's author.
 const MAKER: &str = "imported";
 
 /// What was imported.

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Saves the map of a running set again and again. A thread of its own does it: a disk that is slow, full or gone holds nobody up.
+/// Saves the map of a running set again and again. A thread of its own does it: a disk that is slow, full or gone delays nothing else.
 pub struct MapSaver {
     orders: Sender<Sender<()>>,
     state: Arc<Mutex<State>>,

@@ -120,7 +120,7 @@ impl Mirror {
         }
     }
 
-    /// Saves what is new, safe from a loss of power when this returns. Whatever dies on the way leaves a good map: the old one, or
+    /// Saves what is new, safe from a loss of power when this returns. A crash at any point leaves a good map: the old one, or
     /// a part of the new one.
     ///
     /// # Errors

@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_said_with_its_place() {
+    fn errors_are_reported_with_their_position() {
         for (rest, said) in [
             ("", "no 'origin:' line"),
             ("origin: [1, 2]", "not [x, y, yaw]"),

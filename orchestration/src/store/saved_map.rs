@@ -15,7 +15,7 @@ pub struct SavedMap {
     directory: PathBuf,
 }
 
-/// What a look at a whole saved map has found.
+/// Result of the verification of a whole saved map.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Findings {
     /// Good poses in the journal.

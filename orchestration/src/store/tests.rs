@@ -135,7 +135,7 @@ fn files(directory: &Path) -> Vec<(std::path::PathBuf, Vec<u8>)> {
     paths.into_iter().map(|path| (path.clone(), fs::read(&path).unwrap())).collect()
 }
 
-/// A damaged map is one that is refused, that tells a problem, or in which something else is found than in the whole one.
+/// A damaged map is rejected, reports a problem, or has other content than the undamaged one.
 fn is_noticed(directory: &Path) -> bool {
     match SavedMap::at(directory).check() {
         Ok(findings) => !findings.problems.is_empty() || findings != whole(),

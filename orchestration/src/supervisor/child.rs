@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 
 /// A process that lived for so long has worked, whether there was a scan for it or not.
 const PROVEN: Duration = Duration::from_secs(10);
-/// A fallback that died is started again after this.
+/// A fallback that ended is restarted after this.
 const FALLBACK_PAUSE: Duration = Duration::from_millis(500);
 
 /// What a child is started with.
@@ -40,7 +40,7 @@ pub struct StageChild {
     pub pids: Vec<u32>,
     /// How often it was replaced because it hung.
     pub hangs: u64,
-    /// Why its process is killed, unless it dies by itself.
+    /// Why its process is killed, unless it ends by itself.
     killed_for: RestartReason,
     process: Option<(Child, OwnedFd)>,
     started: Instant,
@@ -105,7 +105,7 @@ impl StageChild {
         Ok(())
     }
 
-    /// A descriptor that becomes readable when the process dies.
+    /// A descriptor that becomes readable when the process ends.
     pub fn death(&self) -> Option<&OwnedFd> {
         self.process.as_ref().map(|(_, death)| death)
     }

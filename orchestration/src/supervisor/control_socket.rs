@@ -17,7 +17,7 @@ const REQUEST_LIMIT: Duration = Duration::from_secs(1);
 /// What takes longer than this has failed.
 const REPLY_LIMIT: Duration = Duration::from_secs(30);
 
-/// What may be asked of a running set: one line of JSON on its control socket.
+/// A request to a running set: one line of JSON on its control socket.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Request {
@@ -57,7 +57,7 @@ pub enum Reply {
     Refused(String),
 }
 
-/// Why a set could not be asked.
+/// Why a request to a set failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ControlError {
     /// No supervisor listens.
@@ -65,7 +65,7 @@ pub enum ControlError {
     Unreachable {
         /// The socket.
         path: PathBuf,
-        /// What the system said.
+        /// Message of the system.
         source: io::Error,
     },
     /// What it said makes no sense.
@@ -73,12 +73,12 @@ pub enum ControlError {
     Garbled,
 }
 
-/// Where a supervisor takes orders. A thread of its own reads them, so that nobody who asks can hold the supervisor up.
+/// The control socket of a supervisor. A thread of its own reads requests, so that no client can delay the supervisor.
 pub struct ControlSocket {
     orders: Receiver<Order>,
 }
 
-/// A request and the way back to who made it.
+/// A request and the channel to its client.
 pub struct Order {
     /// What is wanted.
     pub request: Request,
@@ -86,14 +86,14 @@ pub struct Order {
 }
 
 impl Order {
-    /// Answers. Whoever asked may have gone away.
+    /// Answers. The client may have disconnected.
     pub fn answer(self, reply: Reply) {
         let _ = self.reply.send(reply);
     }
 }
 
 impl ControlSocket {
-    /// Listens at `path`, in place of a predecessor that has died.
+    /// Listens at `path`, in place of a predecessor that has ended.
     ///
     /// # Errors
     /// When the system refuses.
@@ -192,7 +192,7 @@ mod tests {
             (&stream).write_all(bytes).unwrap();
             stream
         };
-        // Who asks and goes away without its answer holds nobody up.
+        // A client that disconnects without its answer delays nothing else.
         drop(say(b"nonsense\n"));
         for garbage in [b"\xff\x00 nonsense\n".as_slice(), b"\n", b"{\"fly\":1}\n"] {
             assert!(read_line(&say(garbage)).unwrap().contains("refused"), "{garbage:?}");
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_there_is_said() {
+    fn a_missing_set_is_reported() {
         let directory = tempfile::tempdir().unwrap();
         let error = ask(&directory.path().join("control"), &Request::Status).unwrap_err();
         assert!(error.to_string().contains("no set answers"), "{error}");

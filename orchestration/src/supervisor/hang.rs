@@ -61,7 +61,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_is_judged_after_the_supervisor_itself_was_held_up() {
+    fn no_stage_counts_as_hung_after_the_supervisor_was_delayed() {
         let mut watch = HangWatch::default();
         assert!(!watch.look(0), "nothing is known at the first look");
         assert!(watch.look(100 * MS));

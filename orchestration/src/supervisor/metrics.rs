@@ -16,7 +16,7 @@ use std::time::Duration;
 
 /// A stage that does not answer within this is left out of the page.
 const ANSWER_LIMIT: Duration = Duration::from_millis(100);
-/// While somebody may ask, stages are looked at so often: what a process counted is kept when it dies.
+/// While metrics may be scraped, stages are read at this period: the counters of a process are kept when it ends.
 const LOOK: Duration = Duration::from_secs(1);
 /// What the sockets of metrics end in, and whose is not a stage's.
 const ENDING: &str = ".metrics";
@@ -129,7 +129,7 @@ fn replica_of(name: &str) -> Option<u32> {
     name.rsplit_once('-')?.1.parse().ok()
 }
 
-/// Looks at the stages now and then, so that what a process has counted is known when it dies.
+/// Reads the stages' metrics now and then, so that the counters of a process are known when it ends.
 struct Watch {
     // Its end is the thread's end.
     stop: Option<Sender<()>>,

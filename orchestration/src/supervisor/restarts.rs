@@ -1,4 +1,4 @@
-//! Decides when a process that died is started again. Takes whether it had worked; gives a pause, or that the stage is given up.
+//! Decides when a process that ended is restarted. Takes whether it had worked; gives a pause, or that the stage is given up.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ const FAILED_STARTS_MAX: u32 = 5;
 const BACK_OFF_FIRST: Duration = Duration::from_millis(100);
 const BACK_OFF_MAX: Duration = Duration::from_secs(5);
 
-/// When a stage that died is started again. Only starts that fail are counted: a stage that was killed in the middle of its work
+/// When a stage that ended is restarted. Only starts that fail are counted: a stage that was killed in the middle of its work
 /// comes back at once, however often that happens.
 #[derive(Clone, Debug, Default)]
 pub struct RestartPolicy {
@@ -24,7 +24,7 @@ pub enum AfterDeath {
 }
 
 impl RestartPolicy {
-    /// A process of the stage died; `worked` when it had met a scan.
+    /// A process of the stage ended; `worked` when it had met a scan.
     pub fn died(&mut self, worked: bool) -> AfterDeath {
         self.failed_starts = if worked { 0 } else { self.failed_starts.saturating_add(1) };
         match self.failed_starts {

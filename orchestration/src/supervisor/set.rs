@@ -1,4 +1,4 @@
-//! A running process set: it starts the stages, watches them, starts again what died or hung, and stops all of them.
+//! A running process set: it starts the stages, watches them, restarts those that ended or hung, and stops all of them.
 
 use super::child::{StageChild, StartOrder};
 use super::hang::HangWatch;
@@ -148,7 +148,7 @@ impl ProcessSet {
         Ok(())
     }
 
-    /// Restarts what has died, replaces what hangs, and frees what dead processes hold.
+    /// Restarts stages that have ended, replaces those that hang, and frees resources of dead processes.
     fn look_after(&mut self) -> Result<(), SetError> {
         self.handle_deaths()?;
         if self.goes_on() {
@@ -164,7 +164,7 @@ impl ProcessSet {
         Ok(())
     }
 
-    /// Whether what dies is started again; exact replay waits for each stage and ends with it.
+    /// Whether stages that end are restarted; exact replay waits for each stage and ends with it.
     fn goes_on(&self) -> bool {
         self.set.options.mode == Mode::Live
     }
@@ -182,18 +182,18 @@ impl ProcessSet {
 
     fn look_for_hangs(&mut self) {
         let (now_ns, status_dir) = (monotonic_ns(), self.runtime.status());
-        let may_judge = self.hang_watch.look(now_ns);
+        let may_kill_hung = self.hang_watch.look(now_ns);
         for child in &mut self.children {
             let stage = child.stage;
             let deadline = self.supervision.limits(stage).deadline(stage);
-            if may_judge && child.kill_if_it_hangs(&status_dir, now_ns, deadline) {
+            if may_kill_hung && child.kill_if_it_hangs(&status_dir, now_ns, deadline) {
                 tracing::warn!(stage = stage.name(), "gives no sign of life and is replaced");
                 self.metrics.hung(stage.name());
             }
         }
     }
 
-    /// Waits up to `limit` for something to happen; restarts what has died.
+    /// Waits up to `limit` for an event; restarts stages that have ended.
     ///
     /// # Errors
     /// When the set cannot go on.
@@ -389,7 +389,7 @@ impl ProcessSet {
         Ok(())
     }
 
-    /// Stops all stages: SIGTERM, and SIGKILL for who does not listen.
+    /// Stops all stages: SIGTERM, and SIGKILL for those that do not react.
     pub fn stop(&mut self) {
         self.dismiss_standbys();
         self.children.iter().for_each(|child| child.signal(Signal::TERM));
@@ -416,7 +416,7 @@ impl ProcessSet {
         self.runtime.wipe_at_end(wipes);
     }
 
-    /// What the supervisor itself tells about the set; clones share the numbers.
+    /// Metrics of the supervisor itself about the set; clones share the numbers.
     pub fn metrics(&self) -> &SupervisorMetrics {
         &self.metrics
     }
@@ -457,7 +457,7 @@ fn prune_reports(status_dir: &Path, stage: Stage) {
     }
 }
 
-/// One process for each stage, and further replicas where they are asked for.
+/// One process for each stage, and further replicas where they are configured.
 fn children(set: &SetFile) -> Vec<StageChild> {
     let of_stage = |stage| {
         (0..set.configuration.replicas(stage) as u32).map(move |replica| StageChild::new(stage, replica))

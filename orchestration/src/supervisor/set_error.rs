@@ -39,7 +39,7 @@ pub enum SetError {
     Start {
         /// Which stage.
         stage: &'static str,
-        /// What the system said.
+        /// Message of the system.
         source: io::Error,
     },
     /// A stage did not get ready.
@@ -56,7 +56,7 @@ pub enum SetError {
         /// Its exit status.
         how: String,
     },
-    /// A stage keeps dying.
+    /// A stage ends again and again.
     #[error("{stage} died {times} times in a row soon after its start ({how})")]
     GivenUp {
         /// Which stage.

@@ -1,11 +1,11 @@
-//! A process beside the stages, as the supervisor handles it: it is started, started again when it dies, and killed with the set.
+//! A process beside the stages, as the supervisor handles it: it is started, restarted when it ends, and killed with the set.
 
 use rustix::process::Signal;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// One that died is started again after this.
+/// One that ended is restarted after this.
 const PAUSE: Duration = Duration::from_secs(1);
 
 /// A process that serves a set from the side: its live page, its bridge to a ROS graph. It is no stage: nothing depends on it.
@@ -39,7 +39,7 @@ impl SideProcess {
         Ok(process)
     }
 
-    /// Starts it again when it has died.
+    /// Restarts it when it has ended.
     pub fn look_after(&mut self) {
         if let Some(child) = &mut self.child {
             match child.try_wait() {

@@ -35,7 +35,7 @@ pub struct SetStatus {
     /// What it does with its map.
     #[serde(default)]
     pub mode: ModeStatus,
-    /// What its sync-manager tells of its flock, when it is part of one.
+    /// Status of its flock from its sync-manager, when it is part of one.
     #[serde(default)]
     pub flock: Option<FlockStatus>,
     /// Its lidars that have given scans, by number.
@@ -118,7 +118,7 @@ pub enum StageState {
     Starting,
     /// It works.
     Running,
-    /// It died and waits for its restart.
+    /// It ended and waits for its restart.
     Down,
     /// It does not get up; it is tried again now and then.
     Degraded,

@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 /// So many looks are kept for the sparklines.
 const HISTORY: usize = 60;
 
-/// What is known of a set after some looks at its metrics.
+/// State of a set after some readings of its metrics.
 ///
 /// ```
 /// use flockslam::top::TopState;
@@ -92,7 +92,7 @@ impl TopState {
         Self { robot: robot.to_owned(), ..Self::default() }
     }
 
-    /// Takes in a look at `now_s` (any clock that does not jump, seconds): the page, or `None` when nobody answered.
+    /// Takes in a reading at `now_s` (any clock that does not jump, seconds): the page, or `None` without an answer.
     pub fn look(&mut self, now_s: f64, page: Option<&str>) {
         self.answers = page.is_some();
         let Some(page) = page.map(MetricsPage::parse) else { return };

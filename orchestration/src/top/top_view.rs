@@ -24,7 +24,7 @@ const COLUMNS: [(&str, u16); 11] = [
     ("memory", 8),
 ];
 
-/// Draws what is known of a set.
+/// Draws the state of a set.
 pub fn draw(frame: &mut Frame<'_>, state: &TopState) {
     let heights = [3, state.stages.len() as u16 + 2, 1].map(Constraint::Length);
     let [head, table, foot] = Layout::vertical(heights).areas(frame.area());

@@ -8,7 +8,7 @@ use flockslam_messages::{DropReason, KeepReason, ScanTally, ScanView, Verdict};
 
 /// Scans of so many lidars are compared; scans of further lidars are all kept.
 const LIDARS_MAX: usize = 32;
-/// Under overload one scan is judged after so many that were shed: a robot without odometry must not be lost.
+/// Under overload one scan is filtered after so many that were shed: a robot without odometry must not be lost.
 const SHED_IN_A_ROW_MAX: u32 = 3;
 
 /// Judges scans one by one, each lidar against its own past.
@@ -46,7 +46,7 @@ impl CorrelationFilter {
         Self { mode, limits, lidars: Vec::with_capacity(LIDARS_MAX) }
     }
 
-    /// Whether scans are judged by the sums of their beams: a [`ScanTally`].
+    /// Whether scans are compared by the sums of their beams: a [`ScanTally`].
     pub fn wants_tallies(&self) -> bool {
         self.mode == Mode::Correlation
     }
@@ -58,7 +58,7 @@ impl CorrelationFilter {
     }
 
     /// The same with the tally of the whole scan, made elsewhere, where one is wanted. While `overloaded`, most scans are
-    /// dropped before anything looks at them.
+    /// dropped before they are read.
     pub fn judge(&mut self, scan: ScanView<'_>, tally: Option<&ScanTally>, overloaded: bool) -> Verdict {
         let (coefficient, decided) = self.decide(scan, tally, overloaded);
         let header = scan.header();

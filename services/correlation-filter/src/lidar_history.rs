@@ -50,7 +50,7 @@ pub(crate) struct Lidar {
     /// Descriptions of the last kept scans: a ring; `next` is the place of the oldest.
     kept: Vec<Description>,
     next: usize,
-    /// Odometry at the last kept scan, when it carried odometry.
+    /// Odometry at the last kept scan, when that had odometry.
     odometry: Option<Pose>,
     any_kept: bool,
     drops_in_a_row: u32,

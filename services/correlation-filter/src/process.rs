@@ -1,6 +1,6 @@
 //! The shell of correlation-filter: scans in, verdicts out.
 //!
-//! Replica 0 judges. The others describe their parts of large scans and send it the sums.
+//! Replica 0 decides. The others describe their parts of large scans and send it the sums.
 
 mod describer;
 mod kept_counts;
@@ -25,7 +25,7 @@ const SHARES_HELD_MAX: usize = 16;
 /// Counts parts that replica 0 had to describe itself.
 const SHARE_LATE: &str = "share-late";
 
-/// Runs the stage until it is asked to stop.
+/// Runs the stage until its stop is requested.
 ///
 /// # Errors
 /// When the bus fails.
@@ -58,7 +58,7 @@ pub fn shell(context: &mut StageContext, settings: Settings) -> Result<Box<dyn A
     }))
 }
 
-/// The replica that judges.
+/// The replica that decides.
 struct Filter {
     logic: CorrelationFilter,
     describer: Describer,
@@ -156,7 +156,7 @@ impl Filter {
     }
 
     /// Judges all scans that are there; whether there was any.
-    fn judge_all(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
+    fn filter_all(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
         let mut any = self.finish_shared(context)?;
         while !self.shares.waits() {
             let Some(sample) = self.describer.scans.receive()? else { break };
@@ -173,7 +173,7 @@ impl Filter {
 
 impl Actor for Filter {
     fn advance(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
-        let any = self.judge_all(context)?;
+        let any = self.filter_all(context)?;
         // In exact replay one wake is for all verdicts on what the source has sent at once.
         if self.unnotified {
             self.notify();

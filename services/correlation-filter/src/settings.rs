@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// How scans are judged.
+/// How scans are filtered.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Mode {
@@ -21,7 +21,7 @@ pub enum Mode {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
-    /// How scans are judged.
+    /// How scans are filtered.
     pub mode: Mode,
     /// Processes of this stage, each with its share of the beams of a large scan (more than 64 Ki beams).
     pub replicas: usize,

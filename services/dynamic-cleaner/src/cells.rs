@@ -18,7 +18,7 @@ const PART: usize = 16;
 const PART_BLOCKS: usize = PART / BLOCK;
 const PARTS: usize = TILE_SIDE / PART;
 
-/// The cells that a scan may judge.
+/// The cells that a scan may classify.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Reach {
     pub around: Point,

@@ -73,7 +73,7 @@ pub struct DynamicCleaner {
     odom_from_laser: Pose,
     /// Judgements of occupied cells by the present scan.
     found: Vec<JudgedCell>,
-    /// Where and when the last scan was judged.
+    /// Pose and time of the last scan that classified cells.
     judged: Option<(Pose, i64)>,
     seen_through: Vec<CellIndex>,
     cleared: Vec<ClearedCell>,
@@ -150,7 +150,7 @@ impl DynamicCleaner {
         self.conclude(pose)
     }
 
-    /// Whether anything is judged by a scan with this pose.
+    /// Whether a scan with this pose classifies cells.
     pub fn judges(&self, pose: &PoseEstimate) -> bool {
         self.settings.enabled && is_certain(pose)
     }
@@ -203,7 +203,7 @@ impl DynamicCleaner {
         let mut seen_through = 0;
         let reach =
             Reach { around: at.position(), radius_m: self.settings.radius_m, wedge: sector.wedge(at) };
-        // What is hidden is judged open.
+        // Hidden cells are classified as open.
         let hides = |low: Point, high: Point| {
             self.settings.method == Method::Beams && self.horizon.hides_all(low, high)
         };
@@ -227,7 +227,7 @@ impl DynamicCleaner {
         &self.found
     }
 
-    /// Adds the judgements of another process for its sector.
+    /// Adds the classified cells of another process for its sector.
     pub fn take(&mut self, found: &[JudgedCell]) {
         self.found.extend_from_slice(found);
     }

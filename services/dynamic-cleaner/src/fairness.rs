@@ -1,4 +1,4 @@
-//! Where the circle around the lidar is cut, so that the replicas get about equal numbers of occupied cells to judge.
+//! Where the circle around the lidar is cut, so that the replicas get about equal numbers of occupied cells to classify.
 
 use crate::cells::for_each_occupied_block;
 use crate::sector::TURNS;
@@ -10,7 +10,7 @@ use std::ops::Deref;
 /// Directions that occupied blocks are counted in, at most.
 const BINS_MAX: usize = 256;
 
-/// How the work of judging the cells around a lidar is shared. It decides about nothing but time; equal grids give equal shares.
+/// How the work of classifying the cells around a lidar is shared. It decides about nothing but time; equal grids give equal shares.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Share {
     /// Where the circle begins, in [`TURNS`]-ths of a sector, so that the sector with the most occupied cells has as few as possible: how

@@ -1,6 +1,6 @@
 //! The shell of dynamic-cleaner: joins accepted scans with the grid that they were matched to, publishes marks.
 //!
-//! Replica 0 publishes the marks. The others judge the cells in their sectors of the circle and send it their findings.
+//! Replica 0 publishes the marks. The others classify the cells in their sectors of the circle and send it their findings.
 
 mod sectors;
 
@@ -17,14 +17,14 @@ use sectors::Helper;
 
 /// Live: deadline of the grid. Without it the scan clears nothing.
 const GRID_DEADLINE_NS: u64 = 50_000_000;
-/// Replica 0 waits so long for a sector of another replica; then it judges the sector itself, with the same result.
+/// Replica 0 waits so long for a sector of another replica; then it classifies the sector itself, with the same result.
 const SECTOR_DEADLINE_NS: u64 = 20_000_000;
 /// Findings about later scans that are held.
 const SECTORS_HELD_MAX: usize = 4;
-/// Counts sectors that replica 0 had to judge itself.
+/// Counts sectors that replica 0 had to classify itself.
 const SECTOR_LATE: &str = "sector-late";
 
-/// Runs the stage until it is asked to stop.
+/// Runs the stage until its stop is requested.
 ///
 /// # Errors
 /// When the bus fails.
@@ -74,7 +74,7 @@ struct Inputs {
 impl Inputs {
     fn open(context: &StageContext, settings: Settings, cell_size_m: f64) -> Result<Self, StageError> {
         let grid = GridReader::open(context, cell_size_m)?;
-        grid.ask_for_tiles()?;
+        grid.request_tiles()?;
         let join = Join::open(context, GRID_DEADLINE_NS)?;
         Ok(Self { logic: DynamicCleaner::new(settings), join, grid })
     }
@@ -110,7 +110,7 @@ struct Cleaner {
     moving_beams: Counter,
 }
 
-/// A scan whose sectors others judge.
+/// A scan whose sectors other replicas classify.
 struct Shared {
     pose: PoseEstimate,
     sample: Option<ScanSample>,
@@ -151,7 +151,7 @@ impl Cleaner {
         self.end(pose, started_ns, context)
     }
 
-    /// Ends with a shared scan when all sectors are judged; true when none waits.
+    /// Ends with a shared scan when all sectors are classified; true when none waits.
     fn finish_shared(&mut self, context: &mut StageContext) -> Result<bool, StageError> {
         let Inputs { logic, grid, .. } = &mut self.inputs;
         let take = |shared: &mut Shared, found: &SliceSample<SectorHeader>| {

@@ -310,7 +310,7 @@ fn uncertain_poses_and_beams_without_return_clear_nothing() {
 }
 
 #[test]
-fn somebody_who_walks_in_is_counted_and_a_robot_that_stands_still_clears_nothing() {
+fn a_person_who_walks_in_is_counted_and_a_standing_robot_clears_nothing() {
     let pose = Pose::new(3.0, 3.0, 0.0);
     let map = mapped(&ROOM, &tour(), 360, std::f64::consts::PI);
     let grid = map.grid();
@@ -329,7 +329,7 @@ fn somebody_who_walks_in_is_counted_and_a_robot_that_stands_still_clears_nothing
 }
 
 #[test]
-fn a_scan_judges_no_cell_twice_and_only_occupied_ones_in_reach() {
+fn a_scan_classifies_no_cell_twice_and_only_occupied_ones_in_range() {
     let map = mapped(&ROOM, &tour(), 360, std::f64::consts::PI);
     let (grid, pose) = (map.grid(), Pose::new(8.0, 3.0, 0.1));
     let scan = scan(&ROOM, pose, 360, std::f64::consts::PI, 1);

@@ -8,18 +8,18 @@ use serde::{Deserialize, Serialize};
 pub struct Settings {
     /// False: nothing is ever cleared.
     pub enabled: bool,
-    /// How passing through cells is judged.
+    /// How a beam that passes through a cell is detected.
     pub method: Method,
-    /// Only cells within this distance of the lidar are judged, metres: points thin out with range.
+    /// Only cells within this distance of the lidar are classified, metres: points thin out with range.
     pub radius_m: f64,
     /// So many scans must have looked through a cell, from places 0.15 m or 0.3 rad apart, before it is cleared; scans of a robot that
     /// stands count up to the last vote but one when they are 0.3 s apart.
     pub votes: u8,
-    /// Processes of this stage, each of which judges the cells in its sector of the circle around the lidar.
+    /// Processes of this stage, each of which classifies the cells in its sector of the circle around the lidar.
     pub replicas: usize,
 }
 
-/// How passing through cells is judged.
+/// How a beam that passes through a cell is detected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {

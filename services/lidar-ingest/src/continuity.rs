@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn who_moves_sees_something_else() {
+    fn equal_ranges_during_motion_are_rejected_as_frozen() {
         let frozen = [scan(1.0, 0.0, 1.0), scan(1.1, 0.1, 1.0), scan(1.2, 0.2, 1.0), scan(1.3, 0.3, 1.1)];
         assert_eq!(judged(&frozen), [None, Some(Rejection::Frozen), Some(Rejection::Frozen), None]);
         let standing = [scan(1.0, 0.0, 1.0), scan(1.1, 0.0, 1.0), scan(1.2, 0.001, 1.0)];

@@ -10,7 +10,7 @@ const GAP_MAX_NS: i64 = 500_000_000;
 /// Names of the two ends of the turn.
 const ENDS: (&str, &str) = ("turned_from", "turned");
 
-/// The integral of the rate about the robot's vertical axis, from an arbitrary beginning.
+/// The integral of the rate about the robot's vertical axis, from an arbitrary origin.
 #[derive(Debug, Default)]
 pub struct GyroHeading {
     /// Not yet integrated: where the IMU sits is known later.

@@ -104,7 +104,7 @@ fn first_stages(mode: Mode) -> &'static [Stage] {
     }
 }
 
-/// Runs the stage until it is asked to stop.
+/// Runs the stage until its stop is requested.
 ///
 /// # Errors
 /// When the source is not usable ([`StageError::Source`]) or the bus fails.

@@ -75,7 +75,7 @@ impl Sighting {
         })
     }
 
-    /// What its driver says of where it sits.
+    /// Its mounting from its driver.
     fn mounting(&self) -> Option<Mounting> {
         match self {
             Self::Scan(scan) => scan.mounting,
@@ -125,7 +125,7 @@ struct Live {
     order: LidarOrder,
     /// When odometry, transforms or turns last came, nanoseconds.
     motion_ns: i64,
-    /// How fast the robot moved at the last odometry, where that was said.
+    /// Twist of the robot at the last odometry, where it was given.
     twist: Option<Twist>,
     guesses: MotionGuesses,
 }
@@ -133,8 +133,8 @@ struct Live {
 /// How often scans of live sensors did not get the pose by odometry at their time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MotionGuesses {
-    /// Odometry came too late: the pose was carried on by its speed.
-    pub carried_on: u64,
+    /// Odometry came too late: the pose was extrapolated by its twist.
+    pub extrapolated: u64,
     /// Nothing near was known: the scan has no odometry.
     pub without: u64,
 }
@@ -358,7 +358,7 @@ impl ScanLocator {
         let gets_motion = self.odometry_frames.is_some() || frames.odom.is_some();
         let Some(live) = self.live.as_mut().filter(|_| gets_motion && !is_known) else { return };
         let guesses = &mut live.guesses;
-        *(if is_near { &mut guesses.carried_on } else { &mut guesses.without }) += 1;
+        *(if is_near { &mut guesses.extrapolated } else { &mut guesses.without }) += 1;
     }
 }
 

@@ -5,7 +5,7 @@ use flockslam_geometry::elementary::{cos, sin};
 use flockslam_messages::ScanBuffer;
 
 /// Takes away the returns within boxes in the frame of the robot: the least and the greatest x, the least and the greatest y, metres.
-/// A beam that ends on the robot says nothing of what lies behind: it is bad, not free.
+/// A beam that ends on the robot has no information about the cells behind: it is invalid, not free.
 pub fn mask(scan: &mut ScanBuffer, boxes: &[[f64; 4]]) {
     if boxes.is_empty() {
         return;

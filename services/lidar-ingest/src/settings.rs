@@ -85,7 +85,7 @@ pub struct LidarMounting {
     pub mirrored: bool,
 }
 
-/// What an estimate has said of a lidar.
+/// Estimated calibration of a lidar.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LidarCalibration {
@@ -103,7 +103,7 @@ pub struct LidarCalibration {
 }
 
 impl LidarCalibration {
-    /// The place of a lidar with what the estimate says of it.
+    /// The mounting of a lidar with its estimated calibration.
     pub(crate) fn corrected(&self, base_from_laser: Pose) -> Pose {
         Pose::new(
             self.x_m.unwrap_or(base_from_laser.x_m),

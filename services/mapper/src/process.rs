@@ -32,7 +32,7 @@ const PARTS_DEADLINE_NS: u64 = 50_000_000;
 /// Counts commits without the tiles of another mapper.
 const PART_LATE: &str = "part-late";
 
-/// Runs the stage until it is asked to stop.
+/// Runs the stage until its stop is requested.
 ///
 /// # Errors
 /// When the bus, the journal or the store fails.

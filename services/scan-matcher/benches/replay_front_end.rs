@@ -140,7 +140,7 @@ fn read_log(path: &str, heading_rad: f64) -> Result<Vec<ScanBuffer>, Failure> {
     Ok(scans)
 }
 
-/// Takes away odometry, replaces beams by noise, as the options ask.
+/// Removes odometry, replaces beams by noise, as the options select.
 fn spoil(scans: &mut [ScanBuffer], options: &Options) {
     let mut state = 1u64;
     // A linear congruential generator (Knuth's MMIX constants), uniform in 0 … 1.

@@ -18,8 +18,8 @@ pub(crate) fn contradicted<H: Deref<Target = Tile>>(grid: &TileGrid<H>, points: 
     points.iter().filter(ends_in_free).count() as f64 / points.len().max(1) as f64
 }
 
-/// Share of the points, seen from `pose`, that end where nothing is known.
-pub(crate) fn in_the_unknown<H: Deref<Target = Tile>>(
+/// Share of the points, seen from `pose`, that end in unknown cells.
+pub(crate) fn unknown_share<H: Deref<Target = Tile>>(
     grid: &TileGrid<H>,
     points: &[Point],
     pose: Pose,
@@ -55,6 +55,6 @@ mod tests {
         let points = [(2.0, 1.0), (0.3, 0.1), (2.0, 2.0), (2.0, -2.0)].map(|(x, y)| Point::new(x, y));
         assert_eq!(contradicted(&grid, &points, Pose::IDENTITY), 0.25);
         assert_eq!(contradicted(&grid, &[], Pose::IDENTITY), 0.0);
-        assert_eq!(in_the_unknown(&grid, &points, Pose::IDENTITY), 0.5);
+        assert_eq!(unknown_share(&grid, &points, Pose::IDENTITY), 0.5);
     }
 }

@@ -39,7 +39,7 @@ const SIGMA_MAX_M: f64 = 0.1;
 const MEAN_RATE: f64 = 0.02;
 /// A fit that claims at most this standard deviation of the position, metres, shows the errors of odometry and of fits.
 const CERTAIN_SIGMA_M: f64 = 0.1;
-/// Surroundings whose scans fit better than this in the mean, 0 … 1, are recognised: a robot that is lost there was carried.
+/// Surroundings whose scans fit better than this in the mean, 0 … 1, are recognised: a robot that is lost there was kidnapped.
 const RECOGNISABLE: f64 = 0.4;
 /// Odometry that misses a fit by more than this means that wheels slip: metres and radians.
 const SLIPPED: (f64, f64) = (0.15, 0.08);
@@ -70,7 +70,7 @@ pub struct ScanMatcher {
     confidence: Confidence,
     /// The surfaces that the last scans have shown.
     surroundings: Surroundings,
-    /// What the last scans saw, for a robot that is carried.
+    /// Points of the last scans, for the detection of a kidnapping.
     kidnap: KidnapDetector,
     /// Published poses of other robots.
     flock_robots: FlockRobots,

@@ -18,7 +18,7 @@ const PERIOD_RATE: f64 = 0.05;
 const PERIOD_MAX_S: f64 = 2.0;
 /// A first odometry pose farther from the origin than this is not taken over, metres.
 const START_MAX_M: f64 = 1e4;
-/// By less than this its odometry says that a robot has stood, metres and radians.
+/// Odometry below this counts as standing, metres and radians.
 const STOOD: (f64, f64) = (0.3, 0.3);
 /// Odometry that differs by more than this from the velocity so far, metres and radians within one scan, may have jumped.
 const SURPRISE: (f64, f64) = (0.15, 0.15);
@@ -271,7 +271,7 @@ impl Motion {
         Twist { turn_rad_s: now.turn_rad_s + beyond_rad_s, ..now }
     }
 
-    /// By how much the gyroscope says that the robot has turned since the scan before, where there is no odometry.
+    /// Rotation by the gyroscope since the scan before, where there is no odometry.
     fn turned_rad(&self, scan: ScanView<'_>) -> Option<f64> {
         self.gyro_rad.zip(scan.gyro_heading_rad()).map(|(before, now)| wrap_angle(now - before))
     }
@@ -346,7 +346,7 @@ impl Motion {
     }
 
     /// The pose in the middle of a scan to which the velocity would have brought a robot without odometry. Where a scan hardly measures, as
-    /// along a corridor, a step says little of the velocity: the filter of constant velocity (Kalata's relation β = α² ∕ (2 − α)) gives the
+    /// along a corridor, a step hardly constrains the velocity: the filter of constant velocity (Kalata's relation β = α² ∕ (2 − α)) gives the
     /// velocity the share α ∕ (2 − α) of what the fit has corrected, with the gain α of the position.
     fn shown(&self, scan: ScanView<'_>, estimate: &PoseEstimate, middle_s: f64) -> Pose {
         let predicted = self.predict(scan);

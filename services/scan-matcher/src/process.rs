@@ -1,7 +1,7 @@
 //! The shell of scan-matcher: joins scan, verdict, grid and corrections, writes the journal, publishes poses.
 //!
 //! Of several processes one is active. The others hold the same scans, verdicts and grid and follow its journal, so that one of them
-//! goes on with the next scan when it dies.
+//! goes on with the next scan when it ends.
 
 use crate::{ScanMatcher, Settings};
 use corrections::Corrections;
@@ -47,7 +47,7 @@ pub struct GridFormat {
     pub unknown_score: f64,
 }
 
-/// Runs the stage until it is asked to stop.
+/// Runs the stage until its stop is requested.
 ///
 /// # Errors
 /// When the bus or the journal fails.
@@ -56,7 +56,7 @@ pub fn run_stage(context: &mut StageContext, settings: Settings, grid: GridForma
     let lock = LeaderLock::ask(context)?;
     let mut actor = Matcher::open(context, settings, grid)?;
     if !lock.is_ours() && context.mode == Mode::Live {
-        actor.grid.ask_for_tiles()?;
+        actor.grid.request_tiles()?;
     }
     if !lock.stand_by(context, &event, |context| actor.follow(context))? {
         return Ok(());
@@ -196,7 +196,7 @@ impl Matcher {
             // The grid is there already: this process followed it.
             self.logic.committed(commit);
         } else {
-            self.grid.ask_for_tiles()?;
+            self.grid.request_tiles()?;
         }
         if let Some(newer) = self.corrections.last.filter(|newer| newer.revision > last.corrections) {
             self.logic.corrected(&newer);
@@ -204,7 +204,7 @@ impl Matcher {
         // Until that commit the grid is older, or empty.
         self.awaited.extend(self.accepted.map(|sequence| (sequence, context.now_ns())));
         self.accepted.iter().for_each(|sequence| self.corrections.resumed(*sequence));
-        // The predecessor may have died between the journal and this.
+        // The predecessor may have ended between the journal and this.
         self.poses.send(&last)?;
         self.notifiers.notify();
         self.trajectory = last.trajectory;
@@ -275,7 +275,7 @@ impl Matcher {
     }
 
     /// Whether the verdict on the oldest scan should come any moment.
-    fn verdict_is_near(&self, context: &StageContext) -> bool {
+    fn verdict_is_due(&self, context: &StageContext) -> bool {
         let age_ns = |scan: &ScanSample| context.now_ns().saturating_sub(scan.header().times.monotonic_ns);
         let is_young = |scan| age_ns(scan) < VERDICT_POLL_NS;
         context.mode == Mode::Live && self.join.scans.front().is_some_and(is_young)
@@ -353,7 +353,7 @@ impl Actor for Matcher {
         let (mut any, mut expects_verdict) = (false, false);
         while !self.join.scans.is_empty() && self.grid_is_ready(context) {
             let Some(verdict) = self.verdict(context) else {
-                expects_verdict = self.verdict_is_near(context);
+                expects_verdict = self.verdict_is_due(context);
                 break;
             };
             let Some(sample) = self.join.scans.take(verdict.id.sequence) else { break };

@@ -26,7 +26,7 @@ pub struct Settings {
     pub skip_isolated: bool,
     /// Beams that end where the grid knows free space, with nothing near, lie on what moves: they are set aside before a scan is
     /// fitted, unless they are more than this share of it, many lie on what is too wide to move, or the robot is lost; 0 = none ever is.
-    /// What is as narrow as somebody and stands free is left out of the fit as well, as long as enough else is seen.
+    /// What is as narrow as a person and stands free is left out of the fit as well, as long as enough else is seen.
     pub moving_share_max: f64,
     /// Processes of this stage: one matches, the others know what it knows and are on standby to go on in its place.
     pub replicas: usize,

@@ -52,7 +52,7 @@ impl TurnScale {
         missed.max(self.information.sqrt().recip())
     }
 
-    /// The robot has turned by `fitted_rad` where odometry says `odometry_rad`.
+    /// The robot has turned by `fitted_rad`, and by odometry `odometry_rad`.
     pub(crate) fn learn(&mut self, odometry_rad: f64, fitted_rad: f64) {
         let missed_rad = fitted_rad - self.factor() * odometry_rad;
         if missed_rad.abs() > SLIP_RAD {

@@ -240,7 +240,7 @@ impl LocalizingManager {
         }
     }
 
-    /// Scans that have their final poses since this was asked last.
+    /// Scans that have their final poses since the last call.
     pub fn take_frozen(&mut self) -> Vec<FrozenScan> {
         std::mem::take(&mut self.frozen)
     }

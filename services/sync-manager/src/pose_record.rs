@@ -44,7 +44,7 @@ impl PoseRecord {
 }
 
 /// Whether the points of the scan with this pose say where it lies: it was matched, or it was dropped without having been tried. A scan that
-/// the front end has tried in vain says nothing, nor does one that the source withheld.
+/// the front end has not matched gives no pose, nor does one that the source withheld.
 pub fn gives_a_place(pose: &PoseEstimate) -> bool {
     let untried = [DropReason::Correlated, DropReason::Unchanged, DropReason::Motion, DropReason::Overload];
     let is_untried =
@@ -57,7 +57,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn matched_and_untried_scans_say_their_place_and_no_others() {
+    fn only_matched_and_untried_scans_give_a_pose() {
         let pose = |flags, drop_reason: u32| PoseEstimate { flags, drop_reason, ..PoseEstimate::default() };
         let tried = pose(PoseFlags::OVERRIDDEN, DropReason::Correlated as u32);
         let (kept, correlated) = (pose(0, 0), pose(0, DropReason::Correlated as u32));

@@ -2,7 +2,7 @@
 //! stores the final trajectory and the fused map.
 //!
 //! Of several processes one is active. The others read the same inputs and compute the same results without publishing them, so that one of them
-//! goes on when it dies: recovering its state would take as long as all its searches.
+//! goes on when it ends: recovering its state would take as long as all its searches.
 
 use crate::pose_record::gives_a_place;
 use crate::{BackEnd, ClosureCounts, Settings};
@@ -39,7 +39,7 @@ mod metrics;
 mod mode_turn;
 mod trajectories;
 
-/// Runs the stage until it is asked to stop.
+/// Runs the stage until its stop is requested.
 ///
 /// # Errors
 /// When the bus, the journal or the store fails.
@@ -109,7 +109,7 @@ struct SyncProcess {
     /// Scans that the set has localized with, while a map is made.
     local: LocalStretches,
     metrics: CorrectionMetrics,
-    /// What nothing connects with the map, as said last.
+    /// Trajectories without a connection to the map, as logged last.
     unattached: Unattached,
     /// The belief about the pose in a known map, as published last.
     localisation: Option<LocalisationStatus>,

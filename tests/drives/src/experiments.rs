@@ -26,7 +26,7 @@ pub struct Experiment {
     pub scans: Vec<ScanBuffer>,
     /// The pose that each was taken from.
     pub truth: Vec<Pose>,
-    /// Where somebody stood at each scan.
+    /// Position of the person at each scan.
     pub movers: Vec<Point>,
 }
 

@@ -11,7 +11,7 @@ use flockslam_simulation::{MoverTruth, Settings, Simulation, World};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// A track belongs to somebody this near, metres.
+/// A track belongs to a person this near, metres.
 const NEAR_M: f64 = 0.5;
 /// Velocities are judged after so many seconds of view.
 const CONVERGED_S: f64 = 1.0;
@@ -113,13 +113,13 @@ pub fn followed_from_a_stand(bag: &Path) -> SeenFromAStand {
 #[derive(Debug, Default)]
 pub struct TrackFigures {
     squared_m2: f64,
-    /// Sightings of somebody.
+    /// Sightings of people.
     pub positions: usize,
     speed_errors_m_s: f64,
     speeds: usize,
-    /// Tracks in sight that are nobody's.
+    /// Tracks in sight that belong to no person (false positives).
     pub false_tracks: usize,
-    /// How often somebody was hidden for up to a second.
+    /// How often a person was occluded for up to a second.
     pub hidden: usize,
     /// How often the name was the same afterwards.
     pub recognised: usize,

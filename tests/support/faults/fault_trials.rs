@@ -164,7 +164,7 @@ impl Subject {
         back_ms
     }
 
-    /// Lets the drive end, and looks at what is left.
+    /// Lets the drive end, and checks the outputs.
     fn conclude(self, trial: &mut Trial) {
         let Self { set, poses, map, drive } = self;
         drop(poses);

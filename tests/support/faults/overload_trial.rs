@@ -101,7 +101,7 @@ impl Drop for Load {
     }
 }
 
-/// Lets it go on for 200 scans, and looks at the set during and after it. The recovery is the age of the newest pose meanwhile.
+/// Lets it go on for 200 scans, and checks the set during and after it. The recovery is the age of the newest pose meanwhile.
 pub fn overload(kind: Overload) -> Trial {
     let mut trial = Trial { fault: kind.name(), runs: 1, ..Trial::default() };
     let directory = tempfile::tempdir().unwrap();

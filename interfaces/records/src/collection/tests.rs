@@ -101,9 +101,10 @@ proptest! {
         prop_assert!(names(&forward).iter().any(|name| name.robot.name() == "c" && name.number == 0));
     }
 
-    /// Three robots, each knows a part, exchange in any order over links that lose and repeat: once all have received all, all know the same.
+    /// Three robots, each with a part of the records, exchange in any order over links that lose and repeat: in the end all have the
+    /// same records.
     #[test]
-    fn robots_that_talk_come_to_know_the_same(
+    fn robots_that_exchange_records_converge(
         share in proptest::collection::vec(0usize..3, 20),
         talks in proptest::collection::vec((0usize..3, 0usize..3, 200usize..4000, any::<bool>()), 0..30),
     ) {
@@ -147,7 +148,7 @@ proptest! {
     }
 }
 
-/// `to` tells what it has and takes in what `from` answers, as far as it comes through; then what `to` says to that.
+/// `to` sends its vector and inserts the records that `from` answers, as far as they arrive; then the reverse.
 fn exchange(robots: &mut [Collection], to: usize, from: usize, budget: usize, lost: bool) {
     let have = Message::decode(&Message::Have(robots[to].vector()).encode()).unwrap();
     let answers = robots[from].answer(&have, budget);
@@ -163,7 +164,7 @@ fn exchange(robots: &mut [Collection], to: usize, from: usize, budget: usize, lo
 }
 
 #[test]
-fn records_come_back_as_they_were_said() {
+fn records_round_trip() {
     for record in records_of_three() {
         let read = Record::read(record.bytes()).unwrap();
         assert_eq!(read, record);
@@ -229,7 +230,7 @@ fn what_is_too_much_is_refused_and_counted() {
 }
 
 #[test]
-fn claims_that_are_too_large_are_refused_before_memory_is_asked_for() {
+fn too_large_lengths_are_rejected_before_allocation() {
     let record = records_of_three().remove(1);
     let mut bytes = record.bytes().to_vec();
     let length_at = 6 + 1 + 1 + 32 + 16;

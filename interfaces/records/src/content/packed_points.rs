@@ -156,7 +156,7 @@ mod tests {
         }
 
         #[test]
-        fn any_bytes_are_refused_or_points_that_come_back(
+        fn any_bytes_are_rejected_or_points_that_round_trip(
             bytes in proptest::collection::vec(any::<u8>(), 0..80), count in 0usize..200
         ) {
             if let Ok(scans) = decode(&bytes, &[count, 3]) {

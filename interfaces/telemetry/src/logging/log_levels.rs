@@ -1,4 +1,4 @@
-//! Log levels of a stage as a file in the set's directory, which its processes look at now and then.
+//! Log levels of a stage as a file in the set's directory, which its processes read now and then.
 
 use super::set_log_filter;
 use std::fs;

@@ -18,7 +18,7 @@ pub(super) fn json_line(stage: &str, utc_ns: i64, event: &Event<'_>) -> String {
     ];
     event.record(&mut fields);
     for (name, value) in head {
-        // The process speaks for itself; a field of the same name names somebody else.
+        // The process gives its own name; a field of the same name is that of another process.
         if let Some(other) = fields.0.insert(name.to_owned(), value) {
             fields.0.insert(format!("of_{name}"), other);
         }

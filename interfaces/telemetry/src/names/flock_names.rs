@@ -26,7 +26,7 @@ pub const FLOCK_MEMBERS: Metric = of_one_stage(
     Kind::Gauge,
     "Robots that are part of the common map, this one among them; 0 while it is not",
 );
-/// Size of what is known of the flock.
+/// Size of the flock's map and records.
 pub const FLOCK_RECORD_BYTES: Metric = of_one_stage(
     "sync-manager",
     "flockslam_flock_record_bytes",

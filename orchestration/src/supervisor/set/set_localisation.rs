@@ -1,4 +1,4 @@
-//! What a set that localizes is asked while it runs.
+//! Requests to a localizing set while it runs.
 
 use super::{ProcessSet, SetError};
 use crate::supervisor::ModeStatus;

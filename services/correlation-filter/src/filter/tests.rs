@@ -101,7 +101,7 @@ fn travel_ends_a_row_of_drops() {
 }
 
 #[test]
-fn motion_asks_odometry_alone() {
+fn motion_uses_only_odometry() {
     let mut motion = filter(Mode::Motion);
     let found = reasons(&mut motion, (0..10).map(|i| driven(2.0 + f64::from(i) * 0.05, 2.0, 0.3)));
     let (first, drop, travel) =

@@ -1,4 +1,4 @@
-//! A sector of the circle around the lidar, judged for replica 0.
+//! A sector of the circle around the lidar, classified for replica 0.
 
 use super::{Inputs, generation, has_grid_of};
 use crate::Sector;

@@ -8,7 +8,7 @@ use flockslam_geometry::Point;
 use flockslam_messages::Track;
 use track_filter::Motion;
 
-/// A sighting farther from a track than this, squared Mahalanobis distance, is somebody else (χ², two degrees of freedom,
+/// A sighting farther from a track than this, squared Mahalanobis distance, is another object (χ², two degrees of freedom,
 /// 99 %) …
 const GATE: f64 = 9.2;
 /// … as is one farther than this, metres.

@@ -5,13 +5,13 @@ use super::*;
 const STEP_NS: i64 = 100_000_000;
 const LASER: Point = Point { x_m: 0.0, y_m: -50.0 };
 
-/// A few points on the near side of somebody.
+/// A few points on the near side of a person.
 fn seen(x_m: f64, y_m: f64) -> [Point; 3] {
     [-0.1, 0.0, 0.1].map(|side| Point::new(x_m + side, y_m - 0.16))
 }
 
 #[test]
-fn somebody_is_followed_through_a_second_behind_a_pillar() {
+fn a_person_is_tracked_through_a_second_of_occlusion() {
     let mut tracker = Tracker::default();
     let mut ids = Vec::new();
     for i in 0..40 {
@@ -39,7 +39,7 @@ fn somebody_is_followed_through_a_second_behind_a_pillar() {
 }
 
 #[test]
-fn somebody_who_turns_round_behind_a_pillar_keeps_the_name() {
+fn a_person_who_turns_while_occluded_keeps_the_track() {
     let mut tracker = Tracker::default();
     let mut last = Vec::new();
     for i in 0..40 {
@@ -53,7 +53,7 @@ fn somebody_who_turns_round_behind_a_pillar_keeps_the_name() {
 }
 
 #[test]
-fn two_who_pass_each_other_keep_their_names() {
+fn two_people_who_pass_each_other_keep_their_tracks() {
     let mut tracker = Tracker::default();
     let mut last = Vec::new();
     for i in 0..40 {

@@ -21,7 +21,7 @@ pub struct LidarEstimate {
     pub motions: usize,
 }
 
-/// Why nothing can be said.
+/// Why there is no estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CalibrationError {
     /// The robot hardly moved, or had no odometry, or its scans did not fit.
@@ -50,7 +50,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_has_a_wide_covariance_is_not_known() {
+    fn a_parameter_with_a_wide_covariance_is_not_known() {
         let deviations = [0.002, 0.5, 0.001, 0.02];
         let estimate = LidarEstimate {
             base_from_laser: Pose::IDENTITY,

@@ -20,7 +20,7 @@ const PRIOR: [f64; UNKNOWNS] = [1.0, 1.0, 1.0, 0.3, 0.1, 0.1, 0.1];
 /// Two scans are compared when they are so far apart in time, nanoseconds: over less the noise of fits hides the motion, over more odometry
 /// drifts.
 const APART_NS: std::ops::RangeInclusive<i64> = 800_000_000..=2_500_000_000;
-/// Less motion says nothing, metres and radians.
+/// Smaller motions are not used, metres and radians.
 const MOTION_MIN: (f64, f64) = (0.03, 0.03);
 /// Pairs that are used; of more, evenly spread ones.
 const PAIRS_MAX: usize = 6000;
@@ -60,7 +60,7 @@ struct Pair {
 /// use flockslam_calibration::{DriveSample, DriveSamples, estimate};
 /// use flockslam_geometry::{Pose, Twist};
 ///
-/// // The lidar sits 0.2 m ahead, and nobody knows.
+/// // The lidar is mounted 0.2 m ahead, which is not configured.
 /// let mounted = Pose::new(0.2, 0.0, 0.0);
 /// let (mut samples, mut odometry) = (DriveSamples::default(), Pose::IDENTITY);
 /// for k in 0..1000 {
@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_drive_does_not_show_is_not_known() {
+    fn parameters_that_a_drive_does_not_excite_are_not_observable() {
         let straight = Drive { turns: false, slips: false, ..wrong() };
         let found = estimate(&straight.samples(), straight.assumed).unwrap();
         assert_eq!(found.is_known(), [false, false, true, true], "{:?}", found.deviations());
@@ -352,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn without_motion_or_fits_nothing_is_said() {
+    fn without_motion_or_matches_nothing_is_estimated() {
         let drive = wrong();
         let still = DriveSample { world_from_base: Some(Pose::IDENTITY), ..DriveSample::default() };
         let mut samples = DriveSamples::default();

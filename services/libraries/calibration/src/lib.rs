@@ -1,4 +1,4 @@
-//! What a drive tells of a lidar: where it sits on the robot, how far its stamps are off those of odometry, and where it sees the
+//! Calibration of a lidar from a drive: its mounting on the robot, how far its stamps are off those of odometry, and where it sees the
 //! robot's own body.
 //!
 //! All of it is a function of scans, poses and odometry: the end of a run, a recording and a running set use the same code.

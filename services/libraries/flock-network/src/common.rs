@@ -76,8 +76,8 @@ impl Common {
         })
     }
 
-    /// How the map of a robot lies where it says that it is: `flock_from_odom` of the submap that it is in, or of the last one before
-    /// it that is known. `None` for who is not part of the common map, and for this robot.
+    /// Pose of a robot's map where the robot is: `flock_from_odom` of the submap that it is in, or of the last one before
+    /// it that is known. `None` for a robot outside the common map, and for this robot.
     pub fn place_of(&self, presence: &Presence) -> Option<Pose> {
         let log = (presence.robot.clone(), presence.epoch);
         let placed = self.submaps.get(&log).filter(|_| self.own.as_ref() != Some(&log))?;

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 pub enum Dropped {
     /// The message was longer than any message may be.
     TooLong,
-    /// Its sender says too much.
+    /// Its sender exceeds the rate limit.
     TooMany,
     /// It came while too many others waited.
     Overflow,

@@ -39,7 +39,7 @@ const ANSWER_BYTES: usize = 1 << 20;
 /// Bytes that each other robot is sent in a minute at most; a minute's worth may go at once. 100 kB/s leave room on a radio link
 /// that several robots share.
 const BYTES_PER_MINUTE: u64 = 6_000_000;
-/// Searches between two looks at the mail.
+/// Searches between two polls for received messages.
 const SEARCHES: u64 = 10;
 /// Looking for shared places takes at most half of a processor's time as long as the robot drives …
 const SEARCH_PACE: (Duration, u32) = (Duration::from_millis(200), 1);
@@ -194,7 +194,7 @@ impl FlockExchange {
         }
     }
 
-    /// Finds out who is near.
+    /// Determines the robots that are near.
     fn look_around(&mut self) {
         let (Some(link), now) = (&self.link, Instant::now()) else { return };
         self.connected = link.connected();
@@ -282,7 +282,7 @@ impl FlockExchange {
         }
     }
 
-    /// Works out the common solution of what is known by now.
+    /// Computes the common solution of the records received so far.
     fn conclude(&mut self) {
         let known = self.known();
         let due =

@@ -16,7 +16,7 @@ const FILE_BYTES: usize = SECRET_BYTES + 8;
 const OWN_FILE: &str = "flock.key";
 
 /// Who a robot is, as a file keeps it: 32 secret bytes (RFC 8032), then the number of its last epoch, little-endian. One file, so that
-/// neither is lost without the other: an epoch that is used twice would be a lie about everything said in it.
+/// neither is lost without the other: an epoch that is used twice would invalidate all records in it.
 pub struct Identity {
     path: PathBuf,
     secret: [u8; SECRET_BYTES],
@@ -25,7 +25,7 @@ pub struct Identity {
 
 impl Identity {
     /// Reads the file that settings name – or one in the set's own `directory`, which goes with the set – or makes it, for this user's
-    /// eyes alone. A file of the secret alone is good too: nothing has been said with it.
+    /// eyes alone. A file of the secret alone is valid too: no record was signed with it.
     ///
     /// # Errors
     /// When the file is something else, others may read it, or the disk refuses.
@@ -68,12 +68,12 @@ impl Identity {
         RobotKey::new(name, &self.secret)
     }
 
-    /// The last epoch; 0 = nothing has been said yet.
+    /// The last epoch; 0 = no record was published yet.
     pub fn epoch(&self) -> u64 {
         self.epoch
     }
 
-    /// Begins an epoch that was never used: it is on the disk before anything is said in it.
+    /// Begins an epoch that was never used: it is on the disk before any record is published in it.
     ///
     /// # Errors
     /// When the disk refuses.

@@ -59,7 +59,7 @@ impl Traffic {
     }
 }
 
-/// Who is there.
+/// The robots that are connected.
 #[derive(Debug, Default)]
 struct Presence {
     connected: BTreeSet<String>,
@@ -69,7 +69,7 @@ struct Presence {
 
 /// The way to the other robots: peer to peer, without a broker.
 ///
-/// What a robot says to another goes to `flockslam/FLOCK/to/RECEIVER/SENDER`. Messages may be lost at any time: they are sent again
+/// Messages from a robot to another are published on `flockslam/FLOCK/to/RECEIVER/SENDER`. Messages may be lost at any time: they are sent again
 /// as long as a robot lacks records. Presence is announced by tokens `flockslam/FLOCK/there/ROBOT`, which go with their robot.
 pub struct Link {
     session: Session,

@@ -6,7 +6,7 @@ use flockslam_results::FlockStatus;
 use flockslam_telemetry::{Counter, CountersByLabels, Gauge, LabelledCounters, StageMetrics, names};
 use std::collections::BTreeMap;
 
-/// What the stage tells of its flock.
+/// Metrics of the flock.
 pub struct FlockMetrics {
     peers: Gauge,
     near: Gauge,

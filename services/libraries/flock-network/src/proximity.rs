@@ -14,7 +14,7 @@ const LASTING_MAX_S: f64 = 3600.0;
 /// Name of the socket in the set's status directory.
 const SOCKET: &str = "contacts";
 
-/// Who is near: a robot talks to those only.
+/// Robots that are near: records are exchanged only with those.
 pub trait Proximity: Send {
     /// Whether the robot with this address, which is connected, is near now.
     fn is_near(&mut self, address: &str, now: Instant) -> bool;
@@ -40,7 +40,7 @@ impl Proximity for Always {
     }
 }
 
-/// Near is whom an outside program reports, in datagrams on a socket: `near NAME SECONDS`, one or several lines. The robot of that
+/// Near are the robots that an outside program reports, in datagrams on a socket: `near NAME SECONDS`, one or several lines. The robot of that
 /// name is near for so long from then on; 0 ends it. A line that is something else is ignored.
 struct Contacts {
     socket: UnixDatagram,
@@ -99,7 +99,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_was_reported_is_near_for_so_long() {
+    fn a_reported_contact_expires_after_its_duration() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("contacts");
         let (mut contacts, now) = (Contacts::open(&path).unwrap(), Instant::now());

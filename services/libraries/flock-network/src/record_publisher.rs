@@ -29,7 +29,7 @@ pub struct RecordPublisher {
     published: Published,
 }
 
-/// What this robot has said in its present epoch.
+/// The records that this robot has published in its present epoch.
 #[derive(Default)]
 struct Published {
     /// Sequence of the last node.
@@ -59,8 +59,8 @@ impl RecordPublisher {
         let (key, epoch) = if flock.enabled {
             let mut identity = Identity::open(flock, directory)?;
             let key = identity.key(&flock.name).map_err(wrong)?;
-            let has_spoken = kept.iter().any(|bytes| is_of(bytes, &key, identity.epoch()));
-            let epoch = if has_spoken { identity.epoch() } else { identity.begin_epoch()? };
+            let has_published = kept.iter().any(|bytes| is_of(bytes, &key, identity.epoch()));
+            let epoch = if has_published { identity.epoch() } else { identity.begin_epoch()? };
             (key, epoch)
         } else {
             (RobotKey::of_replay(&flock.name).map_err(wrong)?, FIRST_EPOCH)
@@ -165,7 +165,7 @@ impl RecordPublisher {
         Ok(Vec::new())
     }
 
-    /// Looks for places that it shares with others, with at most about so many searches; true when there is nothing left to look at
+    /// Looks for places that it shares with others, with at most about so many searches; true when no candidate is left
     /// and nothing was found.
     ///
     /// # Errors
@@ -316,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn a_process_that_is_started_again_tells_no_node_and_no_loop_twice() {
+    fn a_restarted_process_publishes_no_node_and_no_loop_twice() {
         for enabled in [false, true] {
             let directory = tempfile::tempdir().unwrap();
             let open = || RecordPublisher::open(&settings(enabled), directory.path()).unwrap().unwrap();
@@ -337,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn who_has_lost_the_log_begins_a_new_epoch() {
+    fn a_robot_without_its_log_begins_a_new_epoch() {
         let (keys, first, second) =
             (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let mut settings = settings(true);

@@ -5,12 +5,12 @@ use flockslam_records::{Collection, LogState, Vector};
 use std::collections::{BTreeSet, VecDeque};
 use std::time::{Duration, Instant};
 
-/// What a robot that is near has published itself is passed on by others only after this: whoever lacks it will have received it from there.
+/// Records that a near robot has published itself are relayed by others only after this: by then other robots have received them from their author.
 const RELAY_DELAY: Duration = Duration::from_secs(4);
 /// What there was is noted this often.
 const STEP: Duration = Duration::from_secs(1);
 
-/// Keeps what there was a little while ago, so that a record is not sent by everybody who has it.
+/// Keeps the state of a short time ago, so that a record is not sent by every robot that has it.
 #[derive(Default)]
 pub struct Relay {
     /// When it was noted, and where each log ended: the oldest first.
@@ -29,7 +29,7 @@ impl Relay {
         }
     }
 
-    /// What somebody has, and beside that what it will have received from robots that are `near` themselves.
+    /// The records of a robot, and those that it will have received from robots that are `near` themselves.
     pub fn held_back<'a>(
         &self,
         mut theirs: Vector,
@@ -71,7 +71,7 @@ mod tests {
     use flockslam_records::{Content, Limits, Record, RobotKey, Withdrawal};
 
     #[test]
-    fn what_its_author_says_itself_is_passed_on_later() {
+    fn records_that_their_author_publishes_are_relayed_later() {
         let (author, start) = (RobotKey::of_replay("b").unwrap(), Instant::now());
         let mut collection = Collection::new(Limits::default());
         let say = |collection: &mut Collection, number: u64| {
@@ -85,7 +85,7 @@ mod tests {
             collection.missing(&held_back, 1 << 20).len()
         };
         say(&mut collection, 0);
-        // Nothing was noted yet; who is not near cannot say it itself.
+        // Nothing was noted yet; a robot that is not near cannot publish it itself.
         assert_eq!((missing(&relay, &collection, &near), missing(&relay, &collection, &[])), (0, 1));
         relay.look(start, &collection);
         say(&mut collection, 1);

@@ -1,4 +1,4 @@
-//! Poses of the other robots of the common map, from what they last said, in this robot's map.
+//! Poses of the other robots of the common map, from their last messages, in this robot's map.
 
 use super::common::Common;
 use flockslam_geometry::Pose;
@@ -14,7 +14,7 @@ pub struct RobotPoses {
 }
 
 impl RobotPoses {
-    /// Takes in what a robot says of itself; false when that is not used: it is not newer than the last, or nobody knows how
+    /// Takes in the pose that a robot publishes; false when that is not used: it is not newer than the last, or nobody knows how
     /// its map lies.
     pub fn insert(&mut self, presence: Presence, heard_ns: u64, common: &Common) -> bool {
         self.newest.retain(|_, (known, _)| common.place_of(known).is_some());
@@ -53,7 +53,7 @@ mod tests {
     use flockslam_records::RobotKey;
 
     #[test]
-    fn who_is_in_the_common_map_is_where_it_says_and_nothing_old_counts() {
+    fn poses_of_robots_in_the_common_map_are_used_unless_outdated() {
         let [a, b, outsider] = ["a", "b", "outsider"].map(|name| RobotKey::of_replay(name).unwrap());
         let pose = |x: f64| Pose::new(x, 0.0, 0.0);
         let common =
@@ -67,10 +67,10 @@ mod tests {
         let [robot] = published.as_slice() else { panic!("{published:?}") };
         assert_eq!((robot.name(), robot.heard_ns, robot.radius_m), ("b", 7, 0.4));
         assert!((robot.map_from_base.x_m + 79.0).abs() < 1e-9, "{robot:?}");
-        // The submap that it is in is not known yet: the one before it tells best.
+        // The submap that it is in is not known yet: the one before it is the best reference.
         assert!(poses.insert(says(&b, 6, 2), 9, &common));
         assert!((poses.in_map(&common, pose(100.0), 0.4).robots[0].map_from_base.x_m + 89.0).abs() < 1e-9);
-        // Who is no part of it any more is nowhere.
+        // A robot that is no longer part of it has no pose.
         let apart = Common::with_submaps(a.id(), []);
         assert_eq!(poses.in_map(&apart, pose(0.0), 0.4).count, 0);
     }

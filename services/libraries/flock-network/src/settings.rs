@@ -44,7 +44,7 @@ pub struct FlockSettings {
     pub wait_max_s: f64,
 }
 
-/// How it is known who is near.
+/// How near robots are determined.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ProximitySource {

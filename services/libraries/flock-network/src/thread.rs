@@ -21,7 +21,7 @@ const LOOK: Duration = Duration::from_millis(50);
 /// Niceness of the thread and of those of the network, which it starts: whatever others send, poses and maps go first.
 const NICENESS: i32 = 19;
 
-/// The stage's end of the thread that talks to other robots, looks for places that are shared with them, and works out the common
+/// The stage's handle of the thread that exchanges records with other robots, searches for inter-robot closures, and computes the common
 /// solution: all of it beside the stage's own work, which only hands over what the robot itself has found out.
 pub struct FlockThread {
     // Without a limit: it holds what the robot finds out itself, a few times a minute, and none of it may be lost.

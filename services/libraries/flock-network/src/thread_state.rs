@@ -34,7 +34,7 @@ pub struct Shared {
     pub pose: Mutex<Option<PoseEstimate>>,
 }
 
-/// What a lock protects, whoever died with it: each of these values is replaced as a whole.
+/// The value that a lock protects, also after a panic of its holder: each of these values is replaced as a whole.
 pub fn locked<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -11,7 +11,7 @@ use std::ops::Range;
 
 /// Of a group, those count as one place whose ends lie within this along both ways, metres.
 const PLACE_M: f64 = 15.0;
-/// Ties that a place is judged by.
+/// Constraints that a pose is verified by.
 const RELATIVES_MAX: usize = 64;
 /// What the second robot has seen so much before and after these is compared, metres of its way.
 const BESIDE_M: f64 = 3.0;
@@ -29,10 +29,10 @@ const HERE: Window = Window { reach_m: 0.4, turn_rad: 0.1 };
 const APART: Window = Window { reach_m: 0.8, turn_rad: 0.25 };
 /// Least score of another explanation, as a share of that of the one under test.
 const SCORE_MIN: f64 = 0.75;
-/// Squares that a search looks at before it takes what it has found.
+/// Squares that a search evaluates before it takes its best result.
 const SUMS_MAX: u64 = 120_000;
 
-/// Where a closure says that a node of one robot lies to one of another.
+/// Relative pose that a closure gives for a node of one robot and one of another.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RelativePose {
     /// The first robot's node.
@@ -63,7 +63,7 @@ pub(super) struct Place {
     /// Ends of the closures around it in the second robot's way, in order, each with what takes the frame of the second's odometry to that of the
     /// first's.
     pub relatives: Vec<(usize, Placement)>,
-    /// Nodes of both that it is judged by.
+    /// Nodes of both that it is verified by.
     pub nodes: [Range<usize>; 2],
 }
 

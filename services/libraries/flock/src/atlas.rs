@@ -184,7 +184,7 @@ impl Atlas {
         };
         let (reach_m, shift_m) = (f64::from(constraint.reach_m), f64::from(constraint.shift_m));
         let mut closure = Closure { edge, reach_m, shift_m };
-        // All between two robots in one direction, whoever measured them: only so they can be compared.
+        // All closures between two robots in one direction, from either robot: only then they can be compared.
         if self.is_across(&closure) && from > to {
             closure.edge = closure.edge.reversed();
         }

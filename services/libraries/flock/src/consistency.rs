@@ -9,21 +9,21 @@ use flockslam_registration::cloud::Placement;
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
-/// Matches that have to agree before two robots are connected, the one that is asked about among them.
+/// Matches that have to agree before two robots are connected, including the one in question.
 const GROUP_MIN: usize = 3;
 /// Travel over which those that agree must extend, on both sides together and on either, metres: what looks alike over a few metres differs
 /// over more. On one side little is enough: a robot that stands in a room sees all of it.
 const EXTENT_M: (f64, f64) = (6.5, 0.5);
-/// Groups of each pair of trajectories that are inspected, the largest first: the work is bounded whatever somebody claims.
+/// Groups of each pair of trajectories that are inspected, the largest first: the work is bounded for any input.
 const GROUPS_MAX: usize = 12;
-/// Each closure is compared with so many on either side of it along the way: the work is bounded whatever somebody claims.
+/// Each closure is compared with so many on either side of it along the way: the work is bounded for any input.
 const BAND: usize = 128;
 /// Groups that lie along the way farther apart than this say nothing of each other, metres.
 const RELATED_WITHIN_M: f64 = 100.0;
 /// What the way between two groups may have bent, as (metres, share of the way, per metre of way squared) and (radians, per metre).
 const BENT: ((f64, f64, f64), (f64, f64)) = ((0.3, 0.02, 0.002), (0.08, 0.004));
 
-/// Which closures between robots may take part in a solution; `across` says which are between robots, all others are not judged
+/// Which closures between robots may take part in a solution; `across` says which are between robots, all others are not checked
 /// and come out as `false`.
 ///
 /// A closure needs a group of at least three that agree with each other, that extends over several metres and that `stands` by what
@@ -215,7 +215,7 @@ fn way_m(a: &Closure, b: &Closure, nodes: &[Node]) -> f64 {
     between(a.edge.from, b.edge.from) + between(a.edge.to, b.edge.to)
 }
 
-/// Whether the cycle over two closures closes as well as the way between them can be trusted.
+/// Whether the cycle over two closures closes within the covariance of the odometry between them.
 fn are_related(a: &Closure, b: &Closure, nodes: &[Node], way_m: f64) -> bool {
     let driven = |i: usize, k: usize| nodes[i].local_pose.to(nodes[k].local_pose);
     let around = a.edge.motion.compose(driven(a.edge.to, b.edge.to));
@@ -303,7 +303,7 @@ mod tests {
         };
         let both = |x_m: f64, count: usize| [group(2, 6, 0.0), group(40, count, x_m)].concat();
         assert_eq!(judged(&both(1.0, 5), &nodes), [true; 11], "a bent way explains a metre");
-        assert_eq!(judged(&both(20.0, 5), &nodes), [false; 11], "two stories");
+        assert_eq!(judged(&both(20.0, 5), &nodes), [false; 11], "two contradicting groups");
         let one = judged(&both(20.0, 3), &nodes);
         assert!(one[..6].iter().all(|is_inlier| *is_inlier) && !one[6..].iter().any(|is_inlier| *is_inlier));
     }
@@ -341,8 +341,8 @@ mod tests {
                 prop_assert_eq!(a[*i], b[place]);
                 let (is_true, false_closure) = closures[*i];
                 inliers += usize::from(is_true && a[*i]);
-                let honest = closure(&nodes, false_closure.edge.from, false_closure.edge.to - NODES, at(0.0)).edge.motion;
-                let off = (honest.distance_m(&false_closure.edge.motion), honest.turn_rad(&false_closure.edge.motion));
+                let inlier = closure(&nodes, false_closure.edge.from, false_closure.edge.to - NODES, at(0.0)).edge.motion;
+                let off = (inlier.distance_m(&false_closure.edge.motion), inlier.turn_rad(&false_closure.edge.motion));
                 prop_assert!(!a[*i] || off.0 < 1.5 && off.1 < 0.2, "a false closure acts that is off by {:?}", off);
             }
             prop_assert!(inliers > 0 || !is_dense(&truths), "no truth acts of {}", truths.len());

@@ -21,7 +21,7 @@ pub struct FlockMap {
 }
 
 impl Flock {
-    /// The sum of the evidence of all robots that are part of the flock's frame, each submap once, without the cells that somebody
+    /// The sum of the evidence of all robots that are part of the flock's frame, each submap once, without the cells that a robot
     /// found stale (Dempster's rule; the order does not matter).
     pub fn map(&self, solution: &FlockSolution) -> FlockMap {
         let cleared = self.cleared();

@@ -153,7 +153,7 @@ impl Atlas {
         TrajectoryConnectivity::new(&self.nodes, inliers.map(|(c, _)| (c.edge.from, c.edge.to)))
     }
 
-    /// Measures the solved solution again, all of it: what is near each other is matched, whoever saw it.
+    /// Measures the whole solution again: nodes near each other are matched, of one robot or of two.
     fn measure_again(&self, solved: &mut Solved, grid: &mut MomentGrid) {
         let connectivity = &solved.connectivity;
         let held = self.held_together(&solved.is_inlier);

@@ -11,11 +11,11 @@ use std::collections::BTreeMap;
 /// Places of a group that are looked at, so far apart along the second robot's way, metres.
 const PLACES: usize = 3;
 const APART_M: f64 = 20.0;
-/// Scans that must be compared at a place, around both robots' ways together, before anything is said.
+/// Scans that must be compared at a place, around both robots' trajectories together, before there is a result.
 const SCANS_MIN: u32 = 30;
 /// The same around a single closure.
 const SCANS_ALONE_MIN: u32 = 8;
-/// Tells the verdict on a closure alone from that on a place.
+/// Tells the result for a single closure from that for a pose.
 const ALONE: u64 = u64::MAX;
 /// Largest share of what both have seen that one of them may deny: what is the same has up to 0.047 with people in it, rooms that only look
 /// alike mostly 0.06 and more.
@@ -34,7 +34,7 @@ pub struct Inspected {
 }
 
 impl Inspected {
-    /// The verdict of this name, worked out when it is new.
+    /// The cached result of this key, computed when it is new.
     fn verdict(&mut self, name: Vec<u64>, work_out: impl FnOnce() -> bool) -> bool {
         if let Some(verdict) = self.verdicts.get(&name) {
             return *verdict;
@@ -83,7 +83,7 @@ impl Atlas {
         })
     }
 
-    /// All that the verdict on a place depends on, to the bit: a cached one must be the same as one that is worked out.
+    /// All that the result for a pose depends on, to the bit: a cached one must be the same as one that is worked out.
     fn named(&self, place: &Place, middle: &RelativePose) -> Vec<u64> {
         let mut name = vec![self.nodes[middle.to].sequence];
         for range in &place.nodes {
@@ -122,7 +122,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_fits_once_and_nowhere_else_is_sure() {
+    fn a_unique_match_is_certain() {
         let fit = |seen: u32, denied: u32| Fit { scans: 30, seen, denied };
         let claimed = fit(1750, 10);
         let around = |claimed: Fit, other: Option<Fit>| [(claimed, other), (fit(1800, 12), None)];

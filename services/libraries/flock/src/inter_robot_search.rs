@@ -16,9 +16,9 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// Of the queries, every so many are looked for anywhere.
 const WIDE_EVERY: usize = 2;
-/// Squares that a search anywhere looks at before it gives up.
+/// Squares that a global search evaluates before it gives up.
 const WIDE_SUMS_MAX: u64 = 250_000;
-/// So many queries before and after one that connected two robots are looked for near where that says.
+/// So many queries before and after one that connected two robots are searched near the pose that it predicts.
 const NEIGHBOURS: usize = 3;
 /// What a match would have along so much of both ways before and after it is looked for, metres, each query in so many segments.
 const FOLLOWED_M: f64 = 10.0;
@@ -65,7 +65,7 @@ impl Search {
     }
 
     /// Looks for the nodes of `own` in the segments of other robots, with at most about so many searches: first anywhere, until
-    /// enough closures agree on how the robots lie to each other, then near where that says. Gives what was found, which is in the atlas
+    /// enough closures agree on the relative pose of the robots, then near the predicted pose. Gives what was found, which is in the atlas
     /// as well.
     pub fn run(
         &mut self,
@@ -137,7 +137,7 @@ impl Search {
             matches.iter().for_each(|closure| self.follow(atlas, closure, queries));
             *solved = atlas.solve(inspected);
             if !is_strange(atlas, &solved.connectivity, query, segment) {
-                // Tied, if loosely: what confirms it or not lies where that says.
+                // Connected, if weakly: closures that confirm it or not are near the predicted pose.
                 let neighbours =
                     place.saturating_sub(NEIGHBOURS)..(place + NEIGHBOURS + 1).min(queries.len());
                 neighbours.for_each(|place| self.near(atlas, queries[place], solved));

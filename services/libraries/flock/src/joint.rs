@@ -9,12 +9,12 @@ use flockslam_loop_closure::finder::window;
 use flockslam_loop_closure::graph_distances::{CLOSURE_M, graph_distances};
 use std::collections::BTreeMap;
 
-/// Closures that are looked at in one go: the work is bounded whatever somebody claims.
+/// Closures that are looked at in one go: the work is bounded for any input.
 const LOOKED_AT_MAX: usize = 1024;
 
 impl Atlas {
     /// Of the closures between robots that are outliers yet those that a solution which ties these robots together already leads one to
-    /// expect: they lie where it says, as far as the ways between can be trusted; they need no more than a robot's own closures do, and
+    /// expect: their poses agree with it within the covariance of the odometry between; they need no more than a robot's own closures do, and
     /// what both have seen there must be the same. No robot is connected to another by these.
     pub(super) fn expected(&self, solved: &Solved, inspected: &mut Inspected) -> Vec<usize> {
         let part = |node: usize| solved.connectivity.part(self.nodes[node].trajectory);
@@ -61,8 +61,8 @@ impl Atlas {
         let expected = solved.poses[from].to(solved.poses[to]);
         let window = window(distances_m[from]);
         let shift_m = expected.distance_m(&closure.edge.motion);
-        let lies_in_it =
+        let is_inside =
             shift_m <= window.reach_m && expected.turn_rad(&closure.edge.motion) <= window.turn_rad;
-        lies_in_it.then_some(Closure { reach_m: window.reach_m, shift_m, ..*closure })
+        is_inside.then_some(Closure { reach_m: window.reach_m, shift_m, ..*closure })
     }
 }

@@ -11,7 +11,7 @@ use flockslam_records::{
 use std::cell::{RefCell, RefMut};
 use std::sync::Arc;
 
-/// What one robot knows of its flock, and what it says.
+/// The state of one robot in its flock, and the messages that it sends.
 ///
 /// A pure function of its calls: findings of its own back end and messages of others in, records and messages out.
 ///
@@ -35,7 +35,7 @@ use std::sync::Arc;
 /// let (descriptor, nodes) = (Descriptor::default(), vec![node(0), node(1)]);
 /// let stretch = Stretch { trajectory: 0, previous: None, descriptor, nodes };
 /// a.publish(&Findings { stretches: vec![stretch], loops: Vec::new() })?;
-/// // Robot b says what it has, and is sent what it lacks, here at most 20 kB.
+/// // Robot b sends its vector, and is sent the missing records, here at most 20 kB.
 /// for answer in a.answer(&b.have(), 20_000) {
 ///     b.answer(&answer, 0);
 /// }
@@ -151,7 +151,7 @@ impl Flock {
         Message::Have(self.collection.vector())
     }
 
-    /// Looks for places that it shares with others, with at most about so many searches, and says what it has found.
+    /// Searches for inter-robot closures, with at most about so many searches, and publishes those that it has found.
     ///
     /// # Errors
     /// As [`Self::record`].
@@ -160,7 +160,7 @@ impl Flock {
         self.record_constraints(&found)
     }
 
-    /// As [`Self::search`], without saying it: for who knows some of it already.
+    /// As [`Self::search`], without publishing: for callers that have some of it already.
     pub fn find(&mut self, searches_max: u64) -> Vec<Constraint> {
         let mut atlas = Atlas::new(&self.collection);
         self.search.run(&mut atlas, self.key.id(), searches_max, self.inspected.get_mut())

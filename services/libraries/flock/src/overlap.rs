@@ -10,7 +10,7 @@ const EVERY_M: f64 = 0.6;
 const NEAR_M: f64 = 4.0;
 /// Each scan is compared with so many of the other robot's.
 const REFERENCES: usize = 3;
-/// Of each scan about so many points are asked about.
+/// Of each scan about so many points are tested.
 const POINTS: usize = 120;
 
 /// How well what two robots have seen fits together: points of either side that lie where the other saw something, and where it looked
@@ -49,7 +49,7 @@ struct View<'a> {
     polar: Polar,
 }
 
-/// What two robots have seen around a place where both are said to have been, in a common frame.
+/// Scans of two robots around a place that both have visited by hypothesis, in a common frame.
 pub(super) struct Overlap<'a> {
     first: Vec<View<'a>>,
     second: Vec<View<'a>>,

@@ -10,7 +10,7 @@ const SPAN_MAX_DEG: f64 = 380.0;
 const SILENCE_NS: i64 = 500_000_000;
 /// A step back of up to this many degrees is an uneven rotation, not the way around.
 const STEP_BACK_DEG: f64 = 30.0;
-/// Taken for a lidar that neither says its speed nor shows it by its arrivals.
+/// Default for a lidar that neither reports its speed nor shows it by its arrivals.
 const SPEED_HZ: f64 = 10.0;
 /// A change of speed is one of more than this share.
 const SPEED_CHANGE: f64 = 0.1;
@@ -124,7 +124,7 @@ impl Assembly {
         }
     }
 
-    /// Ends the turn. `speed_hz` when the lidar says it; else it follows from the arrivals.
+    /// Ends the turn. `speed_hz` when the lidar reports it; else it follows from the arrivals.
     pub fn cut(&mut self, speed_hz: Option<f64>, counts: &mut Counts, give: &mut dyn FnMut(&Turn)) {
         let span_deg = self.progress_deg.last().copied().unwrap_or(0.0);
         if span_deg < SPAN_MIN_DEG {

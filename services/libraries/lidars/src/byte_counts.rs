@@ -15,7 +15,7 @@ pub struct Counts {
     pub missing_packets: u64,
     /// Turns that were given out.
     pub turns: u64,
-    /// Turns of which too much is missing: the first one after the beginning, and torn ones.
+    /// Turns of which too much is missing: the first one after the start, and torn ones.
     pub partial_turns: u64,
     /// Turns a tenth or more faster or slower than the one before.
     pub speed_changes: u64,

@@ -2,7 +2,7 @@
 
 use crate::Counts;
 
-/// What a look at the beginning of some bytes tells.
+/// Result of parsing the start of some bytes.
 pub(crate) enum Look {
     /// A packet of this length.
     Packet(usize),

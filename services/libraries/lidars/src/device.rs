@@ -1,8 +1,8 @@
-//! What a lidar says of itself.
+//! Identification and health that a lidar reports.
 
 use std::fmt;
 
-/// A lidar, as far as it says who it is.
+/// A lidar, as far as it identifies itself.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Device {
     /// Its model.
@@ -15,12 +15,12 @@ pub struct Device {
     pub health: Option<Health>,
 }
 
-/// How a lidar says it is.
+/// Health that a lidar reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Health {
     /// All is well.
     Good,
-    /// It measures, and says that something is wrong: its own code.
+    /// It measures, and reports a warning: its own code.
     Warning(u32),
     /// It does not measure: its own code.
     Failed(u32),

@@ -2,7 +2,7 @@
 
 use crate::{Counts, Device, Turn};
 
-/// What a driver wants done with the line to its lidar.
+/// Requests of a driver to the line of its lidar.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Act {
     /// Send these bytes.
@@ -20,7 +20,7 @@ pub trait Driver: Send {
     /// the clock of `arrival_ns`.
     fn take(&mut self, bytes: &[u8], arrival_ns: i64, give: &mut dyn FnMut(&Turn));
 
-    /// What the lidar said of itself so far.
+    /// What the lidar has reported so far.
     fn device(&self) -> &Device;
 
     /// What was met so far.

@@ -145,7 +145,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn models_say_their_rates_and_others_are_refused() {
+    fn models_report_their_rates_and_others_are_rejected() {
         assert_eq!(Family::Ld06.rates(None), Ok(vec![230_400, 115_200]));
         assert_eq!(Family::Ld06.rates(Some("lds02")), Ok(vec![115_200]));
         assert_eq!(Family::Rplidar.rates(Some("s2")), Ok(vec![1_000_000]));

@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn the_example_packet_of_the_manual_says_what_the_manual_says() {
+    fn the_example_packet_of_the_manual_decodes_as_documented() {
         let mut driver = Ld06::new(None, 0);
         driver.take(&EXAMPLE, 0, &mut |_| panic!("one packet is no turn"));
         assert_eq!(driver.counts(), Counts { bytes: 47, packets: 1, ..Counts::default() });

@@ -1,4 +1,4 @@
-//! Lidars: what they send, decoded into turns, and what they want to be sent. No port, no clock: bytes and times of arrival
+//! Lidars: what they send, decoded into turns, and the requests to them. No port, no clock: bytes and times of arrival
 //! come from the caller, and so do the answers go. One file a family.
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]

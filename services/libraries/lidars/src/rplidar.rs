@@ -1,4 +1,4 @@
-//! RPLIDAR A1, A2, A3, S1, S2, S3, C1: asked who it is, set turning, started in the way of measuring that its maker proposes.
+//! RPLIDAR A1, A2, A3, S1, S2, S3, C1: identified, spun up, started in the scan mode that its manufacturer recommends.
 
 use crate::assembly::{Assembly, Beam};
 use crate::byte_frames::{ByteFrames, Look};
@@ -15,7 +15,7 @@ const RANGE_MAX_M: f32 = 12.0;
 const ANSWER_NS: i64 = 300_000_000;
 /// What a lidar that was measuring still sends after the request to stop.
 const STOP_NS: i64 = 50_000_000;
-/// A lidar that has not said who it is, is asked again after this.
+/// A lidar that has not identified itself is queried again after this.
 const AGAIN_NS: i64 = 1_000_000_000;
 /// Models that triangulate have no configuration before this version of their firmware.
 const CONFIGURATION_SINCE: (u8, u8) = (1, 24);
@@ -24,7 +24,7 @@ const EXPRESS_SINCE: (u8, u8) = (1, 17);
 /// A capsule that spans so many times what the last one did, is followed by a gap.
 const GAP: f64 = 1.6;
 
-/// What is asked of the lidar, one after the other.
+/// Requests to the lidar, in order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Step {
     Begin,
@@ -44,7 +44,7 @@ enum Step {
 pub(crate) struct Rplidar {
     frames: ByteFrames,
     assembly: Assembly,
-    /// The form of measurements, once the lidar has said it.
+    /// The format of measurements, once the lidar has reported it.
     form: Option<Form>,
     /// The packet before was good, and nothing was between it and the next one.
     in_step: Cell<bool>,
@@ -56,11 +56,11 @@ pub(crate) struct Rplidar {
     last_span_deg: f64,
     /// Something of this turn is missing: the number of its measurements is no measure of time.
     torn: bool,
-    /// Microseconds of a measurement, where the lidar says it.
+    /// Microseconds of a measurement, where the lidar reports it.
     sample_us: Option<f64>,
     mode: u16,
     answer_type: u8,
-    /// Model number and firmware, once the lidar has said them.
+    /// Model number and firmware, once the lidar has reported them.
     identity: Option<(u8, (u8, u8))>,
     step: Step,
     next_ns: i64,
@@ -312,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lidar_says_who_it_is_and_measures_in_the_way_that_its_maker_proposes() {
+    fn a_lidar_reports_its_model_and_scans_in_its_recommended_mode() {
         let encoder = RplidarEncoder::new(0x84, 10.0);
         let driver = started(&encoder);
         assert_eq!(driver.form, Some(Form::Extended));

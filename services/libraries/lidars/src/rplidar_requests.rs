@@ -9,7 +9,7 @@ use crate::{Device, Health};
 const REQUEST: u8 = 0xA5;
 pub(crate) const DESCRIPTOR: [u8; 2] = [0xA5, 0x5A];
 pub(crate) const DESCRIPTOR_LENGTH: usize = 7;
-/// The bit of a descriptor's length that says that answers go on and on.
+/// The bit of a descriptor's length for a continuous response.
 pub(crate) const REPEATED: u32 = 1 << 30;
 /// Sent instead of a speed by pulses: about ten turns a second.
 const PULSE_WIDTH: u16 = 660;
@@ -119,7 +119,7 @@ pub(crate) fn look(bytes: &[u8]) -> Look {
     }
 }
 
-/// Reads an answer that [`look`] found, and notes what it says of the device.
+/// Reads an answer that [`look`] found, and stores its data about the device.
 pub(crate) fn read(answer: &[u8], device: &mut Device) -> Answer {
     let content = &answer[DESCRIPTOR_LENGTH..];
     match answer[6] {

@@ -42,7 +42,7 @@ pub(crate) const NODES_TO_SYNC: usize = 12;
 const STEP_MAX_DEG: f64 = 20.0;
 /// It may seem to turn back by so much, degrees.
 const STEP_BACK_DEG: f64 = 3.0;
-/// The bit of a start angle that says that this is the first capsule.
+/// The bit of a start angle that marks the first capsule.
 pub(crate) const FIRST_CAPSULE: u16 = 0x8000;
 pub(crate) const HQ_MARK: u8 = 0xA5;
 const HQ_NODE_LENGTH: usize = 8;
@@ -156,7 +156,7 @@ impl Form {
         }
     }
 
-    /// Degrees from the beginning of a capsule to that of the next one.
+    /// Degrees from the start of a capsule to that of the next one.
     pub fn span_deg(self, capsule: &[u8], next: &[u8]) -> f64 {
         (capsule_start_deg(next, self) - capsule_start_deg(capsule, self)).rem_euclid(360.0)
     }
@@ -172,7 +172,7 @@ impl Form {
     }
 }
 
-/// Where the head stood at the beginning of a capsule, degrees.
+/// Angle of the head at the start of a capsule, degrees.
 fn capsule_start_deg(capsule: &[u8], form: Form) -> f64 {
     f64::from(u16_at(capsule, form.capsule_head_length() - 2) & !FIRST_CAPSULE) / 64.0
 }

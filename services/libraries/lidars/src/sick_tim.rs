@@ -20,7 +20,7 @@ const RANGE_MIN_M: f32 = 0.05;
 /// All models see no further, metres.
 const RANGE_MAX_M: f32 = 50.0;
 
-/// What is asked of the sensor, one after the other.
+/// Requests to the sensor, in order.
 #[derive(Clone, Copy, PartialEq)]
 enum Step {
     Begin,

@@ -27,7 +27,7 @@ pub(crate) fn decode(characters: &[u8]) -> u32 {
     characters.iter().fold(0, |value, byte| value << 6 | u32::from(byte.wrapping_sub(0x30) & 0x3F))
 }
 
-/// How a sensor measures, as it says. Steps are counted against the clock as seen from above.
+/// Parameters of a sensor, as it reports them. Steps are counted against the clock as seen from above.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Geometry {
     /// Steps of a whole turn.
@@ -42,7 +42,7 @@ struct Geometry {
     range_max_m: f32,
 }
 
-/// What is asked of the sensor, one after the other.
+/// Requests to the sensor, in order.
 #[derive(Clone, Copy, PartialEq)]
 enum Step {
     Begin,
@@ -250,7 +250,7 @@ fn look(bytes: &[u8]) -> Look {
     let end = bytes.windows(2).take(BLOCK_MAX).position(|pair| pair == b"\n\n");
     match end {
         Some(end) if is_whole(&bytes[..end]) => Look::Packet(end + 2),
-        // Another beginning within it may be the true one.
+        // Another start marker within it may be the true one.
         Some(_) => Look::Bad,
         None if bytes.len() < BLOCK_MAX => Look::More,
         None => Look::No,
@@ -330,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_real_sensor_said_of_itself_is_read() {
+    fn the_identification_of_a_real_sensor_is_parsed() {
         // An URG-04LX-UG01, from the notes of a public Matlab program.
         let said =
             b"VV\n00P\nVEND:Hokuyo Automatic Co.,Ltd.;[\nPROD:SOKUIKI Sensor URG-04LX-UG01(Simple-URG);[\n\

@@ -21,7 +21,7 @@ const DEVICE_HEALTH: u8 = 0x92;
 /// Types of answers, and the lengths of their contents.
 const INFO_ANSWER: (u8, usize) = (0x04, 20);
 const HEALTH_ANSWER: (u8, usize) = (0x06, 3);
-/// What is said before the first packet.
+/// Messages before the first packet.
 const SCAN_ANSWER: (u8, usize) = (0x81, 5);
 /// Ranges below are no returns, metres.
 const RANGE_MIN_M: f32 = 0.05;
@@ -43,7 +43,7 @@ pub(crate) fn check_code(packet: &[u8], point_length: usize) -> u16 {
     })
 }
 
-/// What is asked of the lidar, one after the other.
+/// Requests to the lidar, in order.
 #[derive(Clone, Copy, PartialEq)]
 enum Step {
     Begin,
@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lidar_is_asked_who_it_is_and_started() {
+    fn a_lidar_is_identified_and_started() {
         let mut driver = Ydlidar::new(None, 0);
         assert_eq!(driver.act(0), Some(Act::SetDtr(true)));
         assert_eq!(driver.act(0), Some(Act::Send(vec![0xA5, 0x65])));
@@ -341,7 +341,7 @@ mod tests {
         assert_eq!(driver.act(STOP_NS), Some(Act::Send(vec![0xA5, 0x60])));
         let said = driver.device().to_string();
         assert_eq!(said, "X4, firmware 1.10, serial number 2019062100002105, health warning 0x5");
-        // A model with one wire says nothing: after a while it is started all the same.
+        // A model with one wire sends no answer: after a while it is started all the same.
         let mut silent = Ydlidar::new(Some("X2"), 0);
         let sent = (0..20).filter_map(|step| silent.act(step * ANSWER_NS)).last();
         assert_eq!((sent, silent.device().model.as_deref()), (Some(Act::Send(vec![0xA5, 0x60])), Some("X2")));

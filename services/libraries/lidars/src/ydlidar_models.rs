@@ -60,7 +60,7 @@ const MODELS: [(u8, &str, Optics); 27] = [
     (151, "T-mini Plus", T_MINI),
 ];
 
-/// The X2 says nothing of itself; it measures as the X4 does.
+/// The X2 does not identify itself; it measures as the X4 does.
 const X2: &str = "X2";
 
 /// A model by the number in its answer.

@@ -12,14 +12,14 @@ use flockslam_lidars::{Act, Driver, Family};
 use flockslam_random::Random;
 
 const BYTES: usize = 10_000_000;
-/// A packet may still be waited for whose beginning is in the garbage.
+/// A packet whose start is in the garbage may still be waited for.
 const PENDING_MAX: u64 = 1;
 
 fn world(angle_rad: f64) -> f64 {
     3.0 + 2.0 * angle_rad.sin()
 }
 
-/// Lets a lidar answer until its driver has nothing more to ask.
+/// Lets a lidar answer until its driver has no further request.
 fn start(driver: &mut dyn Driver, answer: impl Fn(&[u8]) -> Vec<u8>) {
     for step in 0..1000 {
         while let Some(act) = driver.act(step * 10_000_000) {

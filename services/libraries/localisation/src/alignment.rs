@@ -218,7 +218,7 @@ impl Sums {
         Some((-sin, cos))
     }
 
-    /// The same without what it says along a direction.
+    /// The same without its information along a direction.
     fn without(mut self, direction: Option<(f64, f64)>) -> Self {
         let Some((dx, dy)) = direction else { return self };
         let across = |x: f64, y: f64| {

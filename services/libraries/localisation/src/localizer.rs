@@ -11,9 +11,9 @@ use flockslam_registration::cloud::{PackedPoint, Placement};
 
 /// What was seen over this much travel is looked for in the map …
 const SEARCH_M: f64 = 8.0;
-/// … and over this much is judged, metres.
+/// … and is verified over this much, metres.
 const JUDGED_M: f64 = 16.0;
-/// Points that are fitted and judged.
+/// Points that are fitted and verified.
 const POINTS: usize = 600;
 /// A robot that is not found is looked for again after this much travel, metres, or turning, radians.
 const AGAIN: (f64, f64) = (0.9, 0.7);
@@ -27,10 +27,10 @@ const POINTS_MIN: usize = 40;
 const UNSEEN_MAX: f64 = 0.92;
 /// Greatest standard deviation of a pose in the worst direction from one fit, metres.
 const SIGMA_MAX_M: f64 = 0.1;
-/// A hint within these standard deviations says where the robot is, as AMCL's users mean it: metres and radians; a wider one only where
+/// A hint within these standard deviations is an initial pose, as in AMCL: metres and radians; a wider one only where
 /// to look.
 const HINT_SIGMA_MAX: (f64, f64) = (1.0, 0.6);
-/// What is seen where a hint says agrees so far with the map: least share explained, greatest contradicted.
+/// The scan at the hint's pose must agree so far with the map: least share explained, greatest contradicted.
 const HINT_EXPLAINED_MIN: f64 = 0.4;
 const HINT_CONTRADICTED_MAX: f64 = 0.25;
 /// Merit that a place loses for each squared standard deviation from the hint.
@@ -49,7 +49,7 @@ const SHARED: f64 = 1.0 / 6.0;
 /// How the front end's pose drifts: standard deviations for a metre of travel, metres and radians, and for a radian of turning.
 const DRIFT: (f64, f64) = (0.015, 0.004);
 const DRIFT_TURNING_RAD: f64 = 0.004;
-/// A fit of fewer inliers says nothing.
+/// A fit of fewer inliers is discarded.
 const INLIERS_MIN: f64 = 0.25;
 /// After this much travel a better place is looked for beside the one that is followed …
 const CHECK_M: f64 = 1.0;
@@ -110,7 +110,7 @@ pub struct Hint {
 }
 
 impl Hint {
-    /// Where it says that the robot is to be looked for.
+    /// The pose near which the robot is searched.
     fn near(&self) -> Near {
         Near { pose: self.map_from_base, reach_m: 3.0 * self.sigma_m, turn_rad: 3.0 * self.sigma_rad }
     }
@@ -257,7 +257,7 @@ impl Localizer {
         } else if !shows_walls(&agreement) {
             let wider = self.recent.cloud(LOST_M, POINTS);
             if is_against(&self.surroundings.agreement(&wider, &at)) {
-                // Whoever was carried away has no odometry from what agreed to what does not.
+                // A kidnapped robot has no odometry from the last agreeing scans to the contradicting ones.
                 self.recent.keep(self.since_agreed_m);
                 self.relocalize(None);
                 self.measured = None;
@@ -282,7 +282,7 @@ impl Localizer {
         is_better.then_some(best.at)
     }
 
-    /// Takes a hint for true, as far as what is seen agrees with it: where nothing else tells places apart, it does.
+    /// Accepts a hint, as far as the scans agree with it: it decides between places that are otherwise ambiguous.
     fn follow_hint(&mut self, odom: Placement, hint: &Hint) -> bool {
         if hint.sigma_rad > HINT_SIGMA_MAX.1 || hint.sigma_m > HINT_SIGMA_MAX.0 {
             return false;
@@ -335,7 +335,7 @@ impl Localizer {
             self.hint = None;
             return;
         }
-        // A hint that leads nowhere is not asked twice.
+        // A hint without a result is not used twice.
         let near = self.hint.take().map(|hint| hint.near());
         let cloud = self.recent.cloud(SEARCH_M, 2 * POINTS);
         if cloud.len() < POINTS_MIN {
@@ -345,10 +345,10 @@ impl Localizer {
         let points: Vec<(f64, f64)> = cloud.iter().map(|p| (p.x_m, p.y_m)).collect();
         let request = SearchRequest { score_min: SCORE_MIN, share_min: SHARE_MIN, near };
         let places = self.search.find(self.surroundings.field(), &points, &request);
-        let judged_cloud = self.recent.cloud(JUDGED_M, POINTS);
+        let verification_cloud = self.recent.cloud(JUDGED_M, POINTS);
         let mut judged: Vec<Judged> = Vec::new();
         for place in &places.found {
-            let mut candidate = self.judge(&judged_cloud, place.map_from_cloud, place.score);
+            let mut candidate = self.judge(&verification_cloud, place.map_from_cloud, place.score);
             candidate.listed.is_among_all = places.others_max <= UNSEEN_MAX * place.score;
             candidate.listed.times = u32::from(has_moved);
             if !judged.iter().any(|better| is_same(&better.at, &candidate.at)) {
@@ -356,7 +356,7 @@ impl Localizer {
             }
         }
         for (map_from_odom, listed) in std::mem::take(&mut self.kept) {
-            let mut candidate = self.judge(&judged_cloud, map_from_odom.compose(odom), 0.0);
+            let mut candidate = self.judge(&verification_cloud, map_from_odom.compose(odom), 0.0);
             match judged.iter_mut().find(|other| is_same(&other.at, &candidate.at)) {
                 Some(Judged { listed: now, .. }) => {
                     now.is_among_all |= listed.is_among_all;
@@ -371,7 +371,7 @@ impl Localizer {
         // A stable sort: of equals the one with the better score.
         judged.sort_by(|a, b| b.merit().total_cmp(&a.merit()));
         let from_odom = odom.inverse();
-        // A search beside a hint says nothing of other places.
+        // A search near a hint gives no result for other places.
         let listed = |j: &Judged| if near.is_some() { Listed::default() } else { j.listed };
         let kept = judged.iter().take(HYPOTHESES_MAX).map(|j| (j.at.compose(from_odom), listed(j)));
         self.kept = kept.collect();

@@ -10,7 +10,7 @@ use std::ops::Range;
 const CELL_M: f64 = 0.2;
 /// Width of the influence of what is occupied, metres: a point may be half a cell off by its place and as much by its heading.
 const SIGMA_M: f64 = 0.15;
-/// The value of a cell of which nothing is known: a point there says little, in free space it speaks against the place.
+/// The value of an unknown cell: a point there has little weight, in free space it counts against the pose.
 const UNKNOWN: u8 = 40;
 /// No point is farther from the origin of its cloud, metres.
 pub(crate) const REACH_M: f64 = 15.0;
@@ -25,7 +25,7 @@ pub(crate) const LANES: usize = 32;
 
 /// Likelihood of points over the known map (Thrun et al. 2005, 6.4, with free space apart from unknown).
 ///
-/// Around the map lie as many unknown cells as a point can be away from the robot, so that every place can be summed without a look at
+/// Around the map lie as many unknown cells as a point can be away from the robot, so that every place can be summed without a check of
 /// the border. Cells are taken together in blocks of 4 × 4, of which a bound is known: no cell of a block sums up to more.
 pub struct PlaceField {
     cell_m: f64,
@@ -214,7 +214,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_point_is_worth_most_at_what_is_occupied_little_where_nothing_is_known_and_nothing_in_free_space() {
+    fn a_point_scores_most_in_occupied_little_in_unknown_and_nothing_in_free_cells() {
         let mut map = KnownMap::of_width(40, 0.05, Point::new(1.0, 2.0));
         for y in 0..40 {
             let state = |x| match (x, y) {

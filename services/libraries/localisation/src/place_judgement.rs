@@ -38,7 +38,7 @@ const ALTERNATIVE_MAX: f64 = 0.8;
 /// A search gives so many places at most. Where more score alike, a place as good as one that so many searches gave was in one of them, too.
 const LISTED_MIN: u32 = 3;
 
-/// A place that was judged.
+/// A pose hypothesis with its scores.
 #[derive(Clone, Copy)]
 pub(crate) struct Judged {
     pub(crate) at: Placement,

@@ -77,7 +77,7 @@ impl RecentViews {
     }
 }
 
-/// The mean of the points in each square, in order of squares; the last view of each says from where it was seen.
+/// The mean of the points in each square, in order of squares; the last view of each gives the viewpoint.
 fn cell_means(points: &[SeenPoint]) -> Vec<SeenPoint> {
     let key = |v: f64| (v * (1.0 / CELL_M)).floor() as i32;
     let mut cells: Vec<(i32, i32, usize)> =

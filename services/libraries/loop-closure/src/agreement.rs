@@ -13,7 +13,7 @@ const PARTNERS_MIN: usize = 2;
 ///
 /// Places that look alike over a few metres, as the ends of two aisles or the doors of two rooms, differ over more. Where places that
 /// look alike are as far apart as the odometry may have drifted, the true place may never have been seen, so that no better match
-/// contradicts a false one. In the open the usual drift is greater: one tree in sight tells little of a turn.
+/// contradicts a false one. In the open the usual drift is greater: one tree in sight hardly constrains the heading.
 const EXTENT_PER_SHIFT: f64 = 2.0;
 const EXTENT_PER_SURPRISE: f64 = 5.0;
 const USUAL_SHARE: f64 = 0.25;
@@ -136,7 +136,7 @@ impl Groups {
 
     fn first(&mut self, mut closure: usize) -> usize {
         while self.parent[closure] != closure {
-            // Shortens the way for the next who goes it.
+            // Path compression: shortens the next search.
             self.parent[closure] = self.parent[self.parent[closure]];
             closure = self.parent[closure];
         }

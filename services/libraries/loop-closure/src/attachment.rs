@@ -174,7 +174,7 @@ impl AttachmentFinder {
     }
 }
 
-/// Stretches of these nodes of about this travel, each of one trajectory, each beginning in the middle of the one before.
+/// Stretches of these nodes of about this travel, each of one trajectory, each starting in the middle of the one before.
 fn stretches(nodes: &[Node], range: Range<usize>, travel_m: f64) -> Vec<Segment> {
     let mut stretches: Vec<Segment> = Vec::new();
     let mut start = range.start;

@@ -113,7 +113,7 @@ impl Default for ClosureFinder {
 }
 
 impl ClosureFinder {
-    /// A finder that looks at so many squares in a search anywhere before it gives up, and that keeps so many segments ready.
+    /// A finder that evaluates at most so many squares in a global search before it gives up, and that keeps so many segments ready.
     pub fn thorough(sums_max: u64, fields: usize) -> Self {
         let [searcher_anywhere, searcher_runner_up] = [0; 2].map(|_| Searcher::bounded(sums_max));
         Self { searcher_anywhere, searcher_runner_up, fields: FieldCache::new(fields), ..Self::default() }

@@ -31,7 +31,7 @@ impl Polar {
             }
         }
         let around = |i: usize| [(i + SECTORS - 1) % SECTORS, i, (i + 1) % SECTORS].map(|k| sector_m[k]);
-        // A sector is only judged where the scan saw something on both sides too.
+        // A sector is only compared where the scan saw something on both sides too.
         let nearest = |i| if sector_m[i] == 0.0 { 0.0 } else { least(around(i)) };
         Self { nearest_m: std::array::from_fn(nearest), sector_m }
     }

@@ -1,8 +1,8 @@
 //! Which cells of the finished map stand occupied although scans have looked through them since: what is known at the end, when
 //! all scans have their final poses, and was not when they were taken.
 //!
-//! Scans are taken in from the last one back. What a scan says of a cell only counts until a later one has seen it stand, so the
-//! first that does settles the cell, and no earlier scan is asked of it.
+//! Scans are taken in from the last one back. The result of a scan for a cell counts only until a later one has seen it occupied, so the
+//! first that does decides the cell, and no earlier scan is used for it.
 
 use crate::FusedMap;
 use crate::aim::Aim;
@@ -14,7 +14,7 @@ use flockslam_visibility::{Horizon, Margins, PassThrough, PolarRangeImage, Visib
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-/// Cells farther from the lidar are not judged, metres: beams are too far apart there.
+/// Cells farther from the lidar are not classified, metres: beams are too far apart there.
 const REACH_M: f64 = 12.0;
 /// An object this near to a cell may be the one that was seen in it, cells.
 const NEAR_CELLS: i32 = 2;
@@ -28,7 +28,7 @@ const SCANS: u8 = 2;
 const PASSES: u8 = 2;
 /// … each at least so long before the one after, nanoseconds.
 pub const APART_NS: u64 = 300_000_000;
-/// Scans that pass through more than this share of the judged cells have a wrong pose.
+/// Scans that pass through more than this share of the classified cells have a wrong pose.
 const CONTRADICTED_MAX: f64 = 0.2;
 /// The share is that of every cell of so many.
 const SAMPLED: usize = 4;
@@ -53,11 +53,11 @@ pub struct FinalCleaning {
     aim: Aim,
     /// Blocks within its reach with cells that are not settled.
     open: Vec<(TileKey, usize)>,
-    /// What it says of these cells.
+    /// Its classification of these cells.
     sightings: Vec<Sighting>,
 }
 
-/// What a scan says of a cell.
+/// Classification of a cell by a scan.
 #[derive(Clone, Copy, Debug)]
 struct Sighting {
     key: TileKey,
@@ -130,7 +130,7 @@ impl Watched {
     }
 
     /// Nothing that earlier scans say can change what becomes of it.
-    fn is_settled(&self) -> bool {
+    fn is_decided(&self) -> bool {
         self.is_free() || (self.has_views && self.has_passes)
     }
 
@@ -187,7 +187,7 @@ impl FinalCleaning {
             self.aim.add(low, high, beside_m);
         }
         self.rays.look(scan, deskew, map_from_base, at, &self.aim);
-        self.judge_open(map_from_laser);
+        self.classify_open_cells(map_from_laser);
         let counts = self.sightings.iter().any(|sighting| sighting.passes.is_some())
             && !self.is_contradicted(map_from_laser);
         let now_ns = scan.header().times.sensor_ns;
@@ -199,7 +199,7 @@ impl FinalCleaning {
             }
             watched.has_views |= is_met;
             watched.has_passes |= is_end_near;
-            if watched.is_settled() {
+            if watched.is_decided() {
                 tile.open[block(watched.offset)] -= 1;
             }
         }
@@ -215,8 +215,8 @@ impl FinalCleaning {
         }
     }
 
-    /// Notes what the present scan says of the cells that are not settled.
-    fn judge_open(&mut self, map_from_laser: Pose) {
+    /// Stores the classification of the undecided cells by the present scan.
+    fn classify_open_cells(&mut self, map_from_laser: Pose) {
         let (at, size_m) = (map_from_laser.position(), self.cell_size_m);
         let view = PassThrough::new(&self.sight, map_from_laser, size_m, MARGINS).with_horizon(&self.horizon);
         for (key, number) in &self.open {
@@ -226,7 +226,7 @@ impl FinalCleaning {
                 continue;
             }
             let tile = &self.tiles[key];
-            for place in tile.of_block(*number).filter(|place| !tile.cells[*place].is_settled()) {
+            for place in tile.of_block(*number).filter(|place| !tile.cells[*place].is_decided()) {
                 let cell = key.cell(usize::from(tile.cells[place].offset));
                 let center = center(cell, size_m);
                 if center.distance_m(at) > REACH_M {
@@ -425,18 +425,18 @@ mod tests {
     }
 
     #[test]
-    fn what_is_settled_is_not_looked_at_again() {
+    fn decided_cells_are_not_classified_again() {
         let mut final_cleaning = FinalCleaning::new(&room());
         let open = |cleaning: &FinalCleaning| -> u32 {
             cleaning.tiles.values().flat_map(|tile| tile.open).map(u32::from).sum()
         };
-        let (all, not_settled) = (open(&final_cleaning), |cleaning: &FinalCleaning| {
+        let (all, undecided) = (open(&final_cleaning), |cleaning: &FinalCleaning| {
             let cells = cleaning.tiles.values().flat_map(|tile| &tile.cells);
-            cells.filter(|watched| !watched.is_settled()).count() as u32
+            cells.filter(|watched| !watched.is_decided()).count() as u32
         });
-        assert_eq!(all, not_settled(&final_cleaning));
+        assert_eq!(all, undecided(&final_cleaning));
         (0..8).rev().for_each(|number| look(&mut final_cleaning, number, number < 5, Pose::IDENTITY));
-        assert_eq!(open(&final_cleaning), not_settled(&final_cleaning));
+        assert_eq!(open(&final_cleaning), undecided(&final_cleaning));
         assert!(open(&final_cleaning) < all / 20, "{} of {all}", open(&final_cleaning));
     }
 

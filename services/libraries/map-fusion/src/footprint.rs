@@ -157,7 +157,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn known_cells_come_back(blocks in proptest::collection::vec(
+        fn known_cells_round_trip(blocks in proptest::collection::vec(
             prop_oneof![Just(0), Just(u64::MAX), any::<u64>()], TILE_SIDE
         )) {
             let mut tile =

@@ -31,11 +31,11 @@ const COVERED_SHARE: f64 = 0.98;
 /// The parts of the fused map, kept up with the solution while the robot drives: submaps come in as they are closed, move when the
 /// solution moves them, and retire when newer ones know all that they know.
 ///
-/// It holds no submaps: it says which it needs, and is handed them. While the robot drives it holds no evidence either, only where each
+/// It holds no submaps: it requests those that it needs. While the robot drives it holds no evidence either, only where each
 /// submap knows something: the map is made at the end, by the [`Fusion::last_steps`], as the sum of the submaps at their final poses.
 #[derive(Debug)]
 pub struct Fusion {
-    /// The sum of evidence, once it is asked for.
+    /// The sum of evidence, once it is requested.
     map: Option<FusedMap>,
     /// The last steps are on: evidence is summed.
     sums: bool,

@@ -8,7 +8,7 @@ use flockslam_geometry::{Point, Pose};
 const FREE_NAT: f64 = 0.9;
 /// Within this distance of a stale cell newer submaps have not met anything, cells: poses and ranges have errors.
 const APART_CELLS: i32 = 2;
-/// Newer submaps that contradict more than this share of the occupied cells that they can judge lie in another place: then nothing
+/// Newer submaps that contradict more than this share of the occupied cells that they can classify lie in another place: then nothing
 /// is stale.
 const CONTRADICTED_MAX: f64 = 0.2;
 

@@ -121,7 +121,7 @@ impl OdometryNoise {
         }
     }
 
-    /// A scan was fitted here, with this covariance by its own claim, while odometry said that.
+    /// A scan was fitted here, with its own covariance, and odometry gave that.
     pub fn learn(&mut self, pose: Pose, odometry: Pose, claimed: Covariance) {
         let now = Measured { pose, odometry };
         if let Some(last) = self.window[self.newest] {

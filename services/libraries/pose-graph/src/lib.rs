@@ -1,5 +1,5 @@
 //! Pose graphs: nodes are numbered from 0, edges are measured motions between them with their information, and of the edges that may
-//! be wrong the robust solver says which are outliers.
+//! be wrong the robust solver classifies outliers.
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
 

@@ -23,7 +23,7 @@ const MATCH_MIN: (f64, f64) = (0.6, 0.65);
 /// A runner-up lies at least this far away, and makes a match ambiguous when its score reaches this share of the best.
 const APART: Window = Window { reach_m: 0.5, turn_rad: 0.175 };
 const RUNNER_UP: f64 = 0.9;
-/// Squares that a search looks at before it gives up.
+/// Squares that a search evaluates before it gives up.
 const SUMS_MAX: u64 = 3_000_000;
 /// Farthest from the middle of a map that a scan is looked for, metres.
 const REACH_MAX_M: f64 = 55.0;
@@ -102,14 +102,14 @@ pub struct MeetingCounts {
 /// own in the other's, takes over the other's map and fuses it with its own.
 ///
 /// It keeps one layer for each origin, which a newer map of that robot replaces, and fuses them anew when the whole is wanted: so nothing is counted
-/// twice, whoever meets whom how often, and the order of meetings does not matter.
+/// twice for any sequence of meetings, and the order of meetings does not matter.
 pub struct Meetings {
     own: Snapshot,
     counts: MeetingCounts,
 }
 
 impl Meetings {
-    /// A robot that has met nobody, or what it kept of its meetings.
+    /// A robot without a meeting, or with its stored meetings.
     pub fn new(own: Snapshot) -> Self {
         Self { own, counts: MeetingCounts::default() }
     }
@@ -412,7 +412,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scan_tells_how_robots_lie_to_each_other() {
+    fn a_scan_gives_the_relative_pose_of_two_robots() {
         let robots = robots();
         let mut a = Meetings::new(robots[0].clone());
         let a_from_b = a.meet(&robots[1]).unwrap();

@@ -1,5 +1,5 @@
 //! The published way to look through a map: line segments of a scan in angular sectors (Trubin et al. 2020). Takes a
-//! scan, tells of a point whether the ray to it is free, met or shadowed.
+//! scan, classifies a point by whether the ray to it is free, hit or shadowed.
 
 use flockslam_geometry::Point;
 use flockslam_geometry::elementary::{atan2, sin_cos};

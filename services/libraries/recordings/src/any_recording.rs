@@ -37,7 +37,7 @@ pub struct TopicReading {
     pub topic: usize,
     /// When it was recorded, nanoseconds.
     pub recorded_ns: i64,
-    /// What it says, unless it does not match its type.
+    /// Its content, unless it does not match its type.
     pub reading: Result<Reading, MessageProblem>,
 }
 
@@ -53,7 +53,7 @@ pub(crate) trait MessageSource: Send {
     fn cut_short(&self) -> Option<&str>;
 }
 
-/// A recording that is read from its beginning to its end.
+/// A recording that is read from its start to its end.
 pub struct Recording {
     name: String,
     files: Vec<PathBuf>,
@@ -111,7 +111,7 @@ impl Recording {
     /// Opens a file, or a folder of `.db3` and `.mcap` files in the order of the numbers that their names end with.
     ///
     /// # Errors
-    /// When it is none that is known, or damaged at its beginning. A recording that was cut off is not.
+    /// When its format is unknown, or its start is damaged. A recording that was cut off is not.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let name = path.display().to_string();
         let unreadable = |error| RecordingError::unreadable(&name, error);

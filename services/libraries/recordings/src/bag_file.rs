@@ -17,7 +17,7 @@ const VERSION: &[u8; 13] = b"#ROSBAG V2.0\n";
 /// Unpacked, a chunk takes this much memory at most, bytes; usual ones have 0.75 MiB.
 const CHUNK_BYTES_MAX: u32 = 256 << 20;
 
-/// A bag that is read from its beginning to its end.
+/// A bag that is read from its start to its end.
 pub struct BagFile {
     file: BufReader<File>,
     name: String,

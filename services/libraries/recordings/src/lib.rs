@@ -1,7 +1,7 @@
 //! Recordings of robots, message by message: ROS 1 bags, and rosbag2 folders and their files (SQLite and MCAP).
 //!
 //! [`Recording`] opens any of them by its content and gives its messages in the order in which they were recorded;
-//! [`Reading`] is what a message says, where it is one of those that are understood.
+//! [`Reading`] is the content of a message, where it is one of those that are understood.
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
 

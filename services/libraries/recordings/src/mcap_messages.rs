@@ -21,7 +21,7 @@ const BUFFER_BYTES: usize = 1 << 18;
 /// A message's channel, number, and the times at which it was recorded and sent lie before its fields, bytes.
 const MESSAGE_HEAD: usize = 2 + 4 + 8 + 8;
 
-/// An MCAP file that is read from its beginning to its end.
+/// An MCAP file that is read from its start to its end.
 pub struct McapFile {
     file: File,
     name: String,
@@ -140,7 +140,7 @@ impl Contents {
     fn take<'a>(&mut self, opcode: u8, data: &'a [u8]) -> McapResult<Option<Message<'a>>> {
         match (opcode, data.split_first_chunk::<MESSAGE_HEAD>()) {
             (op::MESSAGE, Some((head, bytes))) => return Ok(self.message(head, bytes)),
-            // Where messages lie is of no use to one who reads all of them.
+            // A reader of all messages does not need their positions.
             (op::MESSAGE_INDEX, _) => return Ok(None),
             _ => {}
         }
@@ -167,7 +167,7 @@ impl Contents {
     }
 }
 
-/// What is said when a file is damaged.
+/// Message for a damaged file.
 fn damaged(name: &str, error: McapError) -> RecordingError {
     let problem = match error {
         McapError::UnsupportedCompression(packing) => {

@@ -3,7 +3,7 @@
 /// Why a message does not match its type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum MessageProblem {
-    /// It ends too early, or says that it holds more than it does.
+    /// It ends too early, or its length is larger than its content.
     #[error("the message breaks off")]
     BreaksOff,
     /// Its encoding is none that is known.
@@ -31,7 +31,7 @@ pub enum Wire {
     Bus,
 }
 
-/// Fields of a message, read from its beginning on.
+/// Fields of a message, read in order.
 pub(crate) struct Fields<'a> {
     bytes: &'a [u8],
     at: usize,

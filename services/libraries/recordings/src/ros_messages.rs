@@ -35,7 +35,7 @@ pub enum ReadingKind {
     SetRecord,
 }
 
-/// What a message says.
+/// Content of a message.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Reading {
     /// A scan.
@@ -156,7 +156,7 @@ fn laser_scan(
     message.into_scan()
 }
 
-/// What a `sensor_msgs/LaserScan` says, as it says it.
+/// Content of a `sensor_msgs/LaserScan`, unchanged.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LaserScanMessage {
     /// When the first beam was measured, nanoseconds.
@@ -401,7 +401,7 @@ mod tests {
     }
 
     #[test]
-    fn an_imu_says_how_fast_it_turns() {
+    fn an_imu_gives_the_angular_velocity() {
         let rates = doubles(&[0.1, -0.2, 0.3]);
         let bytes = [header("imu"), doubles(&[0.0; 13]), rates, doubles(&[0.0; 21])].concat();
         let Ok(Reading::Imu(found)) = Reading::decode(ReadingKind::Imu, &bytes, Wire::Ros1) else {

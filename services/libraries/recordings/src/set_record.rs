@@ -1,4 +1,4 @@
-//! Records of a running set beside its scans: what its stages have said and used, as it was on the bus.
+//! Records of a running set beside its scans: what its stages have published and used, as it was on the bus.
 
 use flockslam_messages::{
     ClearedCell, Commit, Layout, MarksHeader, Message, PoseEstimate, ScanHeader, StageInputs, Verdict,
@@ -26,7 +26,7 @@ pub enum SetRecord {
 }
 
 impl SetRecord {
-    /// One byte that says of which kind, and the message as it lies in memory.
+    /// One byte for the kind, and the message as it lies in memory.
     pub fn bytes(&self) -> Vec<u8> {
         fn of(kind: u8, message: &(impl IntoBytes + Immutable)) -> Vec<u8> {
             [&[kind], message.as_bytes()].concat()

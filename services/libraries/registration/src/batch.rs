@@ -46,7 +46,7 @@ impl Batch {
         split(&self.y, shift.1, &mut self.row, &mut self.up);
     }
 
-    /// Reads the blocks of the first `count` points; the others count as a perfect fit that tells nothing.
+    /// Reads the blocks of the first `count` points; the others count as a perfect fit without information.
     #[inline]
     pub(crate) fn read(&mut self, read: &mut impl ScoreRead, count: usize) {
         for k in 0..BATCH {

@@ -10,7 +10,7 @@ const LANES: usize = 8;
 /// Upper bounds of the scores of all nodes of a window that have the same heading.
 ///
 /// A node moves points by up to a cell of a wide level, so each point ends within a block of 2 × 2 of its cells, and
-/// neighbouring nodes look at neighbouring blocks. With the greatest score of each block laid out row by row, a point adds
+/// neighbouring nodes read neighbouring blocks. With the greatest score of each block laid out row by row, a point adds
 /// to a whole row of nodes at once.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct NodeBounds {

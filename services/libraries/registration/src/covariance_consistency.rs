@@ -114,7 +114,7 @@ fn nees(fit: &Fit, truth: Pose) -> f64 {
 }
 
 #[test]
-fn errors_are_as_large_as_the_covariance_says() {
+fn errors_match_the_covariance() {
     let runs = 50;
     let mut sum = 0.0;
     for seed in 0..runs {

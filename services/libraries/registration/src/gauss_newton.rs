@@ -80,7 +80,7 @@ pub struct Fit {
 const STEP_MIN_CELLS: f64 = 2e-3;
 const TURN_MIN_RAD: f64 = 2e-5;
 
-/// Points that end in the same cell share the error of the map there, so a scan tells less than its number of points
+/// Points that end in the same cell share the error of the map there, so a scan has less information than its number of points
 /// says: the variance is this much greater (measured: mean NEES of 3 in simulated rooms, see `consistency.rs`).
 const SHARED_ERROR: f64 = 1.9;
 

@@ -20,10 +20,10 @@ pub struct NdtSettings {
     /// Side of an NDT cell, metres (rounded to a whole number of eight grid cells).
     pub cell_size_m: f64,
     /// Pull towards the distance from the pose before that the prediction has, whatever the direction, per m² and point: odometry
-    /// measure how far better than whither.
+    /// measure the distance better than the direction.
     pub prior_travel: f64,
     /// Standard deviation of the direction of each beam for itself, radians: its end is blurred across the beam, so that of a wall
-    /// seen at a grazing angle it says little; and of a cell of few samples the mean is known no better than their spread allows.
+    /// seen at a grazing angle it has a small weight; and of a cell of few samples the mean is known no better than their spread allows.
     pub bearing_sigma_rad: f64,
 }
 
@@ -389,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn odometry_says_how_far_and_not_whither() {
+    fn odometry_constrains_the_distance_and_not_the_direction() {
         let expected = Expected { pose: Pose::new(3.0, 0.0, 0.0), from: Some(Point::new(1.0, 0.0)) };
         let cost = |pose: Pose| {
             let (gradient, hessian) = (Vector3::zeros(), Matrix3::zeros());

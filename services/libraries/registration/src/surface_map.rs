@@ -318,7 +318,7 @@ impl SurfaceMap {
     }
 }
 
-/// The inverse covariance of a surface without what its extent says: both eigenvalues reduced by that of [`EXTENT_M`], at least 0.
+/// The inverse covariance of a surface without the part of its extent: both eigenvalues reduced by that of [`EXTENT_M`], at least 0.
 fn located(inverse: Matrix2<f64>) -> Matrix2<f64> {
     let extent = EXTENT_M.powi(-2);
     let (middle, half) = (0.5 * (inverse.m11 + inverse.m22), 0.5 * (inverse.m11 - inverse.m22));
@@ -402,7 +402,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sure_prediction_is_kept_and_the_scan_alone_says_otherwise() {
+    fn a_certain_prediction_is_kept_and_the_scan_alone_gives_another_pose() {
         let (map, truth) = (driven(), Pose::new(4.8, 0.3, 0.05));
         let predicted = Pose::new(4.9, 0.3, 0.05);
         let fit = map.fit(&scan(truth), &prior(predicted, (1e-4, 1e-4))).unwrap();

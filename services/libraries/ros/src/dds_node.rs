@@ -14,7 +14,7 @@ use std::rc::Rc;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// After a message that is none the next is waited for so long: who sends nothing else does not get all of a core …
+/// After an invalid message the next is awaited for this time: a sender of invalid messages does not get all of a core …
 const PAUSE_AFTER_GARBAGE: Duration = Duration::from_millis(1);
 /// … but only after so many of them within this: good messages of the topic wait, too.
 const GARBAGE_FREE: u32 = 10;

@@ -1,4 +1,4 @@
-//! What the environment says of a ROS graph: the domain, and how far it reaches.
+//! Settings of a ROS graph from the environment: the domain, and how far it reaches.
 
 use crate::RosError;
 use crate::zenoh_node::zenoh_configuration;

@@ -1,4 +1,4 @@
-//! The interfaces of ROS that are spoken here, as their packages define them (Jazzy): fields without comments and constants. What a
+//! The interfaces of ROS that are supported here, as their packages define them (Jazzy): fields without comments and constants. What a
 //! type is called on the wire of zenoh is worked out of them.
 
 /// Each interface with its fields; of a service those of the request, `---`, and those of the response.

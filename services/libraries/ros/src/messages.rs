@@ -1,4 +1,4 @@
-//! The messages and services that are spoken here, field by field as their definitions have them.
+//! The messages and services that are supported here, field by field as their definitions have them.
 
 mod common_types;
 mod diagnostic_types;
@@ -35,7 +35,7 @@ pub trait RosMessage: Serialize + DeserializeOwned + Send + Sync + 'static {
 pub trait RosService: 'static {
     /// Package and name.
     const TYPE: (&'static str, &'static str);
-    /// What is asked.
+    /// The request.
     type Request: ros2_client::Message + Clone + Send + Sync;
     /// What is answered.
     type Response: ros2_client::Message + Send + Sync;

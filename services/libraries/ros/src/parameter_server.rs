@@ -128,8 +128,8 @@ impl Parameters {
     /// Names here have one part.
     fn list(&self, request: &ListParametersRequest) -> ListParametersResult {
         let declared = self.declared.lock().expect("no thread panics with it");
-        let is_asked = |name: &String| request.prefixes.is_empty() || request.prefixes.contains(name);
-        let names = declared.iter().map(|known| known.name.clone()).filter(is_asked).collect();
+        let is_requested = |name: &String| request.prefixes.is_empty() || request.prefixes.contains(name);
+        let names = declared.iter().map(|known| known.name.clone()).filter(is_requested).collect();
         ListParametersResult { names, prefixes: Vec::new() }
     }
 

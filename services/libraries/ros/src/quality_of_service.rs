@@ -17,7 +17,7 @@ pub enum QualityOfService {
         /// Messages that may wait.
         depth: usize,
     },
-    /// As reliable, and who comes later gets the last messages.
+    /// Reliable and transient local: late subscribers get the last messages.
     Latched {
         /// How many.
         depth: usize,

@@ -10,7 +10,7 @@ pub enum RosError {
     Environment {
         /// The variable.
         name: &'static str,
-        /// What it says.
+        /// Its message.
         value: String,
         /// What is wrong with it.
         reason: &'static str,
@@ -20,9 +20,9 @@ pub enum RosError {
     Zenoh {
         /// The variable that has it.
         name: &'static str,
-        /// What it says.
+        /// Its message.
         value: String,
-        /// What zenoh said.
+        /// Message of zenoh.
         reason: String,
     },
     /// An argument behind `--ros-args` has no sense.
@@ -54,7 +54,7 @@ pub enum RosError {
     Network {
         /// The domain.
         domain: u16,
-        /// What the system said.
+        /// Message of the system.
         reason: String,
     },
     /// A topic or a service cannot be opened.
@@ -62,7 +62,7 @@ pub enum RosError {
     Open {
         /// The topic or service.
         name: String,
-        /// What the network said.
+        /// Message of the network.
         reason: String,
     },
 }

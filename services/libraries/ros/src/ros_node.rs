@@ -51,7 +51,7 @@ pub trait RunningTransport {
 pub struct Undecodable(AtomicU64);
 
 impl Undecodable {
-    /// Counts one; says it at the first, and then when there are twice as many.
+    /// Counts one; logs the first, and then whenever the count has doubled.
     pub fn note(&self, name: &str, error: &dyn std::fmt::Debug) {
         let count = self.0.fetch_add(1, Ordering::Relaxed) + 1;
         if count.is_power_of_two() {
@@ -60,7 +60,7 @@ impl Undecodable {
     }
 }
 
-/// Sends a message, or says why not.
+/// Publishes a message, or gives the reason of the failure.
 pub type SendMessage<M> = Box<dyn Fn(M) -> Result<(), String> + Send + Sync>;
 
 /// Sends on a topic.
@@ -69,15 +69,15 @@ pub struct Publisher<M: RosMessage> {
     send: SendMessage<M>,
 }
 
-/// A call of a service, and the way back to who called.
+/// A call of a service, and the channel to its client.
 pub struct Call<S: RosService> {
-    /// What is asked.
+    /// The request.
     pub request: S::Request,
     /// Takes the answer.
     pub answer: Answer<S>,
 }
 
-/// The way back to who called a service.
+/// The channel to the client of a service.
 pub struct Answer<S: RosService>(pub(crate) Box<dyn FnOnce(S::Response) + Send>);
 
 impl<S: RosService> Answer<S> {
@@ -93,7 +93,7 @@ impl<M: RosMessage> Publisher<M> {
         &self.topic
     }
 
-    /// Sends a message. One that cannot be sent is said in the log.
+    /// Publishes a message. A failure is logged.
     pub fn send(&self, message: M) {
         if let Err(error) = (self.send)(message) {
             tracing::warn!(topic = self.topic, %error, "a message could not be sent");

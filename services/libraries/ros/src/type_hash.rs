@@ -43,7 +43,7 @@ struct Field {
 /// Types by name, with their fields.
 type Types = BTreeMap<String, Vec<Field>>;
 
-/// The hash of a message or service, such as `sensor_msgs/msg/LaserScan`; `None` for one that is not spoken here.
+/// The hash of a message or service, such as `sensor_msgs/msg/LaserScan`; `None` for an unsupported one.
 pub fn type_hash(name: &str) -> Option<String> {
     let mut types = Types::new();
     describe(name, &mut types)?;
@@ -61,7 +61,7 @@ pub fn type_hash(name: &str) -> Option<String> {
     }))
 }
 
-/// The interfaces that are spoken here, such as `sensor_msgs/msg/LaserScan`.
+/// The supported interfaces, such as `sensor_msgs/msg/LaserScan`.
 pub fn interface_names() -> impl Iterator<Item = &'static str> {
     INTERFACES.iter().map(|(name, _)| *name)
 }

@@ -77,7 +77,7 @@ impl ZenohNames {
         format!("{head}/{}/{}/{}/{}", mangled(full_name), kind.key, kind.hash, quality_in_key(quality))
     }
 
-    /// All keys of this domain that announce who subscribes to a topic.
+    /// All keys of this domain that announce the subscribers of a topic.
     pub fn subscriptions_key(&self) -> String {
         format!("{ANNOUNCED}/{}/*/*/*/MS/**", self.domain)
     }
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn who_subscribes_to_a_topic_is_read_from_its_key() {
+    fn subscribers_of_a_topic_are_read_from_its_key() {
         let (own, quality) = (names("/r1"), QualityOfService::Latched { depth: 1 });
         let other = ZenohNames { session: "b".to_owned(), ..own.clone() };
         let key = |names: &ZenohNames, entity| names.entity_key(3, entity, "/r1/map", &text(), quality);

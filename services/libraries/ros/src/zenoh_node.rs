@@ -23,7 +23,7 @@ const LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];
 /// A router is waited for at most so often, each time so long; it is joined whenever it comes.
 const LOOKS_FOR_ROUTER: u32 = 20;
 const LOOK_PERIOD: Duration = Duration::from_millis(50);
-/// Keys of others that say who subscribes to what: more are not looked at.
+/// Greatest number of keys of others with their subscriptions: more are not read.
 const SUBSCRIPTIONS_MAX: usize = 4096;
 /// What rmw_zenoh has by default, and a bound for what is put together of fragments: a scan of ten million beams has 80 MB.
 const DEFAULTS: [(&str, &str); 7] = [
@@ -38,7 +38,7 @@ const DEFAULTS: [(&str, &str); 7] = [
 
 /// What begins to receive once the node runs.
 type SubscriptionTask = Box<dyn FnOnce(&Session) -> Result<Subscription, SessionError> + Send>;
-/// Which other sessions subscribe to which topic, by the key that says so.
+/// Other sessions that subscribe to each topic, by the key of the subscription.
 type OtherSubscriptions = Arc<Mutex<BTreeMap<String, String>>>;
 
 /// A node over zenoh, before it receives.
@@ -237,7 +237,7 @@ impl RunningTransport for RunningZenohNode {
     }
 }
 
-/// The configuration that the environment asks for, by the variables of rmw_zenoh.
+/// The configuration from the environment, by the variables of rmw_zenoh.
 pub fn zenoh_configuration(environment: &Environment) -> Result<SessionConfiguration, RosError> {
     let refused = |name: &'static str, value: &str, error: SessionError| RosError::Zenoh {
         name,
@@ -298,7 +298,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn messages_have_a_head_and_come_back_in_both_orders() {
+    fn messages_have_a_header_and_round_trip_in_both_byte_orders() {
         let scan =
             LaserScan { header: Header::new(5, "laser"), ranges: vec![1.0, 2.5], ..LaserScan::default() };
         let bytes = encode(&scan).unwrap();

@@ -155,12 +155,12 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_behind_garbage_is_found_and_each_garbage_is_named_once() {
+    fn frames_after_garbage_are_found_and_each_garbage_is_reported_once() {
         let (bytes, expected) = stream();
         let mut reader = FrameReader::default();
         reader.push(b"driver 1.2 starts {ok}\n");
         reader.push(&bytes);
-        // A producer that died within a frame, and within a line.
+        // A producer that ended within a frame, and within a line.
         reader.push(&bytes[..40]);
         reader.push(&bytes);
         reader.push(br#"{"scan":{"stamp_ns":5,"ranges_m":[1,2"#);
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_says_it_is_huge_takes_no_memory() {
+    fn a_frame_with_a_huge_length_allocates_no_memory() {
         let mut reader = FrameReader::default();
         let mut bytes = [&MAGIC[..], &[1, 0, 0, 0]].concat();
         bytes.extend([0xff; 8]);

@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_that_are_none_say_why() {
+    fn invalid_lines_give_the_reason() {
         for (line, reason) in [
             (r#"{"scan":{"stamp_ns":5}}"#, "missing field"),
             (r#"{"scans":{}}"#, "unknown variant"),

@@ -1,7 +1,7 @@
 //! What sensors of a robot say – scans, odometry, transforms, rates of turning – and how it travels from a driver to a process set: as
 //! binary frames or lines of JSON on a local socket or a pipe.
 //!
-//! A producer makes [`SensorFrame`]s and hands them to a [`Producer`]; whoever listens gives the bytes that come to a
+//! A producer makes [`SensorFrame`]s and hands them to a [`Producer`]; the receiver gives the bytes that come to a
 //! [`FrameReader`]. docs/drivers.md describes the frames byte by byte.
 //!
 //! ```

@@ -27,13 +27,13 @@ pub enum SendError {
     Broken {
         /// The socket.
         path: PathBuf,
-        /// What the system said.
+        /// Message of the system.
         error: io::Error,
     },
 }
 
 /// A producer of frames: connects to the socket of a set, sends frames, and connects again with a growing pause when the set, or its
-/// lidar-ingest, was restarted. Static transforms are sent again on each connection, since whoever listens may have lost them.
+/// lidar-ingest, was restarted. Static transforms are sent again on each connection, since a restarted receiver has lost them.
 ///
 /// ```no_run
 /// # use flockslam_sensor_stream::{Producer, SensorFrame};
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_producer_outlives_those_who_listen_and_says_again_what_always_holds() {
+    fn a_producer_outlives_its_listeners_and_resends_static_transforms() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("scans");
         let [scan, odometry, statics, _] = every_kind();
@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn who_does_not_read_holds_a_producer_up_for_its_timeout_only() {
+    fn a_stalled_reader_delays_a_producer_by_its_timeout_only() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("scans");
         let _listener = UnixListener::bind(&path).unwrap();

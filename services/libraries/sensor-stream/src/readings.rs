@@ -1,4 +1,4 @@
-//! What sensors say, whatever said it: a recording, a driver, another process.
+//! Sensor readings from any source: a recording, a driver, another process.
 
 use flockslam_geometry::Twist;
 use flockslam_messages::ScanBuffer;
@@ -7,10 +7,10 @@ use nalgebra::Vector3;
 
 /// More beams than this are refused: ten times as many as any known lidar has.
 pub const BEAMS_MAX: usize = 10_000_000;
-/// No lidar takes longer for a turn, seconds; a driver that says so fills the field with something else.
+/// No lidar takes longer for a turn, seconds; a driver with a larger value fills the field with something else.
 const SWEEP_MAX_S: f32 = 1.2;
 
-/// What a sensor says at once.
+/// One reading of a sensor.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SensorFrame {
     /// A scan of one of the robot's lidars.
@@ -39,7 +39,7 @@ pub struct FramedScan {
     pub frame: String,
     /// The scan: stamp of its first beam, angles, times of beams, limits, ranges and intensities. The rest of its header is as new.
     pub scan: ScanBuffer,
-    /// Where the lidar sits, where its driver says so.
+    /// Mounting of the lidar, where its driver gives it.
     pub mounting: Option<Mounting>,
 }
 
@@ -48,7 +48,7 @@ pub struct FramedScan {
 pub struct OdometryReading {
     /// From the frame of odometry to that of the robot.
     pub transform: StampedTransform,
-    /// How fast the robot moves, in its own frame, where that is said.
+    /// Twist of the robot, in its own frame, where it is given.
     pub twist: Option<Twist>,
 }
 

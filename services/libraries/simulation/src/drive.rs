@@ -28,7 +28,7 @@ const TURN_GAIN: f64 = 2.0;
 const PAUSE_EVERY_S: f64 = 1000.0;
 /// How long a pause takes, seconds.
 const PAUSE_S: (f64, f64) = (60.0, 180.0);
-/// Who is carried away is put down at least this far off, metres, where the world is large enough.
+/// A kidnapped robot is put down at least this far off, metres, where the world is large enough.
 const CARRIED_M: f64 = 5.0;
 /// Legs that may be planned before one must lead away from the start.
 const LEGS_TO_LEAVE: usize = 1000;
@@ -68,13 +68,13 @@ impl Limits {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Turn {
     tick_s: f64,
-    /// `world_from_base` at the beginning of each tick, and the body's velocity during it.
+    /// `world_from_base` at the start of each tick, and the twist in the body frame during it.
     ticks: Vec<(Pose, Twist)>,
     end: Pose,
 }
 
 impl Drive {
-    /// Stands at the beginning of a tour.
+    /// Stands at the start of a tour.
     pub(super) fn new(settings: &Settings, mut tour: Tour, tick_s: f64) -> Self {
         let mut way = VecDeque::new();
         let mut ahead = None;
@@ -165,7 +165,7 @@ impl Drive {
 }
 
 impl Turn {
-    /// `world_from_base` at its beginning.
+    /// `world_from_base` at its start.
     pub(super) fn start(&self) -> Pose {
         self.ticks[0].0
     }
@@ -175,7 +175,7 @@ impl Turn {
         self.end
     }
 
-    /// `world_from_base` so many seconds after its beginning.
+    /// `world_from_base` so many seconds after its start.
     pub(super) fn pose_after(&self, seconds: f64) -> Pose {
         let ticks = seconds / self.tick_s;
         let whole = (ticks as usize).min(self.ticks.len() - 1);

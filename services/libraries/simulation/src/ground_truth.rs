@@ -39,7 +39,7 @@ pub struct CellTruth {
     viewed_ns: i64,
     /// Whether anything stood in it that is not part of the world.
     pub was_taken: bool,
-    /// How often it was looked through, at least 0.3 s apart, since that left or from the beginning; it saturates.
+    /// How often it was looked through, at least 0.3 s apart, since that left or from the start; it saturates.
     pub clear_views: u8,
     /// Sequence of the scan that met something in it last.
     pub met_by: u32,

@@ -69,7 +69,7 @@ pub struct Simulation {
     dynamics: Dynamics,
     wheels: Wheels,
     lidar: Lidar,
-    /// When the robot is carried away, seconds, the last first.
+    /// When the robot is kidnapped, seconds, the last first.
     kidnaps_s: Vec<f64>,
     kidnapper: Random,
     period_s: f64,

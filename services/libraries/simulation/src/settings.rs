@@ -48,14 +48,14 @@ pub struct Settings {
     pub range_max_m: f32,
     /// How often, over the whole drive, a wheel slips for about a second.
     pub wheel_slips: u32,
-    /// When the robot is carried away, unnoticed by its wheels, and put down at another free place with another heading:
+    /// When the robot is kidnapped, without a trace in its odometry, and put down at another free place with another heading:
     /// seconds since the start, at most 100 times.
     pub kidnap_at_s: Vec<f64>,
     /// People who walk from place to place around the robot, and now and then stand for some seconds.
     pub walkers: u32,
-    /// Whether somebody walks behind the robot.
+    /// Whether a person walks behind the robot.
     pub follower: bool,
-    /// Doors at most, in passages of up to 1.7 m: they open and close at random, and open for whoever comes near.
+    /// Doors at most, in passages of up to 1.7 m: they open and close at random, and open for people and robots that come near.
     pub doors: u32,
     /// Pallets that appear around the robot and vanish.
     pub pallets: u32,

@@ -22,7 +22,7 @@ fn run_with(settings: &Settings, errors: &Errors) -> Vec<(ScanBuffer, Pose)> {
     Simulation::with_errors(settings, World::built_in(settings), errors).unwrap().collect()
 }
 
-/// With a lidar and wheels that err in nothing, and no slips but those that are asked for.
+/// With a lidar and odometry without noise, and no slips but the configured ones.
 fn run_ideal(settings: Settings, wheel_slips: u32) -> Vec<(ScanBuffer, Pose)> {
     run_with(&Settings { wheel_slips, ..settings }, &no_errors())
 }
@@ -73,7 +73,7 @@ fn the_worlds_have_rounds_that_close() {
     }
 }
 
-/// The wheels do not notice that the robot is carried away; only the truth jumps, and what the lidar sees with it.
+/// Odometry does not show a kidnapping; only the ground truth jumps, and the scans with it.
 #[test]
 fn a_kidnap_moves_the_truth_only() {
     let free = Settings { duration_s: 60.0, ..Settings::default() };
@@ -167,7 +167,7 @@ fn a_slip_turns_odometry_only() {
 }
 
 #[test]
-fn noise_has_the_size_that_was_asked_for() {
+fn noise_has_the_requested_size() {
     let exact = run_ideal(short(), 0);
     let noisy = run_with(&short(), &Errors { mixed_pixel_share: 0.0, ..Errors::default() });
     let (mut errors, mut lost, mut seen) = (Vec::new(), 0.0, 0.0);

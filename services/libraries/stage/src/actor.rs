@@ -64,13 +64,13 @@ const ASIDE: Duration = Duration::from_micros(20);
 /// … and its timer slack, nanoseconds: the default of Linux adds 50 µs.
 const TIMER_SLACK_NS: NonZeroU64 = NonZeroU64::MIN;
 
-/// Runs a stage until it is asked to stop: work while there is work, sleep on the event while there is none.
+/// Runs a stage until its stop is requested: work while there is work, sleep on the event while there is none.
 ///
 /// # Errors
 /// The error that the actor could not recover from.
 pub fn run(context: &mut StageContext, actor: &mut dyn Actor, event: &Listener) -> Result<(), StageError> {
     let loops = loops_after(context.stage);
-    let (mut refreshed_ns, mut worked_ns, mut awake_until_ns) = (0, 0, 0);
+    let (mut refreshed_ns, mut worked_ns, mut poll_until_ns) = (0, 0, 0);
     // Without it waiting takes longer, and nothing else changes.
     let _ = rustix::thread::set_current_timer_slack(Some(TIMER_SLACK_NS));
     context.ready();
@@ -98,10 +98,10 @@ pub fn run(context: &mut StageContext, actor: &mut dyn Actor, event: &Listener) 
         }
         context.report.write_sometimes(now_ns, is_quiet);
         if !idle {
-            awake_until_ns = 0;
+            poll_until_ns = 0;
             continue;
         }
-        if now_ns < awake_until_ns {
+        if now_ns < poll_until_ns {
             // The process that sends it may wait for this very processor.
             step_aside();
             continue;
@@ -112,7 +112,7 @@ pub fn run(context: &mut StageContext, actor: &mut dyn Actor, event: &Listener) 
         let wait_max = if rests { RESTING } else { wait_max.min(REFRESH) };
         let wait_max = if is_quiet { wait_max } else { wait_max.min(until_quiet) };
         if event.wait(wait_max)? == Wake::Announced {
-            awake_until_ns = context.now_ns() + AWAKE_NS;
+            poll_until_ns = context.now_ns() + AWAKE_NS;
         }
     }
     actor.close(context)?;

@@ -42,7 +42,7 @@ impl GridReader {
     ///
     /// # Errors
     /// When the bus fails.
-    pub fn ask_for_tiles(&self) -> Result<(), StageError> {
+    pub fn request_tiles(&self) -> Result<(), StageError> {
         self.control.send(&Control { kind: ControlKind::TilesWanted as u32, run: 0, value: 0 })?;
         self.mapper.notify();
         Ok(())

@@ -14,7 +14,7 @@ use std::time::Duration;
 const LOOK: Duration = Duration::from_millis(100);
 
 /// The right to be the active process of a stage: a lock on a file. The kernel takes it
-/// from a process that dies, however it dies, and gives it to the next one at once.
+/// from a process that ends, however it ends, and gives it to the next one at once.
 pub struct LeaderLock {
     ours: Arc<AtomicBool>,
     // Held as long as the process lives.

@@ -25,7 +25,7 @@ impl MemoryUse {
         Self::parse(&text("/proc/self/smaps_rollup"), &text("/proc/self/status"))
     }
 
-    /// The same by the kernel's counters alone, which lag behind by some pages. A look at all pages takes as long as matching a scan.
+    /// The same by the kernel's counters alone, which lag behind by some pages. Reading all pages takes as long as matching a scan.
     pub fn roughly_of_this_process() -> Self {
         Self::parse("", &fs::read_to_string("/proc/self/status").unwrap_or_default())
     }

@@ -81,9 +81,9 @@ pub struct StreamEnd {
     pub scans: Option<u64>,
     /// Submaps of the mapper, once it has closed the last one.
     pub submaps: Option<u64>,
-    /// The source is asked to end.
+    /// The end of the source is requested.
     pub end_wanted: bool,
-    /// A reader has asked for all live tiles since the last look.
+    /// A reader has requested all live tiles since the last poll.
     pub tiles_wanted: bool,
     received_ns: Option<u64>,
     clock: Clock,

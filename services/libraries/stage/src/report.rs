@@ -189,7 +189,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_report_comes_back_with_its_histograms() {
+    fn a_report_round_trips_with_its_histograms() {
         let directory = tempfile::tempdir().unwrap();
         let mut writer = ReportWriter::new(directory.path(), "mapper-0");
         writer.handled(1_000, 50_000);

@@ -116,7 +116,7 @@ pub struct Journaled {
     pub scan: Option<ScanBuffer>,
 }
 
-/// Reads the journal from its beginning; it may still be growing, or not be there yet.
+/// Reads the journal from its start; it may still be growing, or not be there yet.
 pub struct JournalReader {
     path: PathBuf,
     records: Option<RecordReader>,

@@ -66,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn a_beam_points_where_the_transform_says() {
+    fn a_beam_has_the_direction_of_the_transform() {
         for (roll, pitch, yaw) in [(0.0, 0.0, 0.5), (PI, 0.0, 0.5), (0.0, PI, -2.0), (PI, 0.0, PI)] {
             let transform = pose(roll, pitch, yaw);
             let mounting = Mounting::from_transform(&transform).unwrap();

@@ -51,7 +51,7 @@ mod tests {
     }
 
     #[test]
-    fn time_has_gone_back_when_what_lies_behind_goes_on() {
+    fn time_has_gone_back_when_older_stamps_go_on() {
         assert_eq!(seen(&[9000, 9100, 100, 200, 300, 400]), [false, false, false, true, false, false]);
         assert_eq!(seen(&[9000, 7500, 9100]), [false; 3], "out of order");
         assert_eq!(seen(&[9000, 100, 9100, 200, 9200]), [false; 5], "one of two senders is late");

@@ -47,7 +47,7 @@ pub enum LookupError {
 pub struct TransformBuffer {
     /// By child frame.
     links: BTreeMap<String, Link>,
-    /// What is said of a frame is dropped when its time goes back.
+    /// The transforms of a frame are dropped when its time goes back.
     follows_time: bool,
     /// How often a frame has got a parent, or another one.
     links_version: u64,
@@ -79,7 +79,7 @@ pub fn frame_name(name: &str) -> &str {
 }
 
 impl TransformBuffer {
-    /// Of those who speak now: when the stamps of a frame go back and go on from there, its poses up to then are dropped.
+    /// Of present publishers: when the stamps of a frame go back and go on from there, its poses up to then are dropped.
     pub fn live() -> Self {
         Self { follows_time: true, ..Self::default() }
     }
@@ -241,7 +241,7 @@ impl Link {
 
     fn pose_at(&self, at_ns: i64) -> Result<Isometry3<f64>, LookupError> {
         if self.poses.is_empty() {
-            // Its time has gone back, and nothing was said since.
+            // Its time has gone back, and no transform was received since.
             return Err(LookupError::NotYet);
         }
         let after = self.first_from(at_ns);
@@ -331,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn when_time_goes_back_what_was_known_of_a_frame_is_dropped_by_who_follows_it() {
+    fn when_time_goes_back_followers_drop_the_history_of_a_frame() {
         let second = 1_000_000_000;
         for mut buffer in [TransformBuffer::live(), TransformBuffer::default()] {
             buffer.insert(&transform(0, "base_link", "laser", 0.3, 0.0), true);

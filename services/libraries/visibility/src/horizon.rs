@@ -121,7 +121,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_hidden_is_judged_open(
+        fn hidden_cells_are_classified_as_open(
             ranges in prop::collection::vec(0.5..9.0_f32, 180), heading_rad in -3.1..3.1_f64, first_rad in -3.1..3.1_f64,
             cells in prop::collection::vec((-200..200_i32, -200..200_i32), 300),
         ) {

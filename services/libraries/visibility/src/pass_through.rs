@@ -7,7 +7,7 @@ use flockslam_geometry::elementary::atan2;
 use flockslam_geometry::{Point, Pose};
 use std::f64::consts::SQRT_2;
 
-/// Nearer cells are not judged, metres: they fill too much of the view, and the robot may see itself.
+/// Nearer cells are not classified, metres: they fill too much of the view, and the robot may see itself.
 const NEAR_M: f64 = 0.3;
 
 /// Where a beam passes a cell, no beam ends within so many cells of it.
@@ -51,7 +51,7 @@ impl Margins {
     }
 }
 
-/// A scan at its place, ready to judge cells.
+/// A scan at its pose, ready to classify cells.
 ///
 /// ```
 /// use flockslam_geometry::{Point, Pose, Twist};

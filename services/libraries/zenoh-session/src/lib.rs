@@ -1,4 +1,4 @@
-//! What is published, subscribed to, asked and announced over a session of zenoh. The only crate that knows zenoh.
+//! Publishers, subscribers, queries and liveliness over a session of zenoh. The only crate that knows zenoh.
 
 mod session_configuration;
 mod zenoh_session;

@@ -11,7 +11,7 @@ impl SessionConfiguration {
     /// From a file in JSON5, as zenoh documents it.
     ///
     /// # Errors
-    /// When it cannot be read, or says what zenoh does not know.
+    /// When it cannot be read, or has keys that zenoh does not know.
     pub fn from_file(path: &Path) -> Result<Self, SessionError> {
         zenoh::Config::from_file(path)
             .map(Self)

@@ -14,10 +14,10 @@ use zenoh_ext::{
     CacheConfig, HistoryConfig, MissDetectionConfig, RecoveryConfig,
 };
 
-/// What a subscriber asks a publisher for that kept messages is answered within this.
+/// A query for kept messages of a publisher is answered within this time.
 const KEPT_TIMEOUT: Duration = Duration::from_secs(60);
 
-/// What zenoh says when it refuses.
+/// Message of zenoh for a rejected configuration.
 #[derive(Clone, Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct SessionError(pub(crate) String);
@@ -33,7 +33,7 @@ impl From<zenoh::Error> for SessionError {
 pub struct Delivery {
     /// Over links that have both, by one that loses nothing.
     pub is_reliable: bool,
-    /// So many of the last messages are for who comes later; 0 for none.
+    /// Number of the last messages that are kept for late subscribers; 0 for none.
     pub kept: usize,
 }
 
@@ -45,7 +45,7 @@ pub struct Session(zenoh::Session);
 #[derive(Debug)]
 pub struct ReceivedMessage<'s>(&'s Sample);
 
-/// A question that was asked, and the way back.
+/// A query, and the channel for its answer.
 #[derive(Debug)]
 pub struct Question(Query);
 
@@ -81,7 +81,7 @@ impl ReceivedMessage<'_> {
         self.0.payload().len()
     }
 
-    /// What it says.
+    /// Its message.
     pub fn bytes(&self) -> Cow<'_, [u8]> {
         self.0.payload().to_bytes()
     }
@@ -93,7 +93,7 @@ impl ReceivedMessage<'_> {
 }
 
 impl Question {
-    /// What it says.
+    /// Its message.
     pub fn bytes(&self) -> Cow<'_, [u8]> {
         self.0.payload().map(zenoh::bytes::ZBytes::to_bytes).unwrap_or_default()
     }

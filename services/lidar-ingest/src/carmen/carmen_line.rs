@@ -48,7 +48,7 @@ pub(super) fn parse_line(line: &[u8], settings: &Settings, scan: &mut ScanBuffer
     }
 }
 
-/// Whether the line could be the beginning of a known message's name.
+/// Whether the line could be the start of a known message's name.
 pub(super) fn begins_a_message(line: &[u8]) -> bool {
     let names = OTHER_MESSAGES.iter().map(|(name, _)| *name).chain(SCAN_MESSAGES);
     !line.is_empty() && names.into_iter().any(|name| name.as_bytes().starts_with(line))
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn robotlaser_says_its_own_angles_limit_and_remissions() {
+    fn robotlaser_gives_its_own_angles_limit_and_remissions() {
         let line = "ROBOTLASER1 0 -1.2 2.0 0.5 80.0 0.01 0 3 1.0 80.0 81.9 3 10 20 30 0.1 0 0 0 0 0 \
                     0.5 0.1 0.2 0.2 0 7.000001 host 0.1";
         let scan = parse(line).unwrap();
@@ -258,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_lines_say_why() {
+    fn bad_lines_give_the_reason() {
         let cases = [
             ("FLASER", Rejection::TooFewFields),
             ("FLASER 0 1 2 3 4 5 6 7", Rejection::BeamCount),

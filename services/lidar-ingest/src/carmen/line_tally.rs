@@ -20,7 +20,7 @@ pub struct Tally {
     pub invalid_beams: u64,
     /// Scans whose stamp was not later than the one before; where a period is needed the nominal one is meant.
     pub steps_backward: u64,
-    /// Scans that a recording of a set says it has missed.
+    /// Scans that a recording of a set reports as missed.
     pub missing: u64,
 }
 

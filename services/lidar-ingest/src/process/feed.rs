@@ -115,7 +115,7 @@ impl Feed {
         Ok(())
     }
 
-    /// Whether it goes on by itself, whoever listens.
+    /// Whether it goes on by itself, also without a receiver.
     pub fn is_sensor(&self) -> bool {
         matches!(self.kind, Kind::Sensors(_))
     }

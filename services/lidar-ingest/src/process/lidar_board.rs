@@ -26,13 +26,13 @@ pub struct LidarLineStatus {
     pub state: String,
     /// What is the matter, where something is.
     pub problem: Option<String>,
-    /// Its model, as it says.
+    /// Its model, as it reports.
     pub model: Option<String>,
-    /// Its firmware, as it says.
+    /// Its firmware, as it reports.
     pub firmware: Option<String>,
-    /// Its serial number, as it says.
+    /// Its serial number, as it reports.
     pub serial_number: Option<String>,
-    /// How it is, as it says.
+    /// Its health, as it reports.
     pub health: Option<String>,
     /// The rate of its line, bits a second.
     pub baud: Option<u32>,

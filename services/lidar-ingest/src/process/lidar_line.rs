@@ -100,7 +100,7 @@ impl Line {
         }
     }
 
-    /// Carries out what a driver wants.
+    /// Executes the requests of a driver.
     ///
     /// # Errors
     /// When the line is gone.

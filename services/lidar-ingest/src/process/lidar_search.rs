@@ -36,7 +36,7 @@ pub struct FoundLidar {
     pub family: Family,
     /// At which rate, bits a second.
     pub rate: Option<u32>,
-    /// What it says of itself.
+    /// Its identification.
     pub device: Device,
 }
 
@@ -71,7 +71,7 @@ fn stable_name(path: &Path) -> Option<PathBuf> {
     names.flatten().map(|name| name.path()).find(is_it)
 }
 
-/// What lidar answers at a place. With `asks` false nothing is sent: only lidars that speak by themselves are found.
+/// What lidar answers at a place. With `asks` false nothing is sent: only lidars that send without a request are found.
 ///
 /// # Errors
 /// When the place cannot be used, in words for the user.

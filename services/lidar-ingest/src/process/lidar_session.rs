@@ -1,4 +1,4 @@
-//! A lidar that is looked after: its line is opened, its driver asked and fed; when it is gone, silent or garbled, it is tried again.
+//! The session of a lidar: its line is opened, its driver is run; when it is gone, silent or garbled, it is tried again.
 
 use super::lidar_line::{LidarSpec, Line};
 use flockslam_lidars::{Counts, Device, Driver, Turn};
@@ -82,7 +82,7 @@ impl fmt::Display for LidarState {
     }
 }
 
-/// What a look at a lidar brings to light.
+/// Result of polling a lidar.
 pub trait LidarHandler {
     /// A turn is complete.
     fn turn(&mut self, spec: &LidarSpec, turn: &Turn);
@@ -157,7 +157,7 @@ impl LidarSession {
         &self.state
     }
 
-    /// What it says of itself.
+    /// Its identification.
     pub fn device(&self) -> &Device {
         self.open.as_ref().map_or(&self.device, |open| open.driver.device())
     }
@@ -286,7 +286,7 @@ impl LidarSession {
         }
         self.retry_ns = now_ns + self.pause_ns;
         self.pause_ns = (2 * self.pause_ns).min(RETRY_LAST_NS);
-        // What stays as it was is said once; so is each further rate at which nothing comes.
+        // An unchanged state is logged once; so is each further rate without data.
         if problem.name() == self.state.name() {
             self.state = problem;
         } else {

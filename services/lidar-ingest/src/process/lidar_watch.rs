@@ -4,7 +4,7 @@ use flockslam_results::LidarStatus;
 use flockslam_stage::StageContext;
 use flockslam_telemetry::{Counter, CountersByLabels, Gauge, GaugesByLabels, names};
 
-/// How lidars are is left for who asks so often, nanoseconds.
+/// Period at which the status of lidars is written, nanoseconds.
 const PERIOD_NS: u64 = 500_000_000;
 
 /// What is known of each lidar, by number.
@@ -21,8 +21,8 @@ struct Watched {
     status: LidarStatus,
     scans: Counter,
     age: Gauge,
-    /// It was said that it is silent.
-    said_silent: bool,
+    /// The warning about its silence was logged.
+    silence_reported: bool,
 }
 
 impl LidarWatch {
@@ -44,25 +44,25 @@ impl LidarWatch {
             let name = name(self.lidars.len() as u32);
             let (scans, age) = (self.counters.one(&[&name]), self.ages.one(&[&name]));
             let status = LidarStatus { lidar: name, ..LidarStatus::default() };
-            self.lidars.push(Watched { status, scans, age, said_silent: false });
+            self.lidars.push(Watched { status, scans, age, silence_reported: false });
         }
         let watched = &mut self.lidars[lidar as usize];
         watched.scans.inc();
         (watched.status.scans, watched.status.last_ns) = (watched.status.scans + 1, now_ns);
     }
 
-    /// Leaves it for who asks, when that was not done for a while. A lidar that has fallen silent while another goes on is named.
+    /// Writes the status, when that was not done for a while. A lidar that is silent while another goes on is logged.
     pub fn look(&mut self, context: &StageContext, now_ns: u64) {
-        let speaking = self.lidars.iter().any(|lidar| !lidar.status.is_silent(now_ns));
-        for Watched { status, age, said_silent, .. } in &mut self.lidars {
+        let others_active = self.lidars.iter().any(|lidar| !lidar.status.is_silent(now_ns));
+        for Watched { status, age, silence_reported, .. } in &mut self.lidars {
             if status.scans == 0 {
                 continue;
             }
             age.set(status.age_s(now_ns));
             let is_silent = status.is_silent(now_ns);
-            if is_silent && speaking && !std::mem::replace(said_silent, true) {
+            if is_silent && others_active && !std::mem::replace(silence_reported, true) {
                 tracing::warn!("lidar '{}' has fallen silent: the set goes on without it", status.lidar);
-            } else if !is_silent && std::mem::take(said_silent) {
+            } else if !is_silent && std::mem::take(silence_reported) {
                 tracing::warn!("lidar '{}' is back", status.lidar);
             }
         }

@@ -94,13 +94,13 @@ struct LidarOutput {
     /// The stage goes on.
     goes_on: bool,
     changed: bool,
-    /// Lidars of which a problem was said.
+    /// Lidars with a logged problem.
     troubled: BTreeSet<String>,
 }
 
 impl LidarHandler for LidarOutput {
     fn turn(&mut self, spec: &LidarSpec, turn: &Turn) {
-        // They wake up while this process brings the turn to the bus.
+        // They wake up while this process publishes the turn.
         self.first.iter().for_each(Notifier::announce);
         let mut scan = ScanBuffer::default();
         turn.write_scan(&mut scan);

@@ -97,7 +97,7 @@ pub struct TransformSummary {
     pub parent: String,
     /// The frame.
     pub child: String,
-    /// It is said once, for all times.
+    /// It is logged only once.
     pub is_static: bool,
 }
 

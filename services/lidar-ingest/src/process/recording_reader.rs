@@ -59,7 +59,7 @@ impl RecordingReader {
         self.choice.scans.iter().map(|topic| self.recording.topics()[*topic].name.as_str())
     }
 
-    /// Number of scans that the recording says it has.
+    /// Number of scans that the recording announces.
     pub fn expected_scans(&self) -> u64 {
         self.choice.scans.iter().map(|topic| self.recording.topics()[*topic].messages).sum()
     }

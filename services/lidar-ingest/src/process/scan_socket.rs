@@ -17,7 +17,7 @@ const PRODUCERS_MAX: usize = 32;
 /// Read at once from one producer.
 const BUFFER_BYTES: usize = 1 << 16;
 
-/// Listens at `path`, in place of a predecessor that has died. Live, it goes on for ever; else the stream ends when the last producer has
+/// Listens at `path`, in place of a predecessor that has ended. Live, it goes on for ever; else the stream ends when the last producer has
 /// gone.
 pub fn listen_at(context: &StageContext, path: &Path) -> Result<SensorInlet, StageError> {
     let (maker, inlet) = inlet();
@@ -65,7 +65,7 @@ struct Connection {
     reader: FrameReader,
 }
 
-/// What came of a look at a connection.
+/// Result of polling a connection.
 enum Look {
     Open,
     Closed,

@@ -38,8 +38,8 @@ pub struct SensorFeed {
     times_back: u64,
     tally: Tally,
     producers: Producers,
-    /// The last scans could not be placed, which was said.
-    said_unplaced: bool,
+    /// The last scans had no transform, which was logged.
+    unplaced_reported: bool,
 }
 
 /// What is known of one lidar.
@@ -49,14 +49,14 @@ struct LidarState {
     last_stamp_ns: Option<i64>,
 }
 
-/// Counts of those who send.
+/// Counts by sender.
 #[derive(Clone, Copy, Debug, Default)]
 struct Producers {
     came: u64,
     went: u64,
     broken_off: u64,
-    /// Of the present producers one has sent what is no frame, which was said.
-    said_problem: bool,
+    /// One of the present producers has sent an invalid frame, which was logged.
+    problem_reported: bool,
 }
 
 impl SensorFeed {
@@ -85,7 +85,7 @@ impl SensorFeed {
             times_back: 0,
             tally: Tally::default(),
             producers: Producers::default(),
-            said_unplaced: false,
+            unplaced_reported: false,
         })
     }
 
@@ -111,7 +111,7 @@ impl SensorFeed {
             ("producers_came", producers.came),
             ("producers_went", producers.went),
             ("frames_broken_off", producers.broken_off),
-            ("odometry_carried_on", guesses.carried_on),
+            ("odometry_carried_on", guesses.extrapolated),
             ("odometry_missing", guesses.without),
             ("times_gone_back", self.times_back),
         ]
@@ -172,13 +172,13 @@ impl SensorFeed {
             SensorEvent::Went { within_frame } => {
                 self.producers.went += 1;
                 self.producers.broken_off += u64::from(within_frame);
-                self.producers.said_problem = false;
+                self.producers.problem_reported = false;
                 tracing::info!(source = self.name, within_frame, "a producer has gone");
             }
             SensorEvent::Problem(problem) => {
                 self.tally.lines += 1;
                 self.tally.reject(Rejection::BadFrame);
-                if !std::mem::replace(&mut self.producers.said_problem, true) {
+                if !std::mem::replace(&mut self.producers.problem_reported, true) {
                     tracing::warn!("{}: {problem}: passed over, counted", self.name);
                 }
             }
@@ -209,7 +209,7 @@ impl SensorFeed {
             }
             SensorFrame::Transforms(TransformsReading { is_static, transforms }) => {
                 let stamps = transforms.iter().map(|transform| transform.stamp_ns);
-                // What always holds says nothing of the time.
+                // Static transforms give no time.
                 let newest_ns = stamps.max().filter(|_| !is_static).unwrap_or(i64::MIN);
                 let at_ns = self.time_ns(newest_ns, received_ns);
                 self.locator.push_transforms(at_ns, &transforms, is_static);
@@ -233,7 +233,7 @@ impl SensorFeed {
             }
         };
         if scan.frame.is_empty() {
-            // Nothing is said: the lidar is the robot.
+            // No mounting is given: the lidar's frame is the base frame.
             let middle = Mounting { base_from_laser: Pose::IDENTITY, upside_down: false };
             scan.mounting.get_or_insert(middle);
         }
@@ -249,7 +249,7 @@ impl SensorFeed {
         loop {
             match self.locator.take(self.at_end) {
                 Ok(located) => {
-                    self.said_unplaced &= located.is_none();
+                    self.unplaced_reported &= located.is_none();
                     return Ok(located);
                 }
                 Err(problem) if self.mode == Mode::Exact => {
@@ -258,7 +258,7 @@ impl SensorFeed {
                 Err(problem) => {
                     let lidar = self.locator.give_up();
                     self.tally.reject(Rejection::Unplaced);
-                    if !std::mem::replace(&mut self.said_unplaced, true) {
+                    if !std::mem::replace(&mut self.unplaced_reported, true) {
                         let lidar = lidar.map(|number| self.names.name(number)).unwrap_or_default();
                         tracing::warn!("{}: scans of lidar '{lidar}' are left out: {problem}", self.name);
                     }

@@ -1,4 +1,4 @@
-//! What threads that listen to sensors hand to the stage: frames, scans, and what befell those who sent them.
+//! Messages from the threads that receive sensor data to the stage: frames, scans, and errors of their senders.
 
 use crate::carmen::Tally;
 use crossbeam::channel::{Receiver, Sender, bounded};

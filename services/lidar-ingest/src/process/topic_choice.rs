@@ -38,7 +38,7 @@ pub enum ReadRecordingError {
         /// Those with odometry.
         topics: String,
     },
-    /// A topic that was named is not there, or says something else.
+    /// A topic that was named does not exist, or has another type.
     #[error("{name}: no {kind} on {topic}; there are: {topics}")]
     NoTopic {
         /// The recording.

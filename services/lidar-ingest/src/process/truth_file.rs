@@ -14,7 +14,7 @@ pub struct TruthWriter {
 }
 
 impl TruthWriter {
-    /// Begins the trajectory anew, under a name that says that it is not whole yet.
+    /// Restarts the trajectory, under the name of an incomplete file.
     pub fn create(result_dir: &Path) -> Result<Self, StageError> {
         let whole = result_dir.join(TRUE_TRAJECTORY);
         Ok(Self { file: GrowingFile::create(whole.with_extension("growing"))?, whole })

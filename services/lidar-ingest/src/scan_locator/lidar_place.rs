@@ -83,7 +83,7 @@ impl ScanLocator {
             return Ok(given.base_from_laser());
         }
         if frames.base == laser || self.transforms.is_empty() {
-            // Nobody has said anything: the lidar is the robot.
+            // No mounting is given: the lidar's frame is the base frame.
             return Ok(Isometry3::identity());
         }
         let before = self.last_places.get(&lidar).map(|last| last.base_from_laser);

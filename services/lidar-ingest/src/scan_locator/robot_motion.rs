@@ -10,14 +10,14 @@ use flockslam_transforms::{Isometry3, LookupError, planar};
 pub(super) struct MotionEnd {
     odom_from_base: Isometry3<f64>,
     /// For so long it is known, of the duration of the scan, seconds; `None`: to the end.
-    carried_on: Option<(f64, f64)>,
+    extrapolated: Option<(f64, f64)>,
 }
 
 impl MotionEnd {
-    /// The motion during the scan from the pose at its beginning; `None` where numbers are not finite.
+    /// The motion during the scan from the pose at its start; `None` where numbers are not finite.
     pub(super) fn motion_from(&self, from: Pose) -> Option<Pose> {
         let known = from.to(planar(&self.odom_from_base));
-        let motion = self.carried_on.map_or(known, |(known_s, duration_s)| {
+        let motion = self.extrapolated.map_or(known, |(known_s, duration_s)| {
             Twist::from_motion(known, known_s).motion_after(duration_s)
         });
         Some(motion).filter(|motion| motion.is_finite())
@@ -84,7 +84,7 @@ impl ScanLocator {
         let until_ns = from_ns.saturating_add((duration_s * 1e9) as i64);
         let at_end = self.odometry_in_space(frames, until_ns);
         if at_end != Err(LookupError::NotYet) || self.live.is_none() {
-            return at_end.map(|odom_from_base| MotionEnd { odom_from_base, carried_on: None });
+            return at_end.map(|odom_from_base| MotionEnd { odom_from_base, extrapolated: None });
         }
         let known_ns = self.odometry_known_until_ns(frames).ok_or(LookupError::NotYet)?;
         let known_s = known_ns.saturating_sub(from_ns) as f64 * 1e-9;
@@ -92,7 +92,7 @@ impl ScanLocator {
             return Err(LookupError::NotYet);
         }
         let odom_from_base = self.odometry_in_space(frames, known_ns)?;
-        Ok(MotionEnd { odom_from_base, carried_on: Some((known_s, duration_s)) })
+        Ok(MotionEnd { odom_from_base, extrapolated: Some((known_s, duration_s)) })
     }
 
     fn odometry_known_until_ns(&self, frames: &Frames) -> Option<i64> {
@@ -117,7 +117,7 @@ impl ScanLocator {
         })
     }
 
-    /// How fast the robot moved last: as odometry says, else by its last poses.
+    /// Last twist of the robot: from odometry, else from its last poses.
     fn twist(&self, live: &Live, frames: &Frames, until_ns: i64, last: Pose) -> Twist {
         let by_poses = || {
             let before = self.odometry_at(frames, until_ns - ODOMETRY_AGE_NS).ok()?;

@@ -212,7 +212,7 @@ fn live_a_scan_waits_a_moment_for_odometry_and_is_then_carried_on_by_its_speed()
         locator.note_time(1090 * MS);
         let late = locator.take(false).unwrap().unwrap();
         assert!((late.header.odometry.x_m - 1.04).abs() < 1e-9, "{}", late.header.odometry.x_m);
-        assert_eq!(locator.guesses(), MotionGuesses { carried_on: 1, without: 0 });
+        assert_eq!(locator.guesses(), MotionGuesses { extrapolated: 1, without: 0 });
     }
 }
 
@@ -245,7 +245,7 @@ fn live_a_transform_that_comes_late_places_the_scans_that_follow() {
 }
 
 #[test]
-fn what_a_driver_says_of_its_place_counts_and_settings_count_more() {
+fn the_mounting_of_a_driver_is_used_unless_settings_override_it() {
     let place = Mounting { base_from_laser: Pose::new(0.2, 0.0, 0.0), upside_down: true };
     let given = |stamp_ms| match scan(stamp_ms) {
         Sighting::Scan(scan) => Sighting::Scan(FramedScan { mounting: Some(place), ..scan }),

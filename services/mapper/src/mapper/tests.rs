@@ -182,7 +182,7 @@ fn an_absurd_pose_leaves_the_map_as_it_is() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(12))]
     #[test]
-    fn scores_are_what_the_evidence_says(ranges in proptest::collection::vec(0.3f32..8.0, 1..60), turn in -3.0..3.0f64) {
+    fn scores_match_the_evidence(ranges in proptest::collection::vec(0.3f32..8.0, 1..60), turn in -3.0..3.0f64) {
         for settings in [Settings::default(), Settings::vinyslam()] {
             let mut mapper = Mapper::new(settings.clone());
             for i in 0..3 {
@@ -220,7 +220,7 @@ fn standing(mapper: &Mapper) -> usize {
 }
 
 #[test]
-fn who_walks_by_leaves_no_trail_and_a_door_that_closes_is_there_at_the_third_view() {
+fn a_pedestrian_leaves_no_trail_and_a_closed_door_is_mapped_at_the_third_view() {
     let mut mapper = Mapper::new(Settings::default());
     room(&mut mapper, 0..20, |_, _| false);
     // Five beams wide, five beams a second.

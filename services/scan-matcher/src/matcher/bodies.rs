@@ -112,13 +112,13 @@ mod tests {
     }
 
     #[test]
-    fn somebody_before_a_wall_is_a_body() {
+    fn a_person_before_a_wall_is_a_body() {
         let one = points(|degree| (100..110).contains(&degree).then_some(2.0));
         assert_eq!(marked(&one), (100..110).collect::<Vec<_>>());
     }
 
     #[test]
-    fn somebody_half_behind_somebody_is_a_body() {
+    fn a_partly_occluded_person_is_a_body() {
         let two = points(|degree| match degree {
             100..110 => Some(2.0),
             110..114 => Some(3.0),

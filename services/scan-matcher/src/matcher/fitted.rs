@@ -25,7 +25,7 @@ pub(super) struct Fitted {
     pub(super) is_rescued: bool,
     /// Whether it is less certain than the prediction in some direction, and was fused with it.
     pub(super) is_fused: bool,
-    /// Whether the scan fits nowhere so well that odometry would be disbelieved: it lies at the predicted pose.
+    /// Whether no match is good enough to reject odometry: the scan keeps the predicted pose.
     pub(super) is_predicted: bool,
     /// Centre of the last wide search, if no fit was good since.
     pub(super) searched: Option<Pose>,

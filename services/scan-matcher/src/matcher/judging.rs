@@ -1,7 +1,7 @@
 //! Whether a fit is accepted.
 
 use super::{Fitted, MoverMask, ScanMatcher};
-use crate::contradiction::{contradicted, in_the_unknown};
+use crate::contradiction::{contradicted, unknown_share};
 use crate::prediction::Prediction;
 use flockslam_evidence::{Tile, TileGrid};
 use flockslam_geometry::{Covariance, Pose, Twist};
@@ -21,7 +21,7 @@ const CONTRADICTED: (f64, f64) = (0.5, 0.1);
 /// this share as well as usual. Corridors that look alike gave less, and single scans of the true place after a gap in the recording too.
 const FOUND_TIMES: u32 = 3;
 const FOUND_SHARE: f64 = 0.65;
-/// The same where scans are missing before one of those that fit nowhere: the robot has gone on, and was hardly carried.
+/// The same where scans are missing before one of those without a match: the robot has gone on, and was probably not kidnapped.
 const FOUND_SHARE_AFTER_GAP: f64 = 0.5;
 /// A scan with this share of its points in unknown space shows a new place.
 const NEW_PLACE: f64 = 0.7;
@@ -49,7 +49,7 @@ impl ScanMatcher {
         fitted: &Fitted,
         mask: &MoverMask,
         grid: &TileGrid<H>,
-        is_carried: bool,
+        was_kidnapped: bool,
     ) -> Judgement {
         let Fitted { twist, covariance, .. } = *fitted;
         if fitted.is_open {
@@ -58,11 +58,11 @@ impl ScanMatcher {
         let as_fitted = Judgement { pose: fitted.fit.pose, twist, covariance, quality: self.quality(fitted) };
         let is_poor = fitted.fit.score < self.least_score(fitted, CONTRADICTED.0);
         // Without a gap a robot was not driven where odometry rules it out, even if that place looks like the scan.
-        let may_be_there = !is_carried || self.confidence.lost_after_gap;
+        let may_be_there = !was_kidnapped || self.confidence.lost_after_gap;
         if may_be_there && self.is_found_again(fitted) && !is_contradicted(fitted, mask, grid) {
             return Judgement { quality: Quality::Degraded, ..as_fitted };
         }
-        if is_carried {
+        if was_kidnapped {
             return Judgement { quality: Quality::Lost, ..as_fitted };
         }
         if self.settings.rescue.lost_scans_max == 0 || !is_poor {
@@ -72,12 +72,12 @@ impl ScanMatcher {
             return Judgement { quality: Quality::Lost, ..as_fitted };
         }
         let Prediction { pose, twist, covariance, .. } = fitted.prediction;
-        let is_new = as_fitted.quality == Quality::Lost
-            && in_the_unknown(grid, &fitted.points.ends, pose) >= NEW_PLACE;
+        let is_new =
+            as_fitted.quality == Quality::Lost && unknown_share(grid, &fitted.points.ends, pose) >= NEW_PLACE;
         if is_new { Judgement { pose, twist, covariance, quality: Quality::Degraded } } else { as_fitted }
     }
 
-    /// Whether a scan that fits badly shows that the robot was carried. In the open scans scatter too much to tell, and without odometry
+    /// Whether a scan with a bad match shows a kidnapping. In the open, scores scatter too much, and without odometry
     /// it is not known where the robot may have driven.
     pub(super) fn is_kidnapped(&mut self, scan: ScanView<'_>, fitted: &Fitted) -> bool {
         let is_poor = fitted.fit.score < self.settings.rescue.below * self.confidence.mean_score;
@@ -90,7 +90,7 @@ impl ScanMatcher {
             && self.kidnap.is_unexplained(fitted.prediction.pose, fitted.fit.pose)
     }
 
-    /// Whether wide searches find one scan after the other along one way, though none of them well: the robot looks at what the map
+    /// Whether wide searches find one scan after the other along one way, though none of them well: the robot sees what the map
     /// hardly shows, as after a turn that no scan has seen.
     fn is_found_again(&self, fitted: &Fitted) -> bool {
         let share = if self.confidence.lost_after_gap { FOUND_SHARE_AFTER_GAP } else { FOUND_SHARE };

@@ -1,4 +1,4 @@
-//! Whether a robot was carried: two scans contradict each other wherever it may have driven between them.
+//! Kidnapping detection: two scans contradict each other at every relative pose that odometry allows.
 
 use super::ScanPoints;
 use flockslam_geometry::elementary::{atan2, hypot};
@@ -15,7 +15,7 @@ const NEARER: (f64, f64) = (0.3, 0.05);
 const COMMON_MIN: u32 = 20;
 /// Two views contradict each other when these shares of their points lie in the other's free space: both together and the lesser,
 /// or both together alone. Compared by raw odometry, 21 of 25 936 pairs of neighbouring scans in three logs reached the sum, where odometry was
-/// wrong or people went by; of 24 pairs from before and after the robot was carried, 23.
+/// wrong or people went by; of 24 pairs from before and after a kidnapping, 23.
 const CONTRADICTED: (f64, f64) = (0.4, 0.1);
 const CONTRADICTED_ALONE: f64 = 0.8;
 /// So many scans in a row that fit badly and contradict the last explained one by these shares at the predicted pose, and by this sum wherever
@@ -170,7 +170,7 @@ mod tests {
     use super::*;
 
     /// The ends of 360 beams in a rectangle around the origin, seen from a pose in it, in the robot's frame. Beams in `hidden` end at
-    /// somebody half a metre away.
+    /// a person half a metre away.
     fn view(half_x_m: f64, half_y_m: f64, at: Pose, hidden: std::ops::Range<usize>) -> View {
         let end = |beam: usize| {
             let angle = (beam as f64).to_radians();

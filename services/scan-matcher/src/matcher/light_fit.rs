@@ -20,7 +20,7 @@ const LIGHT_MOVE_MAX: (f64, f64) = (0.15, 0.2);
 /// position by few beams, but its errors add up.
 const POSITION_SHARE: f64 = 0.25;
 
-/// What a light fit says of a scan.
+/// Result of a light fit of a scan.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Light {
     /// In odom.

@@ -36,7 +36,7 @@ const WIDE_MAX: f64 = 0.08;
 const BODY_ESTABLISHED_MAX: f64 = 0.2;
 
 impl ScanMatcher {
-    /// Sets aside the beams on other robots and on what moves, then leaves out what is as narrow as somebody: the points that are left, and
+    /// Sets aside the beams on other robots and on what moves, then leaves out what is as narrow as a person: the points that are left, and
     /// the beams that are not matched. A robot that does not know its place takes walls for movers, and one that is lost needs all that
     /// it sees to tell one place from another.
     pub(super) fn mask_movers<H: Deref<Target = Tile>>(
@@ -48,7 +48,7 @@ impl ScanMatcher {
     ) -> (ScanPoints, MoverMask) {
         let (mut points, mut mask) = (points, std::mem::take(&mut self.buffers.mask));
         let share_max = self.settings.moving_share_max;
-        if self.knows_its_place(scan, prediction) && points.len() >= POINTS_MIN_FOR_SHARE {
+        if self.pose_is_certain(scan, prediction) && points.len() >= POINTS_MIN_FOR_SHARE {
             (points, mask) = self.without_flock_robots(scan, points, mask, prediction.pose);
             (points, mask) = without_movers(points, mask, prediction.pose, grid, share_max);
         }
@@ -58,7 +58,7 @@ impl ScanMatcher {
         (points, mask)
     }
 
-    fn knows_its_place(&self, scan: ScanView<'_>, prediction: &Prediction) -> bool {
+    fn pose_is_certain(&self, scan: ScanView<'_>, prediction: &Prediction) -> bool {
         self.confidence.lost == 0
             && !self.confidence.slips
             && prediction.steady.is_none()
@@ -123,7 +123,7 @@ fn mark_piece<H: Deref<Target = Tile>>(
     marked
 }
 
-/// Whether points beside each other, in the robot's frame, are as wide as somebody who stands free, where nothing is established.
+/// Whether points beside each other, in the robot's frame, are as wide as a person who stands free, where nothing is established.
 fn is_new_body<H: Deref<Target = Tile>>(grid: &TileGrid<H>, pose: &Placement, points: &[Point]) -> bool {
     let (Some(first), Some(last)) = (points.first(), points.last()) else { return false };
     if points.len() < BODY_POINTS_MIN

@@ -56,7 +56,7 @@ impl<F: ScoreField> Fitter<'_, F> {
     }
 
     /// Whether the grid, which knows more of the past than the surfaces of the last scans, explains the scan so much better somewhere
-    /// else that odometry would be disbelieved.
+    /// else that odometry would be rejected.
     fn is_contradicted(&self, ends: &[Point], pose: Pose, dense: Option<(Fit, Pose)>, poor: Fit) -> bool {
         let best = dense.map(|(fit, _)| fit).filter(|fit| fit.score > poor.score).unwrap_or(poor);
         self.gain(&best, &Fit::at(self.field, ends, pose)) >= SLIP_COST

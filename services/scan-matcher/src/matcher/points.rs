@@ -29,7 +29,7 @@ pub(super) struct MoverMask {
     pub(super) moving: Vec<BeamRange>,
     /// Points that were set aside for them, without those on other robots.
     pub(super) aside: usize,
-    /// Beams on something narrow that stands free, in order. They are not said to move.
+    /// Beams on something narrow that stands free, in order. They are not classified as moving.
     pub(super) bodies: Vec<BeamRange>,
     /// For each point at hand, whether it is to be left out.
     pub(super) marks: Vec<bool>,

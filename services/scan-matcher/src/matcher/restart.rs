@@ -28,9 +28,9 @@ fn wheels_that_slip_while_scans_are_lost_leave_no_false_pose_behind() {
         for (scan, truth) in &drive[killed_after + lost..] {
             let estimate = front_end.step(scan, true);
             let off_m = (start * estimate.odom_from_base).distance_m(*truth);
-            let is_said = estimate.quality == Quality::Lost as u32;
+            let is_reported = estimate.quality == Quality::Lost as u32;
             let case = format!("{lost} lost after {killed_after}, {}", scan.header.id.sequence);
-            assert!(off_m < 0.15 || is_said, "{case}: {off_m} m, {estimate:?}");
+            assert!(off_m < 0.15 || is_reported, "{case}: {off_m} m, {estimate:?}");
             assert_eq!(estimate.trajectory, 0, "{case}");
         }
     }
@@ -46,14 +46,14 @@ fn scans_before_the_grid_is_there_leave_no_false_pose_behind_either() {
         let estimate =
             if number < 218 { front_end.step_without_grid(scan) } else { front_end.step(scan, true) };
         let off_m = (start * estimate.odom_from_base).distance_m(*truth);
-        let is_said = estimate.quality != Quality::Tracking as u32;
-        assert!(off_m < 0.15 || is_said, "{number}: {off_m} m, {estimate:?}");
+        let is_reported = estimate.quality != Quality::Tracking as u32;
+        assert!(off_m < 0.15 || is_reported, "{number}: {off_m} m, {estimate:?}");
         assert!(number < 232 || off_m < 0.15, "{number}: {off_m} m, {estimate:?}");
     }
 }
 
 #[test]
-fn what_a_predecessor_knew_of_its_fits_is_restored() {
+fn the_score_statistics_of_a_predecessor_are_restored() {
     let (mut front_end, published) = driven(&drive()[..150]);
     let before = std::mem::take(&mut front_end.matcher.confidence);
     front_end.start_again(&published);

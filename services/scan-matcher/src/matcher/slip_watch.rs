@@ -1,4 +1,4 @@
-//! Wheels that slip in the open: the robot may have gone on as before while odometry says that it turned.
+//! Wheels that slip in the open: the robot may have gone on as before while odometry shows a turn.
 //!
 //! A single scan of one tree decides nothing there. So both motions are followed over several scans, each fitted to the surfaces around, until
 //! one explains them clearly better.
@@ -19,7 +19,7 @@ const SLOW_S: f64 = 0.25;
 const STEADY_SIGMA: (f64, f64) = (0.1, 0.1);
 /// A second assumption of a slip, soon after the first was confirmed, costs less.
 const AGAIN_COST: f64 = 2.0;
-/// So far after its beginning, metres of travel, a slip is over.
+/// So far after its start, metres of travel, a slip is over.
 const TRAVEL_MAX_M: f64 = 2.5;
 /// Poses nearer than this are the same, metres and radians.
 const SAME: (f64, f64) = (0.1, 0.02);

@@ -76,7 +76,7 @@ impl Surroundings {
         self.slip.placed(scan, pose);
     }
 
-    /// Nothing is to be asked of the wheels here.
+    /// Odometry is not checked for slip here.
     pub(super) fn unwatched(&mut self) {
         self.slip.clear();
     }

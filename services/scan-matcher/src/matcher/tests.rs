@@ -119,7 +119,7 @@ fn follows_the_robot_with_wheels_that_slip_and_turn_too_much() {
 }
 
 #[test]
-fn an_experiment_may_start_where_odometry_says() {
+fn an_experiment_may_start_at_the_odometry_pose() {
     let mut front_end = FrontEnd::new(Settings::default());
     for i in 0..40 {
         let mut scan = look(i, truth(i), Some(odometry(i)));
@@ -393,7 +393,7 @@ fn without_a_grid_odometry_is_followed() {
     }
 }
 
-/// A robot of the flock that says it stands where the pillar is.
+/// A robot of the flock whose published pose is that of the pillar.
 fn robot_at_the_pillar(heard_ns: u64) -> FlockRobots {
     let mut robots = FlockRobots { count: 1, ..FlockRobots::default() };
     robots.robots[0] = FlockRobot {
@@ -422,7 +422,7 @@ fn another_robot_that_stands_at_a_wall_is_set_aside_where_it_says_that_it_is() {
     let bearing = (1.2 - there.y_m).atan2(2.7 - there.x_m) - there.heading_rad;
     let middle = ((bearing + 3.0) / 0.02).round() as u32;
     assert!(seen.first < middle && middle < seen.end && seen.end - seen.first < 30, "{seen:?} {middle}");
-    // What it said is too old.
+    // Its last message is too old.
     assert_eq!(see(&mut front_end, 41, heard_ns + 3_000_000_000), []);
 }
 
@@ -448,7 +448,7 @@ fn hidden(mut scan: ScanBuffer, directions: std::ops::Range<usize>, range_m: f32
 }
 
 #[test]
-fn somebody_in_free_space_is_set_aside_and_a_wall_is_not() {
+fn a_person_in_free_space_is_left_out_and_a_wall_is_not() {
     let mut front_end = FrontEnd::new(Settings::default());
     let mut see = |i: u64, change: &dyn Fn(ScanBuffer) -> ScanBuffer| {
         front_end.step(&change(look(i, truth(i), Some(truth(i)))), true);

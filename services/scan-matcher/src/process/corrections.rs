@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn a_map_that_is_gone_on_with_waits_for_what_followed_from_it() {
+    fn a_continued_map_waits_for_the_correction_after_its_last_scan() {
         let mut topic = Topic::new("cor-res", Mode::Exact);
         topic.corrections.resumed(20);
         topic.publish(10);

@@ -7,7 +7,7 @@ use flockslam_bus::{Publisher, ScanSubscriber};
 use flockslam_messages::{PoseEstimate, Stage};
 use flockslam_stage::{Acknowledger, Actor, JournalWriter, LeaderLock, StageContext, StageError, run};
 
-/// Runs in the place of the stage until it is asked to stop. Nothing is matched and nothing enters the map; each pose is `degraded`.
+/// Runs in the place of the stage until its stop is requested. Nothing is matched and nothing enters the map; each pose is `degraded`.
 ///
 /// # Errors
 /// When the bus fails.

@@ -38,7 +38,7 @@ impl SyncManager {
     }
 
     /// Concludes what can be concluded after a closed submap of the mapper: as after a scan, with new credit for searches and solving, and
-    /// what is known well enough is frozen.
+    /// nodes that are constrained well enough are frozen.
     pub fn submap_closed(&mut self, notice: &SubmapClosed) -> Correction {
         let most = self.solving_cost.max(SOLVING_PER_SUBMAP);
         self.solving_credit = (self.solving_credit + SOLVING_PER_SUBMAP).min(most);

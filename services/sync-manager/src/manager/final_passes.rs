@@ -59,8 +59,8 @@ impl SyncManager {
         let (mut start, mut largest) = (0, 0..0);
         for trajectory in nodes.chunk_by(|a, b| a.trajectory == b.trajectory) {
             let number = trajectory[0].trajectory;
-            let is_asked = !connectivity.is_attached(number) && !tried.contains(&number);
-            if is_asked && trajectory.len() > largest.len() {
+            let is_candidate = !connectivity.is_attached(number) && !tried.contains(&number);
+            if is_candidate && trajectory.len() > largest.len() {
                 largest = start..start + trajectory.len();
             }
             start += trajectory.len();

@@ -1,4 +1,4 @@
-//! A map that somebody else has made, as the first nodes of the graph: their poses are given, and what is driven is moved to them.
+//! An imported map, as the first nodes of the graph: their poses are given, and what is driven is moved to them.
 
 use super::SyncManager;
 

@@ -10,7 +10,7 @@ use flockslam_registration::cloud::Placement;
 use std::collections::BTreeSet;
 use std::ops::Range;
 
-/// What localisation says of a robot relative to a node near it (information): 0.1 m, as far as the map that it localized in and the
+/// Information of a localized pose relative to a node near it: 0.1 m, as far as the map that it localized in and the
 /// present solution may be apart, and 0.03 rad.
 const LOCALIZED: Symmetric = [100.0, 0.0, 0.0, 100.0, 0.0, 1111.0];
 

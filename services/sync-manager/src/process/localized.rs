@@ -41,7 +41,7 @@ impl SyncProcess {
         }
     }
 
-    /// Obeys those who want the robot to be looked for anew.
+    /// Handles requests for a new global localization.
     pub(super) fn obey(&mut self) -> Result<(), StageError> {
         while let Some(order) = self.orders.receive()? {
             if let Some(localizing) = self.logic.localizing() {

@@ -45,7 +45,7 @@ impl LocalStretches {
 }
 
 impl SyncProcess {
-    /// Changes the mode where this pose says so.
+    /// Changes the mode at this pose, if it was requested.
     pub(super) fn turn_to(
         &mut self,
         pose: &PoseEstimate,
@@ -91,7 +91,7 @@ impl SyncProcess {
     }
 }
 
-/// Whether the set localizes, by what its supervisor said last.
+/// Whether the set localizes, by the supervisor's last order.
 pub(super) fn localizes(context: &StageContext) -> bool {
     SetMode::read(&context.result_dir).map_or(context.localizes, |mode| mode.localizes)
 }

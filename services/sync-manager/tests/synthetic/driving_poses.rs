@@ -10,7 +10,7 @@ const SUBMAP_SCANS: usize = 80;
 /// How the front end bends and stretches the way: a decimetre and more over a submap.
 const DRIFT: (f64, f64) = (0.004, 1.01);
 
-/// Errors of the driven poses, metres, by scan; the back end is asked at each accepted scan, or at closed submaps only.
+/// Errors of the driven poses, metres, by scan; the back end is queried at each accepted scan, or at closed submaps only.
 fn driven_errors_m(at_each_scan: bool) -> Vec<f64> {
     let (building, truth) = (Building::ring(), laps(2));
     let odom = drifting(&truth, DRIFT.0, DRIFT.1);

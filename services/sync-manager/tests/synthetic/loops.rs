@@ -148,7 +148,7 @@ fn scans_before_the_first_node_are_placed_by_their_own_points() {
 }
 
 #[test]
-fn a_robot_that_was_carried_away_is_found_by_its_own_past() {
+fn a_kidnapped_robot_is_attached_to_its_own_earlier_trajectory() {
     let (building, truth) = (Building::ring(), laps(2));
     let carried = truth.len() / 2 + 40;
     let elsewhere = Pose::new(30.0, -20.0, 2.2);
@@ -183,7 +183,7 @@ fn a_short_drive_after_the_robot_was_carried_is_found_as_a_whole() {
     assert!(worst_m < 0.05, "{worst_m} {:?}", solution.closures);
 }
 
-/// In the second half of a drive the robot is lost and goes on where odometry says; in truth it is `off` from there.
+/// In the second half of a drive the robot is lost and continues at its odometry pose; its true pose is `off` from there.
 fn lost_and_followed(odom: &[Pose], lost: usize) -> impl Fn(usize, &mut PoseEstimate) {
     let odom = odom.to_vec();
     move |i, pose| {
@@ -193,7 +193,7 @@ fn lost_and_followed(odom: &[Pose], lost: usize) -> impl Fn(usize, &mut PoseEsti
 }
 
 #[test]
-fn a_robot_that_was_lost_stays_in_the_map_where_odometry_says() {
+fn a_lost_robot_stays_in_the_map_at_its_odometry_pose() {
     // A lap is too short for a closure: odometry alone connects its halves.
     let (building, truth) = (Building::ring(), laps(1));
     let lost = truth.len() / 2;
@@ -254,7 +254,7 @@ fn a_place_never_seen_before_stays_apart() {
 }
 
 #[test]
-fn what_is_known_well_freezes_and_memory_stays_where_it_is() {
+fn well_constrained_nodes_freeze_and_memory_stays_bounded() {
     let (building, truth) = (Building::ring(), laps(12));
     let odom = drifting(&truth, 0.002, 1.005);
     let mut manager = SyncManager::new(Settings::default());

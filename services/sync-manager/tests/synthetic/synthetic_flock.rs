@@ -41,7 +41,7 @@ pub fn robot(name: &str, building: &Building, way: &[Pose], range: Range<usize>,
     flock
 }
 
-/// `to` receives what `from` knows, in portions; of the messages those are lost that `lost` says.
+/// `to` receives the records of `from`, in portions; the messages selected by `lost` are lost.
 pub fn exchange(flocks: &mut [Flock], to: usize, from: usize, mut lost: impl FnMut() -> bool) {
     for _ in 0..100 {
         let answers = {

@@ -51,7 +51,7 @@ impl FlockExchange {
             }),
             searches: flock.searches(),
             heard_bytes: traffic.values().map(|(received, _)| received).sum(),
-            said_bytes: traffic.values().map(|(_, said)| said).sum(),
+            said_bytes: traffic.values().map(|(_, sent)| sent).sum(),
             traffic,
             across: self.common.across,
             dropped: self.drops.by_name(),

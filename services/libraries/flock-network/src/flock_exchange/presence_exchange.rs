@@ -1,4 +1,4 @@
-//! Presences: takes in where neighbours say that they are, and tells them where this robot is.
+//! Presences: receives the poses of neighbours, and publishes the pose of this robot.
 
 use super::FlockExchange;
 use crate::drops::Dropped;
@@ -16,7 +16,7 @@ const BODY_RADIUS_M: f64 = 0.35;
 const PERIOD: Duration = Duration::from_secs(1);
 
 impl FlockExchange {
-    /// Takes note of where a neighbour says that it is. Nobody says so for another.
+    /// Takes the pose that a neighbour publishes. No robot publishes it for another.
     pub(super) fn meet(&mut self, presence: Presence, sender: &str) {
         if address(&presence.robot) != sender {
             return self.drops.count(Dropped::Malformed, 1);
@@ -32,7 +32,7 @@ impl FlockExchange {
             self.robot_poses.in_map(&self.common, frame.flock_from_map, BODY_RADIUS_M);
     }
 
-    /// Tells those who are near where this robot is, when it is somewhere else than before and knows where.
+    /// Publishes the pose of this robot to robots that are near, when it has changed and is known.
     pub(super) fn publish_place(&mut self) {
         let now = Instant::now();
         let Some(pose) = locked(&self.shared.pose).filter(|_| !self.near.is_empty()) else { return };

@@ -81,7 +81,7 @@ impl RplidarEncoder {
         (turns % 1.0) * 360.0
     }
 
-    /// Where a capsule says that it begins: sixty-fourths of a degree.
+    /// Start angle of a capsule: sixty-fourths of a degree.
     fn start(&self, index: usize) -> u16 {
         (self.head_deg(index) * 64.0) as u16
     }

@@ -99,7 +99,7 @@ fn a_robot_is_found_at_its_first_scan_where_that_is_unmistakable_and_followed() 
 }
 
 #[test]
-fn equal_rooms_stay_ambiguous_until_something_tells_them_apart() {
+fn equal_rooms_stay_ambiguous_until_a_difference_is_seen() {
     let (mut localizer, map) = localizer();
     let belief = drive(&mut localizer, &map, &[(15.0, 3.0), (17.0, 3.0), (16.0, 5.5)], anywhere());
     assert_eq!(belief.knowledge, Knowledge::Ambiguous, "{belief:?}");
@@ -140,7 +140,7 @@ fn a_robot_in_another_building_is_not_localized() {
 }
 
 #[test]
-fn a_robot_that_is_carried_away_notices_and_is_found_again() {
+fn a_kidnapped_robot_detects_it_and_is_relocalized() {
     let (mut localizer, map) = localizer();
     let belief = drive(&mut localizer, &map, &[(21.0, 13.0), (21.5, 11.0)], anywhere());
     assert_eq!(belief.knowledge, Knowledge::Localized);
@@ -260,7 +260,7 @@ fn a_cupboard_that_was_taken_away_beside_a_robot_is_no_reason_to_be_lost() {
 }
 
 #[test]
-fn what_a_robot_saw_before_it_was_carried_away_does_not_keep_it_from_being_found() {
+fn scans_before_a_kidnapping_do_not_prevent_relocalization() {
     let (mut localizer, map) = localizer();
     let belief = drive(
         &mut localizer,

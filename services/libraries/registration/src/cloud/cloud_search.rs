@@ -53,7 +53,7 @@ fn top_level(reach: i32) -> usize {
 
 impl Searcher {
     /// A searcher that gives up after looking at this many squares: in a corridor, where a cloud fits nearly as well all
-    /// along, an exact search looks at almost every pose.
+    /// along, an exact search evaluates almost every pose.
     pub fn bounded(sums_max: u64) -> Self {
         Self { sums_max: Some(sums_max), ..Self::default() }
     }

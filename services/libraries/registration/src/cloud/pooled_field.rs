@@ -15,7 +15,7 @@ const LEVELS: usize = 7;
 /// Points farther than this from the frame's origin are left out, metres: a submap's memory stays bounded whatever poses it
 /// was made from.
 const EXTENT_MAX_M: f64 = 60.0;
-/// Points that are added up between two looks at what is left: their values fit into 16 bits.
+/// Points that are added up between two bound checks: their values fit into 16 bits.
 const CHUNK: usize = 16;
 /// Steps of the influence table per m² of squared distance.
 const STEPS_PER_M2: f64 = 8000.0;

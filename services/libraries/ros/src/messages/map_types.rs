@@ -71,7 +71,7 @@ service! {
     /// `nav2_msgs/SetInitialPose`.
     SetInitialPose = "nav2_msgs" / "SetInitialPose",
     SetInitialPoseRequest {
-        /// Where somebody says that the robot is.
+        /// An initial pose of the robot.
         pose: PoseWithCovarianceStamped,
     },
     SetInitialPoseResponse {

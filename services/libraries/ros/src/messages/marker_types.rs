@@ -86,7 +86,7 @@ impl Marker {
     pub const LINE_LIST: i32 = 5;
     /// A shape: a sphere at each point.
     pub const SPHERE_LIST: i32 = 7;
-    /// A shape: a text that faces who looks.
+    /// A shape: a text that faces the viewer.
     pub const TEXT: i32 = 9;
     /// An action: takes away all markers that came on the topic.
     pub const DELETE_ALL: i32 = 3;

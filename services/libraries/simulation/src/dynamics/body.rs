@@ -17,7 +17,7 @@ pub(super) struct Body {
     pub(super) radius_m: f64,
 }
 
-/// The exact motion of somebody, in the frame of the world.
+/// The exact motion of a person, in the frame of the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MoverTruth {
     /// Who it is, from 0.
@@ -54,7 +54,7 @@ impl Body {
     }
 }
 
-/// Where somebody is who would like to be at `position`, with the robot where it is.
+/// Position of a person with the goal `position` who avoids the robot.
 pub(super) fn squeezed(position: Point, robot: Point) -> Point {
     let (dx, dy) = (position.x_m - robot.x_m, position.y_m - robot.y_m);
     let scale = (SQUEEZED_M / hypot(dx, dy).max(1e-3)).max(1.0);

@@ -16,7 +16,7 @@ const DEPTH_M: f64 = 1.0;
 const APART_M: f64 = 3.0;
 /// A door stays open or closed for so many seconds.
 const STAYS_S: (f64, f64) = (8.0, 40.0);
-/// It opens for whoever comes nearer to its middle than this, metres.
+/// It opens for a body nearer to its middle than this, metres.
 const OPENS_AT_M: f64 = 1.5;
 /// Directions in which a passage is measured, over half a circle.
 const DIRECTIONS: u32 = 18;
@@ -74,7 +74,7 @@ impl Door {
         Self { leaf, middle, is_closed: false, changes_at_s: 0.0, random }
     }
 
-    /// Opens or closes by its own schedule, and opens for whoever is near.
+    /// Opens or closes by its own schedule, and opens for bodies that are near.
     pub(super) fn decide(&mut self, now_s: f64, mut passers: impl Iterator<Item = Point>) {
         if now_s >= self.changes_at_s {
             self.is_closed = !self.is_closed;

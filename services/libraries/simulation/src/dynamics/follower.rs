@@ -7,10 +7,10 @@ use std::collections::VecDeque;
 
 /// So far behind the robot, along its way, metres.
 const BEHIND_M: f64 = 1.2;
-/// Where the robot jumps farther than this in one turn it was carried, metres, and is followed from its new place.
+/// Where the robot jumps farther than this in one turn it was kidnapped, metres, and is followed from its new pose.
 const CARRIED_M: f64 = 1.0;
 
-/// Somebody who walks behind the robot, where it has been: an operator.
+/// A person who walks behind the robot on its path: an operator.
 #[derive(Clone, Debug)]
 pub(super) struct Follower {
     /// The robot's way, the oldest point first; the follower goes to the first.

@@ -87,7 +87,7 @@ impl Dynamics {
     }
 
     /// Distance to what a beam meets first that is not part of the world itself, metres, and what it is; the beam leaves
-    /// `seconds` after the turn's beginning.
+    /// `seconds` after the turn's start.
     pub(super) fn cast(&self, from: Point, direction: Point, seconds: f64) -> Option<(f64, BeamLabel)> {
         let share = seconds / self.turn_s;
         let moving = self.bodies.iter().filter_map(|body| body.cast(from, direction, share));
@@ -98,7 +98,7 @@ impl Dynamics {
         moving.chain(changed).min_by(|a, b| a.0.total_cmp(&b.0))
     }
 
-    /// Who moves, and how, at the turn's beginning.
+    /// Moving bodies and their motion at the turn's start.
     pub(super) fn movers(&self) -> impl Iterator<Item = MoverTruth> {
         let turn_s = self.turn_s;
         (0..).zip(&self.bodies).map(move |(id, body)| body.truth(id, turn_s))

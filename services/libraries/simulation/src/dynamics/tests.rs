@@ -118,7 +118,7 @@ fn still() -> Settings {
 }
 
 #[test]
-fn whoever_walks_hides_the_world_and_changes_nothing_else() {
+fn pedestrians_occlude_the_world_and_change_nothing_else() {
     let (alone, with_movers) = (drive(&still()), drive(&with_movers()));
     for (alone, with_movers) in alone.iter().zip(&with_movers) {
         assert_eq!(alone.truth, with_movers.truth);

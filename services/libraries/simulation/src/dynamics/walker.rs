@@ -22,7 +22,7 @@ const MAKE_WAY_M: f64 = 1.2;
 const MAKE_WAY_PER_S: f64 = 3.0;
 /// Where a wall is in the way, somebody steps aside by so many degrees: the first that is free.
 const DETOURS_DEG: [f64; 7] = [0.0, 40.0, -40.0, 80.0, -80.0, 120.0, -120.0];
-/// Every so often somebody who has arrived stays for up to so many seconds.
+/// Now and then a person who has arrived stays for up to so many seconds.
 const STAYS: (f64, f64) = (0.5, 8.0);
 
 /// A person who walks from place to place.
