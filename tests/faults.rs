@@ -1,5 +1,5 @@
 //! Faults, in short: each kind a few times, seeded, against real processes. `cargo bench -p flockslam --bench faults` is the long
-//! form, which prints a table. How long a set takes to recover is printed here and not judged.
+//! form, which prints a table. The recovery time of a set is printed here and not checked.
 
 use crate::support::faults::{
     Evidence, Trial, corrupt_scans, crashing_starts, endless_loop, everything_at_once, jumping_clock,
@@ -9,7 +9,7 @@ use crate::support::machine_share;
 use flockslam_geometry::Pose;
 use flockslam_messages::{PoseEstimate, PoseFlags, Stage};
 
-fn judge(trial: &Trial) {
+fn check(trial: &Trial) {
     println!("{}\n{}", Trial::HEAD, trial.line());
     let complaints = trial.complaints();
     assert!(complaints.is_empty(), "{complaints:#?}");
@@ -19,7 +19,7 @@ fn judge(trial: &Trial) {
 fn any_stage_may_be_killed() {
     machine_share::mostly_waits();
     let trial = kills_of_each_stage(&Stage::ALL, 1, 1);
-    judge(&trial);
+    check(&trial);
     assert_eq!((trial.runs, trial.lost), (Stage::ALL.len(), 0), "each stage is killed and nothing is lost");
 }
 
@@ -27,63 +27,63 @@ fn any_stage_may_be_killed() {
 fn a_filter_and_a_cleaner_that_hang_are_replaced() {
     machine_share::mostly_waits();
     let trial = stops_of_each_stage(&[Stage::CorrelationFilter, Stage::DynamicCleaner], 1, 2);
-    judge(&trial);
+    check(&trial);
     assert_eq!((trial.runs, trial.lost), (2, 0));
 }
 
 #[test]
 fn an_endless_loop_is_a_hang() {
     machine_share::mostly_waits();
-    judge(&endless_loop(Stage::Mapper));
+    check(&endless_loop(Stage::Mapper));
 }
 
 #[test]
 fn the_wall_clock_may_jump_by_hours() {
     machine_share::mostly_waits();
-    judge(&jumping_clock(10.0));
+    check(&jumping_clock(10.0));
 }
 
 #[test]
 fn a_storm_of_kills() {
     machine_share::mostly_waits();
     let trial = storm(8.0, 3);
-    judge(&trial);
+    check(&trial);
     assert!(trial.runs > 1 && trial.lost == 0, "{} kills, {} accepted scans lost", trial.runs, trial.lost);
 }
 
 #[test]
 fn all_stages_and_the_supervisor_may_be_killed() {
     machine_share::mostly_waits();
-    judge(&everything_at_once(1));
+    check(&everything_at_once(1));
 }
 
 #[test]
 fn kills_while_a_stage_starts_leave_nothing_that_grows() {
-    judge(&crashing_starts(Stage::DynamicCleaner, 40, 4));
+    check(&crashing_starts(Stage::DynamicCleaner, 40, 4));
 }
 
 #[test]
 fn a_kill_while_the_map_is_saved_leaves_a_good_map() {
     machine_share::mostly_waits();
-    judge(&kills_while_saving(5, 5));
+    check(&kills_while_saving(5, 5));
 }
 
 #[test]
 fn damage_anywhere_in_a_saved_map_is_noticed() {
     let trial = torn_files(7);
-    judge(&trial);
+    check(&trial);
     assert!(trial.runs > 1000, "only {} damages were tried", trial.runs);
 }
 
 #[test]
 fn corrupt_scans_are_counted_and_cost_little() {
-    judge(&corrupt_scans(1..13));
+    check(&corrupt_scans(1..13));
 }
 
 #[test]
 fn termination_saves_everything_in_time() {
     machine_share::mostly_waits();
-    judge(&terminations(2, 9));
+    check(&terminations(2, 9));
 }
 
 /// Ten poses along a line, every second one with an accepted scan.

@@ -6,7 +6,7 @@ use crate::support::faults::{Overload, overload};
 use crate::support::machine_share;
 use flockslam_messages::Stage;
 
-fn judge(kind: Overload) {
+fn check(kind: Overload) {
     let complaints = overload(kind).complaints();
     assert!(complaints.is_empty(), "{complaints:#?}");
 }
@@ -14,17 +14,17 @@ fn judge(kind: Overload) {
 #[test]
 fn a_matcher_a_hundred_times_slower_leaves_poses_new_and_the_map_complete() {
     machine_share::mostly_waits();
-    judge(Overload::Slow(Stage::ScanMatcher, 100));
+    check(Overload::Slow(Stage::ScanMatcher, 100));
 }
 
 #[test]
 fn a_mapper_ten_times_slower_leaves_poses_new_and_the_map_complete() {
     machine_share::mostly_waits();
-    judge(Overload::Slow(Stage::Mapper, 10));
+    check(Overload::Slow(Stage::Mapper, 10));
 }
 
 #[test]
 fn processors_that_are_busy_with_something_else_leave_poses_new_and_the_map_complete() {
     machine_share::alone();
-    judge(Overload::Hog);
+    check(Overload::Hog);
 }

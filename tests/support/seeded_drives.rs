@@ -1,5 +1,5 @@
 //! Outcomes that depend on a seed: one drive with one seed, measured. `cargo bench -p flockslam --bench seeds` shows how they are spread
-//! over many seeds; tests run some of them and judge by that.
+//! over many seeds; tests run some of them with limits from those.
 
 use super::ndt_runs::ndt_settings;
 use super::{MovingDrive, Outputs, RunningSet, building, moving_building};

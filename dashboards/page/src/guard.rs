@@ -35,7 +35,7 @@ pub enum Controls {
     Open,
     /// For who knows the token.
     Token,
-    /// For nobody.
+    /// For no client.
     Off,
 }
 

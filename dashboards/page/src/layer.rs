@@ -20,7 +20,7 @@ impl Layer {
         self.put(key, encode_tile(shades));
     }
 
-    /// Removes a tile. That it is gone stays known, for who has it.
+    /// Removes a tile. The removal stays recorded, for clients that have it.
     pub fn remove(&mut self, key: TileKey) {
         if self.tiles.contains_key(&key) {
             self.put(key, Vec::new());

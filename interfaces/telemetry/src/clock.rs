@@ -19,7 +19,7 @@ pub(crate) fn log_time_ns() -> i64 {
     utc_ns()
 }
 
-/// A wall clock that somebody sets forward by an hour and back again every second.
+/// A wall clock that is set forward by an hour and back again every second.
 fn jumping(utc_ns: i64, monotonic_ns: u64) -> i64 {
     let hour_ns = 3_600_000_000_000;
     if (monotonic_ns / 1_000_000_000).is_multiple_of(2) { utc_ns + hour_ns } else { utc_ns - hour_ns }

@@ -141,7 +141,7 @@ mod tests {
     #[test]
     fn a_client_that_trickles_its_bytes_is_dropped_at_the_deadline() {
         let (server, mut client) = UnixStream::pair().unwrap();
-        // It goes on until nobody listens any more; the longest request would take it most of a minute.
+        // It goes on until the client disconnects; the longest request would take it most of a minute.
         let trickling = std::thread::spawn(move || {
             while client.write_all(b"x").is_ok() {
                 std::thread::sleep(Duration::from_millis(5));

@@ -1,4 +1,4 @@
-//! The map that a set shall localize in: a saved map, the outputs of a run, or a map of somebody else. It is only read.
+//! The map that a set shall localize in: a saved map, the outputs of a run, or an imported map. It is only read.
 
 use super::CommandError;
 use crate::store::{MapHead, SavedMap, read_nav2_map};

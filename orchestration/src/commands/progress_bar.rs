@@ -6,7 +6,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 pub struct RunProgress(ProgressBar);
 
 impl RunProgress {
-    /// A bar over this many scans, or a counter when nobody knows how many there are.
+    /// A bar over this many scans, or a counter when their number is unknown.
     pub fn new(scans: Option<u64>) -> Self {
         let bar = match scans {
             Some(scans) => ProgressBar::new(scans).with_style(

@@ -178,7 +178,7 @@ fn run_at_once(
     Ok(children.0.drain(..).filter_map(|(_, member)| member).collect())
 }
 
-/// Supervisors that are killed when nobody waits for them any more; their stages go with them.
+/// Supervisors that are killed when this is dropped; their stages go with them.
 struct Children(Vec<(Child, Option<Member>)>);
 
 impl Drop for Children {

@@ -85,7 +85,7 @@ fn the_document_lists_exactly_the_keys_that_exist_with_their_defaults() {
     assert_eq!(listed, exist);
 }
 
-/// More keys than this nobody looks through: one that nobody turns becomes a constant.
+/// Limit for the number of keys: one that no user changes becomes a constant.
 const ROWS_MAX: usize = 116;
 
 #[test]

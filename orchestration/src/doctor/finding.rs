@@ -63,7 +63,7 @@ impl Finding {
 impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { severity, subject, what, cure } = self;
-        // A message of somebody else's may have several lines.
+        // A message of another program may have several lines.
         let line = format!("{:<7} {subject}: {what}; cure: {cure}", severity.name());
         f.write_str(&line.split_whitespace().collect::<Vec<_>>().join(" "))
     }

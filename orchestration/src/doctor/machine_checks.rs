@@ -94,7 +94,7 @@ fn processors(machine: &Machine) -> Vec<Finding> {
 fn of_port(port: &PortReading) -> Vec<Finding> {
     let mut found = Vec::new();
     let path = port.path.display();
-    // Ports of the board are often nobody's business.
+    // Ports of the board often have no lidar.
     let Some(usb) = &port.usb else { return found };
     if !port.is_allowed {
         let group = port.group.as_deref().unwrap_or("dialout");

@@ -74,7 +74,7 @@ pub struct Report {
     /// What localisation did, when the set localized in a known map.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub localisation: Option<flockslam_results::LocalisationSummary>,
-    /// Where lidars sit and how far their clocks are off, by the motions of scans and odometry; no row where the drive has no information about it.
+    /// Mountings and clock offsets of lidars, by the motions of scans and odometry; no row where the drive has no information about it.
     pub calibration: Vec<CalibrationRow>,
     /// Loop closures.
     pub loop_closures: LoopClosures,

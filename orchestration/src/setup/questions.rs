@@ -1,11 +1,11 @@
-//! Questions to the user: in a terminal, or to nobody.
+//! Questions to the user: in a terminal, or without one.
 
 use std::io::{self, BufRead, Write};
 
 /// Why an answer could not be had.
 #[derive(Debug, thiserror::Error)]
 pub enum SetupError {
-    /// There is nobody to ask.
+    /// There is no terminal.
     #[error("setup asks in a terminal; without one it needs {0}")]
     NoTerminal(String),
     /// The terminal has gone away.
@@ -18,7 +18,7 @@ pub trait Questions {
     /// Asks for what `option` gives, until `take` is content with it. An empty answer stands for `usual`.
     ///
     /// # Errors
-    /// When nobody answers.
+    /// Without an answer.
     fn ask(
         &mut self,
         option: &str,
@@ -27,7 +27,7 @@ pub trait Questions {
         take: &mut dyn FnMut(&str) -> Result<(), String>,
     ) -> Result<(), SetupError>;
 
-    /// Whether somebody is there; what has a usual answer is asked only then.
+    /// Whether there is a terminal; questions with a default are asked only then.
     fn is_interactive(&self) -> bool {
         true
     }
@@ -35,7 +35,7 @@ pub trait Questions {
     /// After the last question: what could not be asked.
     ///
     /// # Errors
-    /// When there was a question and nobody to ask.
+    /// When there was a question and no terminal.
     fn finish(&self) -> Result<(), SetupError> {
         Ok(())
     }

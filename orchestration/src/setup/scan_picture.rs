@@ -14,7 +14,7 @@ pub fn scan_picture(picture: &LidarPicture) -> String {
     terminal.draw(|frame| draw(frame, picture)).expect("memory takes any picture");
     let buffer = terminal.backend().buffer();
     let mut text = String::new();
-    // The last line names keys that nobody listens to here.
+    // The last line names keys that have no effect here.
     for row in 0..ROWS - 1 {
         let line: String = (0..COLUMNS).map(|column| buffer[(column, row)].symbol()).collect();
         text.push_str(line.trim_end());

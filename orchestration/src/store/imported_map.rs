@@ -1,4 +1,4 @@
-//! Makes a saved map of a map of somebody else: its cells as submaps, and what a lidar would see in it as scans at poses that are given.
+//! Makes a saved map of an imported map: its cells as submaps, and what a lidar would see in it as scans at poses that are given.
 //!
 //! A picture has neither scans nor submaps, and loops are closed with scans. So places to look from are spread over its free space, and the
 //! journal holds what would be seen from each. The submaps hold the cells of the picture itself.

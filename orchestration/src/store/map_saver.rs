@@ -42,7 +42,7 @@ impl MapSaver {
         self.orders.send(done).is_ok() && waits.recv_timeout(limit).is_ok() && self.status().durable
     }
 
-    /// Saves before its period has passed; nobody waits for it.
+    /// Saves before its period has passed; the caller does not wait.
     pub fn save_soon(&self) {
         // Without the thread nothing is saved, and the status says so.
         let _ = self.orders.send(channel().0);

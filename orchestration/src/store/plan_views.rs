@@ -1,4 +1,4 @@
-//! What a lidar would see in a map that somebody else has drawn: places to look from, and the ranges from each.
+//! Simulated scans in an imported map: places to look from, and the ranges from each.
 
 use flockslam_evidence::CellState;
 use flockslam_geometry::elementary::sin_cos;

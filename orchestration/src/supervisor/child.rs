@@ -259,7 +259,7 @@ fn limit(pid: Pid, limits: &ProcessLimits) -> rustix::io::Result<()> {
         Some(0) | None => {}
     }
     if let Some(bytes) = limits.memory_max_bytes {
-        // Private writable memory: what is shared with the set counts for nobody.
+        // Private writable memory: memory shared with the set is not counted.
         prlimit(Some(pid), Resource::Data, Rlimit { current: Some(bytes), maximum: Some(bytes) })?;
     }
     if !limits.cpus.is_empty() {

@@ -17,7 +17,7 @@ pub struct HangWatch {
 }
 
 impl HangWatch {
-    /// To be called at each look, before the processes are judged; false when it is too early to judge.
+    /// To be called at each look, before the heartbeats are checked; false when it is too early for a check.
     pub fn look(&mut self, now_ns: u64) -> bool {
         let before = self.looked_ns.replace(now_ns);
         before.is_some_and(|before| now_ns.saturating_sub(before) <= OWN_DELAY_MAX.as_nanos() as u64)

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 /// A stage of a run that was given up is tried again after this …
 const RETRY_OF_RUN: Duration = Duration::from_secs(5);
-/// … and so often, since somebody waits for the results.
+/// … and so often, since the user waits for the results.
 const RETRIES_OF_RUN: u32 = 12;
 
 /// How a set is watched over.

@@ -1,7 +1,7 @@
 //! The logic of the stage: takes scans one by one, gives a verdict with its reason for each.
 
 use crate::description::Description;
-use crate::lidar_history::{Judgement, Lidar, Limits};
+use crate::lidar_history::{Decision, Lidar, Limits};
 use crate::tally::tally;
 use crate::{Mode, Settings};
 use flockslam_messages::{DropReason, KeepReason, ScanTally, ScanView, Verdict};
@@ -54,12 +54,12 @@ impl CorrelationFilter {
     /// Keeps or drops a scan. Nothing but earlier scans of the same lidar goes into it.
     pub fn handle(&mut self, scan: ScanView<'_>) -> Verdict {
         let whole = self.wants_tallies().then(|| tally(scan, 0..scan.len()));
-        self.judge(scan, whole.as_ref(), false)
+        self.classify(scan, whole.as_ref(), false)
     }
 
     /// The same with the tally of the whole scan, made elsewhere, where one is wanted. While `overloaded`, most scans are
     /// dropped before they are read.
-    pub fn judge(&mut self, scan: ScanView<'_>, tally: Option<&ScanTally>, overloaded: bool) -> Verdict {
+    pub fn classify(&mut self, scan: ScanView<'_>, tally: Option<&ScanTally>, overloaded: bool) -> Verdict {
         let (coefficient, decided) = self.decide(scan, tally, overloaded);
         let header = scan.header();
         Verdict {
@@ -71,7 +71,7 @@ impl CorrelationFilter {
         }
     }
 
-    fn decide(&mut self, scan: ScanView<'_>, tally: Option<&ScanTally>, overloaded: bool) -> Judgement {
+    fn decide(&mut self, scan: ScanView<'_>, tally: Option<&ScanTally>, overloaded: bool) -> Decision {
         if scan.header().withheld != 0 {
             return (0.0, Err(DropReason::Withheld));
         }
@@ -92,7 +92,7 @@ impl CorrelationFilter {
             (Some(lidar), Some(tally)) if mode == Mode::Correlation => {
                 lidar.by_correlation(Description::of(tally), odometry, limits)
             }
-            (Some(lidar), _) if mode == Mode::SeedExact => match lidar.published.judge(scan) {
+            (Some(lidar), _) if mode == Mode::SeedExact => match lidar.published.classify(scan) {
                 None => (0.0, Err(DropReason::Empty)),
                 Some((product, Some(keep))) => (product, Ok(keep)),
                 Some((product, None)) => (product, Err(DropReason::Correlated)),

@@ -41,7 +41,7 @@ impl Default for Limits {
 }
 
 /// The verdict on a scan, and the coefficient that decided (0 when none was computed).
-pub(crate) type Judgement = (f64, Result<KeepReason, DropReason>);
+pub(crate) type Decision = (f64, Result<KeepReason, DropReason>);
 
 /// History of the scans of one lidar.
 #[derive(Clone, Debug)]
@@ -74,18 +74,18 @@ impl Lidar {
     }
 
     /// By correlation. Only kept scans enter the window: a slow drift adds up until it is seen.
-    pub fn by_correlation(&mut self, new: Description, odometry: Option<Pose>, limits: &Limits) -> Judgement {
-        let judgement = self.compared(&new, odometry, limits);
-        if judgement.1.is_ok() {
+    pub fn by_correlation(&mut self, new: Description, odometry: Option<Pose>, limits: &Limits) -> Decision {
+        let decision = self.compared(&new, odometry, limits);
+        if decision.1.is_ok() {
             self.keep(odometry);
             self.push(new, limits.window);
         } else {
             self.drops_in_a_row += 1;
         }
-        judgement
+        decision
     }
 
-    fn compared(&self, new: &Description, odometry: Option<Pose>, limits: &Limits) -> Judgement {
+    fn compared(&self, new: &Description, odometry: Option<Pose>, limits: &Limits) -> Decision {
         let Some(last) = self.last().filter(|_| self.kept.len() >= limits.window) else {
             return (0.0, Ok(KeepReason::FirstScans));
         };
@@ -117,7 +117,7 @@ impl Lidar {
     }
 
     /// By odometry alone.
-    pub fn by_motion(&mut self, odometry: Option<Pose>, limits: &Limits) -> Judgement {
+    pub fn by_motion(&mut self, odometry: Option<Pose>, limits: &Limits) -> Decision {
         let verdict = match self.moved(odometry) {
             None if self.any_kept => Ok(KeepReason::Unfiltered),
             None => Ok(KeepReason::FirstScans),

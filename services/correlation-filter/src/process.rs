@@ -99,7 +99,7 @@ impl Filter {
                     return Ok(());
                 }
                 let whole = self.logic.wants_tallies().then(|| tally_part(scan, 0, 1, threads));
-                self.logic.judge(scan, whole.as_ref(), overloaded)
+                self.logic.classify(scan, whole.as_ref(), overloaded)
             }
             Err(problem) => {
                 tracing::warn!(scan = header.id.sequence, %problem, "unreadable scan");
@@ -124,7 +124,7 @@ impl Filter {
             context.dropped(SHARE_LATE);
             shared.sum.add(&tally_part(scan, part, self.describer.parts, self.describer.threads));
         }
-        let verdict = self.logic.judge(scan, Some(&shared.sum), shared.overloaded);
+        let verdict = self.logic.classify(scan, Some(&shared.sum), shared.overloaded);
         self.publish(&verdict, shared.started_ns, context)?;
         Ok(true)
     }

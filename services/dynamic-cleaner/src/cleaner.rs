@@ -74,7 +74,7 @@ pub struct DynamicCleaner {
     /// Judgements of occupied cells by the present scan.
     found: Vec<JudgedCell>,
     /// Pose and time of the last scan that classified cells.
-    judged: Option<(Pose, i64)>,
+    classified: Option<(Pose, i64)>,
     seen_through: Vec<CellIndex>,
     cleared: Vec<ClearedCell>,
     tracker: Tracker,
@@ -104,7 +104,7 @@ impl DynamicCleaner {
             scans: 0,
             odom_from_laser: Pose::IDENTITY,
             found: Vec::with_capacity(SEEN_THROUGH_MAX),
-            judged: None,
+            classified: None,
             seen_through: Vec::with_capacity(SEEN_THROUGH_MAX),
             cleared: Vec::with_capacity(settings.method.cleared_max()),
             tracker: Tracker::default(),
@@ -142,7 +142,7 @@ impl DynamicCleaner {
         grid: &TileGrid<H>,
     ) -> Marks<'_> {
         self.begin(scan, pose);
-        if self.judges(pose) && self.watched != Some(pose.id) {
+        if self.classifies(pose) && self.watched != Some(pose.id) {
             let (deskew, radius_m) = (Deskew::new(scan, pose.twist), self.settings.radius_m);
             find_moving(scan, &deskew, self.odom_from_laser, grid, radius_m, &mut self.moving);
         }
@@ -151,7 +151,7 @@ impl DynamicCleaner {
     }
 
     /// Whether a scan with this pose classifies cells.
-    pub fn judges(&self, pose: &PoseEstimate) -> bool {
+    pub fn classifies(&self, pose: &PoseEstimate) -> bool {
         self.settings.enabled && is_certain(pose)
     }
 
@@ -160,11 +160,11 @@ impl DynamicCleaner {
     pub fn begin(&mut self, scan: ScanView<'_>, pose: &PoseEstimate) {
         self.found.clear();
         self.odom_from_laser = pose.odom_from_base * scan.header().base_from_laser;
-        if self.judges(pose) {
+        if self.classifies(pose) {
             if self.settings.method == Method::Sectors {
                 self.sectors.look(scan, &Deskew::new(scan, pose.twist), JOIN_M);
             }
-            self.judged = Some((self.odom_from_laser, pose.times.sensor_ns));
+            self.classified = Some((self.odom_from_laser, pose.times.sensor_ns));
         }
     }
 
@@ -177,7 +177,7 @@ impl DynamicCleaner {
         grid: &TileGrid<H>,
         sector: Sector,
     ) {
-        if !self.judges(pose) {
+        if !self.classifies(pose) {
             return;
         }
         let at = self.odom_from_laser;
@@ -192,8 +192,8 @@ impl DynamicCleaner {
         let view =
             PassThrough::new(&self.sight, at, grid.cell_size_m(), margins(pose)).with_horizon(&self.horizon);
         let laser_from_odom = at.inverse();
-        let judge = |center: Point| match self.settings.method {
-            Method::Beams => view.judge(center),
+        let classify = |center: Point| match self.settings.method {
+            Method::Beams => view.classify(center),
             Method::Sectors => match self.sectors.ray_to(laser_from_odom.apply(center)) {
                 Ray::Free => Visibility::SeenThrough,
                 Ray::Met => Visibility::Supported,
@@ -208,7 +208,7 @@ impl DynamicCleaner {
             self.settings.method == Method::Beams && self.horizon.hides_all(low, high)
         };
         for_each_occupied(grid, reach, hides, |cell, center, place| {
-            let is_through = match judge(center) {
+            let is_through = match classify(center) {
                 Visibility::SeenThrough => true,
                 Visibility::Supported => false,
                 // A return near an edge may come from the object beside it.
@@ -235,15 +235,15 @@ impl DynamicCleaner {
     /// The marks of the scan.
     pub fn conclude(&mut self, pose: &PoseEstimate) -> Marks<'_> {
         self.cleared.clear();
-        let judges = self.judges(pose);
-        if judges {
+        let classifies = self.classifies(pose);
+        if classifies {
             self.weigh(Counts::FromOtherPlaces { distance_m: VOTE_DISTANCE_M, turn_rad: VOTE_TURN_RAD });
         }
         let header = MarksHeader {
             id: pose.id,
             times: pose.times,
             generation: pose.generation,
-            moving_beams: if judges { self.moving.len() as u32 } else { 0 },
+            moving_beams: if classifies { self.moving.len() as u32 } else { 0 },
             cleared: self.cleared.len() as u32,
         };
         Marks { header, cleared: &self.cleared }
@@ -258,12 +258,12 @@ impl DynamicCleaner {
         grid: &TileGrid<H>,
     ) {
         let odom_from_laser = pose.odom_from_base * scan.header().base_from_laser;
-        let stands = self.judged.is_some_and(|(last, stamp_ns)| {
+        let stands = self.classified.is_some_and(|(last, stamp_ns)| {
             last.distance_m(odom_from_laser) < STANDING.0
                 && last.turn_rad(odom_from_laser) < STANDING.1
                 && pose.times.sensor_ns.abs_diff(stamp_ns) >= STANDING_APART_NS
         });
-        if stands && self.judges(pose) {
+        if stands && self.classifies(pose) {
             self.begin(scan, pose);
             self.look(scan, pose, grid, Sector::WHOLE);
             self.weigh(Counts::UpTo(self.settings.votes.saturating_sub(1)));
@@ -277,9 +277,9 @@ impl DynamicCleaner {
         }
         self.seen_through.clear();
         let mut supported = 0;
-        for judged in &self.found {
-            let cell = CellIndex::new(judged.x, judged.y);
-            if judged.seen_through == 0 {
+        for classified in &self.found {
+            let cell = CellIndex::new(classified.x, classified.y);
+            if classified.seen_through == 0 {
                 supported += 1;
                 self.votes.remove(cell);
             } else if self.seen_through.len() < SEEN_THROUGH_MAX {
@@ -294,8 +294,8 @@ impl DynamicCleaner {
     /// What went away is a small part of what is there. When much of the grid is looked through, the scan or the grid
     /// is in the wrong place.
     fn is_plausible(&self, supported: usize) -> bool {
-        let (contradicted, judged) = (self.seen_through.len(), self.seen_through.len() + supported);
-        contradicted as f64 <= self.settings.method.contradiction_max() * judged as f64
+        let (contradicted, classified) = (self.seen_through.len(), self.seen_through.len() + supported);
+        contradicted as f64 <= self.settings.method.contradiction_max() * classified as f64
     }
 
     fn vote(&mut self, odom_from_laser: Pose, counts: Counts) {

@@ -142,7 +142,7 @@ impl Cleaner {
         let Inputs { logic, grid, .. } = &mut self.inputs;
         logic.begin(scan, pose);
         logic.look(scan, pose, grid.grid(), Sector::new(0, self.sectors.parts()));
-        if self.sectors.parts() > 1 && logic.judges(pose) {
+        if self.sectors.parts() > 1 && logic.classifies(pose) {
             let shared = Shared { pose: *pose, sample, generation, started_ns };
             self.sectors.begin(pose.id, shared, started_ns);
             return Ok(());

@@ -338,13 +338,14 @@ fn a_scan_classifies_no_cell_twice_and_only_occupied_ones_in_range() {
     let mut before = None;
     for _ in 0..50 {
         assert!(cleaner.handle(scan.view().unwrap(), &estimate(pose), &grid).cleared.is_empty());
-        let judged: BTreeSet<_> = cleaner.found().iter().map(|cell| CellIndex::new(cell.x, cell.y)).collect();
-        assert_eq!(judged.len(), cleaner.found().len(), "a cell is judged once");
-        assert!(judged.len() > 100 && judged.is_subset(&occupied), "{} cells", judged.len());
+        let classified: BTreeSet<_> =
+            cleaner.found().iter().map(|cell| CellIndex::new(cell.x, cell.y)).collect();
+        assert_eq!(classified.len(), cleaner.found().len(), "a cell is classified once");
+        assert!(classified.len() > 100 && classified.is_subset(&occupied), "{} cells", classified.len());
         let in_reach =
             |cell: &CellIndex| grid.center(*cell).distance_m(pose.position()) <= settings.radius_m + 1e-9;
-        assert!(judged.iter().all(in_reach));
+        assert!(classified.iter().all(in_reach));
         // The work for a scan does not depend on those before it.
-        assert!(before.replace(judged.clone()).is_none_or(|before| before == judged));
+        assert!(before.replace(classified.clone()).is_none_or(|before| before == classified));
     }
 }

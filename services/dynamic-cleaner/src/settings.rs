@@ -30,7 +30,7 @@ pub enum Method {
 }
 
 impl Method {
-    /// A scan that looks through more than this share of the cells that it can judge votes for nothing: then the pose or the grid is
+    /// A scan that looks through more than this share of the cells that it can classify votes for nothing: then the pose or the grid is
     /// wrong, not the world. The published method has no such limit.
     pub(crate) fn contradiction_max(self) -> f64 {
         match self {

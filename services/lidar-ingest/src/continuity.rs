@@ -97,7 +97,7 @@ mod tests {
         scan
     }
 
-    fn judged(scans: &[ScanBuffer]) -> Vec<Option<Rejection>> {
+    fn rejections(scans: &[ScanBuffer]) -> Vec<Option<Rejection>> {
         let mut continuity = Continuity::default();
         scans.iter().map(|scan| continuity.refuses(scan)).collect()
     }
@@ -105,9 +105,9 @@ mod tests {
     #[test]
     fn an_old_scan_is_refused_and_a_clock_put_back_is_not() {
         let late = [scan(10.0, 0.0, 1.0), scan(9.2, 0.1, 1.1), scan(3.0, 0.2, 1.2), scan(10.1, 0.3, 1.3)];
-        assert_eq!(judged(&late), [None, None, Some(Rejection::TimeReversed), None]);
+        assert_eq!(rejections(&late), [None, None, Some(Rejection::TimeReversed), None]);
         let put_back = [scan(10.0, 0.0, 1.0), scan(3.0, 0.1, 1.1), scan(3.1, 0.2, 1.2), scan(3.2, 0.3, 1.3)];
-        assert_eq!(judged(&put_back), [None, Some(Rejection::TimeReversed), None, None]);
+        assert_eq!(rejections(&put_back), [None, Some(Rejection::TimeReversed), None, None]);
         let mut continuity = Continuity::default();
         let back_ns = put_back.each_ref().map(|scan| {
             continuity.refuses(scan);
@@ -119,8 +119,8 @@ mod tests {
     #[test]
     fn equal_ranges_during_motion_are_rejected_as_frozen() {
         let frozen = [scan(1.0, 0.0, 1.0), scan(1.1, 0.1, 1.0), scan(1.2, 0.2, 1.0), scan(1.3, 0.3, 1.1)];
-        assert_eq!(judged(&frozen), [None, Some(Rejection::Frozen), Some(Rejection::Frozen), None]);
+        assert_eq!(rejections(&frozen), [None, Some(Rejection::Frozen), Some(Rejection::Frozen), None]);
         let standing = [scan(1.0, 0.0, 1.0), scan(1.1, 0.0, 1.0), scan(1.2, 0.001, 1.0)];
-        assert_eq!(judged(&standing), [None; 3]);
+        assert_eq!(rejections(&standing), [None; 3]);
     }
 }

@@ -94,7 +94,7 @@ const LARGE_CREDIT: u64 = 2;
 /// takes about a quarter in this process, and then up to a third in the others.
 const ANNOUNCED_AHEAD: Duration = Duration::from_micros(400);
 
-/// The stages that are woken for each scan. Live, the matcher wakes up while the filter judges: one after the other they would take as
+/// The stages that are woken for each scan. Live, the matcher wakes up while the filter runs: one after the other they would take as
 /// long again as the matching itself. The matcher is woken first: the filter may take this very processor, and its
 /// verdict is there before the matcher is awake.
 fn first_stages(mode: Mode) -> &'static [Stage] {

@@ -1,7 +1,7 @@
 //! The logic of the stage: takes a scan, its verdict and the grid, gives a pose with its covariance and quality.
 //!
 //! [`ScanMatcher::handle`] is the whole path of a scan. Its steps pass values on: [`Prediction`],
-//! [`ScanPoints`], [`MoverMask`], [`Fitted`], [`Judgement`].
+//! [`ScanPoints`], [`MoverMask`], [`Fitted`], [`MatchResult`].
 
 use crate::motion::Motion;
 use crate::prediction::Prediction;
@@ -15,7 +15,7 @@ use flockslam_messages::{
     STARTS_DETACHED, ScanView, Verdict,
 };
 use flockslam_registration::GridField;
-use judging::Judgement;
+use judging::MatchResult;
 use kidnap_detector::KidnapDetector;
 use light_fit::{LIGHT_BEAMS, Light};
 use matcher_state::{Confidence, MapState};
@@ -141,8 +141,8 @@ impl ScanMatcher {
         let (points, mask) = self.mask_movers(scan, points, &prediction, grid);
         let fitted = self.fit(scan, points, &mask, prediction, grid);
         let is_kidnapped = self.is_kidnapped(scan, &fitted);
-        let judgement = self.judge(&fitted, &mask, grid, is_kidnapped);
-        self.update(scan, predicted, fitted, mask, judgement)
+        let match_result = self.assess(&fitted, &mask, grid, is_kidnapped);
+        self.update(scan, predicted, fitted, mask, match_result)
     }
 
     /// The beams of the last scan that were not matched because they lie on moving bodies, in order.
@@ -404,17 +404,17 @@ impl ScanMatcher {
         predicted: PoseEstimate,
         fitted: Fitted,
         mask: MoverMask,
-        judgement: Judgement,
+        match_result: MatchResult,
     ) -> PoseEstimate {
-        self.confidence.count(&fitted, &judgement, self.motion.pose, scan.len());
+        self.confidence.count(&fitted, &match_result, self.motion.pose, scan.len());
         if let Some((pose, claimed)) = fitted.alone.filter(|(_, c)| c.position_std_m() <= CERTAIN_SIGMA_M) {
             self.motion.learn(scan, pose, claimed);
         }
         if let Some((held, _)) = fitted.alone.filter(|_| fitted.is_open && scan.odometry().is_some()) {
             self.motion.learn_scale(fitted.prediction.pose, held);
         }
-        let estimate = self.matched(predicted, &fitted, &judgement);
-        if judgement.quality != Quality::Lost {
+        let estimate = self.matched(predicted, &fitted, &match_result);
+        if match_result.quality != Quality::Lost {
             self.kidnap.explains(estimate.odom_from_base);
         }
         (self.buffers.points, self.buffers.mask) = (fitted.points, mask);
@@ -424,8 +424,8 @@ impl ScanMatcher {
     }
 
     /// The predicted pose updated by a fit; a rejected fit gives only its score and velocity.
-    fn matched(&self, predicted: PoseEstimate, fitted: &Fitted, judgement: &Judgement) -> PoseEstimate {
-        let Judgement { pose, twist, covariance, quality } = *judgement;
+    fn matched(&self, predicted: PoseEstimate, fitted: &Fitted, match_result: &MatchResult) -> PoseEstimate {
+        let MatchResult { pose, twist, covariance, quality } = *match_result;
         let guessed = self.map.detached && quality == Quality::Tracking;
         let published = if guessed { Quality::Degraded } else { quality } as u32;
         let estimate = PoseEstimate { score: fitted.fit.score, twist, quality: published, ..predicted };

@@ -186,7 +186,7 @@ struct Cost {
     halves_us: Vec<f64>,
 }
 
-/// A drive with so many beams all around, matched at the true poses, every scan judged.
+/// A drive with so many beams all around, matched at the true poses, every scan classified.
 fn cost(beams: u32, scans: usize) -> Cost {
     let settings = Settings { beams, range_max_m: 12.0, walkers: 6, ..Settings::default() };
     let mut simulation =

@@ -13,9 +13,9 @@ use std::path::Path;
 
 /// A track belongs to a person this near, metres.
 const NEAR_M: f64 = 0.5;
-/// Velocities are judged after so many seconds of view.
+/// Velocities are evaluated after so many seconds of view.
 const CONVERGED_S: f64 = 1.0;
-/// Whoever is out of sight for so long, seconds, is hidden by something; after the longer time a new name is no mistake.
+/// A person out of sight for this time, seconds, counts as occluded; after the longer time a new track is no error.
 const HIDDEN_S: (f64, f64) = (0.3, 1.0);
 
 /// Of a lidar that stands still every so many scans enter the map.

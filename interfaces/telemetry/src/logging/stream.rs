@@ -30,7 +30,7 @@ pub(super) fn append(path: &Path, line: &str, bytes_max: u64) -> io::Result<()> 
     file.write_all(line.as_bytes())
 }
 
-/// Whether nobody else has put another file in the place of this one.
+/// Whether this file was not replaced by another one.
 fn is_at(file: &File, path: &Path) -> bool {
     let inode = |metadata: io::Result<std::fs::Metadata>| metadata.map(|metadata| metadata.ino()).ok();
     inode(file.metadata()) == inode(std::fs::metadata(path))

@@ -64,7 +64,7 @@ impl ProcessSet {
         Ok(())
     }
 
-    /// Before all stages end in good order: nobody shall take over from one that has ended.
+    /// Before all stages end in good order: no standby shall take over from one that has ended.
     pub(super) fn dismiss_standbys(&mut self) {
         for stage in Stage::ALL.into_iter().filter(|stage| takes_turns(*stage)) {
             let active = leader(&self.runtime.status(), stage.name());

@@ -148,14 +148,14 @@ fn a_constant_scan_that_stays_is_unchanged_and_one_that_grows_is_novel() {
 fn overload_is_shed_but_for_one_in_four_and_ends_when_it_ends() {
     for mode in [Mode::Correlation, Mode::Off] {
         let mut filter = filter(mode);
-        let mut judge = |overloaded| {
+        let mut classify = |overloaded| {
             let scan = room(3.0, 2.0, 0.3);
             let whole = tally(scan.view().unwrap(), 0..usize::MAX);
-            filter.judge(scan.view().unwrap(), Some(&whole), overloaded).keep
+            filter.classify(scan.view().unwrap(), Some(&whole), overloaded).keep
         };
-        let kept: Vec<u32> = (0..8).map(|_| judge(true)).collect();
+        let kept: Vec<u32> = (0..8).map(|_| classify(true)).collect();
         assert_eq!(kept, [0, 0, 0, 1, 0, 0, 0, 1]);
-        assert_eq!([judge(false), judge(true)], [1, 0]);
+        assert_eq!([classify(false), classify(true)], [1, 0]);
     }
 }
 

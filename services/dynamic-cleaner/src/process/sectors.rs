@@ -31,7 +31,7 @@ impl Helper {
     /// Handles the oldest pose; false when its join is not complete.
     fn step(&mut self, pose: &PoseEstimate, context: &mut StageContext) -> Result<bool, StageError> {
         let Inputs { logic, join, grid } = &mut self.inputs;
-        let sector = self.sector.filter(|_| pose.has(PoseFlags::INSERT) && logic.judges(pose));
+        let sector = self.sector.filter(|_| pose.has(PoseFlags::INSERT) && logic.classifies(pose));
         let Some(sector) = sector else { return Ok(true) };
         match join.wait(has_grid_of(grid, pose), context.now_ns()) {
             Waited::NotYet => return Ok(false),

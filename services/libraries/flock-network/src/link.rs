@@ -197,7 +197,7 @@ impl Presence {
     }
 
     fn ended(&mut self, parts: &[&str], is_there: bool) {
-        // Who has ended and gone has ended all the same.
+        // A robot that has ended and disconnected counts as ended.
         let [robot, hash] = parts else { return };
         if is_there && (self.ended.contains_key(*robot) || self.ended.len() < PEERS_MAX) {
             self.ended.insert((*robot).to_owned(), (*hash).to_owned());

@@ -191,15 +191,15 @@ impl Atlas {
         Some(closure)
     }
 
-    /// By closure: whether it may act, when nothing is held of those `denied`. A robot's own are judged as the robot itself judges
+    /// By closure: whether it may act, when nothing is held of those `denied`. A robot's own are checked as the robot itself checks
     /// them; those between robots, of which any may be a lie, need more.
     pub(super) fn eligible(&self, denied: &BTreeSet<usize>, inspected: &mut Inspected) -> Vec<bool> {
         let across: Vec<bool> = self.closures.iter().map(|closure| self.is_across(closure)).collect();
-        let judged: Vec<bool> =
+        let checked: Vec<bool> =
             across.iter().enumerate().map(|(i, across)| *across && !denied.contains(&i)).collect();
         let own = eligible(&self.closures, &self.nodes);
         let mut stands = |group: &[usize]| self.stands(group, inspected);
-        let consistent = consistent(&self.closures, &self.nodes, &judged, &mut stands);
+        let consistent = consistent(&self.closures, &self.nodes, &checked, &mut stands);
         let each = across.iter().zip(own).zip(consistent);
         each.map(|((across, own), consistent)| if *across { consistent } else { own }).collect()
     }

@@ -262,7 +262,7 @@ mod tests {
         Closure { edge: Edge { from, to: NODES + to, motion, information }, reach_m: 14.0, shift_m: 2.0 }
     }
 
-    fn judged(closures: &[Closure], nodes: &[Node]) -> Vec<bool> {
+    fn inlier_flags(closures: &[Closure], nodes: &[Node]) -> Vec<bool> {
         consistent(closures, nodes, &vec![true; closures.len()], &mut |_| true)
     }
 
@@ -274,11 +274,11 @@ mod tests {
     fn three_that_agree_over_a_stretch_are_needed() {
         let nodes = nodes();
         let mut closures = vec![closure(&nodes, 10, 20, at(0.0)), closure(&nodes, 13, 23, at(0.1))];
-        assert_eq!(judged(&closures, &nodes), [false; 2]);
+        assert_eq!(inlier_flags(&closures, &nodes), [false; 2]);
         closures.push(closure(&nodes, 11, 21, at(0.0)));
-        assert_eq!(judged(&closures, &nodes), [false; 3], "three metres are too short");
+        assert_eq!(inlier_flags(&closures, &nodes), [false; 3], "three metres are too short");
         closures.push(closure(&nodes, 16, 26, at(0.05)));
-        assert_eq!(judged(&closures, &nodes), [true; 4]);
+        assert_eq!(inlier_flags(&closures, &nodes), [true; 4]);
     }
 
     #[test]
@@ -288,10 +288,11 @@ mod tests {
             (0..count).map(|k| closure(&nodes, 10 + 2 * k, 20 + 2 * k, at(x_m))).collect()
         };
         let both = |alternatives: usize| [group(6, 0.0), group(alternatives, 3.0)].concat();
-        assert_eq!(judged(&both(4), &nodes), [false; 10]);
-        let judged = judged(&both(3), &nodes);
+        assert_eq!(inlier_flags(&both(4), &nodes), [false; 10]);
+        let inlier_flags = inlier_flags(&both(3), &nodes);
         assert!(
-            judged[..6].iter().all(|is_inlier| *is_inlier) && !judged[6..].iter().any(|is_inlier| *is_inlier)
+            inlier_flags[..6].iter().all(|is_inlier| *is_inlier)
+                && !inlier_flags[6..].iter().any(|is_inlier| *is_inlier)
         );
     }
 
@@ -302,9 +303,9 @@ mod tests {
             (0..count).map(|k| closure(&nodes, first + 2 * k, first + 2 * k, at(x_m))).collect()
         };
         let both = |x_m: f64, count: usize| [group(2, 6, 0.0), group(40, count, x_m)].concat();
-        assert_eq!(judged(&both(1.0, 5), &nodes), [true; 11], "a bent way explains a metre");
-        assert_eq!(judged(&both(20.0, 5), &nodes), [false; 11], "two contradicting groups");
-        let one = judged(&both(20.0, 3), &nodes);
+        assert_eq!(inlier_flags(&both(1.0, 5), &nodes), [true; 11], "a bent way explains a metre");
+        assert_eq!(inlier_flags(&both(20.0, 5), &nodes), [false; 11], "two contradicting groups");
+        let one = inlier_flags(&both(20.0, 3), &nodes);
         assert!(one[..6].iter().all(|is_inlier| *is_inlier) && !one[6..].iter().any(|is_inlier| *is_inlier));
     }
 
@@ -335,7 +336,7 @@ mod tests {
             order.sort_by_key(|i| (*i as u64 + 1).wrapping_mul(shuffle | 1));
             let shuffled: Vec<Closure> = order.iter().map(|i| closures[*i].1).collect();
             let straight: Vec<Closure> = closures.iter().map(|c| c.1).collect();
-            let (a, b) = (judged(&straight, &nodes), judged(&shuffled, &nodes));
+            let (a, b) = (inlier_flags(&straight, &nodes), inlier_flags(&shuffled, &nodes));
             let mut inliers = 0;
             for (place, i) in order.iter().enumerate() {
                 prop_assert_eq!(a[*i], b[place]);

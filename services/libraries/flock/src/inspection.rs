@@ -24,27 +24,27 @@ const DENIED_MAX: f64 = 0.05;
 const ALTERNATIVE: (f64, f64) = (1.5, 0.02);
 /// … and it explains at least this share of what the claimed one does.
 const EXPLAINED: f64 = 0.4;
-/// Judgements that are cached.
+/// Results that are cached.
 const CACHED_MAX: usize = 4096;
 
 /// What was found out about groups of closures. It follows from the records alone: that it is cached saves time and changes nothing.
 #[derive(Clone, Debug, Default)]
 pub struct Inspected {
-    verdicts: BTreeMap<Vec<u64>, bool>,
+    results: BTreeMap<Vec<u64>, bool>,
 }
 
 impl Inspected {
     /// The cached result of this key, computed when it is new.
-    fn verdict(&mut self, name: Vec<u64>, work_out: impl FnOnce() -> bool) -> bool {
-        if let Some(verdict) = self.verdicts.get(&name) {
-            return *verdict;
+    fn cached_result(&mut self, name: Vec<u64>, compute: impl FnOnce() -> bool) -> bool {
+        if let Some(cached_result) = self.results.get(&name) {
+            return *cached_result;
         }
-        let verdict = work_out();
-        if self.verdicts.len() >= CACHED_MAX {
-            self.verdicts.clear();
+        let cached_result = compute();
+        if self.results.len() >= CACHED_MAX {
+            self.results.clear();
         }
-        self.verdicts.insert(name, verdict);
-        verdict
+        self.results.insert(name, cached_result);
+        cached_result
     }
 }
 
@@ -66,7 +66,7 @@ impl Atlas {
             let there = Place::new(self, middle, &relatives);
             let back = Place::new(self, &middle.turned(), &turned);
             let name = [self.named(&there, middle), self.named(&back, &middle.turned())].concat();
-            inspected.verdict(name, || is_sure(&[there.fits(self), back.fits(self)]))
+            inspected.cached_result(name, || is_sure(&[there.fits(self), back.fits(self)]))
         })
     }
 
@@ -77,7 +77,7 @@ impl Atlas {
         let place = Place::new(self, &relative, &[relative]);
         let mut name = self.named(&place, &relative);
         name.push(ALONE);
-        inspected.verdict(name, || {
+        inspected.cached_result(name, || {
             let claimed = place.fit(self);
             claimed.scans >= SCANS_ALONE_MIN && claimed.denied_share() <= DENIED_MAX
         })

@@ -27,20 +27,20 @@ impl Atlas {
             by_query.entry(self.closures[i].edge.to).or_default().push(i);
         }
         let mut likely: Vec<usize> = Vec::new();
-        let mut judged: Vec<Closure> = Vec::new();
+        let mut candidates: Vec<Closure> = Vec::new();
         for (query, members) in by_query {
             let distances_m = self.distances_m(solved, query);
             for i in members {
                 if let Some(closure) = self.as_expected(solved, &self.closures[i], &distances_m) {
                     likely.push(i);
-                    judged.push(closure);
+                    candidates.push(closure);
                 }
             }
         }
         // Those that are inliers already count as partners of those that may.
         let inliers = |i: &usize| solved.is_inlier[*i] && self.is_across(&self.closures[*i]);
-        judged.extend((0..self.closures.len()).filter(inliers).map(|i| self.closures[i]));
-        let eligible = eligible(&judged, &self.nodes);
+        candidates.extend((0..self.closures.len()).filter(inliers).map(|i| self.closures[i]));
+        let eligible = eligible(&candidates, &self.nodes);
         let eligible = likely.into_iter().zip(eligible).filter(|(_, eligible)| *eligible).map(|(i, _)| i);
         let mut expected: Vec<usize> =
             eligible.filter(|i| self.is_the_same_there(&self.closures[*i], inspected)).collect();

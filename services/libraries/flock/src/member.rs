@@ -74,7 +74,7 @@ impl Flock {
         &mut self.collection
     }
 
-    /// Stored verdicts on groups of closures.
+    /// Stored results for groups of closures.
     pub(super) fn inspected(&self) -> RefMut<'_, Inspected> {
         self.inspected.borrow_mut()
     }

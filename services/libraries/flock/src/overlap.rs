@@ -37,8 +37,8 @@ impl Fit {
 
     /// Share of the points denied, of those that are seen or denied; 1 when there are none.
     pub fn denied_share(&self) -> f64 {
-        let judged = self.seen + self.denied;
-        if judged == 0 { 1.0 } else { f64::from(self.denied) / f64::from(judged) }
+        let compared = self.seen + self.denied;
+        if compared == 0 { 1.0 } else { f64::from(self.denied) / f64::from(compared) }
     }
 }
 
@@ -74,7 +74,7 @@ impl<'a> Overlap<'a> {
                 let references = nearest(at, other);
                 if !references.is_empty() {
                     sum.scans += 1;
-                    judge(view, at, &references, &mut sum);
+                    compare(view, at, &references, &mut sum);
                 }
             }
         }
@@ -113,7 +113,7 @@ fn nearest<'v, 'a>(at: &Placement, among: &[Placed<'v, 'a>]) -> Vec<Placed<'v, '
 }
 
 /// Counts the points of a scan that lies at `at`, by what the reference scans have seen there.
-fn judge(view: &View<'_>, at: &Placement, references: &[Placed<'_, '_>], sum: &mut Fit) {
+fn compare(view: &View<'_>, at: &Placement, references: &[Placed<'_, '_>], sum: &mut Fit) {
     let stride = view.points.len().div_ceil(POINTS).max(1);
     for point in view.points.iter().step_by(stride) {
         let (x, y) = at.apply(point.x_m(), point.y_m());

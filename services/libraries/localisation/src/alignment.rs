@@ -63,11 +63,11 @@ pub struct Agreement {
     /// Points behind something that their beam would have met.
     pub behind: f64,
     /// Of what contradicts, what beams have passed, each square of its surface once, however many points lie behind it: furniture is moved, but
-    /// nobody sees through a wall.
+    /// no beam passes through a wall.
     pub through: f64,
 }
 
-/// The known map in the forms that search, refinement and judgement read.
+/// The known map in the forms that search, refinement and verification read.
 pub struct Surroundings {
     map: KnownMap,
     field: PlaceField,

@@ -2,7 +2,7 @@
 
 use crate::alignment::{Agreement, SeenPoint, Surroundings};
 use crate::belief::{Belief, Hypothesis, Knowledge};
-use crate::place_judgement::{Judged, Listed, knowledge, shows_walls};
+use crate::place_judgement::{Evaluated, Listed, knowledge, shows_walls};
 use crate::place_search::{Near, PlaceSearch, SearchRequest, is_same};
 use crate::recent_views::RecentViews;
 use flockslam_geometry::elementary::{exp, hypot};
@@ -12,7 +12,7 @@ use flockslam_registration::cloud::{PackedPoint, Placement};
 /// What was seen over this much travel is looked for in the map …
 const SEARCH_M: f64 = 8.0;
 /// … and is verified over this much, metres.
-const JUDGED_M: f64 = 16.0;
+const VERIFIED_M: f64 = 16.0;
 /// Points that are fitted and verified.
 const POINTS: usize = 600;
 /// A robot that is not found is looked for again after this much travel, metres, or turning, radians.
@@ -194,7 +194,7 @@ impl Localizer {
 
     /// Takes the points of a scan (in the robot's frame) at its pose by the front end, some decimetres after the last one.
     pub fn see(&mut self, odom_from_base: Placement, points: &[PackedPoint]) -> &Belief {
-        self.recent.push(odom_from_base, points, JUDGED_M);
+        self.recent.push(odom_from_base, points, VERIFIED_M);
         self.measured = None;
         let last = self.last.replace(odom_from_base).unwrap_or(odom_from_base);
         if let Some(followed) = self.followed {
@@ -275,8 +275,9 @@ impl Localizer {
         let present = self.surroundings.agreement(&cloud, &at);
         let merit = |agreement: &Agreement| agreement.explained - agreement.contradicted;
         let places = self.search.find(self.surroundings.field(), &points, &request);
-        let judged = places.found.iter().map(|place| self.judge(&cloud, place.map_from_cloud, place.score));
-        let best = judged.max_by(|a, b| merit(&a.agreement).total_cmp(&merit(&b.agreement)))?;
+        let evaluated =
+            places.found.iter().map(|place| self.evaluate(&cloud, place.map_from_cloud, place.score));
+        let best = evaluated.max_by(|a, b| merit(&a.agreement).total_cmp(&merit(&b.agreement)))?;
         let is_better = merit(&best.agreement) >= merit(&present) + BESIDE_BETTER
             && best.agreement.contradicted <= present.contradicted;
         is_better.then_some(best.at)
@@ -345,44 +346,44 @@ impl Localizer {
         let points: Vec<(f64, f64)> = cloud.iter().map(|p| (p.x_m, p.y_m)).collect();
         let request = SearchRequest { score_min: SCORE_MIN, share_min: SHARE_MIN, near };
         let places = self.search.find(self.surroundings.field(), &points, &request);
-        let verification_cloud = self.recent.cloud(JUDGED_M, POINTS);
-        let mut judged: Vec<Judged> = Vec::new();
+        let verification_cloud = self.recent.cloud(VERIFIED_M, POINTS);
+        let mut evaluated: Vec<Evaluated> = Vec::new();
         for place in &places.found {
-            let mut candidate = self.judge(&verification_cloud, place.map_from_cloud, place.score);
+            let mut candidate = self.evaluate(&verification_cloud, place.map_from_cloud, place.score);
             candidate.listed.is_among_all = places.others_max <= UNSEEN_MAX * place.score;
             candidate.listed.times = u32::from(has_moved);
-            if !judged.iter().any(|better| is_same(&better.at, &candidate.at)) {
-                judged.push(candidate);
+            if !evaluated.iter().any(|better| is_same(&better.at, &candidate.at)) {
+                evaluated.push(candidate);
             }
         }
         for (map_from_odom, listed) in std::mem::take(&mut self.kept) {
-            let mut candidate = self.judge(&verification_cloud, map_from_odom.compose(odom), 0.0);
-            match judged.iter_mut().find(|other| is_same(&other.at, &candidate.at)) {
-                Some(Judged { listed: now, .. }) => {
+            let mut candidate = self.evaluate(&verification_cloud, map_from_odom.compose(odom), 0.0);
+            match evaluated.iter_mut().find(|other| is_same(&other.at, &candidate.at)) {
+                Some(Evaluated { listed: now, .. }) => {
                     now.is_among_all |= listed.is_among_all;
                     now.times += listed.times;
                 }
                 None => {
                     candidate.listed = listed;
-                    judged.push(candidate);
+                    evaluated.push(candidate);
                 }
             }
         }
         // A stable sort: of equals the one with the better score.
-        judged.sort_by(|a, b| b.merit().total_cmp(&a.merit()));
+        evaluated.sort_by(|a, b| b.merit().total_cmp(&a.merit()));
         let from_odom = odom.inverse();
         // A search near a hint gives no result for other places.
-        let listed = |j: &Judged| if near.is_some() { Listed::default() } else { j.listed };
-        let kept = judged.iter().take(HYPOTHESES_MAX).map(|j| (j.at.compose(from_odom), listed(j)));
+        let listed = |j: &Evaluated| if near.is_some() { Listed::default() } else { j.listed };
+        let kept = evaluated.iter().take(HYPOTHESES_MAX).map(|j| (j.at.compose(from_odom), listed(j)));
         self.kept = kept.collect();
-        self.conclude(odom, &judged, places.others_max);
+        self.conclude(odom, &evaluated, places.others_max);
     }
 
-    fn judge(&self, cloud: &[SeenPoint], at: Placement, score: f64) -> Judged {
+    fn evaluate(&self, cloud: &[SeenPoint], at: Placement, score: f64) -> Evaluated {
         let weak = [1.0, 0.0, 0.0, 1.0, 0.0, 4.0];
         let fit = self.surroundings.fit(cloud, at, &weak);
         let at = fit.map_or(at, |fit| fit.map_from_cloud);
-        Judged {
+        Evaluated {
             at,
             score,
             listed: Listed::default(),
@@ -391,27 +392,27 @@ impl Localizer {
         }
     }
 
-    fn conclude(&mut self, odom: Placement, judged: &[Judged], others_max: f64) {
-        let Some(best) = judged.first() else {
+    fn conclude(&mut self, odom: Placement, evaluated: &[Evaluated], others_max: f64) {
+        let Some(best) = evaluated.first() else {
             self.belief = Belief::default();
             return;
         };
         let worth = |merit: f64| exp(SHARPNESS * (merit - best.merit()));
         let unseen = exp(SHARPNESS * (others_max - best.score));
-        let sum: f64 = judged.iter().map(|j| worth(j.merit())).sum::<f64>() + unseen.min(1.0);
-        let hypothesis = |j: &Judged| Hypothesis {
+        let sum: f64 = evaluated.iter().map(|j| worth(j.merit())).sum::<f64>() + unseen.min(1.0);
+        let hypothesis = |j: &Evaluated| Hypothesis {
             map_from_base: j.at,
             weight: worth(j.merit()) / sum,
             agreement: j.agreement,
         };
-        self.belief.hypotheses = judged.iter().take(HYPOTHESES_MAX).map(hypothesis).collect();
+        self.belief.hypotheses = evaluated.iter().take(HYPOTHESES_MAX).map(hypothesis).collect();
         self.belief.covariance = None;
         let covariance = best.fit.and_then(|fit| {
             let unit = FIT_INFORMATION / POINTS as f64;
             inverse(&fit.information.map(|h| unit * h))
         });
         let is_held = covariance.is_some_and(|c| widest(&c) <= SIGMA_MAX_M * SIGMA_MAX_M);
-        self.belief.knowledge = knowledge(judged, self.recent.travel_m(), is_held);
+        self.belief.knowledge = knowledge(evaluated, self.recent.travel_m(), is_held);
         if let (Knowledge::Localized, Some(fit), Some(covariance)) =
             (self.belief.knowledge, best.fit, covariance)
         {

@@ -40,7 +40,7 @@ const LISTED_MIN: u32 = 3;
 
 /// A pose hypothesis with its scores.
 #[derive(Clone, Copy)]
-pub(crate) struct Judged {
+pub(crate) struct Evaluated {
     pub(crate) at: Placement,
     pub(crate) score: f64,
     pub(crate) listed: Listed,
@@ -57,7 +57,7 @@ pub(crate) struct Listed {
     pub(crate) times: u32,
 }
 
-impl Judged {
+impl Evaluated {
     /// Share explained less share contradicted.
     pub(crate) fn merit(&self) -> f64 {
         (self.agreement.explained - self.agreement.contradicted).max(0.0)
@@ -77,10 +77,10 @@ impl Judged {
 
 /// What is known after so much travel, metres, when these are the best places, the best first. `is_held`: surfaces hold the best one in
 /// all directions.
-pub(crate) fn knowledge(judged: &[Judged], travel_m: f64, is_held: bool) -> Knowledge {
-    let Some((best, others)) = judged.split_first() else { return Knowledge::Unknown };
-    let greatest = |of: fn(&Judged) -> f64| others.iter().map(of).fold(0.0, f64::max);
-    let (alternative, strict_alternative) = (greatest(Judged::merit), greatest(Judged::strict_merit));
+pub(crate) fn knowledge(evaluated: &[Evaluated], travel_m: f64, is_held: bool) -> Knowledge {
+    let Some((best, others)) = evaluated.split_first() else { return Knowledge::Unknown };
+    let greatest = |of: fn(&Evaluated) -> f64| others.iter().map(of).fold(0.0, f64::max);
+    let (alternative, strict_alternative) = (greatest(Evaluated::merit), greatest(Evaluated::strict_merit));
     let (explained, contradicted) = best.strictly();
     let (least, most) = match (travel_m < STANDING_M, strict_alternative <= ALONE_MAX * best.strict_merit()) {
         (true, true) => STANDING_ALONE,
@@ -108,8 +108,8 @@ pub(crate) fn knowledge(judged: &[Judged], travel_m: f64, is_held: bool) -> Know
 }
 
 /// Whether all walls say that the robot is here, and only things between them that the map does not show say otherwise.
-fn is_among_furniture(best: &Judged, others: &[Judged], travel_m: f64) -> bool {
-    let by_walls = |judged: &Judged| judged.agreement.clear - judged.agreement.behind;
+fn is_among_furniture(best: &Evaluated, others: &[Evaluated], travel_m: f64) -> bool {
+    let by_walls = |evaluated: &Evaluated| evaluated.agreement.clear - evaluated.agreement.behind;
     travel_m >= FURNISHED_M
         && shows_walls(&best.agreement)
         && best.agreement.contradicted <= FURNISHED_CONTRADICTED_MAX
@@ -128,7 +128,7 @@ mod tests {
 
     const LISTED: Listed = Listed { is_among_all: true, times: 0 };
 
-    fn place(explained: f64, contradicted: f64, listed: Listed) -> Judged {
+    fn place(explained: f64, contradicted: f64, listed: Listed) -> Evaluated {
         let agreement = Agreement {
             explained,
             contradicted,
@@ -136,7 +136,7 @@ mod tests {
             behind: 0.5 * contradicted,
             through: 0.5 * contradicted,
         };
-        Judged { at: Placement::IDENTITY, score: explained, listed, fit: None, agreement }
+        Evaluated { at: Placement::IDENTITY, score: explained, listed, fit: None, agreement }
     }
 
     /// In a hotel, all rooms have the same walls, and a third of the furniture has moved.

@@ -37,7 +37,7 @@ const CYCLE: (f64, f64, f64) = (0.2, 0.02, 0.05);
 /// In a long corridor with a door every few metres a single match is wrong easily, and what the odometry knows
 /// after a hundred metres cannot contradict it.
 pub fn eligible(closures: &[Closure], nodes: &[Node]) -> Vec<bool> {
-    judged(closures, nodes, |_| false)
+    classified(closures, nodes, |_| false)
 }
 
 /// Which loop closures may take part in the last solution: those that are [`eligible`], and those in the open that lie where they were
@@ -45,11 +45,11 @@ pub fn eligible(closures: &[Closure], nodes: &[Node]) -> Vec<bool> {
 /// looked for elsewhere.
 pub fn eligible_at_the_end(closures: &[Closure], nodes: &[Node]) -> Vec<bool> {
     let is_expected = |closure: &Closure| closure.shift_m <= EXPECTED_SHARE * closure.reach_m;
-    judged(closures, nodes, |closure| nodes[closure.edge.to].is_open && is_expected(closure))
+    classified(closures, nodes, |closure| nodes[closure.edge.to].is_open && is_expected(closure))
 }
 
 /// Which closures are eligible where those that are `expected` need no others.
-fn judged(closures: &[Closure], nodes: &[Node], is_expected: impl Fn(&Closure) -> bool) -> Vec<bool> {
+fn classified(closures: &[Closure], nodes: &[Node], is_expected: impl Fn(&Closure) -> bool) -> Vec<bool> {
     let neighbours = Neighbours::new(closures, nodes);
     let mut groups = Groups::new(closures, nodes);
     let is_wide = |closure: &Closure| closure.reach_m > WIDE_M;

@@ -233,7 +233,7 @@ impl FinalCleaning {
                     continue;
                 }
                 let (is_end_near, is_crossed) = self.rays.at(cell);
-                let (passes, is_met) = match view.judge(center) {
+                let (passes, is_met) = match view.classify(center) {
                     Visibility::SeenThrough => (Some(true), false),
                     seen => (
                         (is_crossed && !is_end_near).then_some(false),
@@ -265,7 +265,7 @@ impl FinalCleaning {
                     if center.distance_m(at) > REACH_M {
                         continue;
                     }
-                    match view.judge(center) {
+                    match view.classify(center) {
                         Visibility::SeenThrough => seen_through += 1,
                         Visibility::Supported | Visibility::Touched => supported += 1,
                         Visibility::Passed | Visibility::Open => (),

@@ -12,7 +12,7 @@ const APART_CELLS: i32 = 2;
 /// is stale.
 const CONTRADICTED_MAX: f64 = 0.2;
 
-/// Judgement of an occupied cell by newer submaps.
+/// Classification of an occupied cell by newer submaps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Contradiction {
     /// It is free, and everything around it.
@@ -34,21 +34,21 @@ pub fn stale_cells(submap: &Submap, map_from_odom: Pose, newer: &FusedMap) -> Ve
             .filter(|(offset, cell)| cell.occupied > 0 && !tile.is_cleared(*offset));
         for (offset, cell) in occupied {
             let index = tile.key.cell(offset);
-            match judge(newer, map_from_odom.apply(center(submap, index))) {
+            match classify(newer, map_from_odom.apply(center(submap, index))) {
                 Contradiction::Gone => stale.push(index),
                 Contradiction::Stands if cell.occupied > cell.free => standing += 1,
                 Contradiction::Stands | Contradiction::Open => (),
             }
         }
     }
-    let judged = (stale.len() + standing) as f64;
-    if stale.len() as f64 > CONTRADICTED_MAX * judged {
+    let classified = (stale.len() + standing) as f64;
+    if stale.len() as f64 > CONTRADICTED_MAX * classified {
         stale.clear();
     }
     stale
 }
 
-fn judge(newer: &FusedMap, at: Point) -> Contradiction {
+fn classify(newer: &FusedMap, at: Point) -> Contradiction {
     let index = |metres: f64| floor(metres / newer.cell_size_m());
     let (x, y) = (index(at.x_m), index(at.y_m));
     let around = |reach: i32| {

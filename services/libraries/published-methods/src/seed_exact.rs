@@ -25,7 +25,7 @@ pub struct PublishedFilter {
 impl PublishedFilter {
     /// Judges a scan: the product of the coefficients, 0 where it is not a number, and why the scan is kept, if it is.
     /// `None` when no valid point is among those that are looked at: there the program divides by nothing.
-    pub fn judge(&mut self, scan: ScanView<'_>) -> Option<(f64, Option<KeepReason>)> {
+    pub fn classify(&mut self, scan: ScanView<'_>) -> Option<(f64, Option<KeepReason>)> {
         let count = points(scan).count();
         if count == 0 {
             return None;
@@ -127,8 +127,8 @@ mod tests {
         ScanBuffer::from_ranges(ranges, -1.5, 0.01)
     }
 
-    fn judged(filter: &mut PublishedFilter, ranges: &[f32]) -> (f64, Option<KeepReason>) {
-        filter.judge(scan(ranges).view().unwrap()).unwrap()
+    fn classified(filter: &mut PublishedFilter, ranges: &[f32]) -> (f64, Option<KeepReason>) {
+        filter.classify(scan(ranges).view().unwrap()).unwrap()
     }
 
     /// Walls of a room: nothing that looks like a corridor.
@@ -139,19 +139,19 @@ mod tests {
     #[test]
     fn the_first_two_scans_are_dropped_and_eleven_in_a_row_never() {
         let mut filter = PublishedFilter::default();
-        let kept: Vec<usize> = (0..33).filter(|_| judged(&mut filter, &room(0.0)).1.is_some()).collect();
+        let kept: Vec<usize> = (0..33).filter(|_| classified(&mut filter, &room(0.0)).1.is_some()).collect();
         assert_eq!(kept, [10, 21, 32]);
         let mut filter = PublishedFilter::default();
-        assert_eq!(judged(&mut filter, &room(0.0)), (1.0, None));
-        assert_eq!(judged(&mut filter, &room(3.0)), (1.0, None));
-        assert!(judged(&mut filter, &room(1.5)).1.is_some());
+        assert_eq!(classified(&mut filter, &room(0.0)), (1.0, None));
+        assert_eq!(classified(&mut filter, &room(3.0)), (1.0, None));
+        assert!(classified(&mut filter, &room(1.5)).1.is_some());
     }
 
     #[test]
     fn up_to_five_scans_are_kept_and_dropped_ones_too() {
         let mut filter = PublishedFilter::default();
         for _ in 0..9 {
-            judged(&mut filter, &room(0.0));
+            classified(&mut filter, &room(0.0));
         }
         assert_eq!((filter.last.len(), filter.drops_in_a_row), (5, 9));
     }
@@ -160,7 +160,7 @@ mod tests {
     fn coefficients_are_multiplied() {
         let mut filter = PublishedFilter::default();
         for shift in [0.0, 0.05, 0.1] {
-            judged(&mut filter, &room(shift));
+            classified(&mut filter, &room(shift));
         }
         let new = mean_range_histogram(scan(&room(0.2)).view().unwrap(), 240);
         let each: Vec<f64> = filter.last.iter().map(|old| pearson(old, &new)).collect();
@@ -184,16 +184,16 @@ mod tests {
         let mut filter = PublishedFilter::default();
         let flat = vec![1e18_f32; 31];
         for _ in 0..2 {
-            judged(&mut filter, &flat);
+            classified(&mut filter, &flat);
         }
         // Beside huge ranges one of usual size still gives a number.
         let one = [5.0_f32, 1.0];
-        let (coefficient, _) = judged(&mut filter, &one);
+        let (coefficient, _) = classified(&mut filter, &one);
         assert!(coefficient.is_finite());
         // Ranges that are all 0 have no variance: zero is divided by zero.
-        assert_eq!(judged(&mut filter, &[0.0; 31]), (0.0, Some(KeepReason::Novel)));
-        assert!(filter.judge(scan(&[1.0]).view().unwrap()).is_none());
-        assert!(filter.judge(scan(&[]).view().unwrap()).is_none());
+        assert_eq!(classified(&mut filter, &[0.0; 31]), (0.0, Some(KeepReason::Novel)));
+        assert!(filter.classify(scan(&[1.0]).view().unwrap()).is_none());
+        assert!(filter.classify(scan(&[]).view().unwrap()).is_none());
     }
 
     #[test]
@@ -201,7 +201,7 @@ mod tests {
         let mut filter = PublishedFilter::default();
         let walls: Vec<f32> =
             (0..301_i16).map(|i| 1.2 / (f32::from(i) * 0.01 - 1.5).sin().abs().max(0.02)).collect();
-        let reasons: Vec<_> = (0..40).map(|_| judged(&mut filter, &walls).1).collect();
+        let reasons: Vec<_> = (0..40).map(|_| classified(&mut filter, &walls).1).collect();
         assert_eq!(reasons, [Some(KeepReason::Corridor); 40]);
     }
 }

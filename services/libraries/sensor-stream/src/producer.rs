@@ -89,7 +89,7 @@ impl Producer {
     /// Sends a frame.
     ///
     /// # Errors
-    /// When nobody listens or the connection breaks. The frame is lost; static transforms are sent with the next connection.
+    /// Without a receiver, or when the connection breaks. The frame is lost; static transforms are sent with the next connection.
     pub fn send(&mut self, frame: &SensorFrame) -> Result<(), SendError> {
         if let SensorFrame::Transforms(TransformsReading { is_static: true, transforms }) = frame {
             let known = transforms.iter().map(|transform| (transform.child.clone(), transform.clone()));
@@ -103,7 +103,7 @@ impl Producer {
     /// Connects, when there is no connection and a try is due.
     ///
     /// # Errors
-    /// When nobody listens.
+    /// Without a receiver.
     pub fn connect(&mut self) -> Result<(), SendError> {
         if self.stream.is_some() {
             return Ok(());

@@ -16,7 +16,7 @@ pub(super) struct FreeSpace {
 }
 
 impl FreeSpace {
-    /// The free space around a point; without places when nobody fits there.
+    /// The free space around a point; without places when no body fits there.
     pub(super) fn around(grid: PlanningGrid, point: Point) -> Self {
         let cells = grid.room_around(point);
         Self { grid, cells }

@@ -57,7 +57,7 @@ impl Horizon {
     }
 
     /// Whether a cell whose centre is this far from the lidar along x and y is hidden, or out of view, for certain:
-    /// [`crate::PassThrough::judge`] says that it is open.
+    /// [`crate::PassThrough::classify`] says that it is open.
     #[inline]
     pub fn hides(&self, dx_m: f64, dy_m: f64) -> bool {
         let distance_m = hypot(dx_m, dy_m);
@@ -139,7 +139,7 @@ mod tests {
                 let (dx, dy) = (center.x_m - laser.x_m, center.y_m - laser.y_m);
                 if horizon.hides(dx, dy) {
                     hidden += 1;
-                    prop_assert_eq!(pass_through.judge(center), Visibility::Open, "{:?}", center);
+                    prop_assert_eq!(pass_through.classify(center), Visibility::Open, "{:?}", center);
                 }
             }
             // About two fifths of the circle are out of view.

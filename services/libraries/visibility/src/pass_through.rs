@@ -13,7 +13,7 @@ const NEAR_M: f64 = 0.3;
 /// Where a beam passes a cell, no beam ends within so many cells of it.
 const PASSED_CELLS: f64 = 2.5;
 
-/// The judgement of an occupied cell by a scan.
+/// The classification of an occupied cell by a scan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Visibility {
     /// A beam through it and every beam near it end far behind it.
@@ -68,9 +68,9 @@ impl Margins {
 /// let margins = Margins { behind_m: 0.15, behind_share: 0.015, beside_m: 0.1, beside_rad: 0.003 };
 /// let view = PassThrough::new(&sight, Pose::IDENTITY, 0.045, margins);
 /// let (sin, cos) = 8f64.to_radians().sin_cos();
-/// assert_eq!(view.judge(Point::new(2.0 * cos, 2.0 * sin)), Visibility::Supported);
-/// assert_eq!(view.judge(Point::new(3.5 * cos, 3.5 * sin)), Visibility::Open, "hidden");
-/// assert_eq!(view.judge(Point::new(-2.0 * cos, -2.0 * sin)), Visibility::SeenThrough);
+/// assert_eq!(view.classify(Point::new(2.0 * cos, 2.0 * sin)), Visibility::Supported);
+/// assert_eq!(view.classify(Point::new(3.5 * cos, 3.5 * sin)), Visibility::Open, "hidden");
+/// assert_eq!(view.classify(Point::new(-2.0 * cos, -2.0 * sin)), Visibility::SeenThrough);
 /// # Ok::<(), flockslam_messages::ScanProblem>(())
 /// ```
 #[derive(Clone, Copy, Debug)]
@@ -95,7 +95,7 @@ impl<'a> PassThrough<'a> {
 
     /// Whether the scan looks through the cell with its centre at `center`. Beside the beams through the cell itself
     /// those next to it must pass too: at a grazing angle one of them ends on the wall to which the cell belongs.
-    pub fn judge(&self, center: Point) -> Visibility {
+    pub fn classify(&self, center: Point) -> Visibility {
         let (dx, dy) = (center.x_m - self.from_laser.x_m, center.y_m - self.from_laser.y_m);
         if self.horizon.is_some_and(|horizon| horizon.hides(dx, dy)) {
             return Visibility::Open;
@@ -175,13 +175,17 @@ mod tests {
     fn what_stands_is_supported_up_to_its_edges_and_what_has_gone_is_seen_through() {
         let sight = sight_of(&column());
         let view = PassThrough::new(&sight, Pose::IDENTITY, CELL_M, MARGINS);
-        assert_eq!(view.judge(at(2.0, 15.0)), Visibility::Supported);
-        assert_eq!(view.judge(at(2.0, 100.0)), Visibility::SeenThrough);
-        assert_eq!(view.judge(at(2.0, 22.0)), Visibility::Open, "it may be the edge");
-        assert_eq!(view.judge(at(2.0, 25.0)), Visibility::Passed, "so near to the edge nothing is certain");
-        assert_eq!(view.judge(at(3.5, 15.0)), Visibility::Open, "hidden");
-        assert_eq!(view.judge(at(0.2, 100.0)), Visibility::Open, "too near");
-        assert_eq!(view.judge(at(4.95, 100.0)), Visibility::Supported);
+        assert_eq!(view.classify(at(2.0, 15.0)), Visibility::Supported);
+        assert_eq!(view.classify(at(2.0, 100.0)), Visibility::SeenThrough);
+        assert_eq!(view.classify(at(2.0, 22.0)), Visibility::Open, "it may be the edge");
+        assert_eq!(
+            view.classify(at(2.0, 25.0)),
+            Visibility::Passed,
+            "so near to the edge nothing is certain"
+        );
+        assert_eq!(view.classify(at(3.5, 15.0)), Visibility::Open, "hidden");
+        assert_eq!(view.classify(at(0.2, 100.0)), Visibility::Open, "too near");
+        assert_eq!(view.classify(at(4.95, 100.0)), Visibility::Supported);
     }
 
     proptest! {
@@ -197,7 +201,7 @@ mod tests {
             let view = PassThrough::new(&sight, pose, CELL_M, MARGINS);
             // The last beam on the thing covers half a degree beyond itself, the cell ± 0.64°.
             let edge = at(2.0, first + 20.5 + within);
-            let finding = view.judge(pose.apply(edge));
+            let finding = view.classify(pose.apply(edge));
             prop_assert!(matches!(finding, Visibility::Supported | Visibility::Touched), "{finding:?}");
         }
     }

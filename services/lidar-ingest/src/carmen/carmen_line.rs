@@ -12,7 +12,7 @@ use std::str::{FromStr, SplitAsciiWhitespace};
 /// What a line of a log turned out to be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Line {
-    /// A scan, now in the buffer. `whole` when even the fields that nobody needs were there.
+    /// A scan, now in the buffer. `whole` when the unused fields were there as well.
     Scan { whole: bool },
     /// A known message that becomes no scan, with all its fields or not.
     Other { whole: bool },

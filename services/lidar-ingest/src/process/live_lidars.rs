@@ -117,7 +117,7 @@ impl LidarHandler for LidarOutput {
             let rate = session.rate().map_or_else(String::new, |rate| format!(" at {rate} baud"));
             let said =
                 format!("{lidar} measures{rate}: {beams} beams, {speed_hz:.1} Hz; {}", session.device());
-            // Who has read of a trouble is to read of its end.
+            // After a logged problem its end is logged, too.
             if self.troubled.remove(&lidar.name) {
                 tracing::warn!("{said}");
             } else {

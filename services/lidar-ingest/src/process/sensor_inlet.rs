@@ -71,7 +71,7 @@ impl OutletMaker {
 }
 
 impl SensorInlet {
-    /// What was received next; `None` for nothing yet, an error when nobody listens any more.
+    /// What was received next; `None` for nothing yet, an error when the sending threads have ended.
     pub fn take(&self) -> Result<Option<SensorEvent>, ()> {
         match self.events.try_recv() {
             Ok(event) => Ok(Some(event)),
@@ -131,7 +131,7 @@ impl SensorOutlet {
 }
 
 impl Drop for SensorOutlet {
-    /// The stage is to notice that nobody listens any more.
+    /// The stage is to notice that the sending thread has ended.
     fn drop(&mut self) {
         let (unused, _) = bounded(0);
         self.events = unused;

@@ -30,9 +30,9 @@ const NEW_PLACE: f64 = 0.7;
 /// and radians.
 const FIRM: (f64, f64) = (0.05, 0.01);
 
-/// The judgement of a fit.
+/// The match result of a fit.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Judgement {
+pub(super) struct MatchResult {
     /// Pose in odom: that of the fit, or the prediction where the fit is degenerate. It is not used when the quality is `Lost`.
     pub(super) pose: Pose,
     /// Velocity during the scan, in the robot's own frame.
@@ -44,37 +44,38 @@ pub(super) struct Judgement {
 impl ScanMatcher {
     /// A poor fit whose points end in free space is rejected: the robot is somewhere else. A poor fit whose points end
     /// in unknown space shows a new place, and odometry gives its pose.
-    pub(super) fn judge<H: Deref<Target = Tile>>(
+    pub(super) fn assess<H: Deref<Target = Tile>>(
         &self,
         fitted: &Fitted,
         mask: &MoverMask,
         grid: &TileGrid<H>,
         was_kidnapped: bool,
-    ) -> Judgement {
+    ) -> MatchResult {
         let Fitted { twist, covariance, .. } = *fitted;
         if fitted.is_open {
-            return Judgement { pose: fitted.fit.pose, twist, covariance, quality: open_quality(fitted) };
+            return MatchResult { pose: fitted.fit.pose, twist, covariance, quality: open_quality(fitted) };
         }
-        let as_fitted = Judgement { pose: fitted.fit.pose, twist, covariance, quality: self.quality(fitted) };
+        let as_fitted =
+            MatchResult { pose: fitted.fit.pose, twist, covariance, quality: self.quality(fitted) };
         let is_poor = fitted.fit.score < self.least_score(fitted, CONTRADICTED.0);
         // Without a gap a robot was not driven where odometry rules it out, even if that place looks like the scan.
         let may_be_there = !was_kidnapped || self.confidence.lost_after_gap;
         if may_be_there && self.is_found_again(fitted) && !is_contradicted(fitted, mask, grid) {
-            return Judgement { quality: Quality::Degraded, ..as_fitted };
+            return MatchResult { quality: Quality::Degraded, ..as_fitted };
         }
         if was_kidnapped {
-            return Judgement { quality: Quality::Lost, ..as_fitted };
+            return MatchResult { quality: Quality::Lost, ..as_fitted };
         }
         if self.settings.rescue.lost_scans_max == 0 || !is_poor {
             return as_fitted;
         }
         if is_contradicted(fitted, mask, grid) {
-            return Judgement { quality: Quality::Lost, ..as_fitted };
+            return MatchResult { quality: Quality::Lost, ..as_fitted };
         }
         let Prediction { pose, twist, covariance, .. } = fitted.prediction;
         let is_new =
             as_fitted.quality == Quality::Lost && unknown_share(grid, &fitted.points.ends, pose) >= NEW_PLACE;
-        if is_new { Judgement { pose, twist, covariance, quality: Quality::Degraded } } else { as_fitted }
+        if is_new { MatchResult { pose, twist, covariance, quality: Quality::Degraded } } else { as_fitted }
     }
 
     /// Whether a scan with a bad match shows a kidnapping. In the open, scores scatter too much, and without odometry
@@ -106,7 +107,7 @@ impl ScanMatcher {
         if fitted.is_rescued { least } else { least.min(self.confidence.unusual_score()) }
     }
 
-    /// Judgement by the score.
+    /// Match result by the score.
     fn quality(&self, fitted: &Fitted) -> Quality {
         let (fit, prediction) = (&fitted.fit, fitted.prediction.pose);
         let rescue = &self.settings.rescue;
@@ -128,7 +129,7 @@ impl ScanMatcher {
     }
 }
 
-/// Judgement of a pose among the surfaces around: by how firmly they hold the scan.
+/// Match result of a pose among the surfaces around: by how firmly they hold the scan.
 fn open_quality(fitted: &Fitted) -> Quality {
     let is_firm = fitted.alone.is_some_and(|(alone, covariance)| {
         covariance.position_std_m() <= FIRM.0

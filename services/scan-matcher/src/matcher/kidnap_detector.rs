@@ -85,16 +85,16 @@ impl KidnapDetector {
         let found = |place: Pose| self.contradiction(&outlines, before.inverse() * place);
         let (found_there, found_around) =
             (found(predicted), [Some(before), fit].map(|place| place.and_then(found)));
-        let judged = found_there.iter().chain(found_around.iter().flatten());
-        if judged.clone().next().is_none() {
+        let candidates = found_there.iter().chain(found_around.iter().flatten());
+        if candidates.clone().next().is_none() {
             return self.unexplained > 0;
         }
         let is_contradicted = found_there.is_some_and(|found| found.is_at_least(PARTLY_CONTRADICTED))
-            && judged.clone().all(|found| found.sum >= CONTRADICTED_AROUND);
+            && candidates.clone().all(|found| found.sum >= CONTRADICTED_AROUND);
         self.contradicted = if is_contradicted { self.contradicted + 1 } else { 0 };
         let limit = if self.unexplained > 0 { STILL_CONTRADICTED } else { CONTRADICTED };
         let is_plain = |found: &Contradiction| found.is_at_least(limit) || found.sum >= CONTRADICTED_ALONE;
-        let is_unexplained = judged.clone().all(is_plain) || self.contradicted >= CONTRADICTIONS_IN_A_ROW;
+        let is_unexplained = candidates.clone().all(is_plain) || self.contradicted >= CONTRADICTIONS_IN_A_ROW;
         self.unexplained = if is_unexplained { self.unexplained + 1 } else { 0 };
         is_unexplained
     }

@@ -3,7 +3,7 @@
 use super::ScanMatcher;
 use super::fitting::Alternative;
 use super::open_place::{DENSE, is_held};
-use super::{Fitted, Judgement, MEAN_RATE, POINTS_MIN_FOR_SHARE, SLIPPED, START_SCANS};
+use super::{Fitted, MEAN_RATE, MatchResult, POINTS_MIN_FOR_SHARE, SLIPPED, START_SCANS};
 use flockslam_geometry::Pose;
 use flockslam_messages::{PoseEstimate, PoseFlags, Quality};
 
@@ -130,9 +130,9 @@ impl Default for Confidence {
 }
 
 impl Confidence {
-    /// Counts a fit and its judgement; `before` is the pose of the scan before, `beams` how many the scan has.
-    pub(super) fn count(&mut self, fitted: &Fitted, judgement: &Judgement, before: Pose, beams: usize) {
-        let Judgement { pose, quality, .. } = *judgement;
+    /// Counts a fit and its match result; `before` is the pose of the scan before, `beams` how many the scan has.
+    pub(super) fn count(&mut self, fitted: &Fitted, match_result: &MatchResult, before: Pose, beams: usize) {
+        let MatchResult { pose, quality, .. } = *match_result;
         let odometry = fitted.prediction.pose;
         self.slips = pose.distance_m(odometry) > SLIPPED.0 || pose.turn_rad(odometry) > SLIPPED.1;
         self.searched = fitted.searched;

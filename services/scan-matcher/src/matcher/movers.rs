@@ -36,7 +36,7 @@ const WIDE_MAX: f64 = 0.08;
 const BODY_ESTABLISHED_MAX: f64 = 0.2;
 
 impl ScanMatcher {
-    /// Sets aside the beams on other robots and on what moves, then leaves out what is as narrow as a person: the points that are left, and
+    /// Sets aside the beams on other robots and on what moves, then removes what is as narrow as a person: the points that are left, and
     /// the beams that are not matched. A robot that does not know its place takes walls for movers, and one that is lost needs all that
     /// it sees to tell one place from another.
     pub(super) fn mask_movers<H: Deref<Target = Tile>>(

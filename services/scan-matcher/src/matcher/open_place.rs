@@ -35,7 +35,7 @@ impl<F: ScoreField> Fitter<'_, F> {
         if self.settings.strategy != Strategy::GaussNewton {
             return Open::New(false);
         }
-        // Indoors the grid tells a jump of odometry from a turn that nobody expected; surfaces along a corridor do not.
+        // Indoors the grid tells a jump of odometry from an unexpected turn; surfaces along a corridor do not.
         if !self.confidence.is_in_the_open() {
             return Open::New(false);
         }

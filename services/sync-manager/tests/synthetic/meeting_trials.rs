@@ -163,7 +163,7 @@ fn add_false_constraints(flock: &mut Flock, count: usize, seed: u64) -> usize {
             published += 1;
             continue;
         }
-        // As many agreeing false constraints as stay less than half of what is true: of two groups of equal size nobody knows the right one.
+        // As many agreeing false constraints as stay less than half of what is true: of two groups of equal size neither is known to be right.
         let a_from_b = of_a[from].1 * motion * of_b[to].1.inverse();
         for k in 0..(count / 8).clamp(2, 5) {
             let (from, to) = ((from + 4 * k) % of_a.len(), (to + 4 * k) % of_b.len());

@@ -30,7 +30,7 @@ pub struct DiagnosticStatus {
 impl DiagnosticStatus {
     /// All is well.
     pub const OK: u8 = 0;
-    /// It works, and somebody should look.
+    /// A warning.
     pub const WARN: u8 = 1;
     /// It does not work.
     pub const ERROR: u8 = 2;

@@ -54,7 +54,7 @@ impl Walker {
         let around = DETOURS_DEG.map(|turn_deg| turned(velocity, turn_deg));
         let step_m = turn_s * velocity.norm_m();
         let clear = around.into_iter().find(|towards| is_clear(world, start, *towards, step_m + RADIUS_M));
-        // Who is squeezed in somewhere gets out somehow.
+        // A person without free space around may leave through anything.
         let taken = clear.unwrap_or(velocity);
         let position = Point::new(start.x_m + turn_s * taken.x_m, start.y_m + turn_s * taken.y_m);
         self.position = squeezed(position, robot);
@@ -88,7 +88,7 @@ impl Walker {
     }
 }
 
-/// Away from the robot, and to the right of it, so that nobody is pushed along in front of it.
+/// Away from the robot, and to the right of it, so that no person is pushed along in front of it.
 fn make_way(wanted: Point, position: Point, robot: Point) -> Point {
     let (dx, dy) = (position.x_m - robot.x_m, position.y_m - robot.y_m);
     let distance_m = hypot(dx, dy).max(1e-3);
