@@ -41,7 +41,7 @@ fn shares(plan: &PlanPicture, other: &PlanPicture, state: CellState) -> (f64, f6
     (f64::from(same) / f64::from(all), f64::from(opposite) / f64::from(all))
 }
 
-/// Mean and greatest distance of the final poses from the truth, seconds after the start, metres; `plan_from_world` is where the world lies.
+/// Mean and greatest distance of the final poses from the truth, seconds after the start, metres; `plan_from_world` is where the world is.
 fn error_in_plan(outputs: &Outputs, plan_from_world: Pose, after_s: f64) -> (f64, f64) {
     let offsets_m = truth_offsets_m(outputs, plan_from_world, after_s);
     let sum_m: f64 = offsets_m.iter().sum();
@@ -76,7 +76,7 @@ fn half_of_an_office_that_is_imported_is_mapped_on_from_an_unknown_place_in_its_
     let directory = tempfile::tempdir().unwrap();
     let [known, kept, exported] = ["known", "kept", "exported"].map(|name| directory.path().join(name));
     let whole = run_well("office", &known, &building(240));
-    // The map of the office lies where its first drive began.
+    // The map of the office is where its first drive began.
     let plan_from_world = whole.frame_from_truth();
     let of_whole = error_in_plan(&whole, plan_from_world, 0.0);
     let plan = PlanPicture::read(&known.join("map.yaml")).without_left(0.5);

@@ -188,7 +188,7 @@ fn what_is_no_map_to_localize_in_is_refused_in_one_line() {
     assert_eq!(mapping.wait(), Some(0));
 }
 
-/// Where the frame of one map lies in that of another by a drive that has poses in both: medians.
+/// Where the frame of one map is in that of another by a drive that has poses in both: medians.
 fn between_maps(in_one: &Outputs, in_other: &Outputs) -> Pose {
     let [one, other] = [in_one, in_other].map(|outputs| outputs.trajectory("trajectory.tum"));
     assert_eq!(one.len(), other.len());

@@ -52,7 +52,7 @@ fn record(path: &Path, settings: &Settings, lidars: &[Mounted], motion: Motion) 
         }
         recording.static_transform("base_link", &format!("laser_{number}"), &place);
     }
-    // The IMU lies on its side: the robot turns about its y axis.
+    // The IMU is mounted on its side: the robot turns about its y axis.
     let on_its_side = UnitQuaternion::from_euler_angles(PI / 2.0, 0.0, 0.0);
     recording.static_transform(
         "base_link",

@@ -87,6 +87,6 @@ fn a_mover_in_a_room_leaves_a_trail_only_without_the_update() {
     println!(
         "cells of the trail seen from far away: {far:?}; at the end {plain} without the update, {modified} with it"
     );
-    assert!(far[1] > 5, "what lies beyond the effective radius waits until the robot comes near: {far:?}");
+    assert!(far[1] > 5, "what is beyond the effective radius waits until the robot comes near: {far:?}");
     assert!(plain > 40 && modified * 20 <= plain, "{plain} {modified}");
 }

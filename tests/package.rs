@@ -88,7 +88,7 @@ fn the_tree_has_all_parts_of_the_package_and_they_name_each_other_rightly() {
         assert!(licences.contains(&format!("\n{library}")), "{library}");
     }
     assert!(!licences.contains("\nproptest "), "libraries of tests are not in the executable");
-    // A set that lies in the package can be read with what lies beside it.
+    // A set that is in the package can be read with what is beside it.
     let set = SetDescription::read(&tree.join("opt/flockslam/share/flockslam/config/robot.toml")).unwrap();
     let arguments = set.ros.unwrap().args;
     let parameters = arguments.last().unwrap().strip_prefix('/').unwrap();

@@ -8,7 +8,7 @@ use flockslam::evaluation::{evaluate_truth, parse_tum};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Mean error of the drive under motion capture, metres; 0.0115 m was reached, and 0.0107 to 0.0120 m where the grid lies at other angles.
+/// Mean error of the drive under motion capture, metres; 0.0115 m was reached, and 0.0107 to 0.0120 m where the grid is at other angles.
 const CAPTURED_ERROR_M: f64 = 0.012;
 
 /// Lines of a public log that are enough to close loops in one of them.
@@ -91,7 +91,7 @@ fn one_drive_in_eight_formats_gives_one_map() {
         tool(place, &python.with_file_name("rosbags-convert"), &args).expect("it was installed");
         assert_eq!(mapped(place, &place.join(to)).report.map_hash, plain, "{to}");
     }
-    // Whatever lies beside the files of a folder, and whether its description is there.
+    // Whatever is beside the files of a folder, and whether its description is there.
     fs::remove_file(place.join("mcap/metadata.yaml")).unwrap();
     fs::write(place.join("mcap/notes.txt"), "a drive").unwrap();
     assert_eq!(mapped(place, &place.join("mcap")).report.map_hash, plain);

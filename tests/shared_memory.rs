@@ -39,7 +39,7 @@ fn parse(line: &str) -> Option<Mapping> {
 fn segment_of(address: u64, reader: u32, publisher: u32) -> Mapping {
     let of_reader = mappings(reader);
     let held = of_reader.into_iter().find(|mapping| (mapping.begin..mapping.end).contains(&address));
-    let held = held.unwrap_or_else(|| panic!("{address:#x} lies in no file that {reader} maps"));
+    let held = held.unwrap_or_else(|| panic!("{address:#x} is in no file that {reader} maps"));
     assert!(held.file.starts_with("/dev/shm"), "{held:?}");
     assert_eq!(held.file.extension().unwrap(), "data", "{held:?}");
     assert_eq!(held.permissions, "r--s", "readers only read");

@@ -19,7 +19,7 @@ use start_trials::{StartTrial, start_trial};
 use std::error::Error;
 use std::path::Path;
 
-/// What is found farther from the truth is false, metres and radians; the map of half of ACES lies up to 2.1 m from that of the whole.
+/// What is found farther from the truth is false, metres and radians; the map of half of ACES is up to 2.1 m from that of the whole.
 const FALSE: (f64, f64) = (2.5, 0.15);
 
 fn scans(log: &str, store: &mut ScanStore) -> Result<Vec<usize>, Box<dyn Error>> {

@@ -1,6 +1,6 @@
 //! Shares of the machine: a test whose sets compute all the time takes half of it, one whose set mostly waits for its next scan a
 //! sixth. So many tests run at once, and none starves another. Whichever fits into what is free begins: one that waits for a part is
-//! overtaken by smaller ones, one that needs the whole machine by all others. So little of the machine lies idle while something ends.
+//! overtaken by smaller ones, one that needs the whole machine by all others. So little of the machine is idle while something ends.
 
 use std::cell::RefCell;
 use std::sync::{Condvar, Mutex};

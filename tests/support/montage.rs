@@ -6,7 +6,7 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{DynamicImage, GrayImage, ImageEncoder, Luma, Rgb, RgbImage};
 use std::path::Path;
 
-/// What lies around the panels, and how far they are apart, pixels.
+/// What is around the panels, and how far they are apart, pixels.
 const BACKGROUND: u8 = 235;
 const GAP: u32 = 6;
 /// Side of a pixel of the picture of tracks, metres.

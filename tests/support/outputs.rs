@@ -43,7 +43,7 @@ impl Outputs {
         last.into_iter().filter_map(exact).collect()
     }
 
-    /// Where the world of the truth lies in the map, by all poses: least squares.
+    /// Where the world of the truth is in the map, by all poses: least squares.
     pub fn frame_from_truth(&self) -> Pose {
         let pairs: Vec<(Point, Point)> = self
             .with_truth()
@@ -81,7 +81,7 @@ pub fn known_truth_error_m(outputs: &Outputs) -> Option<f64> {
 }
 
 /// Distance of each final pose from where the truth has it, so many seconds after the first and later, metres: nothing is aligned,
-/// `map_from_world` is where the world of the truth lies.
+/// `map_from_world` is where the world of the truth is.
 pub fn truth_offsets_m(outputs: &Outputs, map_from_world: Pose, after_s: f64) -> Vec<f64> {
     let pairs = outputs.with_truth();
     let begin_ns = pairs[0].0.stamp_ns + (1e9 * after_s) as i64;

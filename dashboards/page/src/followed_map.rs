@@ -156,7 +156,7 @@ impl FollowedMap {
         &self.submap_poses
     }
 
-    /// Where each submap lies in odom.
+    /// Where each submap is in odom.
     pub fn origins(&self) -> &[(u32, Pose)] {
         &self.origins
     }

@@ -5,7 +5,7 @@ use flockslam_geometry::{Point, Pose};
 use flockslam_map_fusion::{Footprint, FusedMap};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A submap is moved on the page once one of its corners lies this many cells away from where the solution has it.
+/// A submap is moved on the page once one of its corners is this many cells away from where the solution has it.
 const MOVED_CELLS: f64 = 1.0;
 
 /// The sum of closed submaps where the solution has them, kept up in small steps.

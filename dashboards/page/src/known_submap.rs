@@ -14,7 +14,7 @@ pub fn known_submap(results: &Path, cell_size_m: f64) -> Option<Submap> {
     let reader = MapReader::open_file(results.join(KNOWN_MAP)).ok()?;
     let shape = reader.shape();
     let mut tiles: BTreeMap<TileKey, Box<[PackedCell; TILE_CELLS]>> = BTreeMap::new();
-    // Each cell of the map goes where its middle lies.
+    // Each cell of the map goes where its middle is.
     let lattice = |origin_m: f64, cell: usize| {
         ((origin_m + (cell as f64 + 0.5) * shape.cell_size_m) / cell_size_m).floor() as i32
     };

@@ -191,7 +191,7 @@ pub struct View {
     pub tracks: Versioned<Option<Vec<Track>>>,
     /// The other robots of the flock.
     pub other_robots: Versioned<Vec<OtherRobot>>,
-    /// Whether what lies behind is still being read.
+    /// Whether what is behind is still being read.
     pub is_catching_up: Versioned<bool>,
     /// How the set is; `None` while its supervisor does not answer.
     pub health: Versioned<Option<Health>>,

@@ -30,7 +30,7 @@ const link = new Link({
     if (json.robot) showRobot(json.robot);
     if (json.graph) set(find('#loops'), `${json.graph.accepted} of ${json.graph.searches}`);
     if (json.health !== undefined) showHealth(json.health);
-    if (json.catching_up !== undefined) json.catching_up ? showNotice('Reading what lies behind …') : (find('#notice').hidden = true);
+    if (json.catching_up !== undefined) json.catching_up ? showNotice('Reading earlier data …') : (find('#notice').hidden = true);
     view.redraw(() => link.drawn(json.frame));
     frames += 1;
     document.body.dataset.frames = frames;

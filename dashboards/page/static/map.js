@@ -90,7 +90,7 @@ export class MapView {
     this.redraw();
   }
 
-  /** Where a submap's odom lies in the map. One that is not placed lies where the newest correction has it. */
+  /** Where a submap's odom is in the map. One that is not placed is where the newest correction has it. */
   place(submap) {
     return this.placed.get(submap) ?? this.robot?.map_from_odom ?? IDENTITY;
   }

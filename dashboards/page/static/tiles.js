@@ -128,7 +128,7 @@ export class Tiles {
     chunk.touch(bottom * CHUNK_TILES + left);
   }
 
-  /** Draws what lies in `box` (cells). The context is scaled to cells, y upwards; `pixels` are there for each cell. */
+  /** Draws what is in `box` (cells). The context is scaled to cells, y upwards; `pixels` are there for each cell. */
   draw(context, box, pixels, colours) {
     const level = Math.max(0, Math.min(LEVELS - 1, Math.floor(Math.log2(1 / pixels) + 0.3)));
     context.imageSmoothingEnabled = pixels < 2;

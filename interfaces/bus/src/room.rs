@@ -13,7 +13,7 @@ use std::ffi::c_int;
 use std::fmt;
 use std::os::fd::BorrowedFd;
 
-/// Where shared memory lies.
+/// Where shared memory is.
 pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
 /// Objects up to this size get all their memory when they are made, bytes. Larger ones get so much, and the rest message by message.
 pub(crate) const WHOLE_MAX_BYTES: u64 = 2 << 20;

@@ -433,7 +433,7 @@ fn allocated_bytes(path: &Path) -> u64 {
 
 fn directory_bytes(directory: &Path) -> u64 {
     let size = |path: PathBuf| if path.is_dir() { directory_bytes(&path) } else { allocated_bytes(&path) };
-    // What a link leads to lies on disk.
+    // What a link leads to is on disk.
     entries(directory).into_iter().filter(|path| !path.is_symlink()).map(size).sum()
 }
 

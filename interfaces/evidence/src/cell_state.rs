@@ -19,7 +19,7 @@ impl CellState {
     /// Of a cell with this evidence: thresholds as in nav2, on p/(p+q).
     pub fn of(cell: &Cell) -> Self {
         let (occupied, free) = (u64::from(cell.occupied), u64::from(cell.free));
-        // e^A - 1 grows faster than A: p/q lies beyond A/B, seen from 1. Most cells need no exponential.
+        // e^A - 1 grows faster than A: p/q is beyond A/B, seen from 1. Most cells need no exponential.
         match (occupied, free) {
             (0, 0) => Self::Unknown,
             _ if occupied > 2 * free => Self::Occupied,

@@ -7,7 +7,7 @@ const ENTRIES_MAX: usize = 1 << 22;
 /// Empty tiles added on every side when a directory grows, so that it grows rarely.
 const MARGIN: i64 = 8;
 
-/// A key lies so far from the others that the directory would not fit into memory.
+/// A key is so far from the others that the directory would not fit into memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("tile ({}, {}) is too far from the rest of the map", .0.x, .0.y)]
 pub struct TooFar(pub TileKey);

@@ -15,7 +15,7 @@ pub enum Level {
     Quarter = 2,
 }
 
-/// A grid of evidence as its readers hold it: the newest version of each tile, wherever it lies.
+/// A grid of evidence as its readers hold it: the newest version of each tile, wherever it is.
 ///
 /// `H` gives access to a tile in place: a shared-memory sample between processes, `Box` or `Arc` in one process.
 ///
@@ -188,7 +188,7 @@ impl<'a, H: Deref<Target = Tile>> ScoreReader<'a, H> {
         self.block_of_other_tile(cell)
     }
 
-    /// A block that lies in the cached tile.
+    /// A block that is in the cached tile.
     #[inline]
     fn block_within(&self, x: u32, y: u32) -> [u16; 4] {
         let pair = |y: u32| self.scores.get((y << self.shift | x) as usize..)?.first_chunk::<2>();
@@ -233,7 +233,7 @@ impl<'a, H: Deref<Target = Tile>> ScoreReader<'a, H> {
         self.scores = self.scores_at(cell);
     }
 
-    /// Scores of the tile that a cell lies in.
+    /// Scores of the tile that a cell is in.
     fn scores_at(&self, cell: CellIndex) -> &'a [u16] {
         let tile = self.grid.tile(TileKey { x: cell.x >> self.shift, y: cell.y >> self.shift });
         tile.map_or(&[], |tile| match self.level {

@@ -11,7 +11,7 @@ pub const TILE_CELLS: usize = TILE_SIDE * TILE_SIDE;
 const SIDE_SHIFT: u32 = TILE_SIDE.trailing_zeros();
 const SIDE_MASK: i32 = TILE_SIDE as i32 - 1;
 
-/// Which tile of the plane: cell (i, j) lies in tile (i div 64, j div 64), with floor division.
+/// Which tile of the plane: cell (i, j) is in tile (i div 64, j div 64), with floor division.
 #[repr(C)]
 #[derive(
     Clone,
@@ -51,7 +51,7 @@ impl CellIndex {
         Self { x, y }
     }
 
-    /// The tile it lies in.
+    /// The tile it is in.
     #[inline]
     pub const fn tile(self) -> TileKey {
         TileKey { x: self.x >> SIDE_SHIFT, y: self.y >> SIDE_SHIFT }

@@ -13,7 +13,7 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 /// let odom_from_base = Pose::new(2.0, 1.0, FRAC_PI_2);
 /// let base_from_laser = Pose::new(0.5, 0.0, 0.0);
 /// let odom_from_laser = odom_from_base * base_from_laser;
-/// // The robot looks along y: what lies in front of it has a greater y in odom.
+/// // The robot looks along y: what is in front of it has a greater y in odom.
 /// assert!(odom_from_laser.position().distance_m(Point::new(2.0, 1.5)) < 1e-12);
 /// assert!(odom_from_laser.apply(Point::new(1.0, 0.0)).distance_m(Point::new(2.0, 2.5)) < 1e-12);
 /// assert!(odom_from_base.to(odom_from_laser).distance_m(base_from_laser) < 1e-12);

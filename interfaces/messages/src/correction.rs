@@ -4,7 +4,7 @@ use crate::message::message;
 use flockslam_geometry::Pose;
 
 message! {
-    /// What sync-manager concluded after a scan that has entered the map, as far as the front end needs it; the whole solution lies in
+    /// What sync-manager concluded after a scan that has entered the map, as far as the front end needs it; the whole solution is in
     /// the store.
     pub struct Correction = "flockslam/correction/v2" {
         /// The new correction of the front end.

@@ -95,7 +95,7 @@ impl Deskew {
         }
     }
 
-    /// No more than this, radians, lies between the direction in which a beam left and that which [`Self::beam_at_stamp`] gives.
+    /// No more than this, radians, is between the direction in which a beam left and that which [`Self::beam_at_stamp`] gives.
     pub fn shift_max_rad(&self, scan: ScanView<'_>, beam: usize) -> f64 {
         if !self.moves {
             return 0.0;

@@ -124,7 +124,7 @@ impl Summary {
     }
 }
 
-/// Where a stored submap lies in the final map.
+/// Where a stored submap is in the final map.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SubmapRow {
     /// Number of the submap.

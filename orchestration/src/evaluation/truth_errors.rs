@@ -138,7 +138,7 @@ fn align(pairs: &[Pair]) -> Pose {
     Pose::new(truth.x_m - turned.x_m, truth.y_m - turned.y_m, turn.heading_rad)
 }
 
-/// For each pose the first one that lies a metre further along the true way.
+/// For each pose the first one that is a metre further along the true way.
 fn a_metre_later(pairs: &[Pair]) -> Vec<(usize, usize)> {
     let steps = pairs.windows(2).map(|pair| pair[0].truth.distance_m(pair[1].truth));
     let way_m: Vec<f64> = std::iter::once(0.0)

@@ -18,7 +18,7 @@ pub struct CalibrationRow {
     pub lidar: u32,
     /// What was assumed in this run: x and y (metres), heading (degrees), offset of its stamps (seconds).
     pub assumed: [f64; 4],
-    /// The same as the drive shows it. A number that it does not show lies near what was assumed.
+    /// The same as the drive shows it. A number that it does not show is near what was assumed.
     pub estimate: [f64; 4],
     /// Standard deviations of the estimate.
     pub deviation: [f64; 4],

@@ -14,7 +14,7 @@ pub(super) type Colour = [u8; 3];
 const BAND: u32 = 128;
 
 /// A band of rows of a picture, with smooth lines and shapes; coordinates in pixels of the whole picture, y down, pixel (0, 0) covers
-/// 0 … 1. What lies outside of the band is left out.
+/// 0 … 1. What is outside of the band is left out.
 pub(super) struct Canvas {
     image: RgbImage,
     /// Its first row.

@@ -18,7 +18,7 @@ pub struct OccupancyImage {
 }
 
 impl OccupancyImage {
-    /// A map of `width` × `height` cells of `cell_size_m` whose lower left *corner* lies at `origin` in the map frame.
+    /// A map of `width` × `height` cells of `cell_size_m` whose lower left *corner* is at `origin` in the map frame.
     /// A map without cells becomes a single unknown one, since no picture has zero pixels.
     ///
     /// # Panics

@@ -16,7 +16,7 @@ pub struct Recorded {
     pub topic: RecordTopic,
     /// Its time.
     pub utc_ns: u64,
-    /// JSON by the topic's schema, or a scan as it lies on the bus.
+    /// JSON by the topic's schema, or a scan as it is on the bus.
     pub data: Vec<u8>,
 }
 
@@ -142,12 +142,12 @@ pub fn scan(scan: ScanView<'_>) -> Recorded {
     recorded(RecordTopic::Scan, utc_ns, &message)
 }
 
-/// A scan as it lies on the bus.
+/// A scan as it is on the bus.
 pub fn bus_scan(scan: ScanView<'_>) -> Recorded {
     Recorded { topic: RecordTopic::BusScan, utc_ns: wall(scan.header().times.utc_ns), data: scan.bytes() }
 }
 
-/// A record of the set, as it lies on the bus.
+/// A record of the set, as it is on the bus.
 pub fn set_record(utc_ns: i64, record: &SetRecord) -> Recorded {
     Recorded { topic: RecordTopic::SetRecord, utc_ns: wall(utc_ns), data: record.bytes() }
 }

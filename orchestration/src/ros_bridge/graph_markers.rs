@@ -50,7 +50,7 @@ impl GraphMarkers {
         self.solution = solution;
     }
 
-    /// The graph, with submaps where the solution has them: `origins` says where each lies in odom.
+    /// The graph, with submaps where the solution has them: `origins` says where each is in odom.
     pub fn message(&self, stamp_ns: i64, map_frame: &str, origins: &[(u32, Pose)]) -> MarkerArray {
         let header = Header::new(stamp_ns, map_frame);
         let places: BTreeMap<u32, Pose> = self
@@ -140,7 +140,7 @@ mod tests {
         assert_eq!(names[3..], [("closures", 2), ("revoked", 2), ("submaps", 0)]);
         let (nodes, way) = (&found[1], &found[2]);
         assert_eq!((nodes.ns.as_str(), &nodes.points), ("nodes", &way.points));
-        // The second submap is not in the solution yet: it lies where the newest correction has it.
+        // The second submap is not in the solution yet: it is where the newest correction has it.
         assert!(nodes.points.iter().all(|at| at.y == if at.x < 0.95 { 1.0 } else { 2.0 }), "{nodes:?}");
         assert!((6..=8).contains(&nodes.points.len()), "{nodes:?}");
         assert_eq!(

@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 const STEP_M: f64 = 6.4;
 /// Margin of unknown cells around the map, metres.
 const MARGIN_M: f64 = 2.0;
-/// Cells along a side of a map at most; what lies beyond is not in it.
+/// Cells along a side of a map at most; what is beyond is not in it.
 const SIDE_CELLS_MAX: i64 = 16_384;
 
 /// Cells from a lower left corner on, in the lattice of the map.
@@ -155,7 +155,7 @@ impl MapPainter {
         }
     }
 
-    /// The cell of the map in which a point of a cell lies: `within` is its place in that cell, 0 … 1.
+    /// The cell of the map in which a point of a cell is: `within` is its place in that cell, 0 … 1.
     fn cell_at(&self, key: TileKey, offset: usize, within: [f64; 2], pose: Placed) -> [i64; 2] {
         let [x, y] = cell_of(key, offset);
         let place = |index: i64, within: f64| (index as f64 + within) * self.cell_size_m;

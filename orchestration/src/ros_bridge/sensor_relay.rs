@@ -75,7 +75,7 @@ pub struct RelayCounts {
     pub apart: u64,
 }
 
-/// Somebody else says where the frame of odometry lies in the map.
+/// Somebody else says where the frame of odometry is in the map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ForeignCorrection;
 

@@ -42,7 +42,7 @@ impl FromStr for Mounting {
             return Err(format!("a lidar sits within {MOUNTED_WITHIN_M} m of the middle of its robot"));
         }
         if !(-360.0..=360.0).contains(&heading_deg) {
-            return Err("a heading lies between -360 and 360 degrees".to_owned());
+            return Err("a heading is between -360 and 360 degrees".to_owned());
         }
         Ok(Self { x_m, y_m, heading_deg })
     }

@@ -113,7 +113,7 @@ fn write(
     })
 }
 
-/// The block that a place lies in.
+/// The block that a place is in.
 fn block_of(at: Point, cell_size_m: f64) -> Block {
     let cell = CellIndex::new(floor(at.x_m / cell_size_m), floor(at.y_m / cell_size_m));
     let key = cell.tile();

@@ -124,7 +124,7 @@ impl Mirror {
     /// a part of the new one.
     ///
     /// # Errors
-    /// When the disk refuses, or another map lies there: it may be tried again.
+    /// When the disk refuses, or another map is there: it may be tried again.
     pub fn bring_up(&mut self) -> Result<(), StoreError> {
         // Whatever the submaps and the flock know by now is in the journal, so the journal goes after that is counted.
         let submaps = self.submaps.count();
@@ -161,7 +161,7 @@ impl Mirror {
         self.open_records.iter_mut().try_for_each(Open::bring_up)
     }
 
-    /// Makes the map when there is none; what lies there must be one of this kind.
+    /// Makes the map when there is none; what is there must be one of this kind.
     fn begin(&self) -> Result<(), StoreError> {
         let directory = self.map.directory();
         fs::create_dir_all(directory.join("submaps")).map_err(StoreError::io(directory))?;

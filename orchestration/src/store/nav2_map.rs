@@ -48,7 +48,7 @@ struct Description {
     free_max: f64,
 }
 
-/// Reads a map of nav2's map server. The result lies along the axes of the map frame, also when the picture's origin is turned.
+/// Reads a map of nav2's map server. The result is along the axes of the map frame, also when the picture's origin is turned.
 ///
 /// # Errors
 /// When the YAML lacks a key or has a wrong one, or the picture cannot be read.
@@ -178,7 +178,7 @@ pub(super) fn evidence(state: CellState) -> Cell {
     }
 }
 
-/// A picture that lies along the axes of the map: its last row is the lowest.
+/// A picture that is along the axes of the map: its last row is the lowest.
 fn straight(description: &Description, picture: &DynamicImage) -> StoredMap {
     let (width, height) = picture.dimensions();
     let origin = Point::new(description.origin.x_m, description.origin.y_m);

@@ -41,7 +41,7 @@ impl SavedMap {
         !matches!(MapHead::read(&self.directory), Err(StoreError::Absent(_)))
     }
 
-    /// Where it lies.
+    /// Where it is.
     pub fn directory(&self) -> &Path {
         &self.directory
     }

@@ -135,7 +135,7 @@ fn serve(stream: &UnixStream, orders: &Sender<Order>) -> Option<()> {
     write_line(stream, &reply)
 }
 
-/// Asks the set whose control socket lies at `path`.
+/// Asks the set whose control socket is at `path`.
 ///
 /// # Errors
 /// When no set listens there, or it gives no sensible answer.

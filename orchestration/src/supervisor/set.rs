@@ -27,7 +27,7 @@ mod set_scaling;
 /// Exit code of a stage whose source is not usable: a mistake of the user's.
 pub const EXIT_BAD_SOURCE: i32 = 2;
 const STOP_LIMIT: Duration = Duration::from_secs(2);
-/// What a set that lives knows lies outside of its stages, so none of them is waited for.
+/// What a set that lives knows is outside of its stages, so none of them is waited for.
 const STOP_LIMIT_LIVE: Duration = Duration::from_millis(500);
 /// Reports of processes that are kept for each stage.
 const REPORTS_MAX: usize = 64;
@@ -62,7 +62,7 @@ pub struct ProcessSet {
     orphans: OrphanedNodes,
     /// Why something waits in memory that should be in a file.
     not_durable: Option<String>,
-    // The bus goes before the directory that it lies in.
+    // The bus goes before the directory that it is in.
     bus: Bus,
     runtime: RuntimeDir,
 }

@@ -85,7 +85,7 @@ fn sector_of(angle_rad: f64) -> usize {
     part_of_turn(angle_rad + PI, TALLY_SECTORS)
 }
 
-/// In which of so many equal parts of a turn an angle lies; one that is not finite in the first.
+/// In which of so many equal parts of a turn an angle is; one that is not finite in the first.
 fn part_of_turn(angle_rad: f64, parts: usize) -> usize {
     let turns = angle_rad * (1.0 / TAU);
     let beyond_whole = turns - turns as i64 as f64;

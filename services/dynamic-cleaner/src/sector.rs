@@ -1,4 +1,4 @@
-//! Sectors of the circle around the lidar, as numbers (`Sector`) and at a place (`Wedge`). Each point lies in exactly one.
+//! Sectors of the circle around the lidar, as numbers (`Sector`) and at a place (`Wedge`). Each point is in exactly one.
 
 use flockslam_geometry::elementary::sin_cos;
 use flockslam_geometry::{Point, Pose};
@@ -21,7 +21,7 @@ pub(crate) const TURNS: u32 = 8;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Wedge {
     apex: Point,
-    /// It lies to the left of this direction, and not to the left of that one, as far as there are such.
+    /// It is to the left of this direction, and not to the left of that one, as far as there are such.
     begins: Option<Point>,
     ends: Option<Point>,
 }
@@ -76,7 +76,7 @@ impl Sector {
 }
 
 impl Wedge {
-    /// Whether a point lies in it. Every point but the apex lies in the wedge of exactly one sector.
+    /// Whether a point is in it. Every point but the apex is in the wedge of exactly one sector.
     pub fn has(&self, point: Point) -> bool {
         let (x, y) = (point.x_m - self.apex.x_m, point.y_m - self.apex.y_m);
         let is_left = |border: Point| left_m(border, x, y) >= 0.0;
@@ -91,7 +91,7 @@ impl Wedge {
     }
 }
 
-/// How far (x, y) lies to the left of a direction, metres.
+/// How far (x, y) is to the left of a direction, metres.
 fn left_m(direction: Point, x: f64, y: f64) -> f64 {
     direction.x_m * y - direction.y_m * x
 }

@@ -23,7 +23,7 @@ pub struct Settings {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
-    /// Beam by beam, with margins for the errors of range and pose and for what lies beside.
+    /// Beam by beam, with margins for the errors of range and pose and for what is beside.
     Beams,
     /// By segments in angular sectors, without margins (Trubin et al. 2020).
     Sectors,

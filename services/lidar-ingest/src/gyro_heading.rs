@@ -76,7 +76,7 @@ mod tests {
     const MS: i64 = 1_000_000;
 
     fn reading(stamp_ms: i64, rate_rad_s: f64) -> ImuReading {
-        // The IMU lies on its side: it measures about its y axis.
+        // The IMU is mounted on its side: it measures about its y axis.
         let turn_rad_s = Vector3::new(0.0, rate_rad_s, 0.0);
         ImuReading { stamp_ns: stamp_ms * MS, frame: "imu".to_owned(), turn_rad_s }
     }

@@ -7,7 +7,7 @@ use std::fmt;
 const NS_PER_S: i64 = 1_000_000_000;
 
 /// Reads seconds written in decimal (`976052905.167303`, `-0.5`, `1.3e+09`) as nanoseconds, exact to the last digit;
-/// what lies below a nanosecond is cut off. `None` when it is no such number or out of range.
+/// what is below a nanosecond is cut off. `None` when it is no such number or out of range.
 pub fn parse_stamp_ns(text: &str) -> Option<i64> {
     let (negative, unsigned) = match text.as_bytes().first()? {
         b'-' => (true, &text[1..]),

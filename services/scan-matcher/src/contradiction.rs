@@ -1,4 +1,4 @@
-//! How much of a scan contradicts the grid at a pose, and how much lies where nothing is known.
+//! How much of a scan contradicts the grid at a pose, and how much is where nothing is known.
 
 use flockslam_evidence::{TILE_SIDE, Tile, TileGrid, WEIGHT_SCALE};
 use flockslam_geometry::{Point, Pose};

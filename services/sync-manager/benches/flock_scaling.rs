@@ -95,7 +95,7 @@ fn own(content: &Content) -> Option<Content> {
     (!matches!(content, Content::Constraints(_))).then(|| content.clone())
 }
 
-/// How a robot lies to the one before it, as it would have been measured.
+/// Pose of a robot relative to the one before it, as it would have been measured.
 fn ties(robot: usize, drives: &[Drive]) -> Vec<Content> {
     let (before, own) = (&drives[(robot - 1) % drives.len()], &drives[robot % drives.len()]);
     let (from_robot, to_robot): (RobotId, RobotId) = (key(robot - 1).id().clone(), key(robot).id().clone());

@@ -43,7 +43,7 @@ impl PoseRecord {
     }
 }
 
-/// Whether the points of the scan with this pose say where it lies: it was matched, or it was dropped without having been tried. A scan that
+/// Whether the points of the scan with this pose show its pose: it was matched, or it was dropped without having been tried. A scan that
 /// the front end has not matched gives no pose, nor does one that the source withheld.
 pub fn gives_a_place(pose: &PoseEstimate) -> bool {
     let untried = [DropReason::Correlated, DropReason::Unchanged, DropReason::Motion, DropReason::Overload];

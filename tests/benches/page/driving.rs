@@ -11,7 +11,7 @@ use std::rc::Rc;
 const JUMP_M: f64 = 0.1;
 /// A robot is where it has been when it is this near to a pose …
 const KNOWN_M: f64 = 2.0;
-/// … that lies at least this much travel back.
+/// … that is at least this much travel back.
 const BACK_M: f64 = 15.0;
 /// Poses of the final trajectory are compared this far apart, metres of travel.
 const SPACING_M: f64 = 0.25;

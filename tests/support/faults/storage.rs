@@ -54,7 +54,7 @@ pub fn torn_files(seed: u64) -> Trial {
         let last = bytes.len() - tried;
         for step in 0..9 * tried {
             let (at, bit) = (last + step / 9, step % 9);
-            // The end of a long file is the record that a kill may have torn; what lies before it is damaged here and there.
+            // The end of a long file is the record that a kill may have torn; what is before it is damaged here and there.
             let at = if bit < 8 && last > 0 { random.below(bytes.len() as u64) as usize } else { at };
             // Only what is damaged is written, and then made good: the rest of a long file would take most of the time.
             let damaged = if bit == 8 { at..bytes.len() } else { at..at + 1 };

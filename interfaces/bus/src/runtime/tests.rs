@@ -38,7 +38,7 @@ fn a_folder_on_disk_comes_and_goes_with_the_set_and_those_of_dead_sets_go_first(
     assert!(!dead.exists() && spill_dir.join("not-ours").exists());
     fs::write(runtime.submaps().join("x"), vec![0; 1 << 20]).unwrap();
     assert!(runtime.submaps().starts_with(&spill_dir));
-    assert!(runtime.occupied_bytes() < 1 << 20, "what lies on disk occupies no memory");
+    assert!(runtime.occupied_bytes() < 1 << 20, "what is on disk occupies no memory");
     let joined = RuntimeDir::open(runtime.path()).unwrap();
     assert_eq!(joined.spill(), runtime.spill());
     // Another set leaves the folder of a living one alone.

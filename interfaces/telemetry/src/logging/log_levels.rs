@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 /// A process looks so often whether its levels have changed, nanoseconds.
 const PERIOD_NS: u64 = 200_000_000;
 
-/// What a process of a stage shall log, as it lies in the set's directory: it holds for the processes that follow too.
+/// What a process of a stage shall log, as it is in the set's directory: it holds for the processes that follow too.
 #[derive(Debug)]
 pub struct LogLevels {
     path: PathBuf,

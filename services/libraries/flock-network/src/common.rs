@@ -58,7 +58,7 @@ impl Common {
         }
     }
 
-    /// How the robot's map lies in that of the flock, given where its own submaps lie in its map: the newest submap decides, since
+    /// Pose of the robot's map in that of the flock, given where its own submaps are in its map: the newest submap decides, since
     /// that is where the robot is.
     pub fn frame(&self, map_from_odom: &[(u32, Pose)], revision: u32) -> Option<FlockFrame> {
         let known = |number: u32| {

@@ -296,7 +296,7 @@ impl FlockExchange {
         self.place();
     }
 
-    /// Tells the stage how its map lies in that of the flock.
+    /// Tells the stage the pose of its map in that of the flock.
     fn place(&self) {
         let frame = self.common.frame(&self.map_from_odom, self.revision);
         *locked(&self.shared.frame) = frame;

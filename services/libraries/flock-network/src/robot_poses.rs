@@ -15,7 +15,7 @@ pub struct RobotPoses {
 
 impl RobotPoses {
     /// Takes in the pose that a robot publishes; false when that is not used: it is not newer than the last, or nobody knows how
-    /// its map lies.
+    /// its map is.
     pub fn insert(&mut self, presence: Presence, heard_ns: u64, common: &Common) -> bool {
         self.newest.retain(|_, (known, _)| common.place_of(known).is_some());
         let known = self.newest.get(&presence.robot);
@@ -28,7 +28,7 @@ impl RobotPoses {
         true
     }
 
-    /// Where they are in this robot's map, given how that lies in the flock's. `radius_m` is that of a body.
+    /// Where they are in this robot's map, given the pose of that map in the flock's. `radius_m` is that of a body.
     pub fn in_map(&self, common: &Common, flock_from_map: Pose, radius_m: f64) -> FlockRobots {
         let mut robots = FlockRobots::default();
         let places = self.newest.values().filter_map(|(presence, heard_ns)| {

@@ -26,7 +26,7 @@ pub enum Task {
 /// What the stage and the thread look up of each other: the newest of each.
 #[derive(Default)]
 pub struct Shared {
-    /// How the robot's map lies in that of the flock.
+    /// Pose of the robot's map in that of the flock.
     pub frame: Mutex<Option<FlockFrame>>,
     /// Where the others are.
     pub robots: Mutex<FlockRobots>,

@@ -123,7 +123,7 @@ impl Place {
         nearest.1.compose(atlas.nodes[node].local_pose)
     }
 
-    /// How what lies around the middle would have to be moved to lie where else it fits best to what the first robot has seen.
+    /// How the surroundings of the middle would have to be moved to be where else they fit best to what the first robot has seen.
     fn other_place(&self, atlas: &Atlas) -> Option<Placement> {
         let query = self.middle.to;
         let at = self.placed(atlas, query);

@@ -255,7 +255,7 @@ mod tests {
         (0..2 * NODES).map(node).collect()
     }
 
-    /// The closure between nodes of both trajectories if the second lies to the first like this.
+    /// The closure between nodes of both trajectories if this is the pose of the second in the first.
     fn closure(nodes: &[Node], from: usize, to: usize, first_from_second: Placement) -> Closure {
         let motion = nodes[from].local_pose.to(first_from_second.compose(nodes[NODES + to].local_pose));
         let information = [600.0, 0.0, 0.0, 600.0, 0.0, 1e4];

@@ -196,7 +196,7 @@ impl Atlas {
         self.edges.iter().copied().chain(across.map(|(closure, _)| loosely(closure.edge))).collect()
     }
 
-    /// Where everything lies. With `finely`, after all of it has been matched again: for the end, since it takes a multiple of the
+    /// Where everything is. With `finely`, after all of it has been matched again: for the end, since it takes a multiple of the
     /// time.
     pub fn solution(&self, finely: bool, inspected: &mut Inspected) -> FlockSolution {
         if self.is_empty() {
@@ -253,7 +253,7 @@ impl Atlas {
 }
 
 impl Flock {
-    /// Where everything lies of which this robot has records; with `finely`, matched again as a whole.
+    /// Where everything is of which this robot has records; with `finely`, matched again as a whole.
     pub fn solution(&self, finely: bool) -> FlockSolution {
         let atlas = Atlas::new(self.collection());
         atlas.solution(finely, &mut self.inspected())

@@ -243,7 +243,7 @@ fn firmly_connected(atlas: &Atlas, solved: &Solved) -> TrajectoryConnectivity {
     atlas.connectivity(&firm)
 }
 
-/// Whether a segment is another robot's and it is not known how it lies to the query.
+/// Whether a segment is another robot's and its pose relative to the query is not known.
 fn is_strange(atlas: &Atlas, known: &TrajectoryConnectivity, query: usize, segment: usize) -> bool {
     let anchor = atlas.segments[segment].anchor;
     let part = |node: usize| known.part(atlas.nodes[node].trajectory);

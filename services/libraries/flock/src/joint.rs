@@ -55,7 +55,7 @@ impl Atlas {
         graph_distances(&self.nodes, &loops, node)
     }
 
-    /// A closure with the window that it would have been found in by this solution, if it lies in that.
+    /// A closure with the window that it would have been found in by this solution, if it is in that.
     fn as_expected(&self, solved: &Solved, closure: &Closure, distances_m: &[f64]) -> Option<Closure> {
         let (from, to) = (closure.edge.from, closure.edge.to);
         let expected = solved.poses[from].to(solved.poses[to]);

@@ -112,7 +112,7 @@ fn nearest<'v, 'a>(at: &Placement, among: &[Placed<'v, 'a>]) -> Vec<Placed<'v, '
     near.into_iter().map(|(_, i)| among[i]).collect()
 }
 
-/// Counts the points of a scan that lies at `at`, by what the reference scans have seen there.
+/// Counts the points of a scan that is at `at`, by what the reference scans have seen there.
 fn compare(view: &View<'_>, at: &Placement, references: &[Placed<'_, '_>], sum: &mut Fit) {
     let stride = view.points.len().div_ceil(POINTS).max(1);
     for point in view.points.iter().step_by(stride) {

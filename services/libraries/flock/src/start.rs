@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 /// Closures agree on the relative pose of two trajectories when they differ by less than this, metres and radians.
 const AGREEING: (f64, f64) = (1.0, 0.15);
 
-/// How one trajectory lies to another, and how many closures say so.
+/// Pose of one trajectory relative to another, and the number of closures that agree.
 #[derive(Clone, Copy)]
 struct TrajectoryEdge {
     low: u32,
@@ -20,7 +20,7 @@ struct TrajectoryEdge {
 
 /// Poses to solve a graph of many trajectories from, and by trajectory the first trajectory that it is connected to.
 ///
-/// Trajectories are connected the surest first – a spanning tree of most votes – and each tree lies in the frame of its first
+/// Trajectories are connected the surest first – a spanning tree of most votes – and each tree is in the frame of its first
 /// trajectory. The start matters: from a heading that is quite wrong, no solver finds back.
 pub fn start(nodes: &[Node], loops: &[Edge]) -> (Vec<Placement>, Vec<u32>) {
     let count = nodes.last().map_or(0, |node| node.trajectory as usize + 1);

@@ -223,7 +223,7 @@ fn read_hq_node(node: &[u8]) -> Sample {
     Sample { head_deg, direction_deg: head_deg, range_mm, quality: node[6] }
 }
 
-/// Range and how far the direction lies behind the head, of a measurement of the express form.
+/// Range and how far the direction is behind the head, of a measurement of the express form.
 fn express_sample(cabins: &[u8], index: usize) -> (f64, f64, u8) {
     let cabin = &cabins[5 * (index / 2)..][..5];
     let word = u16_at(cabin, 2 * (index % 2));
@@ -266,7 +266,7 @@ fn extended_range_mm(cabins: &[u8], next_cabins: &[u8], index: usize) -> f64 {
     f64::from(range.max(0))
 }
 
-/// How far the direction of the extended form lies behind the head, degrees.
+/// How far the direction of the extended form is behind the head, degrees.
 pub(crate) fn extended_correction_deg(range_mm: f64) -> f64 {
     if range_mm < 50.0 {
         return 7.5;

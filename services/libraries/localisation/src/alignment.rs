@@ -19,7 +19,7 @@ const OPEN_SHARE: f64 = 0.03;
 const EXPLAINED_M: f64 = 0.15;
 /// A point in free space farther than this from all that is occupied contradicts the map, metres.
 const CONTRADICTED_M: f64 = 0.3;
-/// What lies before a point by less than this is not in its beam, metres.
+/// What is before a point by less than this is not in its beam, metres.
 const BEFORE_M: f64 = 0.4;
 /// A surface that beams pass is counted in squares of this side, metres, as points of a cloud are.
 const THROUGH_M: f64 = 0.1;
@@ -213,7 +213,7 @@ impl Sums {
         if middle - spread > OPEN_SHARE * (middle + spread) {
             return None;
         }
-        // The axis of the larger eigenvalue lies at half the angle of (half, xy); the smaller one's is across.
+        // The axis of the larger eigenvalue is at half the angle of (half, xy); the smaller one's is across.
         let (sin, cos) = sin_cos(0.5 * atan2(xy, half));
         Some((-sin, cos))
     }

@@ -32,7 +32,7 @@ pub struct Place {
 }
 
 impl KnownMap {
-    /// An empty map of so many cells in a row, whose lower left corner lies at `origin`, to which rows are added.
+    /// An empty map of so many cells in a row, whose lower left corner is at `origin`, to which rows are added.
     ///
     /// # Panics
     /// When the cell size is not positive.
@@ -109,7 +109,7 @@ impl KnownMap {
         known.count() as f64 * self.cell_size_m * self.cell_size_m
     }
 
-    /// A cell by its column and row; what lies outside is unknown and far from everything.
+    /// A cell by its column and row; what is outside is unknown and far from everything.
     #[inline]
     pub fn cell(&self, column: i64, row: i64) -> Place {
         let inside = (0..self.width as i64).contains(&column) && (0..self.height as i64).contains(&row);

@@ -126,7 +126,7 @@ impl PlaceField {
         (along(x_m, self.origin.x_m), along(y_m, self.origin.y_m))
     }
 
-    /// Where the value of a point beside the robot lies, from that of the robot's cell on, and its bound from that of the block: `x_m` and
+    /// Where the value of a point beside the robot is, from that of the robot's cell on, and its bound from that of the block: `x_m` and
     /// `y_m` from the middle of the cell.
     pub(crate) fn offsets(&self, x_m: f64, y_m: f64) -> (usize, usize) {
         let step = |v: f64| self.border.wrapping_add_signed((v / self.cell_m).round() as isize);

@@ -63,7 +63,7 @@ impl Evaluated {
         (self.agreement.explained - self.agreement.contradicted).max(0.0)
     }
 
-    /// Share explained and contradicted if nothing was taken away since the map was made: whatever lies behind something contradicts it.
+    /// Share explained and contradicted if nothing was taken away since the map was made: whatever is behind something contradicts it.
     fn strictly(&self) -> (f64, f64) {
         let Agreement { contradicted, clear, behind, through, .. } = self.agreement;
         (clear, contradicted - through + behind)

@@ -19,7 +19,7 @@ const EXTENT_PER_SURPRISE: f64 = 5.0;
 const USUAL_SHARE: f64 = 0.25;
 const USUAL_SHARE_OPEN: f64 = 0.5;
 /// At the end a closure in the open that would move the robot by no more than this share of its window needs no other: of matches that
-/// lie anywhere in a window, one of a hundred lies so near the pose that was expected.
+/// lie anywhere in a window, one of a hundred is so near the pose that was expected.
 const EXPECTED_SHARE: f64 = 0.1;
 /// Two closures are compared when the odometry between them is no longer than this, both sides together, metres.
 const COMPARED_WITHIN_M: f64 = 20.0;

@@ -1,4 +1,4 @@
-//! Where a trajectory that no closure has attached lies in the map: whole stretches of it are compared with whole stretches of the map.
+//! Where a trajectory that no closure has attached is in the map: whole stretches of it are compared with whole stretches of the map.
 //!
 //! A query of [`crate::finder`] sees a few metres, which may be found in many places, so that several must agree. A short trajectory has
 //! no several queries. All that it has seen together is found in one place or in none.

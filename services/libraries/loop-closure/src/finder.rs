@@ -282,7 +282,7 @@ fn field<'a>(fields: &'a mut FieldCache, world: &World<'_>, number: usize) -> &'
     fields.get(world.nodes[segment.anchor].sequence, make)
 }
 
-/// Whether a segment lies so far back that a query is looked for in it.
+/// Whether a segment is so far back that a query is looked for in it.
 fn is_old(world: &World<'_>, segment: &Segment, query: usize) -> bool {
     world.nodes[query].travel_m - world.nodes[segment.nodes.end - 1].travel_m >= LEAST_TRAVEL_M
 }

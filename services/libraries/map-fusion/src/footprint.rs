@@ -97,7 +97,7 @@ pub struct Footprint {
 }
 
 impl Footprint {
-    /// That of a submap whose reference pose lies at `map_from_submap`, in a map with cells of this side, metres.
+    /// That of a submap whose reference pose is at `map_from_submap`, in a map with cells of this side, metres.
     pub fn of(submap: &Submap, map_from_submap: Pose, cell_size_m: f64) -> Self {
         let resampling = Resampling::new(submap, map_from_submap, cell_size_m);
         let mut parts = Vec::new();

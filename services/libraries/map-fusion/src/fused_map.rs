@@ -69,7 +69,7 @@ impl FusedMap {
         self.cell_size_m
     }
 
-    /// Adds a submap whose reference pose lies at `map_from_submap`, and tells where it knows something. Cleared cells count as
+    /// Adds a submap whose reference pose is at `map_from_submap`, and tells where it knows something. Cleared cells count as
     /// unknown.
     ///
     /// # Errors

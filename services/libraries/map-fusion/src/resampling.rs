@@ -186,7 +186,7 @@ impl Resampling {
 
     /// The target cells that take their evidence from a cell of the submap's lattice.
     pub fn targets(&self, source: CellIndex) -> impl Iterator<Item = CellIndex> {
-        // The centre of such a cell lies within half a diagonal of the source's centre.
+        // The centre of such a cell is within half a diagonal of the source's centre.
         let reach = 1 + floor(std::f64::consts::FRAC_1_SQRT_2 * self.source_size_m / self.target_size_m);
         let centre = |cell: i32| (f64::from(cell) + 0.5) * self.source_size_m;
         let at = self.map_from_odom.apply(Point::new(centre(source.x), centre(source.y)));

@@ -20,7 +20,7 @@ const SEARCH_POINTS: usize = 120;
 const POINTS_MIN: usize = 40;
 /// Least score of a match, and least share of the points on lines of the map after refinement.
 const MATCH_MIN: (f64, f64) = (0.6, 0.65);
-/// A runner-up lies at least this far away, and makes a match ambiguous when its score reaches this share of the best.
+/// A runner-up is at least this far away, and makes a match ambiguous when its score reaches this share of the best.
 const APART: Window = Window { reach_m: 0.5, turn_rad: 0.175 };
 const RUNNER_UP: f64 = 0.9;
 /// Squares that a search evaluates before it gives up.
@@ -129,7 +129,7 @@ impl Meetings {
         self.own = Snapshot { version, map, scan, map_from_base, ..self.own.clone() };
     }
 
-    /// Meets another robot: gives how that lies to this one, when the scans tell.
+    /// Meets another robot: gives its pose relative to this one, when the scans show it.
     pub fn meet(&mut self, other: &Snapshot) -> Option<Pose> {
         if other.robot == self.own.robot {
             return None;
@@ -163,7 +163,7 @@ impl Meetings {
         }
     }
 
-    /// How the other robot lies to this one: by its scan in this map, by this scan in its map, or by both, which then must agree.
+    /// Pose of the other robot relative to this one: by its scan in this map, by this scan in its map, or by both, which then must agree.
     fn related(&mut self, other: &Snapshot) -> Option<Pose> {
         let theirs = find(&self.own.map, &other.scan).map(|at| at * other.map_from_base.inverse());
         let ours = find(&other.map, &self.own.scan).map(|at| self.own.map_from_base * at.inverse());
@@ -371,7 +371,7 @@ mod tests {
         points
     }
 
-    /// A robot whose frame lies so in the building, and which stands there.
+    /// A robot whose frame has this pose in the building, and which stands there.
     fn robot(name: &str, version: u64, building_from_map: Pose, building_from_base: Pose) -> Snapshot {
         let mut tiles: BTreeMap<TileKey, Box<[PackedCell; TILE_CELLS]>> = BTreeMap::new();
         let map_from_building = Placement::from(building_from_map).inverse();

@@ -21,7 +21,7 @@ pub struct SectorScan {
     listed: Vec<u32>,
     /// Sectors that beams with a return go through.
     returned: Box<[bool; SECTORS]>,
-    /// How near a point lies to a segment that shows it, metres.
+    /// How near a point is to a segment that shows it, metres.
     join_m: f64,
 }
 
@@ -34,7 +34,7 @@ struct Segment {
     last_sector: i64,
 }
 
-/// What lies on the way to a point.
+/// What is on the way to a point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ray {
     /// A segment before it: the point is in the shadow.
@@ -77,7 +77,7 @@ impl SectorScan {
             first = if beam == 0 { here } else { first };
             before = here;
         }
-        // The last beam of a full circle lies beside the first.
+        // The last beam of a full circle is beside the first.
         self.join(before, first.map(|(angle_rad, point)| (angle_rad + TAU, point)));
         self.list();
     }

@@ -51,7 +51,7 @@ struct Fetched {
 }
 
 impl Db3File {
-    /// Opens a file. What lies in its write-ahead log belongs to it.
+    /// Opens a file. What is in its write-ahead log belongs to it.
     ///
     /// # Errors
     /// When it is no such file.

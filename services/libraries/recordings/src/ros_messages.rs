@@ -223,7 +223,7 @@ fn exact_rad(rounded_rad: f32) -> f64 {
     candidates.into_iter().find(|exact| *exact as f32 == rounded_rad).unwrap_or(f64::from(rounded_rad))
 }
 
-/// Of each beam of a `LaserEcho[]` the last echo: what lies behind glass and rain. NaN where a beam has none.
+/// Of each beam of a `LaserEcho[]` the last echo: what is behind glass and rain. NaN where a beam has none.
 fn last_echoes(fields: &mut Fields<'_>, numbers: &mut Vec<f32>) -> Result<usize, MessageProblem> {
     let beams = fields.u32()? as usize;
     for beam in 0..beams {

@@ -26,7 +26,7 @@ pub enum SetRecord {
 }
 
 impl SetRecord {
-    /// One byte for the kind, and the message as it lies in memory.
+    /// One byte for the kind, and the message as it is in memory.
     pub fn bytes(&self) -> Vec<u8> {
         fn of(kind: u8, message: &(impl IntoBytes + Immutable)) -> Vec<u8> {
             [&[kind], message.as_bytes()].concat()

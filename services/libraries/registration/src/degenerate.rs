@@ -34,7 +34,7 @@ pub fn degenerate_direction(points: &[Point]) -> Option<(f64, Vector2<f64>)> {
     }
     let share = 1.0 / f64::from(count);
     let (mean, half) = (0.5 * (xx + yy) * share, 0.5 * (xx - yy) * share);
-    // The axis of the larger eigenvalue lies at half the angle of (half, xy); the smaller one's is across.
+    // The axis of the larger eigenvalue is at half the angle of (half, xy); the smaller one's is across.
     let (sin, cos) = sin_cos(0.5 * atan2(xy * share, half));
     Some(((mean - hypot(half, xy * share)).max(0.0), Vector2::new(-sin, cos)))
 }

@@ -37,7 +37,7 @@ impl Default for NdtSettings {
 /// into normal distributions on four grids that overlap by half a cell, and the pose that makes the points most likely is
 /// found by Newton's method with the exact Hessian.
 ///
-/// The plane is cut into blocks half an NDT cell wide; an NDT cell is any 2 × 2 blocks, so a point always lies in four.
+/// The plane is cut into blocks half an NDT cell wide; an NDT cell is any 2 × 2 blocks, so a point always is in four.
 /// Distributions are made anew for each scan and only where points fall: that costs a few thousand reads, and nothing can
 /// be stale.
 #[derive(Clone, Debug, Default)]

@@ -50,7 +50,7 @@ impl NodeIdentity {
         format!("{}/{}", self.namespace.trim_end_matches('/'), self.name)
     }
 
-    /// The name in the graph of a name in the program: `~/x` lies below the node, `x` in its namespace, `/x` is what it is. Remapped.
+    /// The name in the graph of a name in the program: `~/x` is below the node, `x` in its namespace, `/x` is what it is. Remapped.
     ///
     /// # Errors
     /// When a name is none by the rules of ROS.

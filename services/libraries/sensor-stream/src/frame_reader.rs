@@ -17,9 +17,9 @@ const DROP_BYTES: usize = 1 << 16;
 #[derive(Debug, Default)]
 pub struct FrameReader {
     bytes: Vec<u8>,
-    /// What lies before was handed out.
+    /// What is before was handed out.
     at: usize,
-    /// What lies before, from `at` on, holds no end of a line.
+    /// What is before, from `at` on, holds no end of a line.
     searched: usize,
 }
 

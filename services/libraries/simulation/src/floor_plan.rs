@@ -40,7 +40,7 @@ impl FloorPlan {
         Self { outdoors: Some(outdoors), ..self }
     }
 
-    /// What is there besides the outlines, if the plan lies outdoors.
+    /// What is there besides the outlines, if the plan is outdoors.
     pub(super) fn open_air(&self) -> Option<&Outdoors> {
         self.outdoors.as_ref()
     }

@@ -4,7 +4,7 @@ use super::planner::PlanningGrid;
 use flockslam_geometry::Point;
 use flockslam_random::Random;
 
-/// Places that are drawn in search of one that lies as it should.
+/// Places that are drawn until one is suitable.
 const DRAWS_MAX: usize = 100;
 
 /// Connected free space: all places that can be reached from each other, and the ways between them.

@@ -20,7 +20,7 @@ const RANGE_MIN_M: f32 = 0.1;
 /// No lidar turns more slowly than this, seconds: at lower rates of scans some turns give none.
 const TURN_MAX_S: f64 = 0.1;
 
-/// A rotating lidar with the errors of real ones. It sees the whole circle or a part of it that lies ahead, and turns
+/// A rotating lidar with the errors of real ones. It sees the whole circle or a part of it that is ahead, and turns
 /// counter-clockwise.
 #[derive(Clone, Debug)]
 pub(super) struct Lidar {

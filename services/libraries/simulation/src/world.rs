@@ -75,7 +75,7 @@ impl World {
         }
     }
 
-    /// Whether it lies outdoors.
+    /// Whether it is outdoors.
     pub(super) fn is_outdoors(&self) -> bool {
         matches!(self, Self::FloorPlan(plan) if plan.open_air().is_some())
     }

@@ -34,7 +34,7 @@ pub struct StageOptions {
     /// Sequence of the first scan of this session: what comes before belongs to a map that is continued.
     #[serde(default)]
     pub first_sequence: u64,
-    /// The set localizes in the map that lies in its results, and makes no map.
+    /// The set localizes in the map that is in its results, and makes no map.
     #[serde(default)]
     pub localizes: bool,
 }
@@ -92,7 +92,7 @@ pub struct StageContext {
     pub capacity: Capacity,
     /// Sequence of the first scan of this session: what comes before belongs to a map that is continued.
     pub first_sequence: u64,
-    /// The set localizes in the map that lies in its results, and makes no map.
+    /// The set localizes in the map that is in its results, and makes no map.
     pub localizes: bool,
     /// Journal of scans and poses.
     pub journal_dir: PathBuf,
@@ -270,7 +270,7 @@ pub fn metrics_socket(status_dir: &Path, name: &str) -> PathBuf {
     status_dir.join(format!("{name}.metrics"))
 }
 
-/// Where a stage's heartbeat lies.
+/// Where a stage's heartbeat is.
 pub fn heartbeat_file(status_dir: &Path, name: &str) -> PathBuf {
     status_dir.join(format!("{name}.heartbeat"))
 }

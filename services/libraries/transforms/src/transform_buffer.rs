@@ -34,10 +34,10 @@ pub enum LookupError {
     /// No chain of frames connects the two.
     #[error("nothing connects the frames")]
     Unlinked,
-    /// The time lies behind the last transform: one may still come.
+    /// The time is behind the last transform: one may still come.
     #[error("no transform is that new")]
     NotYet,
-    /// The time lies before the first transform, or in a gap of more than a second.
+    /// The time is before the first transform, or in a gap of more than a second.
     #[error("no transform near that time")]
     Missing,
 }

@@ -189,7 +189,7 @@ mod tests {
     }
 
     proptest! {
-        /// Wherever the border between two beams lies in the cell at the edge of a thing.
+        /// Wherever the border between two beams is in the cell at the edge of a thing.
         #[test]
         fn a_cell_across_the_border_of_two_beams_of_which_one_ends_at_it_is_not_taken_for_gone(
             first in 0.0..360.0_f64, heading_rad in -3.0..3.0_f64, within in 0.0..0.6_f64,

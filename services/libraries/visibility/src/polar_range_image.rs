@@ -48,7 +48,7 @@ impl Directions {
         self.half_rad >= 0.5 * TAU
     }
 
-    /// Whether something `half_rad` wide to both sides of a direction touches a sector that one of these lies in.
+    /// Whether something `half_rad` wide to both sides of a direction touches a sector that one of these is in.
     fn has(self, angle_rad: f64, half_rad: f64) -> bool {
         let away = angle_rad - self.middle_rad;
         let away = (away - TAU * (away / TAU).round()).abs();
@@ -217,7 +217,7 @@ mod tests {
                 && !sight.ends_between(0.0, 0.1 * DEGREE, 2.1, 4.0)
         );
         assert_eq!((sight.range_m(0.0), sight.range_m(20.5 * DEGREE), sight.range_m(3.0)), (2.0, 5.0, 0.0));
-        // Near the border of two beams a sector may belong to either: what lies less than a sector beyond it is left out.
+        // Near the border of two beams a sector may belong to either: what is less than a sector beyond it is left out.
         for tenth in -895..=895_i32 {
             let degrees = f64::from(tenth) / 10.0;
             let (from_near, from_lost) = (degrees.abs(), (degrees - 30.0).abs());

@@ -8,7 +8,7 @@ use std::f64::consts::TAU;
 
 /// Sectors of the full circle that a view is compared by, 2° each: lidars have beams at least so close together.
 const SECTORS: usize = 180;
-/// A point lies in space that another view has seen to be free when it is nearer than all that this view shows around its direction, by
+/// A point is in space that another view has seen to be free when it is nearer than all that this view shows around its direction, by
 /// this much, metres and share of the range.
 const NEARER: (f64, f64) = (0.3, 0.05);
 /// So many points must lie in directions that both views show.

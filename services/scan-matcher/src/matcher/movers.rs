@@ -142,7 +142,7 @@ fn in_odom(pose: &Placement, point: Point) -> Point {
     Point::new(x_m, y_m)
 }
 
-/// Whether a point lies in space that is known to be free, with nothing established near it.
+/// Whether a point is in space that is known to be free, with nothing established near it.
 fn ends_where_nothing_stood<H: Deref<Target = Tile>>(grid: &TileGrid<H>, point: Point) -> bool {
     let cell = grid.cell_at(point);
     let is_free = f64::from(grid.cell(cell).free) >= FREE_NAT * WEIGHT_SCALE;

@@ -20,7 +20,7 @@ const GOOD_SHARE: f64 = 0.8;
 const SLIP_TIMES: f64 = 10.0;
 /// A prediction is known no better than this, metres and radians.
 const SIGMA_MIN: (f64, f64) = (1e-3, 3e-4);
-/// A fit is accepted when at least this share of the points lies on surfaces, and no fewer than so many standard deviations below
+/// A fit is accepted when at least this share of the points is on surfaces, and no fewer than so many standard deviations below
 /// the usual share.
 const INLIERS_MIN: f64 = 0.15;
 const UNUSUAL: f64 = 3.0;

@@ -23,7 +23,7 @@ const BRIDGE: Symmetric = [400.0, 0.0, 0.0, 400.0, 0.0, 1e4];
 /// Share of the kept points that may belong to scans that have left before they are cleared away.
 const WASTE: f64 = 0.25;
 
-/// Where a submap of the mapper lies whose scans are frozen: relative to the node with this sequence.
+/// Where a submap of the mapper is whose scans are frozen: relative to the node with this sequence.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FrozenSubmap {
     pub(super) anchor: u64,

@@ -68,7 +68,7 @@ impl SyncProcess {
     }
 }
 
-/// Loads the map that lies in the results of a set.
+/// Loads the map that is in the results of a set.
 ///
 /// # Errors
 /// When there is none, or it is not whole.
@@ -104,7 +104,7 @@ fn row(hypothesis: &Hypothesis) -> HypothesisRow {
     }
 }
 
-/// Puts the known map where the map of a run lies: it is the same to the byte.
+/// Puts the known map where the map of a run is: it is the same to the byte.
 ///
 /// # Errors
 /// When the disk refuses.

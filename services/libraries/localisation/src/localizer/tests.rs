@@ -53,7 +53,7 @@ fn seen(map: &KnownMap, at: Placement) -> Vec<PackedPoint> {
     (0..180).filter_map(beam).collect()
 }
 
-/// Drives straight through these places and looks around every 0.3 m; the frame of odometry lies anywhere. Gives the belief at the end.
+/// Drives straight through these places and looks around every 0.3 m; the frame of odometry is anywhere. Gives the belief at the end.
 fn drive(
     localizer: &mut Localizer,
     world: &KnownMap,
@@ -229,7 +229,7 @@ fn with(map: &KnownMap, [left, low, w, h]: [f64; 4], inside: CellState) -> Known
     changed.measured()
 }
 
-/// Most of what it sees lies behind where the cupboard stood, at walls that the map shows.
+/// Most of what it sees is behind where the cupboard stood, at walls that the map shows.
 #[test]
 fn a_cupboard_that_was_taken_away_beside_a_robot_is_no_reason_to_be_lost() {
     let building = plan(&EQUAL_ROOMS);

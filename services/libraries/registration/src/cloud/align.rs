@@ -204,7 +204,7 @@ fn is_short(delta: [f64; 3], (step_m, step_rad): (f64, f64)) -> bool {
     delta[0] * delta[0] + delta[1] * delta[1] < step_m * step_m && delta[2].abs() < step_rad
 }
 
-/// Whether a point seen in the direction (x, y) lies on the other face of the wall that the line is one face of.
+/// Whether a point seen in the direction (x, y) is on the other face of the wall that the line is one face of.
 #[inline]
 fn is_other_side(line: &Line, x: f64, y: f64) -> bool {
     let from_behind = line.normal_x * x + line.normal_y * y;

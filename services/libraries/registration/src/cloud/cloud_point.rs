@@ -14,7 +14,7 @@ impl PackedPoint {
     /// The farthest coordinate that fits, metres.
     pub const REACH_M: f64 = 32.7;
 
-    /// Packs a point given in metres; `None` when a coordinate lies beyond [`Self::REACH_M`].
+    /// Packs a point given in metres; `None` when a coordinate is beyond [`Self::REACH_M`].
     pub fn from_metres(x_m: f64, y_m: f64) -> Option<Self> {
         let fits = x_m.abs() <= Self::REACH_M && y_m.abs() <= Self::REACH_M;
         fits.then(|| Self { x_mm: (x_m * 1000.0).round() as i16, y_mm: (y_m * 1000.0).round() as i16 })

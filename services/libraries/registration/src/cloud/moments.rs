@@ -403,7 +403,7 @@ mod tests {
                 grid.withdraw(&at(k - 20), &wall());
             }
         }
-        // A wall of 4.5 m lies in a few blocks; 21 walls were held at one time.
+        // A wall of 4.5 m is in a few blocks; 21 walls were held at one time.
         assert!(grid.stored.len() < 21 * 8, "{}", grid.stored.len());
         (380..400).for_each(|k| grid.withdraw(&at(k), &wall()));
         assert!(grid.places.iter().all(|place| *place == 0));

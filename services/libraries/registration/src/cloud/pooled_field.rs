@@ -32,7 +32,7 @@ struct Level {
 /// with maxima over growing squares.
 ///
 /// A level's entry spans twice its stride, so it bounds a point that is shifted by less than the stride from
-/// wherever it lies in its own square: what branch and bound needs (Olson 2009; Hess et al. 2016), at a
+/// wherever it is in its own square: what branch and bound needs (Olson 2009; Hess et al. 2016), at a
 /// third more memory than the finest level instead of a full copy for each level.
 pub struct PooledField {
     origin_column: i32,

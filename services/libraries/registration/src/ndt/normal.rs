@@ -32,7 +32,7 @@ impl Moments {
         self.yy += mass * y * y;
     }
 
-    /// The same sums taken about a point that lies at (-dx, -dy).
+    /// The same sums taken about a point that is at (-dx, -dy).
     pub(super) fn shifted(self, dx: f64, dy: f64) -> Self {
         Self {
             mass: self.mass,

@@ -34,7 +34,7 @@ message! {
     Imu = "sensor_msgs" {
         /// When, in the frame of the IMU.
         header: Header,
-        /// How it lies.
+        /// Its pose.
         orientation: Quaternion,
         /// Of it.
         orientation_covariance: [[f64; 3]; 3],

@@ -299,7 +299,7 @@ impl Campus {
         along_x.chain(along_y).map(|(from, to)| (at(from.0, from.1), at(to.0, to.1))).collect()
     }
 
-    /// Whether something that reaches so far around a point leaves all paths free and lies on the campus.
+    /// Whether something that reaches so far around a point leaves all paths free and is on the campus.
     fn is_clear(&self, at: Point, reach_m: f64) -> bool {
         let inside = at.x_m > 1.0 && at.y_m > 1.0 && at.x_m < SIZE_M.0 - 1.0 && at.y_m < SIZE_M.1 - 1.0;
         inside && self.paths().iter().all(|(from, to)| off_m(at, *from, *to) >= PATH_M + reach_m)

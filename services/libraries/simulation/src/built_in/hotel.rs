@@ -121,7 +121,7 @@ impl Hotel {
             _ if drawn < SHUT_SHARE + AJAR_SHARE => self.random.between(10.0, 40.0),
             _ => self.random.between(75.0, 95.0),
         };
-        // Shut it lies from the hinge towards the corner.
+        // Shut it is from the hinge towards the corner.
         let (sin, cos) = sin_cos(f64::to_radians(opened_deg));
         let (dx, dy) = (-hand * cos, side * sin);
         let half_m = 0.5 * (DOOR_M - 0.02);

@@ -50,7 +50,7 @@ pub(super) fn hang(count: u32, world: &World, room: &FreeSpace, robot: Point, se
     doors
 }
 
-/// The line across the passage that a place lies in, from wall to wall, if it lies in one.
+/// The line across the passage that a place is in, from wall to wall, if it is in one.
 fn passage(world: &World, place: Point) -> Option<Segment> {
     let across = |step: u32| {
         let (sin, cos) = sin_cos(PI * f64::from(step) / f64::from(DIRECTIONS));
