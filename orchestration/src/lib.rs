@@ -23,6 +23,7 @@ mod stage_arguments;
 pub mod state_directory;
 pub mod store;
 pub mod supervisor;
+mod time_slice;
 pub mod top;
 pub mod topic_arguments;
 

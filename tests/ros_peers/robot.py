@@ -10,10 +10,13 @@ import json
 import math
 import os
 import sys
+import threading
 import time
 
 import rclpy
+from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.domain import DomainParticipant
+from cyclonedds.util import duration
 from cyclone_types import LATCHED, TFMessage, corrections, reader, transform, writer
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from played_log import laser_scan, mounting, paced, pose_row, scans
@@ -68,8 +71,16 @@ def tick(stamp_ns):
 
 def look():
     rclpy.spin_once(node, timeout_sec=0)
-    for message in heard.take(N=100):
-        noted["corrections"].extend(row + [time.monotonic_ns()] for row in corrections(message))
+
+
+def hear(is_over):
+    """Notes transforms when they come: between two looks a millisecond may pass."""
+    waiting = WaitSet(participant)
+    waiting.attach(ReadCondition(heard, SampleState.Any | ViewState.Any | InstanceState.Any))
+    while not is_over.is_set():
+        waiting.wait(duration(milliseconds=100))
+        for message in heard.take(N=100):
+            noted["corrections"].extend(row + [time.monotonic_ns()] for row in corrections(message))
 
 
 deadline = time.monotonic() + 20
@@ -92,6 +103,9 @@ if wheels:
     # A simulation says the time before its first scan.
     tick(next(scans(log))[0])
     time.sleep(0.1)
+over = threading.Event()
+hearing = threading.Thread(target=hear, args=[over])
+hearing.start()
 print("playing", flush=True)
 ticked = 0.0
 
@@ -127,5 +141,7 @@ until = time.monotonic() + 0.3
 while time.monotonic() < until:
     look()
     time.sleep(0.001)
+over.set()
+hearing.join()
 json.dump(noted, open(out, "w"))
 print("done", len(noted["sent"]), flush=True)

@@ -6,6 +6,7 @@ use super::stage::die_with;
 use crate::arguments::RosArgs;
 use crate::ros_bridge::{BridgeError, BridgeSet, run_bridge};
 use crate::supervisor::SetFile;
+use crate::time_slice;
 use flockslam_bus::RuntimeDir;
 use flockslam_lidar_ingest::process::{SCAN_SOCKET, Source};
 use flockslam_results::SetMode;
@@ -31,6 +32,7 @@ pub fn run(args: &RosArgs) -> Result<(), CommandError> {
         flockslam_telemetry::log_into_set(&set_dir);
         // Where that is not allowed, it runs like any process.
         let _ = rustix::process::setpriority_process(None, NICENESS);
+        let _ = time_slice::set(None, time_slice::SHORT);
     }
     let runtime = RuntimeDir::open(&set_dir).map_err(CommandError::user)?;
     let set = SetFile::read(&runtime.configuration()).map_err(CommandError::failed)?;

@@ -40,7 +40,9 @@ pub fn report_by(
                     (vec![status(DiagnosticStatus::WARN, name, &message, &robot, &[])], stamp_ns)
                 }
                 Report::Regular(report, stamp_ns) => {
-                    log.read().into_iter().for_each(|line| lines.send(line));
+                    for line in log.read() {
+                        lines.send(line);
+                    }
                     let set = match ask(&control, &Request::Status) {
                         Ok(Reply::Status(status)) => Some(status),
                         _ if !RuntimeDir::running().contains(&robot) => std::process::exit(0),

@@ -6,6 +6,7 @@ use super::graph_markers::GraphMarkers;
 use super::map_change::map_change;
 use super::map_picture::{MapPainter, MapPicture};
 use crate::recording::request_tiles;
+use crate::time_slice;
 use flockslam_bus::{Bus, Capacity, RuntimeDir, Subscriber};
 use flockslam_geometry::Pose;
 use flockslam_messages::{Commit, Control, PoseEstimate, TileMessage};
@@ -96,7 +97,7 @@ impl MapPublishers {
         let latched = QualityOfService::Latched { depth: 1 };
         let own = is_own.then(|| -> Result<_, RosError> {
             Ok(OwnMapPublishers {
-                map: node.publisher("map", latched)?,
+                map: node.publisher("map", QualityOfService::Latest)?,
                 metadata: node.publisher("map_metadata", latched)?,
                 changes: node.publisher("map_updates", QualityOfService::Reliable { depth: 10 })?,
             })
@@ -122,6 +123,7 @@ pub fn start(place: MapPlace, publishers: MapPublishers) -> Result<Sender<MapOrd
     std::thread::Builder::new().name("map".to_owned()).spawn(move || {
         // Transforms go before maps. Should it be refused, a map takes a processor from them for some milliseconds.
         let _ = rustix::process::setpriority_process(Some(rustix::thread::gettid()), NICENESS);
+        let _ = time_slice::set(None, Duration::ZERO);
         if let Err(error) = keep(&place, &publishers, &orders) {
             // Without the bus there is nothing to do for this process; its successor may have it.
             tracing::error!(%error, "the map cannot be read");
@@ -315,7 +317,11 @@ impl<'p> MapThread<'p> {
         if let Some(own) = &self.publishers.own {
             let message = painted.message(self.stamp_ns, &self.place.map_frame);
             own.metadata.send(message.info.clone());
-            own.map.send(message);
+            if !own.map.send(message) {
+                // A subscriber has not received the ones before: the next one is sent when it is due.
+                self.is_stale = true;
+                return;
+            }
         }
         self.published = Some(painted.clone());
     }

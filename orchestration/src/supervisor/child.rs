@@ -3,6 +3,7 @@
 use super::hang::hangs;
 use super::restarts::{AfterDeath, RestartPolicy};
 use super::supervision::ProcessLimits;
+use crate::time_slice;
 use flockslam_messages::Stage;
 use flockslam_stage::heartbeat_file;
 use flockslam_telemetry::{Beat, RestartReason, monotonic_ns, read_heartbeat};
@@ -255,7 +256,10 @@ fn limit(pid: Pid, limits: &ProcessLimits) -> rustix::io::Result<()> {
     match limits.nice {
         Some(nice @ 1..) => setpriority_process(Some(pid), getpriority_process(None)? + nice)?,
         // Where that is not allowed, the stage runs like any process.
-        Some(nice @ ..=-1) => _ = setpriority_process(Some(pid), getpriority_process(None)? + nice),
+        Some(nice @ ..=-1) => {
+            let _ = setpriority_process(Some(pid), getpriority_process(None)? + nice);
+            let _ = time_slice::set(Some(pid), time_slice::SHORT);
+        }
         Some(0) | None => {}
     }
     if let Some(bytes) = limits.memory_max_bytes {

@@ -3,7 +3,7 @@
 use crate::messages::{RosMessage, RosService};
 use crate::ros_node::{Answer, Call, RunningTransport, SendMessage, Undecodable};
 use crate::{Environment, Middleware, NodeIdentity, QualityOfService, Reach, RosError};
-use ros2_client::dds::rustdds::DomainParticipantBuilder;
+use ros2_client::dds::rustdds::{DomainParticipant, DomainParticipantBuilder, QosPolicies, Topic, TopicKind};
 use ros2_client::{
     Context, Gid, MessageTypeName, Name, NodeName, NodeOptions, ServiceMapping, ServiceTypeName,
 };
@@ -25,6 +25,7 @@ type SubscriptionTask = Box<dyn FnOnce() -> Pin<Box<dyn Future<Output = ()>>> + 
 
 /// A node over DDS, before it receives.
 pub struct DdsNode {
+    participant: DomainParticipant,
     node: ros2_client::Node,
     mapping: ServiceMapping,
     tasks: Vec<SubscriptionTask>,
@@ -54,8 +55,8 @@ impl DdsNode {
             Reach::Subnet => builder,
         };
         let participant = builder.build().map_err(|error| refused(error.to_string()))?;
-        let context =
-            Context::from_domain_participant(participant).map_err(|error| refused(error.to_string()))?;
+        let context = Context::from_domain_participant(participant.clone())
+            .map_err(|error| refused(error.to_string()))?;
         let name = NodeName::new(&identity.namespace, &identity.name)
             .map_err(|error| RosError::Name { name: identity.full_name(), reason: error.to_string() })?;
         // Lines of the log are those of the whole set, and parameters are services like others.
@@ -65,7 +66,7 @@ impl DdsNode {
             Middleware::CycloneDds => ServiceMapping::Cyclone,
             Middleware::FastDds | Middleware::Zenoh => ServiceMapping::Enhanced,
         };
-        Ok(Self { node, mapping, tasks: Vec::new(), undecodable, own: Arc::default() })
+        Ok(Self { participant, node, mapping, tasks: Vec::new(), undecodable, own: Arc::default() })
     }
 
     /// Sends on a topic, by its full name.
@@ -74,7 +75,8 @@ impl DdsNode {
         full: &str,
         quality: QualityOfService,
     ) -> Result<SendMessage<M>, RosError> {
-        let topic = self.topic::<M>(full, quality)?;
+        // What the profile does not say stays as the topic has it.
+        let topic = self.topic::<M>(full, &quality.publisher_policies())?;
         let publisher = self
             .node
             .create_publisher::<M>(&topic, Some(quality.profile()))
@@ -90,7 +92,7 @@ impl DdsNode {
         quality: QualityOfService,
         mut handle: impl FnMut(M) + Send + 'static,
     ) -> Result<(), RosError> {
-        let topic = self.topic::<M>(&full, quality)?;
+        let topic = self.topic::<M>(&full, &quality.profile().into())?;
         let subscription = self
             .node
             .create_subscription::<M>(&topic, Some(quality.profile()))
@@ -190,13 +192,9 @@ impl DdsNode {
         Ok(Box::new(RunningDdsNode { node: Some(self.node), thread: Some(thread), end: Some(end) }))
     }
 
-    fn topic<M: RosMessage>(
-        &self,
-        full: &str,
-        quality: QualityOfService,
-    ) -> Result<ros2_client::dds::rustdds::Topic, RosError> {
-        let kind = MessageTypeName::new(M::TYPE.0, M::TYPE.1);
-        let topic = self.node.create_topic(&parsed(full)?, kind, &quality.profile());
+    fn topic<M: RosMessage>(&self, full: &str, policies: &QosPolicies) -> Result<Topic, RosError> {
+        let kind = MessageTypeName::new(M::TYPE.0, M::TYPE.1).dds_msg_type();
+        let topic = self.participant.create_topic(dds_name(full)?, kind, policies, TopicKind::NoKey);
         topic.map_err(|error| refused(full, &error))
     }
 }
@@ -239,6 +237,11 @@ impl Garbage {
 
 fn parsed(full: &str) -> Result<Name, RosError> {
     Name::parse(full).map_err(|error| RosError::Name { name: full.to_owned(), reason: error.to_string() })
+}
+
+/// The name of a topic on the wire.
+fn dds_name(full: &str) -> Result<String, RosError> {
+    parsed(full).map(|_| format!("rt{full}"))
 }
 
 fn refused(name: &str, error: &impl std::fmt::Display) -> RosError {

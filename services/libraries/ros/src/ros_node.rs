@@ -93,11 +93,13 @@ impl<M: RosMessage> Publisher<M> {
         &self.topic
     }
 
-    /// Publishes a message. A failure is logged.
-    pub fn send(&self, message: M) {
-        if let Err(error) = (self.send)(message) {
+    /// Publishes a message; whether it was accepted. A failure is logged.
+    pub fn send(&self, message: M) -> bool {
+        let sent = (self.send)(message);
+        if let Err(error) = &sent {
             tracing::warn!(topic = self.topic, %error, "a message could not be sent");
         }
+        sent.is_ok()
     }
 }
 

@@ -117,12 +117,9 @@ fn mangled(name: &str) -> String {
 
 /// Reliability, durability, history and depth, deadline, lifespan, liveliness. What is as by default is left out, but for the depth.
 fn quality_in_key(quality: QualityOfService) -> String {
-    let (reliability, durability, depth) = match quality {
-        QualityOfService::Sensor { depth } => ("2", "", depth),
-        QualityOfService::Reliable { depth } => ("", "", depth),
-        QualityOfService::Latched { depth } => ("", "1", depth),
-    };
-    format!("{reliability}:{durability}:,{depth}:,:,:,,")
+    let reliability = if quality.is_reliable() { "" } else { "2" };
+    let durability = if quality.is_latched() { "1" } else { "" };
+    format!("{reliability}:{durability}:,{}:,:,:,,", quality.depth())
 }
 
 /// What stands beside a message: how many its sender has sent, when, and who it is.

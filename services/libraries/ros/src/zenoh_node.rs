@@ -119,11 +119,8 @@ impl ZenohNode {
         quality: QualityOfService,
     ) -> Result<SendMessage<M>, RosError> {
         let kind = type_name(M::TYPE, "msg")?;
-        let delivery = match quality {
-            QualityOfService::Sensor { .. } => Delivery { is_reliable: false, kept: 0 },
-            QualityOfService::Reliable { .. } => Delivery { is_reliable: true, kept: 0 },
-            QualityOfService::Latched { depth } => Delivery { is_reliable: true, kept: depth },
-        };
+        let kept = if quality.is_latched() { quality.depth() } else { 0 };
+        let delivery = Delivery { is_reliable: quality.is_reliable(), kept };
         let publication = self
             .session
             .publish(self.names.data_key(full, &kind), delivery)
@@ -156,9 +153,10 @@ impl ZenohNode {
                 Ok(message) => handle.lock().expect("no thread panics with it")(message),
                 Err(error) => undecodable.note(&name, &error),
             };
-            match quality {
-                QualityOfService::Latched { depth } => session.subscribe_with_history(key, depth, take),
-                _ => session.subscribe(key, take),
+            if quality.is_latched() {
+                session.subscribe_with_history(key, quality.depth(), take)
+            } else {
+                session.subscribe(key, take)
             }
         };
         self.tasks.push((full, Box::new(task)));
