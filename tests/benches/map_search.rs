@@ -6,7 +6,7 @@
 use flockslam::store::read_nav2_map;
 use flockslam_evidence::CellState;
 use flockslam_geometry::Point;
-use flockslam_localisation::{KnownMap, PlaceField, PlaceSearch, SearchRequest};
+use flockslam_localisation::{KnownMap, PlaceField, PlaceSearch, SearchRequest, UNKNOWN};
 use flockslam_random::Random;
 use flockslam_registration::cloud::Placement;
 use std::error::Error;
@@ -59,7 +59,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (width_m, height_m) =
         (known.width() as f64 * known.cell_size_m(), known.height() as f64 * known.cell_size_m());
     let started = Instant::now();
-    let field = PlaceField::new(&known);
+    let field = PlaceField::new(&known, UNKNOWN);
     let made = started.elapsed();
     let (mut random, mut search) = (Random::new(1, "map search"), PlaceSearch::default());
     let (mut times, mut found) = (Vec::<Duration>::new(), 0);

@@ -85,7 +85,7 @@ fn look(bytes: &[u8]) -> Look {
 }
 
 fn span_cdeg(start: u16, end: u16) -> u16 {
-    if end >= start { end - start } else { end + TURN_CDEG - start }
+    if end >= start { end - start } else { TURN_CDEG - (start - end) }
 }
 
 impl Driver for Ld06 {
@@ -176,6 +176,14 @@ mod tests {
         let strengths = [228, 226, 229, 227, 228, 233, 228, 226, 233, 229, 229, 229];
         let points: Vec<(u16, u8)> = points.into_iter().zip(strengths).collect();
         assert_eq!(packet(2152, 32427, 33470, &points.try_into().unwrap(), 6714), EXAMPLE);
+    }
+
+    /// Its directions are more than half a turn apart, and their sum does not fit into 16 bits.
+    #[test]
+    fn a_packet_that_ends_before_it_begins_is_garbage() {
+        let packet = packet(3600, 35_999, 35_998, &[(1000, 200); POINTS], 0);
+        let (turns, counts) = decode(&packet);
+        assert_eq!((turns.len(), counts.packets, counts.garbage_bytes), (0, 0, LENGTH as u64));
     }
 
     #[test]

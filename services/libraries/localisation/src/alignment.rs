@@ -1,5 +1,6 @@
 //! Point-to-line refinement of a pose in the known map by Gauss–Newton (Censi 2008), and how well points agree with the map at a pose.
 
+use crate::place_field::{MUCH_UNKNOWN, UNKNOWN};
 use crate::surface_lines::SurfaceLines;
 use crate::{KnownMap, PlaceField};
 use flockslam_evidence::CellState;
@@ -71,14 +72,16 @@ pub struct Agreement {
 pub struct Surroundings {
     map: KnownMap,
     field: PlaceField,
+    border_field: PlaceField,
     lines: SurfaceLines,
 }
 
 impl Surroundings {
     /// Works them out once.
     pub fn new(map: KnownMap) -> Self {
-        let (field, lines) = (PlaceField::new(&map), SurfaceLines::new(&map));
-        Self { map, field, lines }
+        let [field, border_field] = [UNKNOWN, MUCH_UNKNOWN].map(|unknown| PlaceField::new(&map, unknown));
+        let lines = SurfaceLines::new(&map);
+        Self { map, field, border_field, lines }
     }
 
     /// The map itself.
@@ -89,6 +92,11 @@ impl Surroundings {
     /// What a search reads.
     pub fn field(&self) -> &PlaceField {
         &self.field
+    }
+
+    /// What a search reads for a robot that may see much that the map does not have.
+    pub fn border_field(&self) -> &PlaceField {
+        &self.border_field
     }
 
     /// Fits points to the surfaces of the map from `guess`, drawn to it by `prior` (information in the map's axes). `None` when no point

@@ -16,6 +16,6 @@ pub use alignment::{Agreement, Fit, SeenPoint, Surroundings};
 pub use belief::{Belief, Hypothesis, Knowledge};
 pub use known_map::{KnownMap, Place};
 pub use localizer::{Hint, Localizer, Measurement};
-pub use place_field::PlaceField;
+pub use place_field::{MUCH_UNKNOWN, PlaceField, UNKNOWN};
 pub use place_search::{Candidate, Near, PlaceSearch, Places, SearchRequest};
 pub use recent_views::RecentViews;

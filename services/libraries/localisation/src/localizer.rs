@@ -82,6 +82,8 @@ pub struct Localizer {
     /// A guess from outside that was not tried yet.
     hint: Option<Hint>,
     searches: u64,
+    /// Searches since the robot has lost its place or was switched on. Every second one looks for it at the border of what is mapped.
+    misses: u32,
     measured: Option<Measurement>,
     /// Travel since what was seen agreed with the map, while the robot is followed, metres.
     since_agreed_m: f64,
@@ -136,6 +138,7 @@ impl Localizer {
             last: None,
             hint: None,
             searches: 0,
+            misses: 0,
             measured: None,
             since_agreed_m: 0.0,
             since_check_m: 0.0,
@@ -172,6 +175,7 @@ impl Localizer {
         self.followed = None;
         self.belief = Belief::default();
         self.kept.clear();
+        self.misses = 0;
         self.since_agreed_m = 0.0;
         self.searched_at = None;
         self.hint = hint;
@@ -345,7 +349,10 @@ impl Localizer {
         }
         let points: Vec<(f64, f64)> = cloud.iter().map(|p| (p.x_m, p.y_m)).collect();
         let request = SearchRequest { score_min: SCORE_MIN, share_min: SHARE_MIN, near };
-        let places = self.search.find(self.surroundings.field(), &points, &request);
+        let is_at_border = near.is_none() && self.misses % 2 == 1;
+        let field = if is_at_border { self.surroundings.border_field() } else { self.surroundings.field() };
+        self.misses += 1;
+        let places = self.search.find(field, &points, &request);
         let verification_cloud = self.recent.cloud(VERIFIED_M, POINTS);
         let mut evaluated: Vec<Evaluated> = Vec::new();
         for place in &places.found {

@@ -11,7 +11,9 @@ const CELL_M: f64 = 0.2;
 /// Width of the influence of what is occupied, metres: a point may be half a cell off by its place and as much by its heading.
 const SIGMA_M: f64 = 0.15;
 /// The value of an unknown cell: a point there has little weight, in free space it counts against the pose.
-const UNKNOWN: u8 = 40;
+pub const UNKNOWN: u8 = 40;
+/// The same for a robot that may see much that the map does not have: at its pose, many points are in unknown cells.
+pub const MUCH_UNKNOWN: u8 = 130;
 /// No point is farther from the origin of its cloud, metres.
 pub(crate) const REACH_M: f64 = 15.0;
 /// A block has so many cells along each side.
@@ -57,8 +59,8 @@ pub(crate) struct Stretch {
 }
 
 impl PlaceField {
-    /// The field of a map.
-    pub fn new(map: &KnownMap) -> Self {
+    /// The field of a map in which an unknown cell has this value.
+    pub fn new(map: &KnownMap, unknown: u8) -> Self {
         let cells = (CELL_M / map.cell_size_m()).round().max(1.0) as usize;
         let cell_m = map.cell_size_m() * cells as f64;
         // Rounding may put a point a cell farther.
@@ -68,10 +70,10 @@ impl PlaceField {
         // Whole blocks, and as many beside the last one as are summed up with it.
         let stride = (blocks + LANES) * BLOCK + 2 * border;
         let rows = block_rows * BLOCK + 2 * border;
-        let mut values = vec![UNKNOWN; stride * rows];
+        let mut values = vec![unknown; stride * rows];
         let mut passable = vec![0; blocks * block_rows];
         for (row, column) in (0..height).flat_map(|row| (0..width).map(move |column| (row, column))) {
-            let (value, is_free) = cell_of(map, cells, column, row);
+            let (value, is_free) = cell_of(map, cells, column, row, unknown);
             values[(row + border) * stride + column + border] = value;
             if is_free {
                 passable[row / BLOCK * blocks + column / BLOCK] |= bit(column % BLOCK, row % BLOCK);
@@ -196,7 +198,7 @@ fn bounds(values: &[u8], stride: usize, bound_stride: usize, plane: usize) -> Ve
 }
 
 /// The value of a cell, made of `cells` × `cells` of the map, and whether some of it is free.
-fn cell_of(map: &KnownMap, cells: usize, column: usize, row: usize) -> (u8, bool) {
+fn cell_of(map: &KnownMap, cells: usize, column: usize, row: usize, unknown: u8) -> (u8, bool) {
     let (mut distance_m, mut is_free, mut is_known) = (f64::INFINITY, false, false);
     for (i, k) in (0..cells).flat_map(|k| (0..cells).map(move |i| (i, k))) {
         let place = map.cell((column * cells + i) as i64, (row * cells + k) as i64);
@@ -206,7 +208,7 @@ fn cell_of(map: &KnownMap, cells: usize, column: usize, row: usize) -> (u8, bool
     }
     let d = distance_m / SIGMA_M;
     let value = if d < 3.0 { (255.0 * exp(-0.5 * d * d)).round() as u8 } else { 0 };
-    (if is_known { value } else { value.max(UNKNOWN) }, is_free)
+    (if is_known { value } else { value.max(unknown) }, is_free)
 }
 
 #[cfg(test)]
@@ -224,7 +226,7 @@ mod tests {
             };
             map.push_row((0..40).map(state));
         }
-        let field = PlaceField::new(&map.measured());
+        let field = PlaceField::new(&map.measured(), UNKNOWN);
         assert_eq!(field.block_rows(), 3);
         // Columns from 1 to 7 are free where rows are below 2, and columns from 1 to 7 with half of them above.
         assert_eq!(field.passable(0, 0), 0b1110_1110_1110_1110);

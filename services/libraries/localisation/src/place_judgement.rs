@@ -31,7 +31,7 @@ const DRIVEN_ALTERNATIVE_MAX: f64 = 0.9;
 const BORDER_M: f64 = 3.0;
 const BORDER_EXPLAINED_MIN: f64 = 0.35;
 /// … greatest share contradicted of what is explained, and greatest share of the merit elsewhere.
-const BORDER_CONTRADICTED_MAX: f64 = 0.1;
+const BORDER_CONTRADICTED_MAX: f64 = 0.15;
 const BORDER_ALTERNATIVE_MAX: f64 = 0.5;
 /// Elsewhere at most this share of the merit is found.
 const ALTERNATIVE_MAX: f64 = 0.8;

@@ -355,7 +355,7 @@ mod tests {
             (score_min, share_min) in (0.0..0.5f64, 0.6..0.95f64),
             near in prop::option::of((-4.0..12.0f64, 0.0..10.0f64, -4.0..4.0f64, 0.3..6.0f64, 0.1..4.0f64)),
         ) {
-            let field = PlaceField::new(&map(size.0, size.1, &numbers));
+            let field = PlaceField::new(&map(size.0, size.1, &numbers), crate::UNKNOWN);
             let near = near.map(|(x, y, heading, reach_m, turn_rad)| Near {
                 pose: Placement::new(x, y, heading),
                 reach_m,

@@ -28,7 +28,7 @@ pub enum QualityOfService {
 }
 
 /// Latched messages that may wait for acknowledgements; further ones are refused. As many stay in memory, also while nobody subscribes:
-/// RustDDS keeps what nobody has acknowledged, up to 8192 messages unless it is told another limit.
+/// RustDDS keeps what nobody has acknowledged, up to 8192 messages unless it has another limit.
 const UNACKNOWLEDGED_MAX: usize = 1024;
 /// The same for [`QualityOfService::Latest`]. A map is published every 5 s, and Fast DDS gives a subscriber up after 20 s of silence:
 /// so many maps wait until one that has died no longer counts.
