@@ -4,8 +4,8 @@ use rustix::process::{Pid, getpriority_process};
 use std::io::{Error, Result};
 use std::time::Duration;
 
-/// The slice of threads that lead from a scan to its pose: a scan needs several times as much in a stage, but what preempts the stage
-/// then are other threads on the way of a scan.
+/// The slice of threads that lead from a scan to its pose: well below what the system gives other threads, some milliseconds, and above
+/// what a switch costs, some microseconds.
 pub const SHORT: Duration = Duration::from_micros(100);
 
 /// Sets the slice of a thread, and of the threads and processes that it starts from then on. `None` is the thread that calls. Zero is what

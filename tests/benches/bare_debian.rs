@@ -13,7 +13,7 @@ use crate::support::{stderr, stdout, wait_for, wait_for_every};
 pub const ANSWERS_AFTER: Duration = Duration::from_secs(5);
 /// What a line of the shell finds.
 const ENVIRONMENT: [(&str, &str); 4] = [
-    ("HOME", "/root"),
+    ("HOME", "/srv"),
     ("PATH", "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"),
     ("TERM", "xterm"),
     ("LANG", "C.UTF-8"),
@@ -56,7 +56,7 @@ impl BareDebian {
         debian
     }
 
-    /// A line for its shell, in the home of root.
+    /// A line for its shell, in its home folder.
     pub fn shell(&self, line: &str) -> Command {
         let mut command = Command::new("nsenter");
         command.args(["--target", &self.init.to_string(), "--all", "sh", "-c"]);

@@ -26,8 +26,8 @@ const RECORDING: &str = "robot/carried/before.bag";
 const LIDAR_BYTES: &str = "lidar-bytes/ydlidar-t-mini-plus.hex.txt";
 const LIDAR_BYTES_PER_S: f64 = 13_000.0;
 /// Places in the system.
-const PACKAGE_PLACE: &str = "/root/flockslam.deb";
-const RECORDING_PLACE: &str = "/root/drive.bag";
+const PACKAGE_PLACE: &str = "/srv/flockslam.deb";
+const RECORDING_PLACE: &str = "/srv/drive.bag";
 const PORT_PLACE: &str = "/dev/ttyUSB0";
 const INSTALL: &str = "apt install ./flockslam.deb";
 /// So much of the page is drawn once there are tiles: a robot that stands, and whose first turn was cut, has a small map.

@@ -24,7 +24,7 @@ struct Sample {
 /// Eight hours in the same building: is anything growing?
 pub fn section() -> String {
     let introduction = format!(
-        "{HOURS} hours of driving through the same building (`flockslam demo --set simulation.duration_s={} --set set.spill_dir=DIR`, otherwise default settings), at full speed, watched from outside every half second. What grows with the way driven – closed submaps, journal, trajectories – lies on disk, about 8 kB for each second at 10 scans/s.\n\n",
+        "{HOURS} hours of driving through the same building (`flockslam demo --set simulation.duration_s={} --set set.spill_dir=DIR`, otherwise default settings), at full speed, watched from outside every half second. What grows with the way driven – closed submaps, journal, trajectories – is on disk, about 8 kB for each second at 10 scans/s.\n\n",
         HOURS * 3600
     );
     match watch() {

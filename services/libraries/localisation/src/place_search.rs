@@ -344,6 +344,41 @@ mod tests {
         stretches.iter().flat_map(|s| (0..s.count).map(move |i| (s.row, s.column + i)))
     }
 
+    /// Six of ten points are where the map is unknown at the true place; at another one fewer are at walls that the map lacks, but in free space.
+    #[test]
+    fn the_second_search_prefers_unknown_cells_to_free_ones() {
+        let mut map = KnownMap::of_width(200, 0.1, Point::default());
+        let is_within =
+            |cell: usize, from_m: f64, to_m: f64| (from_m..to_m).contains(&(cell as f64 * 0.1 + 0.05));
+        for row in 0..300 {
+            let state = |column: usize| {
+                let is_wall = (is_within(row, 7.0, 7.2) && is_within(column, 6.0, 14.0))
+                    || (is_within(row, 22.0, 22.2) && is_within(column, 6.0, 14.0))
+                    || (is_within(row, 18.0, 18.2) && is_within(column, 6.0, 9.0));
+                let is_seen =
+                    (is_within(row, 4.5, 7.0) || is_within(row, 17.0, 22.0)) && is_within(column, 3.0, 17.0);
+                match (is_wall, is_seen) {
+                    (true, _) => CellState::Occupied,
+                    (false, true) => CellState::Free,
+                    (false, false) => CellState::Unknown,
+                }
+            };
+            map.push_row((0..200).map(state));
+        }
+        let map = map.measured();
+        // A wall of 8 m on the left of the robot, and one of 12 m on its right.
+        let left = (0..32).map(|k| (-3.9 + 0.25 * f64::from(k), 2.1));
+        let points: Vec<(f64, f64)> =
+            left.chain((0..48).map(|k| (-5.9 + 0.25 * f64::from(k), -2.0))).collect();
+        let best_y_m = |unknown| {
+            let request = SearchRequest { score_min: 0.3, share_min: 0.75, near: None };
+            let places = PlaceSearch::default().find(&PlaceField::new(&map, unknown), &points, &request);
+            places.found[0].map_from_cloud.y_m
+        };
+        let [first_m, second_m] = [crate::UNKNOWN, crate::MUCH_UNKNOWN].map(best_y_m);
+        assert!((first_m - 20.0).abs() < 0.3 && (second_m - 5.0).abs() < 0.3, "{first_m} m, {second_m} m");
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig { cases: 24, rng_seed: proptest::test_runner::RngSeed::Fixed(7), ..ProptestConfig::default() })]
 
