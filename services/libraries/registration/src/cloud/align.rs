@@ -1,12 +1,8 @@
 //! Point-to-line refinement of a pose by Gauss–Newton (Censi 2008). Takes the moments of a submap, the points of a scan and
 //! a guess, gives the pose with its information matrix and share of inliers.
 
-use super::{Line, MomentGrid, PackedPoint, Placement};
-
-/// Cosine to the normal from which on it is clear which face of a wall is seen.
-const FACING_MIN: f64 = 0.1;
-/// Flatness from which on a line is a face of a wall; less is a corner, which has no sides.
-const FLAT_MIN: f64 = 0.8;
+use super::line_batch::{Sums, Weighing, sums};
+use super::{MomentGrid, PackedPoint, Placement};
 
 /// Of a quick fit steps shorter than this end the first half and the second, metres and radians …
 const QUICK_STEPS: [(f64, f64); 2] = [(1e-3, 2e-4), (2e-4, 3e-5)];
@@ -89,15 +85,6 @@ pub struct Aligner {
     settings: AlignSettings,
 }
 
-/// Sums over the points at one pose.
-#[derive(Clone, Copy, Default)]
-struct Normal {
-    h: [f64; 6],
-    g: [f64; 3],
-    inliers: u32,
-    squared: f64,
-}
-
 impl Aligner {
     /// An aligner with these settings.
     pub fn new(settings: AlignSettings) -> Self {
@@ -149,39 +136,12 @@ impl Aligner {
         })
     }
 
-    fn sum(&self, grid: &mut MomentGrid, points: &[PackedPoint], at: Placement, gate_m: f64) -> Normal {
-        let mut normal = Normal::default();
-        let kernel = 1.0 / (self.settings.kernel_m * self.settings.kernel_m);
-        for point in points {
-            let (rx, ry) = at.rotate(point.x_m(), point.y_m());
-            let (x, y) = (at.x_m + rx, at.y_m + ry);
-            let Some(line) = grid.line_near(x, y) else { continue };
-            let distance = line.normal_x * (x - line.x_m) + line.normal_y * (y - line.y_m);
-            if distance.abs() > gate_m || is_other_side(&line, rx, ry) {
-                continue;
-            }
-            let weight = line.flatness * line.flatness / (1.0 + distance * distance * kernel);
-            let (jx, jy) = (line.normal_x, line.normal_y);
-            let jt = jy * rx - jx * ry;
-            let (wx, wy, wt) = (weight * jx, weight * jy, weight * jt);
-            let h = &mut normal.h;
-            h[0] += wx * jx;
-            h[1] += wx * jy;
-            h[2] += wx * jt;
-            h[3] += wy * jy;
-            h[4] += wy * jt;
-            h[5] += wt * jt;
-            normal.g[0] += wx * distance;
-            normal.g[1] += wy * distance;
-            normal.g[2] += wt * distance;
-            normal.inliers += 1;
-            normal.squared += distance * distance;
-        }
-        normal
+    fn sum(&self, grid: &mut MomentGrid, points: &[PackedPoint], at: Placement, gate_m: f64) -> Sums {
+        sums(grid, points, &at, Weighing { gate_m, kernel_m: self.settings.kernel_m })
     }
 
     /// The Gauss–Newton step with the prior towards the guess.
-    fn step(&self, normal: &Normal, points: usize, at: Placement, guess: Placement) -> Option<[f64; 3]> {
+    fn step(&self, normal: &Sums, points: usize, at: Placement, guess: Placement) -> Option<[f64; 3]> {
         let share = 1.0 / points as f64;
         let prior = self.settings.prior;
         let prior_turn = prior * self.settings.prior_lever_m * self.settings.prior_lever_m;
@@ -202,16 +162,6 @@ impl Aligner {
 
 fn is_short(delta: [f64; 3], (step_m, step_rad): (f64, f64)) -> bool {
     delta[0] * delta[0] + delta[1] * delta[1] < step_m * step_m && delta[2].abs() < step_rad
-}
-
-/// Whether a point seen in the direction (x, y) is on the other face of the wall that the line is one face of.
-#[inline]
-fn is_other_side(line: &Line, x: f64, y: f64) -> bool {
-    let from_behind = line.normal_x * x + line.normal_y * y;
-    line.facing > FACING_MIN
-        && line.flatness > FLAT_MIN
-        && from_behind > 0.0
-        && from_behind * from_behind > FACING_MIN * FACING_MIN * (x * x + y * y)
 }
 
 /// Solves the symmetric positive definite 3 × 3 system h·x = g by Cholesky; `None` when it is not.

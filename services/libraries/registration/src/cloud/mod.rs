@@ -7,6 +7,7 @@
 mod align;
 mod cloud_point;
 mod cloud_search;
+mod line_batch;
 mod moments;
 mod placement;
 mod pooled_field;
@@ -14,6 +15,6 @@ mod pooled_field;
 pub use align::{AlignSettings, Aligner, Alignment};
 pub use cloud_point::PackedPoint;
 pub use cloud_search::{Found, Searcher, Window};
-pub use moments::{Line, MomentGrid, PlacedPoint};
+pub use moments::{MomentGrid, PlacedPoint};
 pub use placement::Placement;
 pub use pooled_field::PooledField;

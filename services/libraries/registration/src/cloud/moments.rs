@@ -1,5 +1,6 @@
 //! Points of several scans as integer moments in cells of 0.1 m, from which local lines are read.
 
+use super::line_batch::LocalLine;
 use super::{PackedPoint, Placement};
 use flockslam_evidence::floor;
 use zerocopy::FromZeros;
@@ -77,50 +78,13 @@ impl PlacedPoint {
 const EMPTY: [Moments; BLOCK_CELLS] =
     [Moments { count: 0, x: 0, y: 0, xx: 0, xy: 0, yy: 0, view_x: 0, view_y: 0 }; BLOCK_CELLS];
 
-/// The local line of a submap: a point on it, its unit normal, and how much it deserves to be called a line.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Line {
-    /// Metres along x of a point on the line, in the grid's frame.
-    pub x_m: f64,
-    /// Metres along y of that point.
-    pub y_m: f64,
-    /// Unit normal, x; it points to where the points were seen from.
-    pub normal_x: f64,
-    /// Unit normal, y.
-    pub normal_y: f64,
-    /// 0 for a round blob … 1 for a thin line.
-    pub flatness: f64,
-    /// Mean cosine between the normal and the way back to the lidar: 1 for a wall seen from straight ahead, 0 for one seen from
-    /// both its sides.
-    pub facing: f64,
-}
-
 /// A fitted line is cached until the grid changes, or that of a cell further away takes its place.
 #[derive(Clone, Copy, Default, FromZeros)]
 struct CachedLine {
     version: u32,
     cell: u32,
-    flatness: f32,
-    facing: f32,
-    x_m: f32,
-    y_m: f32,
-    normal_x: f32,
-    normal_y: f32,
-}
-
-impl CachedLine {
-    /// The line of a cell, in the grid's frame.
-    #[inline]
-    fn line(self, column: i32, row: i32) -> Line {
-        Line {
-            x_m: center_m(column) + f64::from(self.x_m),
-            y_m: center_m(row) + f64::from(self.y_m),
-            normal_x: f64::from(self.normal_x),
-            normal_y: f64::from(self.normal_y),
-            flatness: f64::from(self.flatness),
-            facing: f64::from(self.facing),
-        }
-    }
+    /// From the centre of this cell.
+    line: LocalLine,
 }
 
 /// Points of a few scans as moments in cells of 0.1 m, from which local lines are read with sub-cell
@@ -239,43 +203,47 @@ impl MomentGrid {
         self.cell(units(x_m).div_euclid(CELL_UNITS), units(y_m).div_euclid(CELL_UNITS)).count
     }
 
-    /// The line that belongs to the point (x, y) metres: that of its own cell, else of the nearest occupied
-    /// cell among the eight around it. `None` when there is none.
+    /// The line that belongs to the point (dx, dy) metres from the centre of a cell: that of its own cell, else of the nearest occupied
+    /// cell among the eight around it; without any, one that is not flat.
     #[inline]
-    pub fn line_near(&mut self, x_m: f64, y_m: f64) -> Option<Line> {
-        let (x, y) = (units(x_m), units(y_m));
-        let (column, row) = (x.div_euclid(CELL_UNITS), y.div_euclid(CELL_UNITS));
+    pub(super) fn local_line(&mut self, column: i32, row: i32, dx_m: f32, dy_m: f32) -> LocalLine {
         let cached = self.lines[slot(column, row)];
         // Only lines of occupied cells are cached.
-        let line = if (cached.version, cached.cell) == (self.version, number(column, row)) {
-            cached.line(column, row)
+        if (cached.version, cached.cell) == (self.version, number(column, row)) {
+            cached.line
         } else {
-            self.other_line_near(x, y, column, row)?
-        };
-        (line.flatness > 0.0).then_some(line)
-    }
-
-    /// As [`Self::line_near`], where the line of the point's own cell is not cached.
-    fn other_line_near(&mut self, x: i32, y: i32, column: i32, row: i32) -> Option<Line> {
-        if self.cell(column, row).count > 0 {
-            return Some(self.line_of(column, row));
+            self.other_local_line(column, row, dx_m, dy_m)
         }
-        let (column, row) = self.nearest_occupied(x, y, column, row)?;
-        Some(self.line_of(column, row))
     }
 
-    fn nearest_occupied(&self, x: i32, y: i32, column: i32, row: i32) -> Option<(i32, i32)> {
+    /// As [`Self::local_line`], where the line of the point's own cell is not cached.
+    fn other_local_line(&mut self, column: i32, row: i32, dx_m: f32, dy_m: f32) -> LocalLine {
+        if self.cell(column, row).count > 0 {
+            return self.line_of(column, row);
+        }
+        let in_cell = |offset_m: f32| (offset_m * UNITS_PER_M as f32) as i32;
+        let Some((along, up)) = self.nearest_occupied(column, row, in_cell(dx_m), in_cell(dy_m)) else {
+            return LocalLine::default();
+        };
+        let mut line = self.line_of(column + along, row + up);
+        line.x_m += along as f32 * Self::CELL_M as f32;
+        line.y_m += up as f32 * Self::CELL_M as f32;
+        line
+    }
+
+    /// The nearest occupied cell around one, as columns and rows from it, for a point so many units from its centre.
+    fn nearest_occupied(&self, column: i32, row: i32, x: i32, y: i32) -> Option<(i32, i32)> {
         let mut nearest = None;
         let mut least = i32::MAX;
-        for r in row - 1..=row + 1 {
-            for c in column - 1..=column + 1 {
-                let cell = self.cell(c, r);
+        for up in -1..=1 {
+            for along in -1..=1 {
+                let cell = self.cell(column + along, row + up);
                 if cell.count > 0 {
-                    let dx = x - c * CELL_UNITS - CELL_UNITS / 2 - cell.x / cell.count;
-                    let dy = y - r * CELL_UNITS - CELL_UNITS / 2 - cell.y / cell.count;
+                    let dx = x - along * CELL_UNITS - cell.x / cell.count;
+                    let dy = y - up * CELL_UNITS - cell.y / cell.count;
                     let squared = dx * dx + dy * dy;
                     if squared < least {
-                        (least, nearest) = (squared, Some((c, r)));
+                        (least, nearest) = (squared, Some((along, up)));
                     }
                 }
             }
@@ -283,18 +251,18 @@ impl MomentGrid {
         nearest
     }
 
-    fn line_of(&mut self, column: i32, row: i32) -> Line {
+    fn line_of(&mut self, column: i32, row: i32) -> LocalLine {
         let slot = slot(column, row);
         let cell = number(column, row);
         if (self.lines[slot].version, self.lines[slot].cell) != (self.version, cell) {
-            self.lines[slot] = self.fit(column, row);
+            self.lines[slot] = CachedLine { version: self.version, cell, line: self.fit(column, row) };
         }
-        self.lines[slot].line(column, row)
+        self.lines[slot].line
     }
 
     /// Fits a line to the points of a cell and its eight neighbours: the direction comes from all of them,
     /// the anchor from the cell itself.
-    fn fit(&self, column: i32, row: i32) -> CachedLine {
+    fn fit(&self, column: i32, row: i32) -> LocalLine {
         let (mut n, mut sx, mut sy, mut sxx, mut sxy, mut syy) = (0i64, 0i64, 0i64, 0i64, 0i64, 0i64);
         for r in -1..=1i32 {
             for c in -1..=1i32 {
@@ -311,8 +279,7 @@ impl MomentGrid {
             }
         }
         let own = self.cell(column, row);
-        let mut line =
-            CachedLine { version: self.version, cell: number(column, row), ..CachedLine::default() };
+        let mut line = LocalLine::default();
         if n < i64::from(LINE_POINTS_MIN) || own.count == 0 {
             return line;
         }
@@ -349,11 +316,6 @@ fn units(metres: f64) -> i32 {
     floor((metres * UNITS_PER_M).clamp(-2e9, 2e9))
 }
 
-#[inline]
-fn center_m(cell: i32) -> f64 {
-    f64::from(cell * CELL_UNITS + CELL_UNITS / 2) / UNITS_PER_M
-}
-
 /// The block of a cell on the torus, and the cell's place in it.
 #[inline]
 fn index(column: i32, row: i32) -> (usize, usize) {
@@ -371,8 +333,7 @@ fn slot(column: i32, row: i32) -> usize {
 /// The number of a cell of the torus.
 #[inline]
 fn number(column: i32, row: i32) -> u32 {
-    let (block, place) = index(column, row);
-    (block * BLOCK_CELLS + place) as u32
+    ((row & (SIDE - 1)) * SIDE + (column & (SIDE - 1))) as u32
 }
 
 #[cfg(test)]
@@ -388,7 +349,16 @@ mod tests {
             .collect()
     }
 
-    /// All cells of the torus by their numbers.
+    /// The line near a point, from the centre of its cell; and the point from there.
+    fn line_near(grid: &mut MomentGrid, x_m: f64, y_m: f64) -> Option<(LocalLine, (f32, f32))> {
+        let cell = |m: f64| (m / MomentGrid::CELL_M).floor();
+        let offset_m = |m: f64| (m - (cell(m) + 0.5) * MomentGrid::CELL_M) as f32;
+        let (dx, dy) = (offset_m(x_m), offset_m(y_m));
+        let line = grid.local_line(cell(x_m) as i32, cell(y_m) as i32, dx, dy);
+        (line.flatness > 0.0).then_some((line, (dx, dy)))
+    }
+
+    /// All cells of the torus by their places.
     fn cells(grid: &MomentGrid) -> Vec<Moments> {
         grid.places.iter().flat_map(|place| grid.stored[usize::from(*place)]).collect()
     }
@@ -414,19 +384,21 @@ mod tests {
         let mut grid = MomentGrid::default();
         grid.add(&Placement::IDENTITY, &wall());
         for x in [-0.5, 0.03, 1.111, 2.5] {
-            let line = grid.line_near(x, 2.0 + 0.5 * x + 0.02).unwrap();
-            let distance = line.normal_x * (x - line.x_m) + line.normal_y * (2.0 + 0.5 * x - line.y_m);
+            let (line, (dx, dy)) = line_near(&mut grid, x, 2.0 + 0.5 * x).unwrap();
+            let distance = line.normal_x * (dx - line.x_m) + line.normal_y * (dy - line.y_m);
             assert!(distance.abs() < 0.002, "{distance}");
             assert!((line.normal_x / line.normal_y + 0.5).abs() < 0.02 && line.flatness > 0.95, "{line:?}");
         }
-        assert!(grid.line_near(0.0, 4.0).is_none());
+        assert!(line_near(&mut grid, 0.0, 4.0).is_none());
     }
 
     #[test]
     fn every_cell_of_the_torus_has_a_place_of_its_own() {
         let mut taken = vec![false; (SIDE * SIDE) as usize];
         for (row, column) in (-3..SIDE - 3).flat_map(|row| (5..SIDE + 5).map(move |column| (row, column))) {
-            assert!(!std::mem::replace(&mut taken[number(column, row) as usize], true), "{column} {row}");
+            let (block, place) = index(column, row);
+            let taken = &mut taken[block * BLOCK_CELLS + place];
+            assert!(!std::mem::replace(taken, true), "{column} {row}");
         }
     }
 
@@ -437,11 +409,11 @@ mod tests {
         let turned = Placement::new(apart_m, 0.0, 0.3);
         grid.add(&Placement::IDENTITY, &wall());
         grid.add(&turned, &wall());
-        let near = grid.line_near(0.03, 2.015).unwrap();
+        let near = line_near(&mut grid, 0.03, 2.015).unwrap();
         for x in [-0.5, 0.03, 1.111, 2.5] {
             let (x_m, y_m) = turned.apply(x, 2.0 + 0.5 * x);
-            grid.line_near(x_m, y_m).unwrap();
-            assert_eq!(grid.line_near(0.03, 2.015).unwrap(), near);
+            line_near(&mut grid, x_m, y_m).unwrap();
+            assert_eq!(line_near(&mut grid, 0.03, 2.015).unwrap(), near);
         }
     }
 
@@ -451,13 +423,13 @@ mod tests {
             let mut grid = MomentGrid::default();
             grid.add(&Placement::IDENTITY, &wall());
             let before = cells(&grid);
-            let line = grid.line_near(0.03, 2.015);
+            let line = line_near(&mut grid, 0.03, 2.015);
             let elsewhere = Placement::new(x, y, heading);
             grid.add(&elsewhere, &wall());
             grid.withdraw(&elsewhere, &wall());
             prop_assert!(before == cells(&grid));
             prop_assert!(line.is_some());
-            prop_assert_eq!(line, grid.line_near(0.03, 2.015));
+            prop_assert_eq!(line, line_near(&mut grid, 0.03, 2.015));
         }
     }
 }
