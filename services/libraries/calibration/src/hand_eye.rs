@@ -35,6 +35,9 @@ const SIGMA_MIN: (f64, f64) = (5e-4, 2e-4);
 /// The median of the absolute of a normal distribution, as a share of its deviation.
 const MEDIAN_OF_NORMAL: f64 = 0.6745;
 const STEPS_MAX: usize = 40;
+/// So many steps come before the deviations have settled; they do with every fourth pair.
+const FIRST_STEPS: usize = 5;
+const FIRST_EVERY: usize = 4;
 /// Steps of the numerical derivatives.
 const NUDGE: [f64; UNKNOWNS] = [1e-4, 1e-4, 1e-4, 2e-3, 1e-4, 1e-4, 1e-4];
 
@@ -82,11 +85,13 @@ pub fn estimate(samples: &DriveSamples, assumed: Pose) -> Result<LidarEstimate, 
     let problem = Problem { samples, pairs, assumed };
     let (mut state, mut sigma) = (Unknowns::zeros(), (0.02, 0.01));
     for step in 0..STEPS_MAX {
-        let Normal { information, gradient, .. } = problem.normal(&state, sigma);
+        let is_first = step < FIRST_STEPS && problem.pairs.len() >= FIRST_EVERY * PAIRS_MIN;
+        let every = if is_first { FIRST_EVERY } else { 1 };
+        let Normal { information, gradient, .. } = problem.normal(&state, sigma, every);
         let change = information.cholesky().ok_or(CalibrationError::NotSettled)?.solve(&gradient);
         state -= change;
-        sigma = problem.deviations(&state).ok_or(CalibrationError::TooFewMotions)?;
-        if step > 4 && change.component_div(&Unknowns::from(NUDGE)).amax() < 1e-2 {
+        sigma = problem.deviations(&state, every).ok_or(CalibrationError::TooFewMotions)?;
+        if step >= FIRST_STEPS && change.component_div(&Unknowns::from(NUDGE)).amax() < 1e-2 {
             return problem.conclude(&state, sigma);
         }
     }
@@ -175,11 +180,11 @@ impl Problem<'_> {
         Pose::new(assumed.x_m + dx, assumed.y_m + dy, assumed.heading_rad + dh)
     }
 
-    fn normal(&self, state: &Unknowns, (sigma_m, sigma_rad): (f64, f64)) -> Normal {
+    fn normal(&self, state: &Unknowns, (sigma_m, sigma_rad): (f64, f64), every: usize) -> Normal {
         let weights = SVector::from([1.0 / sigma_m, 1.0 / sigma_m, 1.0 / sigma_rad]);
         let (mut of_pairs, mut gradient) = (Information::zeros(), Unknowns::zeros());
         let (mut blocks, mut block, mut block_ns) = (Information::zeros(), Unknowns::zeros(), i64::MIN);
-        for pair in &self.pairs {
+        for pair in self.pairs.iter().step_by(every) {
             let Some(moved) = self.moved(pair, state) else { continue };
             let Some(rows) = self.derivatives(pair, moved, state) else { continue };
             let residual = self.residual_of(pair, moved, state).component_mul(&weights);
@@ -216,8 +221,9 @@ impl Problem<'_> {
     }
 
     /// Deviations of the residuals, by their medians: metres and radians.
-    fn deviations(&self, state: &Unknowns) -> Option<(f64, f64)> {
-        let residuals: Vec<_> = self.pairs.iter().filter_map(|pair| self.residual(pair, state)).collect();
+    fn deviations(&self, state: &Unknowns, every: usize) -> Option<(f64, f64)> {
+        let pairs = self.pairs.iter().step_by(every);
+        let residuals: Vec<_> = pairs.filter_map(|pair| self.residual(pair, state)).collect();
         let places = residuals.iter().flat_map(|residual| [residual[0].abs(), residual[1].abs()]).collect();
         let turns = residuals.iter().map(|residual| residual[2].abs()).collect();
         let (place_m, turn_rad) = (median(places)?, median(turns)?);
@@ -226,7 +232,7 @@ impl Problem<'_> {
 
     /// The estimate and its covariance: that of independent pairs, and what pairs that share errors add (H. White's sandwich, by blocks).
     fn conclude(&self, state: &Unknowns, sigma: (f64, f64)) -> Result<LidarEstimate, CalibrationError> {
-        let normal = self.normal(state, sigma);
+        let normal = self.normal(state, sigma, 1);
         let inverse = normal.information.cholesky().ok_or(CalibrationError::NotSettled)?.inverse();
         let prior = normal.information - normal.of_pairs;
         let covariance = inverse * (normal.of_pairs + normal.blocks + prior) * inverse;

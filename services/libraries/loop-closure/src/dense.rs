@@ -11,8 +11,8 @@ use flockslam_registration::cloud::{MomentGrid, Placement};
 
 /// Segments within this of a node are matched to, metres.
 const NEAR_M: f64 = 3.0;
-/// Most segments that a node is matched to.
-const SEGMENTS_MAX: usize = 4;
+/// Most segments that a node is matched to. With four, poses in places seen only twice are worse: what the segments share counts more than once.
+const SEGMENTS_MAX: usize = 2;
 /// Errors of a match beyond those of its points.
 const SLACK: (f64, f64) = (0.04, 0.01);
 

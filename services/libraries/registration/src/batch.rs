@@ -1,5 +1,6 @@
 //! The sums of Gauss–Newton over many points, several points at a time: each step of the arithmetic runs over a whole
-//! batch, so that the processor's wide instructions can be used on every machine, with the same bits.
+//! batch, so that the processor's wide instructions can be used on every machine, with the same bits. A place on the grid needs double
+//! precision; what is within a cell, and what only weighs, does not.
 
 use crate::field::ScoreRead;
 use flockslam_evidence::CellIndex;
@@ -10,11 +11,13 @@ use nalgebra::{Matrix3, Vector3};
 /// Points in a batch.
 pub(crate) const BATCH: usize = 16;
 /// Partial sums that are added to at once.
-const LANES: usize = 2;
+const LANES: usize = 4;
 /// Adding this rounds a number to a whole one, which then stands in the low bits (1.5 · 2⁵²).
 const ROUNDER: f64 = 6_755_399_441_055_744.0;
 /// The full score in the field's own units.
 const FULL: f64 = u16::MAX as f64;
+/// The same, for the arithmetic within a batch.
+const FULL_SCORE: f32 = u16::MAX as f32;
 
 type Row<T> = [T; BATCH];
 
@@ -22,14 +25,14 @@ type Row<T> = [T; BATCH];
 #[derive(Default)]
 pub(crate) struct Batch {
     /// Points turned into the field's directions.
-    x: Row<f64>,
-    y: Row<f64>,
+    x: Row<f32>,
+    y: Row<f32>,
     /// Column and row of the block's first cell, in the low bits.
     column: Row<u64>,
     row: Row<u64>,
     /// Way from the centre of the block's first cell, 0 … 1.
-    along: Row<f64>,
-    up: Row<f64>,
+    along: Row<f32>,
+    up: Row<f32>,
     /// Scores of the cells (0, 0), (1, 0), (0, 1), (1, 1) of the block.
     blocks: [Row<i32>; 4],
 }
@@ -39,11 +42,12 @@ impl Batch {
     #[inline]
     pub(crate) fn place(&mut self, points: &Row<Point>, turn: (f64, f64), shift: (f64, f64)) {
         for (k, point) in points.iter().enumerate() {
-            self.x[k] = turn.0 * point.x_m - turn.1 * point.y_m;
-            self.y[k] = turn.1 * point.x_m + turn.0 * point.y_m;
+            let x = turn.0 * point.x_m - turn.1 * point.y_m;
+            let y = turn.1 * point.x_m + turn.0 * point.y_m;
+            (self.column[k], self.along[k]) = split(x + shift.0);
+            (self.row[k], self.up[k]) = split(y + shift.1);
+            (self.x[k], self.y[k]) = (x as f32, y as f32);
         }
-        split(&self.x, shift.0, &mut self.column, &mut self.along);
-        split(&self.y, shift.1, &mut self.row, &mut self.up);
     }
 
     /// Reads the blocks of the first `count` points; the others count as a perfect fit without information.
@@ -62,25 +66,21 @@ impl Batch {
     }
 }
 
-/// Splits numbers after a shift into their greatest whole numbers not above and the rests. (A number that is whole may
-/// come apart as one less and a rest of 1; interpolation gives the same for both.)
+/// Splits a number into the greatest whole number not above it, in the low bits, and the rest. (A number that is whole may come apart as one
+/// less and a rest of 1; interpolation gives the same for both.)
 #[inline]
-fn split(numbers: &Row<f64>, shift: f64, whole: &mut Row<u64>, rest: &mut Row<f64>) {
-    for k in 0..BATCH {
-        let number = numbers[k] + shift;
-        let rounded = (number - 0.5) + ROUNDER;
-        whole[k] = rounded.to_bits();
-        rest[k] = number - (rounded - ROUNDER);
-    }
+fn split(number: f64) -> (u64, f32) {
+    let rounded = (number - 0.5) + ROUNDER;
+    (rounded.to_bits(), (number - (rounded - ROUNDER)) as f32)
 }
 
 /// One point of the linearised problem, in sides of a cell and units of the score: the slope of the score along x, along y and as the
 /// robot turns, and what is missing to the full score.
 struct Linearised {
-    x: f64,
-    y: f64,
-    t: f64,
-    r: f64,
+    x: f32,
+    y: f32,
+    t: f32,
+    r: f32,
 }
 
 impl Batch {
@@ -89,11 +89,12 @@ impl Batch {
     fn linearised(&self, k: usize) -> Linearised {
         let [m00, m10, m01, m11] = &self.blocks;
         let (a, b) = (self.along[k], self.up[k]);
-        let low = f64::from(m10[k].wrapping_sub(m00[k]));
-        let high = f64::from(m11[k].wrapping_sub(m01[k]));
-        let (bottom, top) = (f64::from(m00[k]) + a * low, f64::from(m01[k]) + a * high);
+        // Scores have 16 bits: single precision holds them and their differences.
+        let [low, high] =
+            [m10[k].wrapping_sub(m00[k]), m11[k].wrapping_sub(m01[k])].map(|score| score as f32);
+        let (bottom, top) = (m00[k] as f32 + a * low, m01[k] as f32 + a * high);
         let (x, y) = (low + b * (high - low), top - bottom);
-        let r = FULL - (bottom + b * y);
+        let r = FULL_SCORE - (bottom + b * y);
         Linearised { x, y, t: self.x[k] * y - self.y[k] * x, r }
     }
 }
@@ -101,17 +102,17 @@ impl Batch {
 /// Sums over batches, in sides of a cell and units of the score.
 #[derive(Default)]
 pub(crate) struct Sums {
-    xx: [f64; LANES],
-    xy: [f64; LANES],
-    xt: [f64; LANES],
-    yy: [f64; LANES],
-    yt: [f64; LANES],
-    tt: [f64; LANES],
-    xr: [f64; LANES],
-    yr: [f64; LANES],
-    tr: [f64; LANES],
-    r: [f64; LANES],
-    rr: [f64; LANES],
+    xx: [f32; LANES],
+    xy: [f32; LANES],
+    xt: [f32; LANES],
+    yy: [f32; LANES],
+    yt: [f32; LANES],
+    tt: [f32; LANES],
+    xr: [f32; LANES],
+    yr: [f32; LANES],
+    tr: [f32; LANES],
+    r: [f32; LANES],
+    rr: [f32; LANES],
 }
 
 impl Sums {
@@ -138,7 +139,7 @@ impl Sums {
 
     /// The equations in metres and shares of the full score, over this many points.
     pub(crate) fn in_metres(&self, per_metre: f64, points: usize) -> NormalEquations {
-        let sum = |lanes: [f64; LANES]| lanes.into_iter().sum::<f64>();
+        let sum = |lanes: [f32; LANES]| lanes.into_iter().map(f64::from).sum::<f64>();
         let (one, length) = (1.0 / FULL, per_metre / FULL);
         let [xx, xy, yy] = [self.xx, self.xy, self.yy].map(|s| length * length * sum(s));
         let [xt, yt] = [self.xt, self.yt].map(|s| length * one * sum(s));
@@ -203,10 +204,10 @@ fn for_each_batch(
 #[derive(Default)]
 struct TimedSums {
     /// xx, xy, xt, yy, yt, tt.
-    squares: [[[f64; LANES]; 6]; 3],
+    squares: [[[f32; LANES]; 6]; 3],
     /// xr, yr, tr.
-    missed: [[[f64; LANES]; 3]; 2],
-    rr: [f64; LANES],
+    missed: [[[f32; LANES]; 3]; 2],
+    rr: [f32; LANES],
 }
 
 impl TimedSums {
@@ -215,7 +216,7 @@ impl TimedSums {
         for first in (0..BATCH).step_by(LANES) {
             for lane in 0..LANES {
                 let Linearised { x, y, t, r } = batch.linearised(first + lane);
-                let time_s = times_s[first + lane];
+                let time_s = times_s[first + lane] as f32;
                 let products = [x * x, x * y, x * t, y * y, y * t, t * t];
                 for (i, product) in products.into_iter().enumerate() {
                     self.squares[0][i][lane] += product;
@@ -258,7 +259,7 @@ impl TimedEquations {
             sums.add(batch, whole);
         });
         let (one, length) = (1.0 / FULL, per_metre / FULL);
-        let sum = |lanes: [f64; LANES]| lanes.into_iter().sum::<f64>();
+        let sum = |lanes: [f32; LANES]| lanes.into_iter().map(f64::from).sum::<f64>();
         let blocks = sums.squares.map(|squares| {
             let [xx, xy, xt, yy, yt, tt] = squares.map(sum);
             let (both, mixed, turn) = (length * length, length * one, one * one);

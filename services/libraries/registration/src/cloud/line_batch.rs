@@ -78,7 +78,12 @@ pub(super) struct LocalLine {
 type Partial = [[f32; LANES]; 11];
 
 /// The sums over `points`, given in the robot's frame, with the robot at `at` in the grid's frame.
-pub(super) fn sums(grid: &mut MomentGrid, points: &[PackedPoint], at: &Placement, weighing: Weighing) -> Sums {
+pub(super) fn sums(
+    grid: &mut MomentGrid,
+    points: &[PackedPoint],
+    at: &Placement,
+    weighing: Weighing,
+) -> Sums {
     let mut batch = LineBatch::default();
     let mut partial: Partial = [[0.0; LANES]; 11];
     let mut rest = [PackedPoint::default(); BATCH];
