@@ -114,7 +114,7 @@ fn trials(name: &str, starts: usize, is_drawn: bool) -> Result<String, Box<dyn E
         }
         for k in 0..10.min(starts - all.len()) {
             let first = way.len() * k / 10;
-            all.push(start_trial(&mut localizer, &way[first..], &scans[first..], &store, FALSE));
+            all.push(start_trial(&mut localizer, &way[first..], &scans[first..], &store, Some(FALSE)));
         }
     }
     for trial in &all {

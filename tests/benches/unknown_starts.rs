@@ -1,6 +1,7 @@
-//! `cargo bench -p flockslam --bench unknown_starts -- MAP.yaml LOG TRAJECTORY.tum STARTS`: robots that are switched on at unknown poses in the
-//! second half of a CARMEN log look for themselves in a map, which was made of the first half; each drives up to 40 m. The trajectory of
-//! the whole log serves as their front end and as the truth. Prints how far each had to drive in mapped space, and what was false.
+//! `cargo bench -p flockslam --bench unknown_starts -- MAP.yaml LOG TRAJECTORY.tum STARTS [elsewhere]`: robots that are switched on at unknown
+//! poses in the second half of a CARMEN log look for themselves in a map, which was made of the first half; each drives up to 40 m. The
+//! trajectory of the whole log serves as their front end and as the truth. With `elsewhere`, the map is of another building: robots start in
+//! all of the log, and whatever they find is false. Prints each robot, how far they had to drive in mapped space, and what was false.
 
 #![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
 
@@ -48,12 +49,26 @@ fn trajectory(text: &str) -> Result<Vec<Placement>, Box<dyn Error>> {
     text.lines().filter(|line| !line.starts_with('#')).map(pose).collect()
 }
 
+/// How a robot has fared, in words.
+fn fate(trial: &StartTrial) -> String {
+    let found = trial.found_after_m.map_or("not found".into(), |m| format!("found after {m:.1} m"));
+    let lost = if trial.was_lost { ", lost again" } else { "" };
+    let wrong = trial
+        .false_place
+        .map_or(String::new(), |(truth, said)| format!(", FALSE: at {truth:?} said to be at {said:?}"));
+    format!("{found}{lost}{wrong}; {:.1} m in mapped space", trial.mapped_m)
+}
+
 fn main() -> Result<(), Box<dyn Error>> {
     // Cargo adds an option of its own.
     let arguments: Vec<String> = std::env::args().filter(|argument| argument != "--bench").collect();
-    let [_, map, log, truth, starts] = arguments.as_slice() else {
-        println!("unknown_starts needs MAP.yaml LOG TRAJECTORY.tum STARTS");
-        return Ok(());
+    let (map, log, truth, starts, is_elsewhere) = match arguments.as_slice() {
+        [_, map, log, truth, starts] => (map, log, truth, starts, false),
+        [_, map, log, truth, starts, word] if word == "elsewhere" => (map, log, truth, starts, true),
+        _ => {
+            println!("unknown_starts needs MAP.yaml LOG TRAJECTORY.tum STARTS [elsewhere]");
+            return Ok(());
+        }
     };
     let stored = read_nav2_map(Path::new(map))?;
     let mut known = KnownMap::of_width(stored.width, stored.cell_size_m, stored.origin);
@@ -62,10 +77,15 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut store = ScanStore::default();
     let scans = scans(&std::fs::read_to_string(log)?, &mut store)?;
     let way = trajectory(&std::fs::read_to_string(truth)?)?;
-    let (half, starts) = (scans.len() / 2, starts.parse::<usize>()?);
+    let starts = starts.parse::<usize>()?;
+    let (begin, false_from) = if is_elsewhere { (0, None) } else { (scans.len() / 2, Some(FALSE)) };
     let searches: Vec<StartTrial> = (0..starts)
-        .map(|k| half + (scans.len() - half) * k / starts)
-        .map(|first| start_trial(&mut localizer, &way[first..], &scans[first..], &store, FALSE))
+        .map(|k| begin + (scans.len() - begin) * k / starts)
+        .map(|first| {
+            let trial = start_trial(&mut localizer, &way[first..], &scans[first..], &store, false_from);
+            println!("scan {first}: {}", fate(&trial));
+            trial
+        })
         .collect();
     let mut found_m: Vec<f64> = searches.iter().filter_map(|search| search.found_after_m).collect();
     found_m.sort_by(f64::total_cmp);

@@ -29,13 +29,13 @@ pub struct StartTrial {
 }
 
 /// Lets a robot drive the way from its start, and records when it is localized; a pose that is found farther from the truth than `false_from`, metres
-/// and radians, is false.
+/// and radians, is false. `None`: the robot is in another building, and whatever is found is false.
 pub fn start_trial(
     localizer: &mut Localizer,
     way: &[Placement],
     scans: &[usize],
     store: &ScanStore,
-    false_from: (f64, f64),
+    false_from: Option<(f64, f64)>,
 ) -> StartTrial {
     localizer.odometry_breaks();
     let odom_from_map = Placement::new(3.0, -7.0, 1.9);
@@ -62,7 +62,8 @@ pub fn start_trial(
         if belief.knowledge == Knowledge::Localized {
             trial.found_after_m.get_or_insert(trial.mapped_m);
             let found = belief.hypotheses[0].map_from_base;
-            if found.distance_m(truth) > false_from.0 || found.turn_rad(truth) > false_from.1 {
+            let is_true = |(m, rad)| found.distance_m(truth) <= m && found.turn_rad(truth) <= rad;
+            if !false_from.is_some_and(is_true) {
                 trial.false_place = Some((*truth, found));
             }
             trial.errors_m.push(found.distance_m(truth));
