@@ -12,7 +12,7 @@ pub enum Knowledge {
     /// It fits nowhere well enough.
     #[default]
     Unknown = 0,
-    /// It fits at several places nearly as well, or not all have been looked at.
+    /// It fits at several places nearly as well, or not all have been looked at, or one is still to be found again after some travel.
     Ambiguous = 1,
     /// It fits at one place, and nowhere else nearly as well.
     Localized = 2,

@@ -7,13 +7,18 @@ use flockslam_registration::cloud::Placement;
 /// A place is accepted when at least this share of the points is explained there, and at most this contradicted.
 const EXPLAINED_MIN: f64 = 0.55;
 const CONTRADICTED_MAX: f64 = 0.08;
-/// Where nothing else is nearly as good, at most this share of the merit elsewhere, less is asked: changes of the world explain it.
-const ALONE_MAX: f64 = 0.5;
-const ALONE: (f64, f64) = (0.5, 0.15);
-/// The same for what a robot has seen without having driven this far, metres.
+/// The same for what a robot has seen without having driven this far, metres, …
 const STANDING_M: f64 = 0.7;
 const STANDING: (f64, f64) = (0.9, 0.04);
+/// … where nothing else is nearly as good, at most this share of the merit elsewhere.
 const STANDING_ALONE: (f64, f64) = (0.8, 0.06);
+const STANDING_ALONE_MAX: f64 = 0.6;
+/// What is not as good is accepted, too, when the same place is found again after this much travel, metres: in every building there is a place
+/// that looks like one of any other for a while, and most of these soon contradict the map. So it is where nothing else agrees nearly as well
+/// after at least this much travel, metres, at most this share of the merit elsewhere by either measure; changes of the world explain the rest.
+const ALONE_M: f64 = 2.0;
+const ALONE_MAX: (f64, f64) = (0.5, 0.65);
+const ALONE: (f64, f64) = (0.5, 0.15);
 /// Where furniture stands that the map does not show, as in the plan of an architect, much contradicts it, but hardly anything is seen through
 /// a wall: least share explained, greatest share behind them, …
 const WALLS: (f64, f64) = (0.55, 0.04);
@@ -22,19 +27,20 @@ const FURNISHED_CONTRADICTED_MAX: f64 = 0.4;
 /// … and elsewhere walls agree so much less with what was seen over at least this much travel, metres.
 const FURNISHED_ALONE_MAX: f64 = 0.5;
 const FURNISHED_M: f64 = 6.0;
-/// Over at least this much travel furniture that was moved contradicts the map here and there: least share explained, greatest
-/// contradicted, and greatest share of the merit elsewhere; equal rooms share their walls, and more travel tells them apart more surely.
-const DRIVEN_M: f64 = 4.0;
-const DRIVEN: (f64, f64) = (0.7, 0.2);
-const DRIVEN_ALTERNATIVE_MAX: f64 = 0.9;
+/// Furniture that was moved contradicts the map here and there: least travel, metres, least share explained, greatest contradicted, and
+/// greatest share of the merit elsewhere; equal rooms share their walls, and more travel tells them apart more surely. So it tells a bare
+/// corridor of another building from one of this: much is explained there over some metres, and elsewhere in the map nearly as much.
+const DRIVEN: [(f64, f64, f64, f64); 2] = [(4.0, 0.7, 0.12, 0.85), (10.0, 0.7, 0.2, 0.9)];
 /// A robot that sees much which the map does not have: least travel, metres, least share explained, …
 const BORDER_M: f64 = 3.0;
 const BORDER_EXPLAINED_MIN: f64 = 0.35;
 /// … greatest share contradicted of what is explained, and greatest share of the merit elsewhere.
 const BORDER_CONTRADICTED_MAX: f64 = 0.15;
 const BORDER_ALTERNATIVE_MAX: f64 = 0.5;
-/// Elsewhere at most this share of the merit is found.
+/// Elsewhere at most this share of the merit is found, and less before so many metres of travel: a corner or a room has its like in other buildings.
 const ALTERNATIVE_MAX: f64 = 0.8;
+const EARLY_ALTERNATIVE_MAX: f64 = 0.7;
+const EARLY_M: f64 = 3.0;
 /// A search gives so many places at most. Where more score alike, a place as good as one that so many searches gave was in one of them, too.
 const LISTED_MIN: u32 = 3;
 
@@ -75,35 +81,73 @@ impl Evaluated {
     }
 }
 
-/// What is known after so much travel, metres, when these are the best places, the best first. `is_held`: surfaces hold the best one in
-/// all directions.
-pub(crate) fn knowledge(evaluated: &[Evaluated], travel_m: f64, is_held: bool) -> Knowledge {
-    let Some((best, others)) = evaluated.split_first() else { return Knowledge::Unknown };
-    let greatest = |of: fn(&Evaluated) -> f64| others.iter().map(of).fold(0.0, f64::max);
-    let (alternative, strict_alternative) = (greatest(Evaluated::merit), greatest(Evaluated::strict_merit));
-    let (explained, contradicted) = best.strictly();
-    let (least, most) = match (travel_m < STANDING_M, strict_alternative <= ALONE_MAX * best.strict_merit()) {
-        (true, true) => STANDING_ALONE,
-        (true, false) => STANDING,
-        (false, true) => ALONE,
-        (false, false) => (EXPLAINED_MIN, CONTRADICTED_MAX),
+/// What a search says of the best place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Verdict {
+    /// It is not good enough.
+    Unfit,
+    /// It is good enough, and others may be as good.
+    Ambiguous,
+    /// It is the only one, once it is found again after some travel.
+    Promising,
+    /// It is the only one.
+    Unmistakable,
+}
+
+impl Verdict {
+    /// What the robot knows by it, as long as no search after some travel has found the place again.
+    pub(crate) fn knowledge(self) -> Knowledge {
+        match self {
+            Self::Unfit => Knowledge::Unknown,
+            Self::Ambiguous | Self::Promising => Knowledge::Ambiguous,
+            Self::Unmistakable => Knowledge::Localized,
+        }
+    }
+}
+
+/// What is to be thought of the best place after so much travel, metres, when these are the best, the best first. `is_held`: surfaces hold it
+/// in all directions.
+pub(crate) fn verdict(evaluated: &[Evaluated], travel_m: f64, is_held: bool) -> Verdict {
+    let Some((best, others)) = evaluated.split_first() else { return Verdict::Unfit };
+    // The greatest share of the best place's merit that is found elsewhere, by both measures.
+    let greatest = |of: fn(&Evaluated) -> f64| {
+        let most = others.iter().map(of).fold(0.0, f64::max);
+        if most > 0.0 { most / of(best) } else { 0.0 }
     };
-    let is_good = (explained >= least && contradicted <= most) || is_among_furniture(best, others, travel_m);
-    let is_driven = travel_m >= DRIVEN_M
-        && best.agreement.explained >= DRIVEN.0
-        && best.agreement.contradicted <= DRIVEN.1;
+    let (alternative, strict_alternative) = (greatest(Evaluated::merit), greatest(Evaluated::strict_merit));
+    let most_alike = alternative.max(strict_alternative);
+    let (explained, contradicted) = best.strictly();
+    let is_within = |(least, most): (f64, f64)| explained >= least && contradicted <= most;
+    let is_good = if travel_m >= STANDING_M {
+        is_within((EXPLAINED_MIN, CONTRADICTED_MAX))
+    } else {
+        is_within(STANDING) || (is_within(STANDING_ALONE) && most_alike <= STANDING_ALONE_MAX)
+    };
+    let alike_max = if travel_m < EARLY_M { EARLY_ALTERNATIVE_MAX } else { ALTERNATIVE_MAX };
     let is_at_border = travel_m >= BORDER_M
         && explained >= BORDER_EXPLAINED_MIN
-        && contradicted <= BORDER_CONTRADICTED_MAX * explained;
+        && contradicted <= BORDER_CONTRADICTED_MAX * explained
+        && strict_alternative <= BORDER_ALTERNATIVE_MAX;
     // Each way to be good enough has its own measure of how much worse all others are.
-    let stands_out = (is_good && strict_alternative <= ALTERNATIVE_MAX * best.strict_merit())
-        || (is_driven && alternative <= DRIVEN_ALTERNATIVE_MAX * best.merit())
-        || (is_at_border && strict_alternative <= BORDER_ALTERNATIVE_MAX * best.strict_merit());
-    let is_unique = stands_out && (best.listed.is_among_all || best.listed.times >= LISTED_MIN);
-    match (is_unique && is_held, is_good || is_driven) {
-        (true, _) => Knowledge::Localized,
-        (false, true) => Knowledge::Ambiguous,
-        (false, false) => Knowledge::Unknown,
+    let is_alone = travel_m >= ALONE_M
+        && is_within(ALONE)
+        && strict_alternative <= ALONE_MAX.0
+        && alternative <= ALONE_MAX.1;
+    let is_among_furniture =
+        is_among_furniture(best, others, travel_m) && strict_alternative <= ALTERNATIVE_MAX;
+    let is_driven = |(m, least, most, _): &(f64, f64, f64, f64)| {
+        travel_m >= *m && best.agreement.explained >= *least && best.agreement.contradicted <= *most
+    };
+    let stands_out = |of: &(f64, f64, f64, f64)| is_driven(of) && alternative <= of.3;
+    let would_be_known = is_held && (best.listed.is_among_all || best.listed.times >= LISTED_MIN);
+    if would_be_known && ((is_good && most_alike <= alike_max) || is_at_border) {
+        Verdict::Unmistakable
+    } else if would_be_known && (is_alone || is_among_furniture || DRIVEN.iter().any(stands_out)) {
+        Verdict::Promising
+    } else if is_good || is_alone || is_among_furniture || DRIVEN.iter().any(is_driven) {
+        Verdict::Ambiguous
+    } else {
+        Verdict::Unfit
     }
 }
 
@@ -142,32 +186,50 @@ mod tests {
     /// In a hotel, all rooms have the same walls, and a third of the furniture has moved.
     #[test]
     fn furniture_tells_equal_rooms_apart_after_some_metres() {
-        let places = [place(0.85, 0.13, LISTED), place(0.76, 0.16, LISTED)];
-        let of = |travel_m| knowledge(&places, travel_m, true);
-        assert_eq!([2.0, 5.0].map(of), [Knowledge::Unknown, Knowledge::Localized]);
+        let places = [place(0.85, 0.11, LISTED), place(0.76, 0.14, LISTED)];
+        let of = |travel_m| verdict(&places, travel_m, true);
+        assert_eq!([2.0, 5.0].map(of), [Verdict::Unfit, Verdict::Promising]);
+        let changed = [place(0.85, 0.15, LISTED), place(0.76, 0.16, LISTED)];
+        let of = |travel_m| verdict(&changed, travel_m, true);
+        assert_eq!([5.0, 11.0].map(of), [Verdict::Unfit, Verdict::Promising]);
         let alike = [place(0.85, 0.13, LISTED), place(0.82, 0.14, LISTED)];
-        assert_eq!(knowledge(&alike, 16.0, true), Knowledge::Ambiguous);
+        assert_eq!(verdict(&alike, 16.0, true), Verdict::Ambiguous);
         let changed = [place(0.75, 0.22, LISTED), place(0.5, 0.4, LISTED)];
-        assert_eq!(knowledge(&changed, 16.0, true), Knowledge::Unknown);
+        assert_eq!(verdict(&changed, 16.0, true), Verdict::Unfit);
+    }
+
+    /// As Intel's log and that of ACES fit best in the map of FR079: what is explained and contradicted there, and the merit elsewhere.
+    #[test]
+    fn places_that_look_like_those_of_another_building_are_not_accepted_at_once() {
+        let of = |explained: f64, contradicted: f64, alternative: f64, travel_m| {
+            let other = alternative * (explained - contradicted);
+            verdict(&[place(explained, contradicted, LISTED), place(other, 0.0, LISTED)], travel_m, true)
+        };
+        assert_eq!(of(0.654, 0.137, 0.462, 1.8), Verdict::Unfit, "a room of Intel");
+        assert_eq!(of(0.624, 0.133, 0.898, 2.4), Verdict::Unfit, "another one");
+        assert_eq!(of(0.844, 0.0, 0.75, 1.8), Verdict::Ambiguous, "it has its like in the map itself");
+        assert_eq!(of(0.806, 0.116, 0.876, 4.0), Verdict::Ambiguous, "a corridor of ACES");
+        assert_eq!(of(0.742, 0.110, 0.718, 5.2), Verdict::Promising, "it contradicts more 2 m later");
+        assert_eq!(of(0.718, 0.151, 0.831, 8.3), Verdict::Unfit, "as it does here");
     }
 
     #[test]
     fn who_sees_much_that_the_map_does_not_have_is_found_where_nothing_contradicts() {
         let at = |contradicted: f64, other: f64| {
             let places = [place(0.42, contradicted, LISTED), place(0.55, 0.55 - other, LISTED)];
-            knowledge(&places, 8.0, true)
+            verdict(&places, 8.0, true)
         };
-        assert_eq!(at(0.03, 0.15), Knowledge::Localized);
-        assert_eq!(at(0.08, 0.15), Knowledge::Unknown, "much contradicts");
-        assert_eq!(at(0.03, 0.3), Knowledge::Unknown, "another place is nearly as good");
+        assert_eq!(at(0.03, 0.15), Verdict::Unmistakable);
+        assert_eq!(at(0.08, 0.15), Verdict::Unfit, "much contradicts");
+        assert_eq!(at(0.03, 0.3), Verdict::Unfit, "another place is nearly as good");
         assert_eq!(
-            knowledge(&[place(0.42, 0.03, LISTED)], 2.0, true),
-            Knowledge::Unknown,
+            verdict(&[place(0.42, 0.03, LISTED)], 2.0, true),
+            Verdict::Unfit,
             "it has hardly driven"
         );
         assert_eq!(
-            knowledge(&[place(0.42, 0.03, LISTED)], 8.0, false),
-            Knowledge::Unknown,
+            verdict(&[place(0.42, 0.03, LISTED)], 8.0, false),
+            Verdict::Unfit,
             "nothing holds it"
         );
     }
@@ -175,10 +237,10 @@ mod tests {
     /// Where more places score alike than a search gives, an equal one may be among those that it does not give.
     #[test]
     fn a_place_is_accepted_once_equal_ones_would_have_been_found() {
-        let after = |times| knowledge(&[place(0.9, 0.02, Listed { is_among_all: false, times })], 5.0, true);
+        let after = |times| verdict(&[place(0.9, 0.02, Listed { is_among_all: false, times })], 5.0, true);
         assert_eq!(
             [0, 1, 2, 3].map(after),
-            [Knowledge::Ambiguous, Knowledge::Ambiguous, Knowledge::Ambiguous, Knowledge::Localized]
+            [Verdict::Ambiguous, Verdict::Ambiguous, Verdict::Ambiguous, Verdict::Unmistakable]
         );
     }
 }

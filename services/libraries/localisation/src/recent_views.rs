@@ -60,6 +60,11 @@ impl RecentViews {
         }
     }
 
+    /// The whole way until the newest view since all was cleared, metres.
+    pub fn way_m(&self) -> f64 {
+        self.views.back().map_or(0.0, |newest| newest.travel_m)
+    }
+
     /// The points of the last `length_m` of travel in the frame of the newest view, at most about `most`, evenly over the surface.
     pub fn cloud(&self, length_m: f64, most: usize) -> Vec<SeenPoint> {
         let Some(newest) = self.views.back() else { return Vec::new() };

@@ -139,10 +139,26 @@ fn a_robot_in_another_building_is_not_localized() {
     }
 }
 
+/// A corridor of another building fits one of the map for some metres.
+#[test]
+fn a_promising_place_is_taken_once_it_is_promising_again_farther_on() {
+    let (mut localizer, map) = localizer();
+    let place = Placement::new(4.0, -2.0, 0.5);
+    let mut confirmed = |x_m: f64, off_m: f64| {
+        let odom = Placement::new(x_m, 0.0, 0.0);
+        localizer.recent.push(odom, &seen(&map, Placement::new(21.0, 12.0, 0.0)), VERIFIED_M);
+        localizer.confirms(&odom, &place.compose(Placement::new(x_m, off_m, 0.0)))
+    };
+    assert!(!confirmed(0.0, 0.0) && !confirmed(2.0, 0.1) && confirmed(2.6, 0.1), "2.6 m after it was found");
+    assert!(!confirmed(3.0, 2.0) && !confirmed(5.0, 2.1) && confirmed(5.6, 2.0), "another place begins anew");
+    localizer.relocalize(None);
+    assert!(localizer.promising.is_none());
+}
+
 #[test]
 fn a_kidnapped_robot_detects_it_and_is_relocalized() {
     let (mut localizer, map) = localizer();
-    let belief = drive(&mut localizer, &map, &[(21.0, 13.0), (21.5, 11.0)], anywhere());
+    let belief = drive(&mut localizer, &map, &[(21.0, 13.0), (21.5, 9.0), (21.5, 11.0)], anywhere());
     assert_eq!(belief.knowledge, Knowledge::Localized);
     // It is put down elsewhere, and its odometry has not noticed.
     let moved = Placement::new(21.5, 11.0, 0.0).compose(Placement::new(2.0, 9.0, 0.0).inverse());
