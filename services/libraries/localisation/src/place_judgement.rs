@@ -222,16 +222,8 @@ mod tests {
         assert_eq!(at(0.03, 0.15), Verdict::Unmistakable);
         assert_eq!(at(0.08, 0.15), Verdict::Unfit, "much contradicts");
         assert_eq!(at(0.03, 0.3), Verdict::Unfit, "another place is nearly as good");
-        assert_eq!(
-            verdict(&[place(0.42, 0.03, LISTED)], 2.0, true),
-            Verdict::Unfit,
-            "it has hardly driven"
-        );
-        assert_eq!(
-            verdict(&[place(0.42, 0.03, LISTED)], 8.0, false),
-            Verdict::Unfit,
-            "nothing holds it"
-        );
+        assert_eq!(verdict(&[place(0.42, 0.03, LISTED)], 2.0, true), Verdict::Unfit, "it has hardly driven");
+        assert_eq!(verdict(&[place(0.42, 0.03, LISTED)], 8.0, false), Verdict::Unfit, "nothing holds it");
     }
 
     /// Where more places score alike than a search gives, an equal one may be among those that it does not give.
