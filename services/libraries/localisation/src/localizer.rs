@@ -23,7 +23,7 @@ const SHARE_MIN: f64 = 0.75;
 /// A cloud of fewer points is not looked for.
 const POINTS_MIN: usize = 40;
 /// A place that is only promising is accepted when it is so again after this much travel, metres.
-const CONFIRMED_M: f64 = 2.5;
+const CONFIRMED_M: f64 = 2.0;
 
 /// Places that were not looked at score at most this share of the place that is accepted.
 const UNSEEN_MAX: f64 = 0.92;

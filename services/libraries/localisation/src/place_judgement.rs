@@ -7,15 +7,17 @@ use flockslam_registration::cloud::Placement;
 /// A place is accepted when at least this share of the points is explained there, and at most this contradicted.
 const EXPLAINED_MIN: f64 = 0.55;
 const CONTRADICTED_MAX: f64 = 0.08;
-/// The same for what a robot has seen without having driven this far, metres, …
-const STANDING_M: f64 = 0.7;
-const STANDING: (f64, f64) = (0.9, 0.04);
-/// … where nothing else is nearly as good, at most this share of the merit elsewhere.
-const STANDING_ALONE: (f64, f64) = (0.8, 0.06);
-const STANDING_ALONE_MAX: f64 = 0.6;
-/// What is not as good is accepted, too, when the same place is found again after this much travel, metres: in every building there is a place
-/// that looks like one of any other for a while, and most of these soon contradict the map. So it is where nothing else agrees nearly as well
-/// after at least this much travel, metres, at most this share of the merit elsewhere by either measure; changes of the world explain the rest.
+/// The same at once, before this much travel, metres: a corner or a room has its like in every other building, …
+const EARLY_M: f64 = 4.0;
+const EARLY: (f64, f64) = (0.9, 0.04);
+/// … where the merit elsewhere is at most this share, …
+const EARLY_ALTERNATIVE_MAX: f64 = 0.7;
+/// … or a little less where it is at most this one.
+const EARLY_ALONE: (f64, f64) = (0.85, 0.05);
+const EARLY_ALONE_MAX: f64 = 0.6;
+/// What is not as good is accepted when the same place is found again after some travel: most places that look like one of another building
+/// soon contradict the map. So it is where nothing else agrees nearly as well after at least this much travel, metres, at most this share of
+/// the merit elsewhere, strictly and otherwise; changes of the world explain the rest.
 const ALONE_M: f64 = 2.0;
 const ALONE_MAX: (f64, f64) = (0.5, 0.65);
 const ALONE: (f64, f64) = (0.5, 0.15);
@@ -30,17 +32,16 @@ const FURNISHED_M: f64 = 6.0;
 /// Furniture that was moved contradicts the map here and there: least travel, metres, least share explained, greatest contradicted, and
 /// greatest share of the merit elsewhere; equal rooms share their walls, and more travel tells them apart more surely. So it tells a bare
 /// corridor of another building from one of this: much is explained there over some metres, and elsewhere in the map nearly as much.
-const DRIVEN: [(f64, f64, f64, f64); 2] = [(4.0, 0.7, 0.12, 0.85), (10.0, 0.7, 0.2, 0.9)];
+const DRIVEN: [(f64, f64, f64, f64); 3] =
+    [(4.0, 0.7, 0.12, 0.85), (4.0, 0.65, 0.15, 0.65), (10.0, 0.7, 0.2, 0.9)];
 /// A robot that sees much which the map does not have: least travel, metres, least share explained, …
 const BORDER_M: f64 = 3.0;
 const BORDER_EXPLAINED_MIN: f64 = 0.35;
 /// … greatest share contradicted of what is explained, and greatest share of the merit elsewhere.
 const BORDER_CONTRADICTED_MAX: f64 = 0.15;
 const BORDER_ALTERNATIVE_MAX: f64 = 0.5;
-/// Elsewhere at most this share of the merit is found, and less before so many metres of travel: a corner or a room has its like in other buildings.
+/// Elsewhere at most this share of the merit is found.
 const ALTERNATIVE_MAX: f64 = 0.8;
-const EARLY_ALTERNATIVE_MAX: f64 = 0.7;
-const EARLY_M: f64 = 3.0;
 /// A search gives so many places at most. Where more score alike, a place as good as one that so many searches gave was in one of them, too.
 const LISTED_MIN: u32 = 3;
 
@@ -118,12 +119,10 @@ pub(crate) fn verdict(evaluated: &[Evaluated], travel_m: f64, is_held: bool) -> 
     let most_alike = alternative.max(strict_alternative);
     let (explained, contradicted) = best.strictly();
     let is_within = |(least, most): (f64, f64)| explained >= least && contradicted <= most;
-    let is_good = if travel_m >= STANDING_M {
-        is_within((EXPLAINED_MIN, CONTRADICTED_MAX))
-    } else {
-        is_within(STANDING) || (is_within(STANDING_ALONE) && most_alike <= STANDING_ALONE_MAX)
-    };
-    let alike_max = if travel_m < EARLY_M { EARLY_ALTERNATIVE_MAX } else { ALTERNATIVE_MAX };
+    let is_good = is_within((EXPLAINED_MIN, CONTRADICTED_MAX));
+    let is_best = is_good && most_alike <= ALTERNATIVE_MAX;
+    let is_clear = (is_within(EARLY) && most_alike <= EARLY_ALTERNATIVE_MAX)
+        || (is_within(EARLY_ALONE) && most_alike <= EARLY_ALONE_MAX);
     let is_at_border = travel_m >= BORDER_M
         && explained >= BORDER_EXPLAINED_MIN
         && contradicted <= BORDER_CONTRADICTED_MAX * explained
@@ -140,9 +139,9 @@ pub(crate) fn verdict(evaluated: &[Evaluated], travel_m: f64, is_held: bool) -> 
     };
     let stands_out = |of: &(f64, f64, f64, f64)| is_driven(of) && alternative <= of.3;
     let would_be_known = is_held && (best.listed.is_among_all || best.listed.times >= LISTED_MIN);
-    if would_be_known && ((is_good && most_alike <= alike_max) || is_at_border) {
+    if would_be_known && ((is_best && (is_clear || travel_m >= EARLY_M)) || is_at_border) {
         Verdict::Unmistakable
-    } else if would_be_known && (is_alone || is_among_furniture || DRIVEN.iter().any(stands_out)) {
+    } else if would_be_known && (is_best || is_alone || is_among_furniture || DRIVEN.iter().any(stands_out)) {
         Verdict::Promising
     } else if is_good || is_alone || is_among_furniture || DRIVEN.iter().any(is_driven) {
         Verdict::Ambiguous
@@ -189,7 +188,7 @@ mod tests {
         let places = [place(0.85, 0.11, LISTED), place(0.76, 0.14, LISTED)];
         let of = |travel_m| verdict(&places, travel_m, true);
         assert_eq!([2.0, 5.0].map(of), [Verdict::Unfit, Verdict::Promising]);
-        let changed = [place(0.85, 0.15, LISTED), place(0.76, 0.16, LISTED)];
+        let changed = [place(0.85, 0.16, LISTED), place(0.76, 0.16, LISTED)];
         let of = |travel_m| verdict(&changed, travel_m, true);
         assert_eq!([5.0, 11.0].map(of), [Verdict::Unfit, Verdict::Promising]);
         let alike = [place(0.85, 0.13, LISTED), place(0.82, 0.14, LISTED)];
@@ -207,7 +206,8 @@ mod tests {
         };
         assert_eq!(of(0.654, 0.137, 0.462, 1.8), Verdict::Unfit, "a room of Intel");
         assert_eq!(of(0.624, 0.133, 0.898, 2.4), Verdict::Unfit, "another one");
-        assert_eq!(of(0.844, 0.0, 0.75, 1.8), Verdict::Ambiguous, "it has its like in the map itself");
+        assert_eq!(of(0.816, 0.071, 0.467, 0.9), Verdict::Promising, "the same room before that");
+        assert_eq!(of(0.730, 0.056, 0.795, 1.9), Verdict::Promising, "a room of FR079 in the map of Intel");
         assert_eq!(of(0.806, 0.116, 0.876, 4.0), Verdict::Ambiguous, "a corridor of ACES");
         assert_eq!(of(0.742, 0.110, 0.718, 5.2), Verdict::Promising, "it contradicts more 2 m later");
         assert_eq!(of(0.718, 0.151, 0.831, 8.3), Verdict::Unfit, "as it does here");
