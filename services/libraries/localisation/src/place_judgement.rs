@@ -15,12 +15,15 @@ const EARLY_ALTERNATIVE_MAX: f64 = 0.7;
 /// … or a little less where it is at most this one.
 const EARLY_ALONE: (f64, f64) = (0.85, 0.05);
 const EARLY_ALONE_MAX: f64 = 0.6;
+/// Over this much travel, metres, corridors and rooms of other buildings are told apart: less is asked, and no more than this share elsewhere.
+const FAR_M: f64 = 10.0;
+const FAR: (f64, f64) = (0.5, 0.15);
+const FAR_ALTERNATIVE_MAX: f64 = 0.65;
 /// What is not as good is accepted when the same place is found again after some travel: most places that look like one of another building
-/// soon contradict the map. So it is where nothing else agrees nearly as well after at least this much travel, metres, at most this share of
-/// the merit elsewhere, strictly and otherwise; changes of the world explain the rest.
+/// soon contradict the map. So it is after at least this much travel, metres, with these shares explained and contradicted, when elsewhere is at
+/// most so much of the merit, strictly and otherwise: where nothing is nearly as good, changes of the world explain the rest.
 const ALONE_M: f64 = 2.0;
-const ALONE_MAX: (f64, f64) = (0.5, 0.65);
-const ALONE: (f64, f64) = (0.5, 0.15);
+const ALONE: [((f64, f64), f64, f64); 2] = [((0.5, 0.15), 0.5, 0.65), ((0.7, 0.13), 0.8, 0.8)];
 /// Where furniture stands that the map does not show, as in the plan of an architect, much contradicts it, but hardly anything is seen through
 /// a wall: least share explained, greatest share behind them, …
 const WALLS: (f64, f64) = (0.55, 0.04);
@@ -129,9 +132,10 @@ pub(crate) fn verdict(evaluated: &[Evaluated], travel_m: f64, is_held: bool) -> 
         && strict_alternative <= BORDER_ALTERNATIVE_MAX;
     // Each way to be good enough has its own measure of how much worse all others are.
     let is_alone = travel_m >= ALONE_M
-        && is_within(ALONE)
-        && strict_alternative <= ALONE_MAX.0
-        && alternative <= ALONE_MAX.1;
+        && ALONE.iter().any(|(shares, strict_most, most)| {
+            is_within(*shares) && strict_alternative <= *strict_most && alternative <= *most
+        });
+    let is_far = travel_m >= FAR_M && is_within(FAR) && most_alike <= FAR_ALTERNATIVE_MAX;
     let is_among_furniture =
         is_among_furniture(best, others, travel_m) && strict_alternative <= ALTERNATIVE_MAX;
     let is_driven = |(m, least, most, _): &(f64, f64, f64, f64)| {
@@ -139,7 +143,7 @@ pub(crate) fn verdict(evaluated: &[Evaluated], travel_m: f64, is_held: bool) -> 
     };
     let stands_out = |of: &(f64, f64, f64, f64)| is_driven(of) && alternative <= of.3;
     let would_be_known = is_held && (best.listed.is_among_all || best.listed.times >= LISTED_MIN);
-    if would_be_known && ((is_best && (is_clear || travel_m >= EARLY_M)) || is_at_border) {
+    if would_be_known && ((is_best && (is_clear || travel_m >= EARLY_M)) || is_at_border || is_far) {
         Verdict::Unmistakable
     } else if would_be_known && (is_best || is_alone || is_among_furniture || DRIVEN.iter().any(stands_out)) {
         Verdict::Promising
@@ -210,6 +214,8 @@ mod tests {
         assert_eq!(of(0.730, 0.056, 0.795, 1.9), Verdict::Promising, "a room of FR079 in the map of Intel");
         assert_eq!(of(0.806, 0.116, 0.876, 4.0), Verdict::Ambiguous, "a corridor of ACES");
         assert_eq!(of(0.742, 0.110, 0.718, 5.2), Verdict::Promising, "it contradicts more 2 m later");
+        assert_eq!(of(0.601, 0.172, 0.65, 10.6), Verdict::Unfit, "much contradicts");
+        assert_eq!(of(0.592, 0.132, 0.58, 14.1), Verdict::Unmistakable, "ACES in its own map");
         assert_eq!(of(0.718, 0.151, 0.831, 8.3), Verdict::Unfit, "as it does here");
     }
 
