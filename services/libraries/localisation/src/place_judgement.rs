@@ -23,7 +23,7 @@ const FAR_ALTERNATIVE_MAX: f64 = 0.65;
 /// soon contradict the map. So it is after at least this much travel, metres, with these shares explained and contradicted, when elsewhere is at
 /// most so much of the merit, strictly and otherwise: where nothing is nearly as good, changes of the world explain the rest.
 const ALONE_M: f64 = 2.0;
-const ALONE: [((f64, f64), f64, f64); 2] = [((0.5, 0.15), 0.5, 0.65), ((0.7, 0.13), 0.8, 0.8)];
+const ALONE: [((f64, f64), f64, f64); 2] = [((0.5, 0.15), 0.5, 0.65), ((0.7, 0.14), 0.8, 0.8)];
 /// Where furniture stands that the map does not show, as in the plan of an architect, much contradicts it, but hardly anything is seen through
 /// a wall: least share explained, greatest share behind them, …
 const WALLS: (f64, f64) = (0.55, 0.04);
