@@ -10,9 +10,7 @@ const CONTRADICTED_MAX: f64 = 0.08;
 /// The same at once, before this much travel, metres: a corner or a room has its like in every other building, …
 const EARLY_M: f64 = 4.0;
 const EARLY: (f64, f64) = (0.9, 0.04);
-/// … where the merit elsewhere is at most this share, …
-const EARLY_ALTERNATIVE_MAX: f64 = 0.7;
-/// … or a little less where it is at most this one.
+/// … or a little less where the merit elsewhere is at most this share.
 const EARLY_ALONE: (f64, f64) = (0.85, 0.05);
 const EARLY_ALONE_MAX: f64 = 0.6;
 /// Over this much travel, metres, corridors and rooms of other buildings are told apart: less is asked, and no more than this share elsewhere.
@@ -124,8 +122,7 @@ pub(crate) fn verdict(evaluated: &[Evaluated], travel_m: f64, is_held: bool) -> 
     let is_within = |(least, most): (f64, f64)| explained >= least && contradicted <= most;
     let is_good = is_within((EXPLAINED_MIN, CONTRADICTED_MAX));
     let is_best = is_good && most_alike <= ALTERNATIVE_MAX;
-    let is_clear = (is_within(EARLY) && most_alike <= EARLY_ALTERNATIVE_MAX)
-        || (is_within(EARLY_ALONE) && most_alike <= EARLY_ALONE_MAX);
+    let is_clear = is_within(EARLY) || (is_within(EARLY_ALONE) && most_alike <= EARLY_ALONE_MAX);
     let is_at_border = travel_m >= BORDER_M
         && explained >= BORDER_EXPLAINED_MIN
         && contradicted <= BORDER_CONTRADICTED_MAX * explained
