@@ -34,7 +34,7 @@ const FURNISHED_M: f64 = 6.0;
 /// greatest share of the merit elsewhere; equal rooms share their walls, and more travel tells them apart more surely. So it tells a bare
 /// corridor of another building from one of this: much is explained there over some metres, and elsewhere in the map nearly as much.
 const DRIVEN: [(f64, f64, f64, f64); 3] =
-    [(4.0, 0.7, 0.12, 0.85), (4.0, 0.65, 0.15, 0.65), (10.0, 0.7, 0.2, 0.9)];
+    [(4.0, 0.7, 0.12, 0.85), (4.0, 0.65, 0.15, 0.65), (10.0, 0.8, 0.2, 0.9)];
 /// A robot that sees much which the map does not have: least travel, metres, least share explained, …
 const BORDER_M: f64 = 3.0;
 const BORDER_EXPLAINED_MIN: f64 = 0.35;
