@@ -13,7 +13,7 @@ const EARLY: (f64, f64) = (0.9, 0.04);
 /// … or a little less where the merit elsewhere is at most this share.
 const EARLY_ALONE: (f64, f64) = (0.85, 0.05);
 const EARLY_ALONE_MAX: f64 = 0.6;
-/// Over this much travel, metres, corridors and rooms of other buildings are told apart: less is asked, and no more than this share elsewhere.
+/// Over this much travel, metres, corridors and rooms of other buildings are distinguished: less is asked, and no more than this share elsewhere.
 const FAR_M: f64 = 10.0;
 const FAR: (f64, f64) = (0.5, 0.15);
 const FAR_ALTERNATIVE_MAX: f64 = 0.65;
