@@ -348,7 +348,8 @@ fn a_corridor_that_repeats_itself_closes_no_false_loop() {
     let (_, without) =
         replay(&building, &truth, &odom, Settings { close_loops: false, ..Settings::default() });
     let (with_m, without_m) = (worst_error_m(&with, &truth), worst_error_m(&without, &truth));
-    assert!(with_m < 0.15 && with_m < without_m, "{with_m} m against {without_m} m, {:?}", with.closures);
+    // A false loop is metres off; without any false one, both are off by centimetres.
+    assert!(with_m < 0.15, "{with_m} m against {without_m} m, {:?}", with.closures);
 }
 
 #[test]
