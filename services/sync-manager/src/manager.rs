@@ -9,7 +9,6 @@ use driven::Driven;
 use flockslam_loop_closure::agreement::eligible;
 use flockslam_loop_closure::closure::{CHI_SQUARED_MAX, Closure};
 use flockslam_loop_closure::connectivity::{self, TrajectoryConnectivity};
-use flockslam_loop_closure::doubt::Doubt;
 use flockslam_loop_closure::finder::{ClosureFinder, EVERY_M, LEAST_TRAVEL_M, QUERY_NODES, World, in_reach};
 use flockslam_loop_closure::graph_distances::{CLOSURE_M, JOINT_M, graph_distances, graph_distances_to};
 use flockslam_loop_closure::node::{NewNode, Node};
@@ -31,7 +30,6 @@ use unpublished::Unpublished;
 
 mod conclusion;
 mod counts;
-mod doubtful;
 mod driven;
 mod final_passes;
 mod final_solution;
@@ -144,8 +142,6 @@ pub struct SyncManager {
     ruled_out: BTreeSet<u64>,
     /// Closures were found that the solution does not know.
     unsolved: bool,
-    /// Whether what is seen contradicts the map.
-    doubt: Doubt,
     /// Stretches that the set has only localized in.
     entries: Entries,
     /// Findings that are not published to the flock yet, when there is one.
@@ -182,7 +178,6 @@ impl SyncManager {
             gone_scans: 0,
             ruled_out: BTreeSet::new(),
             unsolved: false,
-            doubt: Doubt::default(),
             entries: Entries::default(),
             unpublished: None,
             solving_credit: SOLVING_PER_SUBMAP,
@@ -309,7 +304,6 @@ impl SyncManager {
             if self.finder.counts().searches - done < most {
                 self.search(query, known);
             }
-            self.doubt(query, known, before);
         }
         self.unsolved |= self.closures.len() > before;
         let is_last = searches == usize::MAX;

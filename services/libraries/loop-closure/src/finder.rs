@@ -304,7 +304,7 @@ pub(crate) fn holds(refined: &Alignment, found: &Found) -> bool {
 }
 
 /// A query's node and its neighbours on the trajectory, so many before and after it.
-pub(crate) fn surroundings(nodes: &[Node], query: usize, reach: usize) -> std::ops::Range<usize> {
+fn surroundings(nodes: &[Node], query: usize, reach: usize) -> std::ops::Range<usize> {
     let same = |i: &usize| nodes[*i].trajectory == nodes[query].trajectory;
     let start = (query.saturating_sub(reach)..=query).find(same).unwrap_or(query);
     let last = (query..(query + reach + 1).min(nodes.len())).rev().find(same).unwrap_or(query);

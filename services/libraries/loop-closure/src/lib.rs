@@ -6,10 +6,8 @@
 pub mod agreement;
 pub mod attachment;
 pub mod closure;
-pub mod comparison;
 pub mod connectivity;
 pub mod dense;
-pub mod doubt;
 mod fields;
 pub mod finder;
 pub mod graph_distances;

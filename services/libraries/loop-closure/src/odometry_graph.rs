@@ -57,8 +57,6 @@ const GIVEN: Symmetric = [1e8, 0.0, 0.0, 1e8, 0.0, 1e8];
 /// reason for which it was lost may have moved it.
 const LOST_SIGMA: (f64, f64) = (0.3, 0.05);
 const LOST_FACTOR: f64 = 3.0;
-/// Of the motion to another trajectory: just enough information to keep the graph connected.
-const BROKEN_SIGMA: (f64, f64) = (1e3, 1e2);
 /// Least standard deviations of such a motion, metres and radians.
 const FOLLOWED_SIGMA: (f64, f64) = (0.01, 0.003);
 /// Each node is matched again to this many before it: enough for a stable map around the robot, few enough that the front end's
@@ -301,26 +299,6 @@ impl OdometryGraph {
         })
     }
 
-    /// Whether the edge to a node can be cut: both ends have left the window that new nodes are matched to.
-    pub fn can_be_cut(&self, node: usize) -> bool {
-        node > 0 && node < self.first
-    }
-
-    /// Makes the nodes from this one on a trajectory of their own: the edge to it becomes a joint, as where the robot was lost.
-    ///
-    /// # Panics
-    /// When the edge cannot be cut.
-    pub fn cut(&mut self, node: usize) {
-        assert!(self.can_be_cut(node), "nodes in use stay together");
-        for later in &mut self.nodes[node..] {
-            later.trajectory += 1;
-            later.drift_bound_m += BROKEN_M;
-        }
-        let (edge, sequence) = (&mut self.edges[node - 1], self.nodes[node].sequence);
-        self.joints.push(Joint { sequence, sigmas: LOST_SIGMA, motion: edge.motion });
-        edge.information = diagonal(BROKEN_SIGMA.0, BROKEN_SIGMA.1);
-    }
-
     /// What holds the nodes whose poses are given at these: constraints to the first of them. Trusted, like [`Self::edges`].
     pub fn given(&self) -> impl Iterator<Item = Edge> {
         let nodes = self.given_nodes();
@@ -465,7 +443,8 @@ impl OdometryGraph {
                 diagonal(sigma_m * root + 1e-3, sigma_rad * root + 1e-4)
             }
             Link::Predicted => diagonal(0.3 + 0.5 * way, 0.2 + 0.5 * turn),
-            Link::Broken => diagonal(BROKEN_SIGMA.0, BROKEN_SIGMA.1),
+            // Just enough information to keep the graph connected.
+            Link::Broken => diagonal(1e3, 1e2),
             Link::Given => diagonal(FOLLOWED_SIGMA.0, FOLLOWED_SIGMA.1),
         }
     }

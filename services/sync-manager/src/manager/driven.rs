@@ -36,21 +36,6 @@ impl Driven {
         }
     }
 
-    /// A trajectory has been cut: these poses are now those of the next number.
-    pub(super) fn split<'a>(&mut self, number: u32, behind: impl Iterator<Item = &'a PoseRecord>) {
-        let later = self.trajectories.split_off(&(number + 1));
-        self.trajectories.extend(later.into_iter().map(|(number, stretch)| (number + 1, stretch)));
-        let mut new = Self::default();
-        behind.for_each(|record| new.count(record));
-        if let (Some(before), Some(behind)) =
-            (self.trajectories.get_mut(&number), new.trajectories.remove(&(number + 1)))
-        {
-            before.scans = before.scans.saturating_sub(behind.scans);
-            before.travel_m = (before.travel_m - behind.travel_m).max(0.0);
-            self.trajectories.insert(number + 1, behind);
-        }
-    }
-
     /// What is not attached.
     pub(super) fn unattached(&self, connectivity: &TrajectoryConnectivity) -> Unattached {
         let begin_ns = self.begin_ns.unwrap_or(0);

@@ -57,12 +57,6 @@ impl Entries {
         trajectory + self.trajectories.len() as u32
     }
 
-    /// A trajectory with this number begins where the front end saw none begin.
-    pub(super) fn begin(&mut self, number: u32) {
-        self.trajectories.iter_mut().filter(|first| **first >= number).for_each(|first| *first += 1);
-        self.trajectories.push(number);
-    }
-
     /// The number that the front end has for a trajectory of the map.
     pub(super) fn number_of_front_end(&self, trajectory: u32) -> u32 {
         trajectory - self.trajectories.iter().filter(|first| **first <= trajectory).count() as u32
