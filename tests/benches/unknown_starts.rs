@@ -49,8 +49,8 @@ fn trajectory(text: &str) -> Result<Vec<Placement>, Box<dyn Error>> {
     text.lines().filter(|line| !line.starts_with('#')).map(pose).collect()
 }
 
-/// How a robot has fared, in words.
-fn fate(trial: &StartTrial) -> String {
+/// Outcome of a robot's drive, in words.
+fn outcome(trial: &StartTrial) -> String {
     let found = trial.found_after_m.map_or("not found".into(), |m| format!("found after {m:.1} m"));
     let lost = if trial.was_lost { ", lost again" } else { "" };
     let wrong = trial
@@ -83,7 +83,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         .map(|k| begin + (scans.len() - begin) * k / starts)
         .map(|first| {
             let trial = start_trial(&mut localizer, &way[first..], &scans[first..], &store, false_from);
-            println!("scan {first}: {}", fate(&trial));
+            println!("scan {first}: {}", outcome(&trial));
             trial
         })
         .collect();

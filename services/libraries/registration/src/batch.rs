@@ -13,7 +13,7 @@ pub(crate) const BATCH: usize = 16;
 /// Partial sums that are added to at once.
 const LANES: usize = 4;
 /// Adding this rounds a number to a whole one, which then stands in the low bits (1.5 · 2⁵²).
-const ROUNDER: f64 = 6_755_399_441_055_744.0;
+pub(crate) const ROUNDER: f64 = 6_755_399_441_055_744.0;
 /// The full score in the field's own units.
 const FULL: f64 = u16::MAX as f64;
 /// The same, for the arithmetic within a batch.

@@ -5,14 +5,11 @@
 //! same bits. What is near a cell's centre, and what only weighs, is small enough for single precision.
 
 use super::{MomentGrid, PackedPoint, Placement};
+use crate::batch::{BATCH, ROUNDER};
 use zerocopy::FromZeros;
 
-/// Points in a batch.
-const BATCH: usize = 16;
 /// Partial sums that are added to at once.
 const LANES: usize = 4;
-/// Adding this rounds a number to a whole one, which then stands in the low bits (1.5 · 2⁵²).
-const ROUNDER: f64 = 6_755_399_441_055_744.0;
 /// Cells in a millimetre.
 const CELLS_PER_MM: f64 = 1e-3 / MomentGrid::CELL_M;
 /// Cosine to the normal from which on it is clear which face of a wall is seen.
