@@ -56,6 +56,11 @@ const SEARCHES_PER_SUBMAP: usize = 60;
 /// Searches between them beyond the usual ones while the newest trajectory is not connected with the map.
 const ADRIFT_SEARCHES: u64 = 100;
 
+/// While closures found in the last so many metres wait for others that agree with them …
+const AWAITED_M: f64 = 3.0;
+/// … a search starts after this much travel: at each node.
+const AWAITED_EVERY_M: f64 = 0.25;
+
 /// Work on solving the graph from one closed submap to the next, products of 3 × 3 blocks: a graph that takes more is solved less often,
 /// with the same work for each metre.
 const SOLVING_PER_SUBMAP: u64 = 1_000_000;
@@ -292,7 +297,7 @@ impl SyncManager {
         }
         let before = self.closures.len();
         let done = self.concluded.searches;
-        for query in self.due_queries(known) {
+        while let Some(query) = self.due_query(known) {
             // An unconnected trajectory is searched for everywhere: it gets more searches, but not without a limit.
             let trajectory = self.odometry.nodes()[query].trajectory;
             let searches = searches as u64;
@@ -304,6 +309,7 @@ impl SyncManager {
             if self.finder.counts().searches - done < most {
                 self.search(query, known);
             }
+            self.next_search_m = self.search_after_m(query);
         }
         self.unsolved |= self.closures.len() > before;
         let is_last = searches == usize::MAX;
@@ -349,18 +355,23 @@ impl SyncManager {
         }
     }
 
-    /// Nodes at which a search is due and whose surroundings are complete.
-    fn due_queries(&mut self, known: usize) -> Vec<usize> {
-        let mut due = Vec::new();
+    /// The first node at which a search is due and whose surroundings are complete.
+    fn due_query(&self, known: usize) -> Option<usize> {
         let nodes = &self.odometry.nodes()[..known.saturating_sub(QUERY_NODES)];
         let first = nodes.partition_point(|node| node.travel_m < self.next_search_m);
-        for (i, node) in nodes.iter().enumerate().skip(first) {
-            if node.travel_m >= self.next_search_m && !node.is_given {
-                due.push(i);
-                self.next_search_m = node.travel_m + EVERY_M;
-            }
-        }
-        due
+        (first..nodes.len()).find(|node| !nodes[*node].is_given)
+    }
+
+    /// Travel at which the search after that of node `query` is due, metres.
+    fn search_after_m(&self, query: usize) -> f64 {
+        let nodes = self.odometry.nodes();
+        let at_m = nodes[query].travel_m;
+        let found = self.closures.iter().zip(&self.is_inlier).rev();
+        let recent = found.take_while(|(closure, _)| nodes[closure.edge.to].travel_m >= at_m - AWAITED_M);
+        // A robot that may be anywhere is not found sooner: queries so near to each other err alike.
+        let waits = |closure: &Closure| nodes[closure.edge.from].trajectory == nodes[query].trajectory;
+        let waits = !nodes[query].is_open && recent.into_iter().any(|(c, is_inlier)| !is_inlier && waits(c));
+        at_m + if waits { AWAITED_EVERY_M } else { EVERY_M }
     }
 
     /// What connects nodes beside driving, with the uncertainty between them as a length of path, metres.

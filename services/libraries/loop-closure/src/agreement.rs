@@ -9,16 +9,17 @@ pub const WIDE_M: f64 = 1.5;
 /// Others that a closure from a wide window needs.
 const PARTNERS_MIN: usize = 2;
 /// Travel over which closures that agree must extend for each metre that they would move the robot, and for each metre of it that
-/// the usual drift does not account for: a share of the window.
+/// the usual drift does not account for: a share of the window. Within the usual drift little is enough, except in the open.
 ///
 /// Places that look alike over a few metres, as the ends of two aisles or the doors of two rooms, differ over more. Where places that
 /// look alike are as far apart as the odometry may have drifted, the true place may never have been seen, so that no better match
 /// contradicts a false one. In the open the usual drift is greater: one tree in sight hardly constrains the heading.
 const EXTENT_PER_SHIFT: f64 = 2.0;
 const EXTENT_PER_SURPRISE: f64 = 5.0;
+const EXTENT_USUAL_M: f64 = 1.0;
 const USUAL_SHARE: f64 = 0.25;
 const USUAL_SHARE_OPEN: f64 = 0.5;
-/// At the end a closure in the open that would move the robot by no more than this share of its window needs no other: of matches that
+/// A closure that would move the robot by no more than this share of its window needs no other, in the open at the end: of matches that
 /// lie anywhere in a window, one of a hundred is so near the pose that was expected.
 const EXPECTED_SHARE: f64 = 0.1;
 /// Two closures are compared when the odometry between them is no longer than this, both sides together, metres.
@@ -26,9 +27,9 @@ const COMPARED_WITHIN_M: f64 = 20.0;
 /// Two closures agree when their cycle closes within this, plus a share of the odometry in it, and this turn.
 const CYCLE: (f64, f64, f64) = (0.2, 0.02, 0.05);
 
-/// Which closures may take part in a solution: those found near where they were expected, and those from wide
-/// windows that at least two others confirm, that fewer than half as many contradict, and that hold over the longer a stretch
-/// the farther they would move the robot.
+/// Which closures may take part in a solution: those from narrow windows; those from wide ones, within a trajectory, that lie where they were
+/// expected and that nothing contradicts; and those from wide ones that at least two others confirm, that fewer than half as many contradict, and that
+/// hold over the longer a stretch the farther they would move the robot.
 ///
 /// In the open, hedges and rows of trees hold a scan little along them, and those found near are no exception. Wrong ones lie anywhere
 /// along a hedge: they contradict all others and each other. So only those count against one that agree among themselves, and more must
@@ -37,19 +38,23 @@ const CYCLE: (f64, f64, f64) = (0.2, 0.02, 0.05);
 /// In a long corridor with a door every few metres a single match is wrong easily, and what the odometry knows
 /// after a hundred metres cannot contradict it.
 pub fn eligible(closures: &[Closure], nodes: &[Node]) -> Vec<bool> {
-    classified(closures, nodes, |_| false)
+    classified(closures, nodes, false)
 }
 
 /// Which loop closures may take part in the last solution: those that are [`eligible`], and those in the open that lie where they were
 /// expected. While driving these wait for others: one that is wrong after all bends the map, and what would contradict it is then
 /// looked for elsewhere.
 pub fn eligible_at_the_end(closures: &[Closure], nodes: &[Node]) -> Vec<bool> {
-    let is_expected = |closure: &Closure| closure.shift_m <= EXPECTED_SHARE * closure.reach_m;
-    classified(closures, nodes, |closure| nodes[closure.edge.to].is_open && is_expected(closure))
+    classified(closures, nodes, true)
 }
 
-/// Which closures are eligible where those that are `expected` need no others.
-fn classified(closures: &[Closure], nodes: &[Node], is_expected: impl Fn(&Closure) -> bool) -> Vec<bool> {
+/// Which closures are eligible, where `at_the_end` one in the open that was expected needs no others.
+fn classified(closures: &[Closure], nodes: &[Node], at_the_end: bool) -> Vec<bool> {
+    let is_expected = |closure: &Closure| {
+        let (from, to) = (&nodes[closure.edge.from], &nodes[closure.edge.to]);
+        let may_be_alone = if to.is_open { at_the_end } else { from.trajectory == to.trajectory };
+        may_be_alone && closure.shift_m <= EXPECTED_SHARE * closure.reach_m
+    };
     let neighbours = Neighbours::new(closures, nodes);
     let mut groups = Groups::new(closures, nodes);
     let is_wide = |closure: &Closure| closure.reach_m > WIDE_M;
@@ -77,7 +82,8 @@ fn classified(closures: &[Closure], nodes: &[Node], is_expected: impl Fn(&Closur
             };
             agreeing >= partners_min && agreeing >= united(&contradicting, closures, nodes)
         } else {
-            agreeing >= PARTNERS_MIN && 2 * contradicting.len() <= agreeing + 1
+            let partners_min = if is_expected(a) { 0 } else { PARTNERS_MIN };
+            agreeing >= partners_min && 2 * contradicting.len() <= agreeing + 1
         };
     }
     let needs_extent = |closure: &Closure| is_wide(closure) && !is_expected(closure);
@@ -90,7 +96,11 @@ fn classified(closures: &[Closure], nodes: &[Node], is_expected: impl Fn(&Closur
 fn extent_needed_m(closure: &Closure, is_open: bool) -> f64 {
     let usual_share = if is_open { USUAL_SHARE_OPEN } else { USUAL_SHARE };
     let surprise_m = (closure.shift_m - usual_share * closure.reach_m).max(0.0);
-    EXTENT_PER_SHIFT * closure.shift_m + EXTENT_PER_SURPRISE * surprise_m
+    let extent_m = EXTENT_PER_SHIFT * closure.shift_m;
+    if surprise_m == 0.0 && !is_open {
+        return extent_m.min(EXTENT_USUAL_M);
+    }
+    extent_m + EXTENT_PER_SURPRISE * surprise_m
 }
 
 /// Closures in the order of their queries: those that are compared are next to each other.
@@ -207,13 +217,11 @@ mod tests {
         (0..100).map(node).collect()
     }
 
-    fn closure(from: usize, to: usize, shift_m: f64, reach_m: f64) -> Closure {
-        let motion = Placement::new(shift_m, 1.0, 0.0);
-        Closure {
-            edge: Edge { from, to, motion, information: [1.0, 0.0, 0.0, 1.0, 0.0, 1.0] },
-            reach_m,
-            shift_m: 0.0,
-        }
+    /// A closure whose motion is off by `off_m`, and which would move the robot by more than was expected.
+    fn closure(from: usize, to: usize, off_m: f64, reach_m: f64) -> Closure {
+        let motion = Placement::new(off_m, 1.0, 0.0);
+        let edge = Edge { from, to, motion, information: [1.0, 0.0, 0.0, 1.0, 0.0, 1.0] };
+        Closure { edge, reach_m, shift_m: 0.2 * reach_m }
     }
 
     #[test]
@@ -225,6 +233,14 @@ mod tests {
         assert_eq!(eligible(&closures, &nodes), [false, true, false]);
         closures.push(closure(13, 94, 1.05, 8.0));
         assert_eq!(eligible(&closures, &nodes), [true, true, true, true]);
+    }
+
+    #[test]
+    fn a_lone_match_where_it_was_expected_does_not_wait_unless_another_contradicts_it() {
+        let nodes = nodes();
+        let expected = Closure { shift_m: 0.7, ..closure(10, 90, 0.0, 8.0) };
+        assert_eq!(eligible(&[expected], &nodes), [true]);
+        assert_eq!(eligible(&[expected, closure(11, 91, 3.0, 8.0)], &nodes), [false, false]);
     }
 
     #[test]

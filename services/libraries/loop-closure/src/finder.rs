@@ -53,6 +53,8 @@ const NEARBY: Window = Window { reach_m: 4.0, turn_rad: 0.7 };
 const APART: Window = Window { reach_m: 0.6, turn_rad: 0.2 };
 /// Score of a runner-up, as a share of the best, at which a match is ambiguous.
 const RUNNER_UP: f64 = 0.9;
+/// In a narrow window a match that moves the robot by no more than this share of it is not compared with others: usual drift is half of it.
+const EXPECTED_SHARE: f64 = 0.5;
 /// Farthest that the refinement may move, metres and radians.
 const REFINED_MAX: (f64, f64) = (0.4, 0.15);
 /// Largest share of the query's points in space that the segment saw free.
@@ -254,7 +256,8 @@ impl ClosureFinder {
         Some(found)
     }
 
-    /// Whether another place in a wide window fits nearly as well as the one found, or may do so.
+    /// Whether another place in the window fits nearly as well as the one found, or may do so. In a narrow window only a match that would
+    /// move the robot far is in question: along the racks of an aisle the next bay fits as well as the true one.
     fn is_ambiguous(
         &mut self,
         world: &World<'_>,
@@ -264,7 +267,8 @@ impl ClosureFinder {
         window: Window,
         found: &Found,
     ) -> bool {
-        if window.reach_m <= WIDE_M {
+        let is_expected = found.placement.distance_m(&guess) <= EXPECTED_SHARE * window.reach_m;
+        if window.reach_m <= WIDE_M && is_expected {
             return false;
         }
         let searcher = if window == ANYWHERE { &mut self.searcher_runner_up } else { &mut self.searcher };
