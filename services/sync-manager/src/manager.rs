@@ -369,8 +369,9 @@ impl SyncManager {
         let found = self.closures.iter().zip(&self.is_inlier).rev();
         let recent = found.take_while(|(closure, _)| nodes[closure.edge.to].travel_m >= at_m - AWAITED_M);
         // A robot that may be anywhere is not found sooner: queries so near to each other err alike.
-        let waits = |closure: &Closure| nodes[closure.edge.from].trajectory == nodes[query].trajectory;
-        let waits = !nodes[query].is_open && recent.into_iter().any(|(c, is_inlier)| !is_inlier && waits(c));
+        let is_own = |closure: &Closure| nodes[closure.edge.from].trajectory == nodes[query].trajectory;
+        let mut waiting = recent.filter(|(closure, is_inlier)| !**is_inlier && is_own(closure));
+        let waits = !nodes[query].is_open && waiting.next().is_some();
         at_m + if waits { AWAITED_EVERY_M } else { EVERY_M }
     }
 

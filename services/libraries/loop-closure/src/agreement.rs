@@ -255,6 +255,15 @@ mod tests {
     }
 
     #[test]
+    fn within_the_usual_drift_a_metre_of_agreement_is_enough() {
+        let nodes = nodes();
+        let mut closures: Vec<_> = (0..3).map(|k| closure(10 + k, 90 + k, 0.0, 8.0)).collect();
+        assert_eq!(eligible(&closures, &nodes), [true; 3]);
+        closures.iter_mut().for_each(|closure| closure.shift_m = 2.1);
+        assert_eq!(eligible(&closures, &nodes), [false; 3]);
+    }
+
+    #[test]
     fn at_the_end_one_match_in_the_open_where_it_was_expected_is_enough() {
         let mut nodes = nodes();
         nodes.iter_mut().for_each(|node| node.is_open = true);

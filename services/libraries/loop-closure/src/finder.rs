@@ -54,7 +54,7 @@ const APART: Window = Window { reach_m: 0.6, turn_rad: 0.2 };
 /// Score of a runner-up, as a share of the best, at which a match is ambiguous.
 const RUNNER_UP: f64 = 0.9;
 /// In a narrow window a match that moves the robot by no more than this share of it is not compared with others: usual drift is half of it.
-const EXPECTED_SHARE: f64 = 0.5;
+const UNCOMPARED_SHARE: f64 = 0.5;
 /// Farthest that the refinement may move, metres and radians.
 const REFINED_MAX: (f64, f64) = (0.4, 0.15);
 /// Largest share of the query's points in space that the segment saw free.
@@ -267,7 +267,7 @@ impl ClosureFinder {
         window: Window,
         found: &Found,
     ) -> bool {
-        let is_expected = found.placement.distance_m(&guess) <= EXPECTED_SHARE * window.reach_m;
+        let is_expected = found.placement.distance_m(&guess) <= UNCOMPARED_SHARE * window.reach_m;
         if window.reach_m <= WIDE_M && is_expected {
             return false;
         }
