@@ -45,8 +45,10 @@ mod matcher;
 mod motion;
 mod prediction;
 pub mod process;
+mod scan_steps;
 mod settings;
 mod turn_scale;
+mod velocity_noise;
 mod wheel_scale;
 
 pub use matcher::ScanMatcher;

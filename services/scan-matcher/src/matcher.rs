@@ -244,16 +244,17 @@ impl ScanMatcher {
         let withheld = scan.header().withheld == 1;
         match (withheld, verdict.keep == 0) {
             (false, false) => Need::Kept,
-            (false, true) if self.overrules(prediction) => Need::Overridden,
+            (false, true) if self.overrules(scan, prediction) => Need::Overridden,
             _ => Need::None,
         }
     }
 
     /// Whether a dropped scan is needed nevertheless.
-    fn overrules(&self, prediction: &Prediction) -> bool {
+    fn overrules(&self, scan: ScanView<'_>, prediction: &Prediction) -> bool {
         let Confidence { last_score, mean_score, slips, .. } = self.confidence;
         let variance = SIGMA_MAX_M * SIGMA_MAX_M;
         !self.confidence.has_started()
+            || scan.odometry().is_none()
             || prediction.steady.is_some()
             || slips
             || self.surroundings.are_undecided()
@@ -290,10 +291,12 @@ impl ScanMatcher {
         }
     }
 
-    /// The points of the scan, straightened by the predicted velocity.
+    /// The points of the scan, straightened by the predicted velocity. The grid has a wall that beams graze as single points, which pull a
+    /// scan to where the robot stood when they entered; without odometry that adds up, and the robot seems to stand.
     fn points(&mut self, scan: ScanView<'_>, prediction: &Prediction) -> ScanPoints {
         let memory = std::mem::take(&mut self.buffers.points);
-        memory.retaken(scan, prediction.twist, &self.buffers.mask, &self.settings)
+        let points = memory.retaken(scan, prediction.twist, &self.buffers.mask, &self.settings);
+        if scan.odometry().is_some() { points } else { points.without_grazing() }
     }
 
     /// A scan that is needed but not matched, as it has too few points, or is the first one of a map or of a trajectory.
@@ -412,6 +415,10 @@ impl ScanMatcher {
         }
         if let Some((held, _)) = fitted.alone.filter(|_| fitted.is_open && scan.odometry().is_some()) {
             self.motion.learn_scale(fitted.prediction.pose, held);
+        }
+        let is_certain = fitted.covariance.position_std_m() <= CERTAIN_SIGMA_M && !fitted.is_rescued;
+        if scan.odometry().is_none() && is_certain && match_result.quality == Quality::Tracking {
+            self.motion.learn_velocity(fitted.prediction.pose, fitted.fit.pose);
         }
         let estimate = self.matched(predicted, &fitted, &match_result);
         if match_result.quality != Quality::Lost {

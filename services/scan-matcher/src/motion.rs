@@ -1,7 +1,9 @@
 //! Prediction of the next pose from odometry or the last velocity, with its covariance.
 
 use crate::prediction::{Coasting, Prediction, Steady, matrix};
+use crate::scan_steps::{PERIOD_MAX_S, ScanSteps};
 use crate::turn_scale::TurnScale;
+use crate::velocity_noise::VelocityNoise;
 use crate::wheel_scale::WheelScale;
 use flockslam_geometry::elementary::hypot;
 use flockslam_geometry::{Covariance, Pose, Twist, wrap_angle};
@@ -10,12 +12,6 @@ use flockslam_odometry_noise::OdometryNoise;
 use flockslam_registration::TwistSigma;
 use nalgebra::{Matrix3, Vector3};
 
-/// Seconds between scans, assumed before two stamps are known and for steps that are not positive.
-const PERIOD_START_S: f64 = 0.1;
-/// Weight of the newest step in their running mean.
-const PERIOD_RATE: f64 = 0.05;
-/// Longest step between stamps that is accepted, seconds.
-const PERIOD_MAX_S: f64 = 2.0;
 /// A first odometry pose farther from the origin than this is not taken over, metres.
 const START_MAX_M: f64 = 1e4;
 /// Odometry below this counts as standing, metres and radians.
@@ -23,10 +19,10 @@ const STOOD: (f64, f64) = (0.3, 0.3);
 /// Odometry that differs by more than this from the velocity so far, metres and radians within one scan, may have jumped.
 const SURPRISE: (f64, f64) = (0.15, 0.15);
 
-/// Added in each step, standard deviations in metres and radians: for usual odometry, and for the velocity so far
-/// without odometry.
+/// Added in each step, standard deviations in metres and radians: for usual odometry.
 const STEP_SIGMA: (f64, f64) = (0.01, 0.005);
-const STEP_SIGMA_BLIND: (f64, f64) = (0.15, 0.1);
+/// The same of the heading for the velocity so far, without odometry, radians.
+const STEP_SIGMA_BLIND_RAD: f64 = 0.1;
 /// The same of the heading where a gyroscope measures it, radians.
 const STEP_SIGMA_GYRO_RAD: f64 = 0.01;
 
@@ -61,12 +57,7 @@ pub(crate) struct Motion {
     odometry: Option<Pose>,
     /// The heading by the gyroscope, where there is no odometry.
     gyro_rad: Option<f64>,
-    stamp_ns: Option<i64>,
-    /// Sequence of the last scan.
-    sequence: Option<u64>,
-    /// The lidar of the last scan.
-    lidar: u32,
-    period_s: f64,
+    steps: ScanSteps,
     /// The last scan fitted nowhere.
     is_lost: bool,
     velocity: Twist,
@@ -81,6 +72,8 @@ pub(crate) struct Motion {
     scale: WheelScale,
     /// The scale of its turns, as fits have shown it.
     turn_scale: TurnScale,
+    /// How well the velocity so far predicts, without odometry.
+    velocity_noise: VelocityNoise,
 }
 
 /// How long after the stamp half of a scan without odometry was taken, seconds. Velocities are measured from middle to middle: there a scan
@@ -102,10 +95,7 @@ impl Motion {
             covariance: Covariance::default(),
             odometry: None,
             gyro_rad: None,
-            stamp_ns: None,
-            sequence: None,
-            lidar: 0,
-            period_s: PERIOD_START_S,
+            steps: ScanSteps::default(),
             is_lost: false,
             velocity: Twist::default(),
             to_middle: (Pose::IDENTITY, 0.0),
@@ -113,6 +103,7 @@ impl Motion {
             noise: OdometryNoise::default(),
             scale: WheelScale::default(),
             turn_scale: TurnScale::default(),
+            velocity_noise: VelocityNoise::default(),
         }
     }
 
@@ -123,33 +114,22 @@ impl Motion {
             pose: last.odom_from_base,
             covariance: last.covariance,
             odometry: last.has(PoseFlags::HAS_ODOMETRY).then_some(last.odometry),
-            stamp_ns: Some(last.times.sensor_ns),
-            sequence: Some(last.id.sequence),
-            lidar: last.id.lidar,
             is_lost,
             velocity: if is_lost { Twist::default() } else { last.twist },
-            period_s: self.period_s,
+            steps: self.steps.resumed(last),
             ..Self::new()
         };
     }
 
     /// Takes in when a predecessor's scan was taken, before [`Self::resume`].
     pub(crate) fn restore(&mut self, published: &PoseEstimate) {
-        let (stamp_ns, sequence) = (published.times.sensor_ns, published.id.sequence);
-        let is_next = self.sequence.is_some_and(|before| before.checked_add(1) == Some(sequence));
-        let elapsed_s = self.stamp_ns.map(|before| stamp_ns.saturating_sub(before) as f64 * 1e-9);
-        let step_s = elapsed_s.filter(|step_s| is_next && (0.0..=PERIOD_MAX_S).contains(step_s));
-        if let Some(step_s) = step_s {
-            self.period_s += PERIOD_RATE * (step_s - self.period_s);
-        }
-        (self.pose, self.stamp_ns, self.sequence) =
-            (published.odom_from_base, Some(stamp_ns), Some(sequence));
+        self.steps.restore(published);
+        self.pose = published.odom_from_base;
     }
 
     /// Continues at a pose from which the robot may have gone anywhere.
     pub(crate) fn resume_detached(&mut self, last: &PoseEstimate) {
-        let (pose, stamp_ns) = (last.odom_from_base, Some(last.times.sensor_ns));
-        *self = Self { pose, stamp_ns, ..Self::new() };
+        *self = Self { pose: last.odom_from_base, steps: ScanSteps::stamped(last), ..Self::new() };
     }
 
     /// Nothing connects the next scan with the last one. What was learned of the robot's odometry holds.
@@ -157,8 +137,8 @@ impl Motion {
         self.noise.break_off();
         self.is_lost = false;
         (self.covariance, self.velocity) = (Covariance::default(), Twist::default());
-        (self.odometry, self.gyro_rad, self.stamp_ns, self.odometry_turn_rad_s) = (None, None, None, None);
-        self.sequence = None;
+        (self.odometry, self.gyro_rad, self.odometry_turn_rad_s) = (None, None, None);
+        self.steps.break_off();
         self.to_middle = (Pose::IDENTITY, 0.0);
     }
 
@@ -166,8 +146,8 @@ impl Motion {
     /// composing it turns it into the corrected heading.
     pub(crate) fn predict(&self, scan: ScanView<'_>) -> Prediction {
         let placed = scan.header().starts_at_odometry == 1;
-        if let (None, true, Some(start)) =
-            (self.stamp_ns, placed, scan.odometry().filter(|start| is_near(*start)))
+        if let (false, true, Some(start)) =
+            (self.steps.has_begun(), placed, scan.odometry().filter(|start| is_near(*start)))
         {
             let (twist, covariance) = (Twist::default(), self.covariance);
             let step = Covariance::default();
@@ -182,11 +162,11 @@ impl Motion {
                 coasting: None,
             };
         }
-        let step_s = self.step_s(scan);
+        let step_s = self.steps.step_s(scan);
         let (to_middle, middle_s) = self.to_middle;
-        let unchanged_s = self.even(scan, step_s).min(PERIOD_MAX_S);
+        let unchanged_s = self.steps.even_s(scan, step_s).min(PERIOD_MAX_S);
         let unchanged = to_middle * self.velocity.motion_after(unchanged_s - middle_s);
-        let is_brief = self.is_brief(scan, step_s);
+        let is_brief = self.steps.is_brief(scan, step_s);
         let (motion, twist) = match (self.odometry, scan.odometry()) {
             (Some(before), Some(now)) => {
                 let said = before.to(now);
@@ -206,13 +186,13 @@ impl Motion {
                 None => (unchanged, self.velocity),
             },
         };
-        let is_gap = self.elapsed_s(scan).is_some_and(|elapsed_s| elapsed_s > PERIOD_MAX_S);
+        let is_gap = self.steps.elapsed_s(scan).is_some_and(|elapsed_s| elapsed_s > PERIOD_MAX_S);
         let has_stood = scan.odometry().is_some()
             && motion.distance_m(Pose::IDENTITY) < STOOD.0
             && motion.turn_rad(Pose::IDENTITY) < STOOD.1;
         let after_gap = is_gap && !has_stood;
         // A velocity holds for a while only.
-        let goes_on = !(is_gap && self.missing(scan) > 0);
+        let goes_on = !(is_gap && self.steps.missing(scan) > 0);
         let surprises =
             goes_on && (motion.distance_m(unchanged) > SURPRISE.0 || motion.turn_rad(unchanged) > SURPRISE.1);
         let steady = surprises.then(|| Steady { pose: self.pose * unchanged, twist: self.velocity });
@@ -264,7 +244,7 @@ impl Motion {
     fn twist_after(&self, scan: ScanView<'_>, motion: Pose, step_s: f64) -> Twist {
         let turned_rad = self.turn_scale.factor() * motion.heading_rad;
         let now = Twist::from_motion(Pose { heading_rad: turned_rad, ..motion }, step_s);
-        let before_rad_s = self.odometry_turn_rad_s.filter(|_| !self.is_of_another(scan));
+        let before_rad_s = self.odometry_turn_rad_s.filter(|_| !self.steps.is_of_another(scan));
         let Some(before_rad_s) = before_rad_s else { return now };
         let change_rad_s = now.turn_rad_s - before_rad_s;
         let beyond_rad_s = change_rad_s - change_rad_s.clamp(-TURN_NOISE_RAD_S, TURN_NOISE_RAD_S);
@@ -281,8 +261,8 @@ impl Motion {
         let has_odometry = scan.odometry().is_some();
         let (step_m, step_rad) = match self.turned_rad(scan) {
             _ if has_odometry => STEP_SIGMA,
-            Some(_) => (STEP_SIGMA_BLIND.0, STEP_SIGMA_GYRO_RAD),
-            None => STEP_SIGMA_BLIND,
+            Some(_) => (self.velocity_noise.sigma_m(), STEP_SIGMA_GYRO_RAD),
+            None => (self.velocity_noise.sigma_m(), STEP_SIGMA_BLIND_RAD),
         };
         let (scale_xy, scale_heading) = if has_odometry { self.noise.scales() } else { (1.0, 1.0) };
         let (position, heading) = self.noise.variances(travel_m, turn_rad);
@@ -303,6 +283,11 @@ impl Motion {
         self.scale.learn(self.pose.to(predicted).x_m, predicted.to(held).x_m);
     }
 
+    /// Learns how well the velocity so far predicts a robot without odometry, from the fit of a scan that holds it.
+    pub(crate) fn learn_velocity(&mut self, predicted: Pose, fit: Pose) {
+        self.velocity_noise.learn(self.pose, predicted, fit);
+    }
+
     /// The errors of odometry and of fits.
     pub(crate) fn noise(&self) -> &OdometryNoise {
         &self.noise
@@ -315,10 +300,10 @@ impl Motion {
         let lost = estimate.quality == Quality::Lost as u32;
         // A jump is no motion; nor is the way from where a lost robot was taken to be.
         let jumped = estimate.has(PoseFlags::RESCUED) && scan.odometry().is_some();
-        let step_s = self.step_s(scan);
+        let step_s = self.steps.step_s(scan);
         let middle_s = middle_s(scan);
         let to_middle = estimate.twist.motion_after(middle_s);
-        if self.stamp_ns.is_some() && !self.is_brief(scan, step_s) {
+        if self.steps.has_begun() && !self.steps.is_brief(scan, step_s) {
             let kept = if lost { KEPT_WHEN_LOST } else { 1.0 };
             let middle_before = self.pose * self.to_middle.0;
             let motion = match (self.odometry, scan.odometry()) {
@@ -327,12 +312,12 @@ impl Motion {
                 (_, None) if !lost => middle_before.to(self.shown(scan, estimate, middle_s)),
                 _ => middle_before.to(pose * to_middle),
             };
-            self.velocity = scaled(Twist::from_motion(motion, self.even(scan, step_s)), kept);
+            self.velocity = scaled(Twist::from_motion(motion, self.steps.even_s(scan, step_s)), kept);
             self.odometry_turn_rad_s = self
                 .odometry
                 .zip(scan.odometry())
                 .map(|(before, now)| self.turn_scale.factor() * before.to(now).heading_rad / step_s);
-            self.period_s += PERIOD_RATE * (step_s - self.period_s);
+            self.steps.count(scan, step_s);
         }
         self.is_lost = lost;
         self.pose = pose;
@@ -340,9 +325,7 @@ impl Motion {
         self.covariance = covariance;
         self.odometry = scan.odometry();
         self.gyro_rad = scan.gyro_heading_rad();
-        self.stamp_ns = Some(scan.header().times.sensor_ns);
-        self.sequence = Some(scan.header().id.sequence);
-        self.lidar = scan.header().id.lidar;
+        self.steps.advance(scan);
     }
 
     /// The pose in the middle of a scan to which the velocity would have brought a robot without odometry. Where a scan hardly measures, as
@@ -363,50 +346,6 @@ impl Motion {
             Vector3::new(to.x_m - from.x_m, to.y_m - from.y_m, wrap_angle(to.heading_rad - from.heading_rad));
         let step = share * corrected;
         Pose::new(from.x_m + step.x, from.y_m + step.y, from.heading_rad + step.z)
-    }
-
-    /// A step between stamps that jitter, kept near the nominal period: scans of a lidar come at even times even if their stamps do
-    /// not, and a velocity over a step far too short would be far too great.
-    fn even(&self, scan: ScanView<'_>, step_s: f64) -> f64 {
-        let longest_s = self.longest_s(scan);
-        if self.is_of_another(scan) {
-            return step_s.min(longest_s);
-        }
-        step_s.clamp(0.5 * self.period_s, longest_s)
-    }
-
-    /// The longest step since the scan before that is even, seconds: scans that were lost on the way here have taken their time.
-    fn longest_s(&self, scan: ScanView<'_>) -> f64 {
-        (2.0 + self.missing(scan) as f64) * self.period_s
-    }
-
-    /// How many scans were lost between the one before and this one.
-    fn missing(&self, scan: ScanView<'_>) -> u64 {
-        let sequence = scan.header().id.sequence;
-        self.sequence.map_or(0, |before| sequence.saturating_sub(before.saturating_add(1)))
-    }
-
-    /// Whether a scan is of another lidar than the one before.
-    fn is_of_another(&self, scan: ScanView<'_>) -> bool {
-        self.stamp_ns.is_some() && scan.header().id.lidar != self.lidar
-    }
-
-    /// Whether a scan of another lidar is so near in time that the two do not show a velocity.
-    fn is_brief(&self, scan: ScanView<'_>, step_s: f64) -> bool {
-        self.is_of_another(scan) && step_s < 0.5 * self.period_s
-    }
-
-    /// Seconds since the scan before; the nominal period when the stamps of a lidar do not step forward.
-    fn step_s(&self, scan: ScanView<'_>) -> f64 {
-        let Some(step_s) = self.elapsed_s(scan) else { return self.period_s };
-        let is_forward = step_s > 0.0 || (step_s == 0.0 && self.is_of_another(scan));
-        let longest_s = PERIOD_MAX_S.max(self.longest_s(scan));
-        if is_forward && step_s <= longest_s { step_s } else { self.period_s }
-    }
-
-    /// Seconds since the scan before, by the stamps.
-    fn elapsed_s(&self, scan: ScanView<'_>) -> Option<f64> {
-        self.stamp_ns.map(|before| scan.header().times.sensor_ns.saturating_sub(before) as f64 * 1e-9)
     }
 }
 
@@ -462,7 +401,7 @@ mod tests {
         };
         (0..100).for_each(|number| motion.restore(&every_half_second(number)));
         motion.resume(&every_half_second(100));
-        assert!((motion.period_s - 0.5).abs() < 0.01, "{}", motion.period_s);
+        assert!((motion.steps.period_s() - 0.5).abs() < 0.01, "{}", motion.steps.period_s());
     }
 
     /// A robot without odometry stands, and is taken to move. Each scan takes as long as the time between two, so that a false velocity

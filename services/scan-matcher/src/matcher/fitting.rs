@@ -50,6 +50,9 @@ const SCORE_LOSS_MAX: f64 = 0.05;
 /// Position of a wall within its cell is known to this share of the cell (standard deviation). All points of a wall along the grid
 /// share that error, so it does not shrink with their number.
 const CELL_ERROR: f64 = 0.1;
+/// Without odometry the variance of a fit is doubled in a direction that few surfaces face (mean squared cosine below this), as along a
+/// corridor with some doors: errors of fits there are alike from scan to scan.
+const FEW_FACE: f64 = 0.08;
 /// Least share of surfaces (mean squared cosine) that is assumed to face a direction.
 const HELD_MIN: f64 = 1e-5;
 /// Mean squared residual of a good fit at least: with less, single points would decide.
@@ -131,7 +134,7 @@ enum Search {
 impl<F: ScoreField> Fitter<'_, F> {
     /// Fits the points of the scan, which begin straightened by the velocity of the prediction.
     pub(super) fn fit(mut self, points: ScanPoints, prediction: Prediction) -> Fitted {
-        let first = self.descends().then(|| self.track(&points, prediction.pose, None));
+        let first = self.descends().then(|| self.track(&points, &prediction, None));
         let Some(poor) = first.filter(|first| !is_held(first, points.of_beams(self.scan.len()))) else {
             return self.fit_to_grid(points, prediction, first, Search::Wide);
         };
@@ -167,7 +170,7 @@ impl<F: ScoreField> Fitter<'_, F> {
         let Settled { prediction, points, near, alternative } = self.settled(points, prediction, first);
         let (mut near_pose, mut near_covariance) = (prediction.pose, prediction.covariance);
         let (points, placed) = if self.descends() {
-            let near = near.unwrap_or_else(|| self.track(&points, prediction.pose, None));
+            let near = near.unwrap_or_else(|| self.track(&points, &prediction, None));
             (near_pose, near_covariance) = (near.pose, near.covariance(PRIOR_SIGMA.0, PRIOR_SIGMA.1));
             let placed = self.rescue(&points, &prediction, near, search);
             (points, placed)
@@ -213,7 +216,7 @@ impl<F: ScoreField> Fitter<'_, F> {
         {
             let prediction =
                 Prediction { pose: steady.pose, twist: steady.twist, measured: None, ..prediction };
-            let near = self.track(&points, prediction.pose, Some(by_velocity));
+            let near = self.track(&points, &prediction, Some(by_velocity));
             return Settled { prediction, points, near: Some(near), alternative: None };
         }
         let points = points.straightened(prediction.twist);
@@ -281,7 +284,11 @@ impl<F: ScoreField> Fitter<'_, F> {
     fn weighed(&self, fitted: Fitted) -> Fitted {
         let claimed = self.claimed(fitted.covariance, &fitted.points, fitted.fit.pose);
         let has_odometry = self.scan.odometry().is_some();
-        let covariance = if has_odometry { self.noise.inflated(claimed) } else { claimed };
+        let covariance = if has_odometry {
+            self.noise.inflated(claimed)
+        } else {
+            inflated_without_odometry(claimed, &fitted.points.ends, fitted.fit.pose)
+        };
         if fitted.is_rescued {
             return Fitted { covariance, ..fitted };
         }
@@ -301,8 +308,8 @@ impl<F: ScoreField> Fitter<'_, F> {
 
     /// The fit near the prediction; a scan without odometry is looked for before. `near` is the strategy's descent from there, when it
     /// was made already.
-    fn track(&mut self, points: &ScanPoints, prediction: Pose, near: Option<Fit>) -> Fit {
-        let ends = &points.ends;
+    fn track(&mut self, points: &ScanPoints, by_motion: &Prediction, near: Option<Fit>) -> Fit {
+        let (ends, prediction) = (&points.ends, by_motion.pose);
         if self.settings.strategy == Strategy::Correlative {
             return self.solvers.correlative.fit(self.field, ends, window(prediction, NEAR_REACH));
         }
@@ -313,7 +320,9 @@ impl<F: ScoreField> Fitter<'_, F> {
         let found =
             self.solvers.correlative.search(self.field, ends, window(prediction, BLIND_REACH), fit.pose);
         let other = found.map(|(_, start)| self.refine(points, start, start));
-        other.filter(|other| other.score > fit.score).unwrap_or(fit)
+        let is_better =
+            |other: &Fit| self.gain(other, &fit) > by_motion.cost(other.pose) - by_motion.cost(fit.pose);
+        other.filter(is_better).unwrap_or(fit)
     }
 
     /// The strategy's own descent from `start`.
@@ -452,15 +461,30 @@ fn window(center: Pose, (reach_m, reach_rad): (f64, f64)) -> Window {
 /// A fit's covariance, inflated along the direction that the scan's surfaces leave open: single cells along a bare wall
 /// have slopes, which hold nothing.
 fn inflated(covariance: Covariance, points: &[Point], pose: Pose) -> Covariance {
-    let Some((held, axis)) = degenerate_direction(points) else { return covariance };
-    let (sin, cos) = sin_cos(pose.heading_rad);
-    let axis = Vector2::new(cos * axis.x - sin * axis.y, sin * axis.x + cos * axis.y);
-    let along = |axis: Vector2<f64>| {
-        let Covariance { xx, xy, yy, .. } = covariance;
-        axis.x * axis.x * xx + 2.0 * axis.x * axis.y * xy + axis.y * axis.y * yy
-    };
-    let across = along(Vector2::new(-axis.y, axis.x));
+    let Some((held, axis)) = open_direction(points, pose) else { return covariance };
+    let across = variance_along(covariance, Vector2::new(-axis.y, axis.x));
     let seen = (held - DEGENERATE_BELOW).max(HELD_MIN);
-    let missing = across * (1.0 - held) / seen - along(axis);
+    let missing = across * (1.0 - held) / seen - variance_along(covariance, axis);
     if missing > 0.0 { inflated_along(covariance, axis, missing.sqrt()) } else { covariance }
+}
+
+/// The covariance of a fit without odometry, inflated along a direction that few surfaces face.
+fn inflated_without_odometry(covariance: Covariance, points: &[Point], pose: Pose) -> Covariance {
+    let Some((_, axis)) = open_direction(points, pose).filter(|(held, _)| *held < FEW_FACE) else {
+        return covariance;
+    };
+    inflated_along(covariance, axis, variance_along(covariance, axis).sqrt())
+}
+
+/// The direction that the scan's surfaces leave open, turned by the heading of the pose, and the share that faces it.
+fn open_direction(points: &[Point], pose: Pose) -> Option<(f64, Vector2<f64>)> {
+    let (held, axis) = degenerate_direction(points)?;
+    let (sin, cos) = sin_cos(pose.heading_rad);
+    Some((held, Vector2::new(cos * axis.x - sin * axis.y, sin * axis.x + cos * axis.y)))
+}
+
+/// Variance of a position along a direction, m².
+fn variance_along(covariance: Covariance, axis: Vector2<f64>) -> f64 {
+    let Covariance { xx, xy, yy, .. } = covariance;
+    axis.x * axis.x * xx + 2.0 * axis.x * axis.y * xy + axis.y * axis.y * yy
 }

@@ -2,10 +2,16 @@
 
 use super::BEAMS_MAX;
 use crate::settings::Settings;
+use flockslam_geometry::elementary::hypot;
 use flockslam_geometry::{Point, Twist};
 use flockslam_messages::{BeamRange, Deskew, ScanView};
 use std::iter::Peekable;
 use std::ops::{Range, RangeInclusive};
+
+/// Neighbouring points on a wall are single ones in the grid when they are farther apart, metres: three cells.
+const GRAZING_APART_M: f64 = 0.15;
+/// A beam grazes a wall at less than 26°: the cosine of that.
+const GRAZING_COS: f64 = 0.9;
 
 /// Where the matched beams of a scan end, in the order of the beams. All lists are of the same length.
 #[derive(Debug, Default)]
@@ -119,15 +125,45 @@ impl ScanPoints {
         let mut kept = 0;
         for i in 0..self.len() {
             if keeps(i, self.ends[i]) {
-                self.ends[kept] = self.ends[i];
-                self.then[kept] = self.then[i];
-                self.beams[kept] = self.beams[i];
-                self.times_s[kept] = self.times_s[i];
+                self.move_to(i, kept);
                 kept += 1;
             }
         }
         self.truncate(kept);
         self
+    }
+
+    /// The points without single ones on a wall that beams graze.
+    pub(super) fn without_grazing(mut self) -> Self {
+        let mut kept = 0;
+        for i in 0..self.len() {
+            // Points are moved only to where earlier ones were: the neighbours are still in their places.
+            if !self.is_grazing(i) {
+                self.move_to(i, kept);
+                kept += 1;
+            }
+        }
+        self.truncate(kept);
+        self
+    }
+
+    /// Whether the nearer neighbour of a point is apart from it, and lies along its beam.
+    fn is_grazing(&self, i: usize) -> bool {
+        let end = self.ends[i];
+        let neighbours = [i.checked_sub(1), Some(i + 1)].into_iter().flatten();
+        let chords =
+            neighbours.filter_map(|j| self.ends.get(j)).map(|to| (to.x_m - end.x_m, to.y_m - end.y_m));
+        let nearer = chords.map(|(x, y)| (x, y, hypot(x, y))).min_by(|a, b| a.2.total_cmp(&b.2));
+        let Some((x, y, apart_m)) = nearer else { return false };
+        let along = (x * end.x_m + y * end.y_m).abs();
+        apart_m > GRAZING_APART_M && along > GRAZING_COS * apart_m * hypot(end.x_m, end.y_m)
+    }
+
+    fn move_to(&mut self, from: usize, to: usize) {
+        self.ends[to] = self.ends[from];
+        self.then[to] = self.then[from];
+        self.beams[to] = self.beams[from];
+        self.times_s[to] = self.times_s[from];
     }
 
     fn truncate(&mut self, count: usize) {
