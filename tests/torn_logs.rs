@@ -20,7 +20,10 @@ const MISSING_SCANS: Conditions = (&["lidar_ingest.keep_every=2"], &[(FR079, 0.0
 const POOR_WHEELS: Conditions =
     (&["lidar_ingest.odometry_noise=[0.02, 1.0]"], &[(FR079, 0.0302), (ACES, 0.0339)]);
 
-const NO_WHEELS: Conditions = (&["lidar_ingest.odometry=false"], &[(FR079, 0.0298), (ACES, 0.0344)]);
+const NO_WHEELS: Conditions = (&["lidar_ingest.odometry=false"], &[(FR079, 0.0298), (ACES, 0.0350)]);
+/// A heading at which a corridor of ACES was taken to be shorter than it is, while fits alone gave the velocity: loops were off by 2 m.
+const NO_WHEELS_TURNED: Conditions =
+    (&["lidar_ingest.odometry=false", "lidar_ingest.start_pose=[0.0, 0.0, 1.75]"], &[(ACES, 0.0350)]);
 
 /// Where a log is cut, so that the robot is kidnapped from before the first scan to the second, and the mean error then, metres. In FR079 it gets
 /// from one corridor to another of the same width; in ACES the map nearby looks like where it gets to.
@@ -46,7 +49,7 @@ fn demand((more, reached_m): Conditions) {
         assert_eq!(run.wait().report.detached_scans, 0, "{} {more:?}", log.name);
         // Where the second scan of a relation is withheld, or without odometry fits nowhere, its pose is what the neighbours say: a
         // second of hard turning may be off.
-        let guesses = more == MISSING_SCANS.0 || more == NO_WHEELS.0;
+        let guesses = more == MISSING_SCANS.0 || more.contains(&NO_WHEELS.0[0]);
         assert!(guesses || errors.max_m < 0.5, "{} {more:?}: {errors:?}", log.name);
     }
 }
@@ -88,6 +91,7 @@ fn poor_wheels_cost_no_loop() {
 #[test]
 fn no_odometry_costs_no_loop() {
     demand(NO_WHEELS);
+    demand(NO_WHEELS_TURNED);
 }
 
 #[test]

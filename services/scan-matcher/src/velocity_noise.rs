@@ -6,7 +6,7 @@ use flockslam_geometry::elementary::hypot;
 /// Standard deviation at the start along each axis, metres from scan to scan, and its weight in scans.
 const START_SIGMA_M: f64 = 0.15;
 const START_SCANS: f64 = 20.0;
-/// The scans that are remembered, in number: how a robot is driven changes within minutes.
+/// The mean is over so many scans at most: how a robot is driven changes within minutes.
 const SCANS_MAX: f64 = 200.0;
 /// A robot that moves less between two scans stands: it shows nothing of how velocities change, metres.
 const MOVES_M: f64 = 0.02;
