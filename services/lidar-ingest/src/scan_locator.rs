@@ -311,7 +311,7 @@ impl ScanLocator {
         let stamp_ns = sighting.stamp_ns();
         self.integrate_gyro(frames);
         // The clocks of lidar and odometry may differ.
-        let odometry_ns = stamp_ns.saturating_add(self.offset_ns(lidar));
+        let odometry_ns = stamp_ns.saturating_add(self.settings.offset_ns(lidar));
         let odometry = self.odometry_in_space(frames, odometry_ns);
         let heading_rad = self.heading_at(frames, odometry_ns);
         let end = odometry.ok().map(|_| self.motion_end(frames, sighting, odometry_ns));
@@ -347,11 +347,6 @@ impl ScanLocator {
         }
         self.waits_until_ns = None;
         Ok(Some(scan))
-    }
-
-    fn offset_ns(&self, lidar: u32) -> i64 {
-        let calibration = self.settings.calibration.get(lidar as usize);
-        calibration.map_or(0, |calibration| (calibration.offset_s * 1e9).round() as i64)
     }
 
     fn count_guess(&mut self, frames: &Frames, is_known: bool, is_near: bool) {

@@ -149,6 +149,12 @@ impl Default for Settings {
 }
 
 impl Settings {
+    /// What is added to the stamps of a lidar to have its times by the clock of odometry, nanoseconds.
+    pub(crate) fn offset_ns(&self, lidar: u32) -> i64 {
+        let calibration = self.calibration.get(lidar as usize);
+        calibration.map_or(0, |calibration| (calibration.offset_s * 1e9).round() as i64)
+    }
+
     /// Says which setting is out of its range, and what the range is.
     ///
     /// # Errors

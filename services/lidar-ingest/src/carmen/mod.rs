@@ -8,9 +8,11 @@ mod carmen_line;
 mod carmen_reader;
 mod line_tally;
 mod rejection;
+mod shifted_odometry;
 mod write;
 
 pub use carmen_reader::{CarmenReader, ReadError};
 pub use line_tally::Tally;
 pub use rejection::Rejection;
+pub use shifted_odometry::ShiftedOdometry;
 pub use write::write_scan;

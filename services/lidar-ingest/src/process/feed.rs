@@ -8,7 +8,7 @@ use super::sensor_feed::SensorFeed;
 use super::topic_choice::ReadRecordingError;
 use super::truth_file::TruthWriter;
 use super::{Source, Task, first_stages, world_file};
-use crate::carmen::{CarmenReader, Tally};
+use crate::carmen::{CarmenReader, ShiftedOdometry, Tally};
 use crate::experiment::Experiment;
 use crate::self_mask::mask;
 use crate::{LidarCalibration, Settings};
@@ -30,7 +30,7 @@ pub struct Feed {
 }
 
 enum Kind {
-    Log(Box<CarmenReader<BufReader<File>>>),
+    Log(Box<CarmenReader<BufReader<File>>>, ShiftedOdometry),
     Recording(Box<RecordingReader>),
     Sensors(Box<SensorFeed>),
     Simulation { simulation: Box<Simulation>, truth: TruthWriter },
@@ -63,7 +63,8 @@ impl Feed {
                 let expected = count_scans(path, &task.settings)?;
                 let reader = BufReader::with_capacity(BUFFER_BYTES, open(path)?);
                 let name = path.display().to_string();
-                (Kind::Log(Box::new(CarmenReader::new(reader, name, task.settings.clone()))), expected)
+                let reader = Box::new(CarmenReader::new(reader, name, task.settings.clone()));
+                (Kind::Log(reader, ShiftedOdometry::new(task.settings.offset_ns(0))), expected)
             }
             Source::Pipe => {
                 let inlet = read_pipe(context, task.settings.clone(), first_stages(context.mode))?;
@@ -124,13 +125,10 @@ impl Feed {
     pub fn next(&mut self, scan: &mut ScanBuffer) -> Result<Fed, StageError> {
         let source = |error: crate::carmen::ReadError| StageError::Source(error.to_string());
         let fed = match &mut self.kind {
-            Kind::Log(reader) => {
-                if reader.next_scan(scan).map_err(source)? {
-                    Fed::Scan
-                } else {
-                    Fed::End
-                }
-            }
+            Kind::Log(reader, odometry) => match odometry.next_scan(reader, scan).map_err(source)? {
+                true => Fed::Scan,
+                false => Fed::End,
+            },
             Kind::Recording(reader) => match reader.next_scan(scan).map_err(of_recording)? {
                 true => Fed::Scan,
                 false => Fed::End,
@@ -159,7 +157,7 @@ impl Feed {
     /// Counts for the report.
     pub fn tally(&self) -> Option<Tally> {
         match &self.kind {
-            Kind::Log(reader) => Some(reader.tally().clone()),
+            Kind::Log(reader, _) => Some(reader.tally().clone()),
             Kind::Recording(reader) => Some(reader.tally().clone()),
             Kind::Sensors(sensors) => Some(sensors.tally()),
             Kind::Simulation { .. } | Kind::Nothing => None,
