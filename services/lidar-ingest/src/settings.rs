@@ -46,7 +46,7 @@ pub struct Settings {
     /// drive has shown of it. Without it the estimate is reported only.
     pub calibrate: bool,
     /// What an estimate has said, for each lidar a table, over what transforms, logs and `lidars` say: `x_m`, `y_m`, `heading_deg`
-    /// (each may be left out), and `offset_s`, which is added to the stamp of a scan of a recording to have its time by the clock of odometry.
+    /// (each may be left out), and `offset_s`, which is added to the stamp of a scan of a recording or a log to have its time by the clock of odometry.
     pub calibration: Vec<LidarCalibration>,
     /// Processes of this stage: one reads the source, the others are on standby to go on in its place.
     pub replicas: usize,

@@ -22,7 +22,7 @@ const EXPERIMENTS: [Experiment; 6] = [
     Experiment {
         what: "no odometry",
         settings: &["lidar_ingest.odometry=false"],
-        asked: Asked::Metres(0.06, &["Intel", "FR079"]),
+        asked: Asked::Metres(0.06, &["Intel", "FR079", "ACES"]),
     },
     Experiment {
         what: "every second scan withheld",
