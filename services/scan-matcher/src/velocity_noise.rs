@@ -16,7 +16,7 @@ const MARGIN: f64 = 2.0;
 /// The standard deviation is within these bounds, metres.
 const SIGMA_M: (f64, f64) = (0.03, 0.3);
 
-/// The mean square of what fits corrected, as kiss-icp learns its threshold (Vizzo et al. 2023, equation 7).
+/// The mean square of what fits corrected, as kiss-icp learns its threshold from them (Vizzo et al. 2023).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct VelocityNoise {
     variance_m2: f64,
