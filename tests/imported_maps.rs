@@ -12,7 +12,7 @@ use flockslam_results::SubmapStore;
 use std::fs;
 use std::path::Path;
 
-const DRIVE: Drive = Drive { scan_rate_hz: 10.0, duration_s: 240.0, rate: 8.0 };
+const DRIVE: Drive = Drive { scan_rate_hz: 10.0, duration_s: 240.0, rate: 6.0 };
 
 fn is_localized(status: &SetStatus) -> bool {
     status.localisation.as_ref().is_some_and(|localisation| localisation.knowledge == "localized")
@@ -41,9 +41,9 @@ fn shares(plan: &PlanPicture, other: &PlanPicture, state: CellState) -> (f64, f6
     (f64::from(same) / f64::from(all), f64::from(opposite) / f64::from(all))
 }
 
-/// Mean and greatest distance of the final poses from the truth, seconds after the start, metres; `plan_from_world` is where the world is.
-fn error_in_plan(outputs: &Outputs, plan_from_world: Pose, after_s: f64) -> (f64, f64) {
-    let offsets_m = truth_offsets_m(outputs, plan_from_world, after_s);
+/// Mean and greatest distance of the final poses from the truth, without so many at first, metres; `plan_from_world` is where the world is.
+fn error_in_plan(outputs: &Outputs, plan_from_world: Pose, skipped_scans: usize) -> (f64, f64) {
+    let offsets_m = &truth_offsets_m(outputs, plan_from_world, 0.0)[skipped_scans..];
     let sum_m: f64 = offsets_m.iter().sum();
     (sum_m / offsets_m.len() as f64, offsets_m.iter().copied().fold(0.0, f64::max))
 }
@@ -72,13 +72,13 @@ fn a_map_that_is_imported_is_exported_cell_by_cell_as_it_was_drawn() {
 
 #[test]
 fn half_of_an_office_that_is_imported_is_mapped_on_from_an_unknown_place_in_its_own_frame() {
-    machine_share::mostly_waits();
+    machine_share::computes();
     let directory = tempfile::tempdir().unwrap();
     let [known, kept, exported] = ["known", "kept", "exported"].map(|name| directory.path().join(name));
     let whole = run_well("office", &known, &building(240));
     // The map of the office is where its first drive began.
     let plan_from_world = whole.frame_from_truth();
-    let of_whole = error_in_plan(&whole, plan_from_world, 0.0);
+    let of_whole = error_in_plan(&whole, plan_from_world, 0);
     let plan = PlanPicture::read(&known.join("map.yaml")).without_left(0.5);
     store("import", &plan.write(directory.path(), "plan"), &kept);
     let count = SavedMap::at(&kept).check().unwrap().submaps;
@@ -88,7 +88,7 @@ fn half_of_an_office_that_is_imported_is_mapped_on_from_an_unknown_place_in_its_
     let outputs =
         LiveSet::start_with_failpoints("half", directory.path(), DRIVE, &keeps, &other, "").finish();
     let report = &outputs.report;
-    let error = error_in_plan(&outputs, plan_from_world, 0.0);
+    let error = error_in_plan(&outputs, plan_from_world, 0);
     println!(
         "mapped {of_whole:?} m, mapped on {error:?} m from the truth, mean and greatest; {} scans apart; {:.0} of {:.0} m²",
         report.detached_scans, report.map_area_m2, whole.report.map_area_m2
@@ -108,7 +108,7 @@ fn half_of_an_office_that_is_imported_is_mapped_on_from_an_unknown_place_in_its_
 #[test]
 fn a_nav2_map_that_is_imported_is_localized_in_and_then_mapped_on_in_its_own_frame() {
     let Some(data) = data_dir() else { return };
-    machine_share::mostly_waits();
+    machine_share::computes();
     let directory = tempfile::tempdir().unwrap();
     let [imported, longer, exported] =
         ["imported", "longer", "exported"].map(|name| directory.path().join(name));
@@ -126,9 +126,12 @@ fn a_nav2_map_that_is_imported_is_localized_in_and_then_mapped_on_in_its_own_fra
     set.command_well(&["store", "save", longer.to_str().unwrap()]);
     let outputs = set.finish();
     let plan_from_world = Pose::new(plan.origin.x_m, plan.origin.y_m, 0.0);
-    // The robot is found within seconds; nobody knows where it was before.
-    let error = error_in_plan(&outputs, plan_from_world, 15.0);
-    println!("{error:?} m from the truth, mean and greatest; {} submaps", outputs.report.submaps);
+    // Nobody knows where the robot was before it is found, and how long that takes depends on what else runs.
+    let error = error_in_plan(&outputs, plan_from_world, handled as usize);
+    println!(
+        "mapping after {handled} scans; {error:?} m from the truth, mean and greatest; {} submaps",
+        outputs.report.submaps
+    );
     assert!(error.0 < 0.05 && error.1 < 0.25, "{error:?}");
     assert!(submaps(&imported, count) == submaps(&longer, count), "imported submaps have changed");
     assert!(SavedMap::at(&longer).check().unwrap().submaps > count + 2);

@@ -25,8 +25,9 @@ const LOOKS_FOR_ROUTER: u32 = 20;
 const LOOK_PERIOD: Duration = Duration::from_millis(50);
 /// Greatest number of keys of others with their subscriptions: more are not read.
 const SUBSCRIPTIONS_MAX: usize = 4096;
-/// What rmw_zenoh has by default, and a bound for what is put together of fragments: a scan of ten million beams has 80 MB.
-const DEFAULTS: [(&str, &str); 7] = [
+/// What rmw_zenoh has by default; a bound for what is put together of fragments, as a scan of ten million beams has 80 MB; and how long a
+/// message waits for room before it is dropped, microseconds: after a map that of zenoh, 1 ms, is too short on a busy machine.
+const DEFAULTS: [(&str, &str); 8] = [
     ("mode", "\"peer\""),
     ("connect/endpoints", "[\"tcp/localhost:7447\"]"),
     ("connect/timeout_ms", "-1"),
@@ -34,6 +35,7 @@ const DEFAULTS: [(&str, &str); 7] = [
     ("listen/endpoints", "[\"tcp/localhost:0\"]"),
     ("scouting/multicast/enabled", "false"),
     ("transport/link/rx/max_message_size", "134217728"),
+    ("transport/link/tx/queue/congestion_control/drop/wait_before_drop", "20000"),
 ];
 
 /// What begins to receive once the node runs.
