@@ -154,7 +154,7 @@ fn every_setting_of_a_command_in_the_documents_is_known_unless_its_refusal_is_sh
             assert_eq!(outcome.is_err(), refusal_is_shown, "{}: {outcome:?}", command.text());
         }
     }
-    assert!(count > 5, "{count} settings were found");
+    assert!(count >= 5, "{count} settings were found");
 }
 
 #[test]

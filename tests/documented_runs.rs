@@ -216,7 +216,7 @@ fn recordings(reader: &mut Reader) {
     reader.run("swarm LOG --robots 3 --out DIR");
     reader.run("swarm LOG --protocol meeting");
     reader.run_with("demo --set simulation.seed=N", &[("simulation.seed=N", "simulation.seed=7")], &SHORT);
-    reader.run_with("demo --set simulation.duration_s=28800 --set set.spill_dir=DIR", &[], &SHORT);
+    reader.run_with("demo --set simulation.duration_s=28800", &[], &SHORT);
     reader.run_with("demo --out /maps/demo", &[("/maps/demo", "demo")], &SHORT);
     let wrong = "map LOG --set mapper.cel_size_m=0.1";
     let output = reader.command(wrong, &[]).output().unwrap();

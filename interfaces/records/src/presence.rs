@@ -27,12 +27,12 @@ impl Presence {
     /// Signs a pose with this key. The pose is rounded to the transmitted form.
     pub fn sign(key: &RobotKey, epoch: u64, sequence: u64, submap: u32, odom_from_base: Pose) -> Self {
         let robot = key.id().clone();
-        let mut said = Self { robot, epoch, sequence, submap, odom_from_base, signature: [0; 64] };
-        let body = said.body();
+        let mut presence = Self { robot, epoch, sequence, submap, odom_from_base, signature: [0; 64] };
+        let body = presence.body();
         let mut sent = Reader(&body[body.len() - 12..]);
-        said.odom_from_base = sent.pose().unwrap_or(odom_from_base);
-        said.signature = key.sign(&digest(&body));
-        said
+        presence.odom_from_base = sent.pose().unwrap_or(odom_from_base);
+        presence.signature = key.sign(&digest(&body));
+        presence
     }
 
     fn body(&self) -> Vec<u8> {
@@ -52,7 +52,7 @@ impl Presence {
 
     /// Reads one, and verifies its signature.
     pub(crate) fn read(input: &mut Reader<'_>) -> Result<Self, RecordError> {
-        let said = Self {
+        let presence = Self {
             robot: input.robot()?,
             epoch: input.u64()?,
             sequence: input.u64()?,
@@ -60,10 +60,10 @@ impl Presence {
             odom_from_base: input.pose()?,
             signature: input.array()?,
         };
-        if !said.robot.has_signed(&digest(&said.body()), &said.signature) {
-            return Err(RecordError::Signature(said.robot.to_string()));
+        if !presence.robot.has_signed(&digest(&presence.body()), &presence.signature) {
+            return Err(RecordError::Signature(presence.robot.to_string()));
         }
-        Ok(said)
+        Ok(presence)
     }
 
     /// Whether it is newer than another of the same robot.
@@ -84,21 +84,25 @@ mod tests {
     #[test]
     fn a_presence_round_trips_and_cannot_be_forged() {
         let key = RobotKey::of_replay("a").unwrap();
-        let said = Presence::sign(&key, 2, 70, 3, Pose::new(1.5, -2.25, 0.5));
-        assert!((said.odom_from_base.x_m - 1.5).abs() < 1e-4);
-        let bytes = Message::Here(said.clone()).encode();
+        let presence = Presence::sign(&key, 2, 70, 3, Pose::new(1.5, -2.25, 0.5));
+        assert!((presence.odom_from_base.x_m - 1.5).abs() < 1e-4);
+        let bytes = Message::Here(presence.clone()).encode();
         assert!(bytes.len() < 160, "{}", bytes.len());
-        assert_eq!(Message::decode(&bytes).unwrap(), Message::Here(said.clone()));
+        assert_eq!(Message::decode(&bytes).unwrap(), Message::Here(presence.clone()));
         for place in 0..bytes.len() {
             let mut bent = bytes.clone();
             bent[place] ^= 1;
             assert!(Message::decode(&bent).is_err(), "byte {place} was changed");
         }
-        let mut forged = said.clone();
+        let mut forged = presence.clone();
         forged.signature = RobotKey::of_replay("b").unwrap().sign(&digest(&forged.body()));
         let refused = Message::decode(&Message::Here(forged).encode());
         assert_eq!(refused, Err(RecordError::Signature(key.id().to_string())));
         let later = Presence::sign(&key, 2, 71, 3, Pose::IDENTITY);
-        assert!(later.is_newer_than(&said) && !said.is_newer_than(&later) && !said.is_newer_than(&said));
+        assert!(
+            later.is_newer_than(&presence)
+                && !presence.is_newer_than(&later)
+                && !presence.is_newer_than(&presence)
+        );
     }
 }

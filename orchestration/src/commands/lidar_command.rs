@@ -124,7 +124,7 @@ pub(super) struct Seen {
     /// New scans.
     pub(super) scans: Vec<ScanBuffer>,
     /// What is new with the lidar.
-    pub(super) said: Option<String>,
+    pub(super) change: Option<String>,
 }
 
 impl LidarHandler for Seen {
@@ -135,7 +135,7 @@ impl LidarHandler for Seen {
     }
 
     fn state(&mut self, session: &LidarSession) {
-        self.said = Some(format!("{} {}; {}", session.spec(), session.current(), session.device()));
+        self.change = Some(format!("{} {}; {}", session.spec(), session.current(), session.device()));
     }
 }
 
@@ -217,8 +217,8 @@ fn watch_plainly(
     let interrupts = count_interrupts()?;
     while interrupts.load(Ordering::Relaxed) == 0 && args.turns.is_none_or(|turns| picture.turns() < turns) {
         let seen = scans.look()?;
-        if let Some(said) = seen.said {
-            print(&format!("{said}\n"));
+        if let Some(change) = seen.change {
+            print(&format!("{change}\n"));
         }
         for scan in &seen.scans {
             picture.show(scan);
@@ -236,8 +236,8 @@ fn watch_drawn(
 ) -> Result<(), CommandError> {
     while args.turns.is_none_or(|turns| picture.turns() < turns) {
         let seen = scans.look()?;
-        if let Some(said) = seen.said {
-            picture.note(said);
+        if let Some(change) = seen.change {
+            picture.note(change);
         }
         seen.scans.iter().for_each(|scan| picture.show(scan));
         terminal.draw(|frame| draw(frame, picture)).map_err(CommandError::failed)?;
@@ -266,8 +266,8 @@ fn learn_mask(args: &LearnMaskArgs) -> Result<(), CommandError> {
     let since = Instant::now();
     while interrupts.load(Ordering::Relaxed) == 0 && since.elapsed() < Duration::from_secs(args.seconds) {
         let seen = scans.look()?;
-        if let Some(said) = seen.said {
-            eprintln!("{said}");
+        if let Some(change) = seen.change {
+            eprintln!("{change}");
         }
         for scan in &seen.scans {
             let Ok(view) = scan.view() else { continue };

@@ -79,8 +79,8 @@ pub(super) fn exported(map: &Path, out: &Path, settings: Option<&Path>) -> Resul
     let read = if exported.status.success() {
         read_nav2_map(&out.join(DESCRIPTION)).map_err(CommandError::user)
     } else {
-        let said = String::from_utf8_lossy(&exported.stderr);
-        let reason = said.lines().last().unwrap_or("its export ended").trim_start_matches("flockslam: ");
+        let errors = String::from_utf8_lossy(&exported.stderr);
+        let reason = errors.lines().last().unwrap_or("its export ended").trim_start_matches("flockslam: ");
         Err(CommandError::user(format!("{}: {reason}", map.display())))
     };
     // What it has written is of no more use.

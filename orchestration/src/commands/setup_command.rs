@@ -268,7 +268,7 @@ fn show(lidar: &AnsweredLidar) -> Result<(), CommandError> {
     let until = Instant::now() + SHOWN_WITHIN;
     while picture.turns() < TURNS {
         let seen = scans.look()?;
-        seen.said.into_iter().for_each(|said| picture.note(said));
+        seen.change.into_iter().for_each(|change| picture.note(change));
         seen.scans.iter().for_each(|scan| picture.show(scan));
         if Instant::now() > until {
             return Err(CommandError::failed(

@@ -78,7 +78,7 @@ fn clock_is_synchronised() -> Option<bool> {
         return Some(true);
     }
     let asked = Command::new("timedatectl").args(["show", "--property=NTPSynchronized", "--value"]).output();
-    match asked.ok().map(|said| String::from_utf8_lossy(&said.stdout).trim().to_owned())?.as_str() {
+    match asked.ok().map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned())?.as_str() {
         "yes" => Some(true),
         "no" => Some(false),
         _ => None,

@@ -235,8 +235,9 @@ mod tests {
             "torn".to_owned(),
         ];
         let problems = problems_since(&stream.concat(), 10);
-        let said: Vec<_> = problems.iter().map(|problem| (problem.message.as_str(), problem.times)).collect();
-        assert_eq!(said, [("late", 2), ("gone", 1)]);
+        let listed: Vec<_> =
+            problems.iter().map(|problem| (problem.message.as_str(), problem.times)).collect();
+        assert_eq!(listed, [("late", 2), ("gone", 1)]);
         let why = r#"{"level":"WARN","message":"m","error":"e","stage":"s","utc_ns":1}"#;
         assert_eq!(problems_since(why, 0)[0].message, "m: e");
     }

@@ -21,7 +21,7 @@ pub const USUAL_SIGMA: (f64, f64) = (0.5, std::f64::consts::PI / 12.0);
 /// The part of the bridge for a set that localizes in a known map; while it makes one it only says that hints have no effect.
 pub struct LocalisationRelay {
     orders: BusPublisher<LocalisationOrder>,
-    said: Topics,
+    topics: Topics,
     mode: ModeWatch,
     status_dir: PathBuf,
     status: LocalisationStatus,
@@ -46,13 +46,13 @@ impl LocalisationRelay {
         runtime: &RuntimeDir,
         localizes: bool,
     ) -> Result<Self, BridgeError> {
-        let said = Topics {
+        let topics = Topics {
             pose: node.publisher("amcl_pose", QualityOfService::Latched { depth: 1 })?,
             particles: node.publisher("particle_cloud", QualityOfService::Sensor { depth: 1 })?,
         };
         Ok(Self {
             orders: bus.publisher()?,
-            said,
+            topics,
             mode: ModeWatch::of(&runtime.results(), localizes),
             status_dir: runtime.status(),
             status: LocalisationStatus::default(),
@@ -84,12 +84,12 @@ impl LocalisationRelay {
 
     /// Sends the pose of a scan, while the robot is localized.
     pub fn send_pose(&self, estimate: &PoseEstimate, map_frame: &str) {
-        let (said, Some(covariance)) = (&self.said, self.status.covariance) else { return };
+        let (topics, Some(covariance)) = (&self.topics, self.status.covariance) else { return };
         if !self.places(estimate) || !estimate.has(PoseFlags::LOCALIZING) {
             return;
         }
         let Pose { x_m, y_m, heading_rad } = estimate.map_from_base();
-        said.pose.send(PoseWithCovarianceStamped {
+        topics.pose.send(PoseWithCovarianceStamped {
             header: Header::new(estimate.times.sensor_ns, map_frame),
             pose: PoseWithCovariance {
                 pose: RosPose::planar(x_m, y_m, heading_rad),
@@ -103,7 +103,7 @@ impl LocalisationRelay {
         if self.look_due > Instant::now() || !self.mode.localizes() {
             return;
         }
-        let said = &self.said;
+        let topics = &self.topics;
         self.look_due = Instant::now() + LOOK;
         let version = version_of(&LocalisationStatus::file(&self.status_dir));
         if version == self.version {
@@ -115,7 +115,7 @@ impl LocalisationRelay {
             let [x_m, y_m, heading_rad] = row.pose;
             Particle { pose: RosPose::planar(x_m, y_m, heading_rad), weight: row.weight }
         };
-        said.particles.send(ParticleCloud {
+        topics.particles.send(ParticleCloud {
             header: Header::new(status.stamp_ns, map_frame),
             particles: status.hypotheses.iter().map(particle).collect(),
         });

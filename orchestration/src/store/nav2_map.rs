@@ -267,14 +267,14 @@ mod tests {
 
     #[test]
     fn errors_are_reported_with_their_position() {
-        for (rest, said) in [
+        for (rest, reason) in [
             ("", "no 'origin:' line"),
             ("origin: [1, 2]", "not [x, y, yaw]"),
             ("origin: [1, 2, x]", "'x' is not a number"),
             ("origin: [0, 0, 0]\nmode: colour", "none of trinary, scale, raw"),
         ] {
             let error = read([0; 6], rest).unwrap_err().to_string();
-            assert!(error.contains("plan.yaml") && error.contains(said), "{error}");
+            assert!(error.contains("plan.yaml") && error.contains(reason), "{error}");
         }
         let error = read_nav2_map(Path::new("/nowhere/map.yaml")).unwrap_err().to_string();
         assert!(error.contains("/nowhere/map.yaml"), "{error}");

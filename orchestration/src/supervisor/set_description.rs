@@ -375,8 +375,8 @@ mod tests {
         let lidar = "robot = \"r1\"\n[source]\nkind = \"ydlidar\"\nport = \"/dev/ttyUSB0\"\nbaud = 230400\n\
             model = \"T-mini Plus\"\n";
         let Source::Lidars(lidars) = read(lidar).source().source else { panic!("{lidar}") };
-        let said = (lidars[0].to_string(), lidars[0].rate);
-        assert_eq!(said, ("lidar (ydlidar at /dev/ttyUSB0)".to_owned(), Some(230_400)));
+        let found = (lidars[0].to_string(), lidars[0].rate);
+        assert_eq!(found, ("lidar (ydlidar at /dev/ttyUSB0)".to_owned(), Some(230_400)));
         let two = "robot = \"r1\"\n[source]\nkind = \"lidars\"\n\
             lidars = [{ name = \"front\", kind = \"ld06\", port = \"/dev/ttyUSB0\" },\n\
             { name = \"rear\", kind = \"sick-tim\", address = \"192.168.0.1\" }]\n";

@@ -6,6 +6,7 @@
 use crate::motion::Motion;
 use crate::prediction::Prediction;
 use crate::settings::{Settings, Strategy};
+use fit_acceptance::MatchResult;
 use fitted::Fitted;
 use fitting::{Fitter, Solvers};
 use flockslam_evidence::{Tile, TileGrid};
@@ -15,7 +16,6 @@ use flockslam_messages::{
     STARTS_DETACHED, ScanView, Verdict,
 };
 use flockslam_registration::GridField;
-use judging::MatchResult;
 use kidnap_detector::KidnapDetector;
 use light_fit::{LIGHT_BEAMS, Light};
 use matcher_state::{Confidence, MapState};
@@ -45,10 +45,10 @@ const RECOGNISABLE: f64 = 0.4;
 const SLIPPED: (f64, f64) = (0.15, 0.08);
 
 mod bodies;
+mod fit_acceptance;
 mod fitted;
 mod fitting;
 mod flock_robots;
-mod judging;
 mod kidnap_detector;
 mod light_fit;
 mod matcher_state;

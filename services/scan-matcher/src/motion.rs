@@ -169,8 +169,8 @@ impl Motion {
         let is_brief = self.steps.is_brief(scan, step_s);
         let (motion, twist) = match (self.odometry, scan.odometry()) {
             (Some(before), Some(now)) => {
-                let said = before.to(now);
-                let motion = Pose { x_m: self.scale.factor() * said.x_m, ..said };
+                let by_odometry = before.to(now);
+                let motion = Pose { x_m: self.scale.factor() * by_odometry.x_m, ..by_odometry };
                 let twist = match self.measured(scan) {
                     Some(twist) => twist,
                     None if is_brief => self.velocity,
@@ -216,11 +216,11 @@ impl Motion {
 
     /// The velocity during a scan as odometry measured it, unless it may have jumped.
     fn measured(&self, scan: ScanView<'_>) -> Option<Twist> {
-        let said = scan.odometry_twist()?;
+        let of_wheels = scan.odometry_twist()?;
         let twist = Twist {
-            x_m_s: self.scale.factor() * said.x_m_s,
-            turn_rad_s: self.turn_scale.factor() * said.turn_rad_s,
-            ..said
+            x_m_s: self.scale.factor() * of_wheels.x_m_s,
+            turn_rad_s: self.turn_scale.factor() * of_wheels.turn_rad_s,
+            ..of_wheels
         };
         let duration_s = scan.time_s(scan.len() - 1);
         let [measured, steady] = [twist, self.velocity].map(|twist| twist.motion_after(duration_s));

@@ -11,6 +11,8 @@ use std::time::Duration;
 /// Length of the run, hours of simulated time.
 const HOURS: u64 = 8;
 const SCANS_PER_HOUR: u64 = 36_000;
+/// What the trajectories may keep of each scan.
+const TRAJECTORY_BYTES: u64 = 32;
 
 /// What the set had used when so many scans had been handled.
 #[derive(Clone, Copy, Default)]
@@ -24,13 +26,29 @@ struct Sample {
 /// Eight hours in the same building: is anything growing?
 pub fn section() -> String {
     let introduction = format!(
-        "{HOURS} hours of driving through the same building (`flockslam demo --set simulation.duration_s={} --set set.spill_dir=DIR`, otherwise default settings), at full speed, watched from outside every half second. What grows with the way driven – closed submaps, journal, trajectories – is on disk, about 8 kB for each second at 10 scans/s.\n\n",
+        "{HOURS} hours of driving through the same building (`flockslam demo --set simulation.duration_s={}`, otherwise default settings), at full speed, watched from outside every half second. Asked: flat beyond {TRAJECTORY_BYTES} B a scan for trajectories.\n\n",
         HOURS * 3600
     );
     match watch() {
-        Ok(samples) => introduction + &table(&samples).to_string(),
+        Ok(samples) => format!("{introduction}{}\n{}", table(&samples), growth(&samples)),
         Err(reason) => format!("{introduction}Not measured: {reason}.\n"),
     }
+}
+
+/// By how much memory has grown since the end of the first hour.
+fn growth(samples: &[Sample]) -> String {
+    let [begin, end] = [1, HOURS].map(|hour| until(samples, hour));
+    let bytes = |sample: Sample| (sample.private_bytes + sample.shared_bytes) as f64;
+    let scans = end.scans.saturating_sub(begin.scans).max(1) as f64;
+    format!(
+        "From the first hour to the last: {:.1} B a scan, private and shared memory together.\n",
+        (bytes(end) - bytes(begin)) / scans
+    )
+}
+
+/// What the set had used at the end of an hour. Reports of stages are up to a second apart: the last hour ends where the last of them does.
+fn until(samples: &[Sample], hour: u64) -> Sample {
+    samples.iter().rfind(|sample| sample.scans <= hour * SCANS_PER_HOUR).copied().unwrap_or_default()
 }
 
 fn watch() -> Result<Vec<Sample>, String> {
@@ -38,10 +56,7 @@ fn watch() -> Result<Vec<Sample>, String> {
     let robot = format!("long-{}", std::process::id());
     let mut command = Command::new(env!("CARGO_BIN_EXE_flockslam"));
     command.args(["demo", "--robot", &robot, "--out"]).arg(out.path());
-    command.args(set(&[
-        &format!("simulation.duration_s={}", HOURS * 3600),
-        &format!("set.spill_dir={}", out.path().join("spill").display()),
-    ]));
+    command.args(set(&[&format!("simulation.duration_s={}", HOURS * 3600)]));
     let mut child =
         command.stdin(Stdio::null()).stdout(Stdio::null()).spawn().map_err(|error| error.to_string())?;
     let directory = Path::new("/dev/shm").join(format!("flockslam-{robot}"));
@@ -51,7 +66,12 @@ fn watch() -> Result<Vec<Sample>, String> {
         if let Some(status) = child.try_wait().map_err(|error| error.to_string())? {
             return if status.success() { Ok(samples) } else { Err(format!("it ended with {status}")) };
         }
-        samples.extend(look(&directory));
+        // At the end its memory is given back, and outputs are written.
+        let is_whole = |sample: &Sample| {
+            samples.last().is_none_or(|before: &Sample| sample.shared_bytes >= before.shared_bytes / 2)
+        };
+        let sample = look(&directory).filter(is_whole);
+        samples.extend(sample);
     }
 }
 
@@ -80,9 +100,7 @@ fn table(samples: &[Sample]) -> Table {
     ]);
     let mut before = Sample::default();
     for hour in 1..=HOURS {
-        // Reports of stages are up to a second apart: the last hour ends where the last of them does.
-        let end =
-            samples.iter().rfind(|sample| sample.scans <= hour * SCANS_PER_HOUR).copied().unwrap_or_default();
+        let end = until(samples, hour);
         let scans = end.scans.saturating_sub(before.scans);
         let cpu_ms = (end.cpu_s - before.cpu_s) * 1e3 / scans.max(1) as f64;
         let megabytes = |bytes: u64| format!("{:.1}", bytes as f64 * 1e-6);

@@ -67,7 +67,7 @@ pub const FLOCK_PEER_BYTES: Metric = with_labels(
         "sync-manager",
         "flockslam_flock_peer_bytes_total",
         Kind::Counter,
-        "Bytes of messages that were `said` to and `heard` of another robot",
+        "Bytes of messages that were `sent` to and `received` of another robot",
     ),
     &[LABEL_STAGE, LABEL_REPLICA, LABEL_PEER, LABEL_DIRECTION],
 );

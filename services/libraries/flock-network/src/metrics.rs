@@ -30,7 +30,7 @@ impl FlockMetrics {
         let peer_bytes =
             metrics.counters_by(names::FLOCK_PEER_BYTES, &[names::LABEL_PEER, names::LABEL_DIRECTION]);
         // Something is there to be seen before anybody was met.
-        ["heard", "said"].into_iter().for_each(|direction| peer_bytes.count_by(&[OTHERS, direction], 0));
+        ["received", "sent"].into_iter().for_each(|direction| peer_bytes.count_by(&[OTHERS, direction], 0));
         Self {
             peers: metrics.gauge(names::FLOCK_PEERS),
             near: metrics.gauge(names::FLOCK_NEAR),
@@ -61,8 +61,8 @@ impl FlockMetrics {
         self.counted_searches = status.searches;
         for (peer, (received, sent)) in &status.traffic {
             let before = self.counted.insert(peer.clone(), (*received, *sent)).unwrap_or_default();
-            self.peer_bytes.count_by(&[peer, "heard"], received - before.0);
-            self.peer_bytes.count_by(&[peer, "said"], sent - before.1);
+            self.peer_bytes.count_by(&[peer, "received"], received - before.0);
+            self.peer_bytes.count_by(&[peer, "sent"], sent - before.1);
         }
         for (place, (now, before)) in drops.iter().zip(self.counted_drops).enumerate() {
             self.dropped.count_by(place, now - before);

@@ -96,8 +96,8 @@ impl RecordPublisher {
     /// When the disk refuses.
     pub fn publish(&mut self, findings: Findings) -> Result<(), StageError> {
         let findings = self.published.new_of(findings);
-        let said = self.flock.publish(&findings).map_err(record_failed)?;
-        self.keep(&said)
+        let records = self.flock.publish(&findings).map_err(record_failed)?;
+        self.keep(&records)
     }
 
     /// Says what the evidence of a closed submap is, unless that is known.
@@ -108,8 +108,8 @@ impl RecordPublisher {
         if !self.published.submaps.insert(submap.number) {
             return Ok(());
         }
-        let said = self.flock.record_submap(submap).map_err(record_failed)?;
-        self.keep(&[said])
+        let record = self.flock.record_submap(submap).map_err(record_failed)?;
+        self.keep(&[record])
     }
 
     /// Says which cells of a submap are stale, as far as that is not known.
@@ -129,8 +129,8 @@ impl RecordPublisher {
                 tile: tile.key,
                 rows: rows.clone(),
             };
-            let said = self.flock.record(&Content::Clearance(clearance)).map_err(record_failed)?;
-            self.keep(&[said])?;
+            let record = self.flock.record(&Content::Clearance(clearance)).map_err(record_failed)?;
+            self.keep(&[record])?;
             self.published.cleared.insert(key, rows);
         }
         Ok(())
@@ -177,13 +177,13 @@ impl RecordPublisher {
         found.retain(|constraint| {
             !self.published.across.contains(&(constraint.from.clone(), constraint.to.clone()))
         });
-        let said = self.flock.record_constraints(&found).map_err(record_failed)?;
-        self.keep(&said)?;
+        let records = self.flock.record_constraints(&found).map_err(record_failed)?;
+        self.keep(&records)?;
         Ok(found.is_empty() && !exhausted)
     }
 
-    fn keep(&mut self, said: &[Arc<[u8]>]) -> Result<(), StageError> {
-        Ok(said.iter().try_for_each(|record| self.log.append(record))?)
+    fn keep(&mut self, records: &[Arc<[u8]>]) -> Result<(), StageError> {
+        Ok(records.iter().try_for_each(|record| self.log.append(record))?)
     }
 }
 

@@ -101,9 +101,9 @@ impl Flock {
     /// # Errors
     /// As [`Self::record`].
     pub fn publish(&mut self, findings: &Findings) -> Result<Vec<Arc<[u8]>>, RecordError> {
-        let mut said = Vec::new();
+        let mut records = Vec::new();
         for stretch in &findings.stretches {
-            said.push(self.record(&Content::Stretch(stretch.clone()))?);
+            records.push(self.record(&Content::Stretch(stretch.clone()))?);
         }
         let node = |sequence| NodeName { robot: self.key.id().clone(), epoch: self.epoch, sequence };
         let constraint = |own: &super::OwnLoop| Constraint {
@@ -115,8 +115,8 @@ impl Flock {
             shift_m: own.closure.shift_m as f32,
         };
         let constraints: Vec<Constraint> = findings.loops.iter().map(constraint).collect();
-        said.extend(self.record_constraints(&constraints)?);
-        Ok(said)
+        records.extend(self.record_constraints(&constraints)?);
+        Ok(records)
     }
 
     /// Makes records of new constraints, as few as possible.

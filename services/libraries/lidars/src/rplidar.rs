@@ -317,10 +317,11 @@ mod tests {
         let driver = started(&encoder);
         assert_eq!(driver.form, Some(Form::Extended));
         assert_eq!(driver.step, Step::Running);
-        let said = driver.device().to_string();
+        let described = driver.device().to_string();
         assert!(
-            said.starts_with("RPLIDAR A3M1, firmware 1.29, serial number ") && said.ends_with("health good"),
-            "{said}"
+            described.starts_with("RPLIDAR A3M1, firmware 1.29, serial number ")
+                && described.ends_with("health good"),
+            "{described}"
         );
         assert!((driver.sample_us.unwrap() - encoder.sample_us()).abs() < 0.01);
         // Its firmware from before there was a configuration: the express form, and from before that one: the standard form.

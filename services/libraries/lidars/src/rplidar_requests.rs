@@ -141,8 +141,8 @@ pub(crate) fn read(answer: &[u8], device: &mut Device) -> Answer {
         0x15 => Answer::SampleTimes(f64::from(u16_at(content, 0)), f64::from(u16_at(content, 2))),
         0x20 => {
             let mut value = [0; 4];
-            let said = &content[4..content.len().min(8)];
-            value[..said.len()].copy_from_slice(said);
+            let bytes = &content[4..content.len().min(8)];
+            value[..bytes.len()].copy_from_slice(bytes);
             Answer::Configuration(u32_at(content, 0), u32::from_le_bytes(value))
         }
         kind => Answer::Measurements(Form::of_answer(kind).unwrap_or(Form::Standard)),
@@ -203,8 +203,8 @@ mod tests {
         // 127 µs, 12 m, the extended form.
         let configuration =
             |field, value: [u8; 4]| [&[0xA5, 0x5A, 8, 0, 0, 0, 0x20, field, 0, 0, 0][..], &value].concat();
-        let said = answer(&configuration(0x71, [0, 0x7F, 0, 0]));
-        assert_eq!(said, Answer::Configuration(0x71, 127 * 256));
+        let answered = answer(&configuration(0x71, [0, 0x7F, 0, 0]));
+        assert_eq!(answered, Answer::Configuration(0x71, 127 * 256));
         assert_eq!(answer(&configuration(0x74, [0, 12, 0, 0])), Answer::Configuration(0x74, 12 * 256));
         let kind = [0xA5, 0x5A, 5, 0, 0, 0, 0x20, 0x75, 0, 0, 0, 0x84];
         assert_eq!(answer(&kind), Answer::Configuration(0x75, 0x84));
@@ -215,7 +215,8 @@ mod tests {
         {
             assert_eq!(answer(&[&DESCRIPTOR[..], &bytes].concat()), Answer::Measurements(form));
         }
-        let said = "RPLIDAR A1M8, firmware 1.29, serial number D98A99F6C9E59AD2C5E59CF725583412, health good";
-        assert_eq!(device.to_string(), said);
+        let described =
+            "RPLIDAR A1M8, firmware 1.29, serial number D98A99F6C9E59AD2C5E59CF725583412, health good";
+        assert_eq!(device.to_string(), described);
     }
 }

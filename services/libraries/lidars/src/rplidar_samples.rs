@@ -99,9 +99,9 @@ impl Form {
             return Look::No;
         }
         let Some((capsule, next)) = bytes.split_at_checked(self.length()) else { return Look::More };
-        let said = (capsule[0] & 0xF) | (capsule[1] << 4);
+        let stated = (capsule[0] & 0xF) | (capsule[1] << 4);
         let plausible = capsule_start_deg(capsule, self) < 360.0;
-        match xor(&capsule[2..]) == said {
+        match xor(&capsule[2..]) == stated {
             false => Look::Bad,
             true if !plausible => Look::No,
             true if in_step => Look::Packet(self.length()),
@@ -116,8 +116,8 @@ impl Form {
             return Look::No;
         }
         let Some(packet) = bytes.get(..self.length()) else { return Look::More };
-        let (checked, said) = packet.split_at(self.length() - 4);
-        if hq_checksum(checked) == u32_at(said, 0) { Look::Packet(self.length()) } else { Look::Bad }
+        let (checked, stated) = packet.split_at(self.length() - 4);
+        if hq_checksum(checked) == u32_at(stated, 0) { Look::Packet(self.length()) } else { Look::Bad }
     }
 
     /// The measurements of a packet. Of capsules the next one is needed, which begins where this one ends.

@@ -228,7 +228,7 @@ fn is_whole(block: &[u8]) -> bool {
     if echo.starts_with(b"SC") {
         return true;
     }
-    let said = echo.starts_with(b"VV") || echo.starts_with(b"PP") || echo.starts_with(b"II");
+    let is_of_words = echo.starts_with(b"VV") || echo.starts_with(b"PP") || echo.starts_with(b"II");
     let status = lines.next().unwrap_or_default();
     let has_sum = |line: &[u8]| line.len() > 1 && sum(&line[..line.len() - 1]) == line[line.len() - 1];
     // Lines of words have a semicolon before the sum, which is not part of it.
@@ -238,7 +238,7 @@ fn is_whole(block: &[u8]) -> bool {
     };
     status.len() == 3
         && has_sum(status)
-        && lines.all(|line| if said { has_sum_behind_semicolon(line) } else { has_sum(line) })
+        && lines.all(|line| if is_of_words { has_sum_behind_semicolon(line) } else { has_sum(line) })
 }
 
 fn look(bytes: &[u8]) -> Look {
@@ -332,11 +332,11 @@ mod tests {
     #[test]
     fn the_identification_of_a_real_sensor_is_parsed() {
         // An URG-04LX-UG01, from the notes of a public Matlab program.
-        let said =
+        let identification =
             b"VV\n00P\nVEND:Hokuyo Automatic Co.,Ltd.;[\nPROD:SOKUIKI Sensor URG-04LX-UG01(Simple-URG);[\n\
             FIRM:3.4.03(17/Dec./2012);T\nPROT:SCIP 2.0;N\nSERI:H1510998;V\n\n";
         let mut driver = Urg::new(0);
-        driver.take(said, 0, &mut |_| ());
+        driver.take(identification, 0, &mut |_| ());
         assert_eq!((driver.counts.packets, driver.counts.garbage_bytes), (1, 0));
         let device = driver.device();
         assert_eq!(device.model.as_deref(), Some("SOKUIKI Sensor URG-04LX-UG01(Simple-URG)"));

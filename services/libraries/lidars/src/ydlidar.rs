@@ -339,8 +339,8 @@ mod tests {
         );
         driver.take(&[0xA5, 0x5A, 3, 0, 0, 0, 6, 1, 5, 0], 0, &mut |_| ());
         assert_eq!(driver.act(STOP_NS), Some(Act::Send(vec![0xA5, 0x60])));
-        let said = driver.device().to_string();
-        assert_eq!(said, "X4, firmware 1.10, serial number 2019062100002105, health warning 0x5");
+        let described = driver.device().to_string();
+        assert_eq!(described, "X4, firmware 1.10, serial number 2019062100002105, health warning 0x5");
         // A model with one wire sends no answer: after a while it is started all the same.
         let mut silent = Ydlidar::new(Some("X2"), 0);
         let sent = (0..20).filter_map(|step| silent.act(step * ANSWER_NS)).last();

@@ -2,7 +2,7 @@
 
 use crate::alignment::{Agreement, SeenPoint, Surroundings};
 use crate::belief::{Belief, Hypothesis, Knowledge};
-use crate::place_judgement::{Evaluated, Listed, Verdict, shows_walls, verdict};
+use crate::place_acceptance::{Acceptance, Evaluated, Listed, acceptance, shows_walls};
 use crate::place_search::{Near, PlaceSearch, SearchRequest, is_same};
 use crate::recent_views::RecentViews;
 use flockslam_geometry::elementary::{exp, hypot};
@@ -22,7 +22,7 @@ const SCORE_MIN: f64 = 0.45;
 const SHARE_MIN: f64 = 0.75;
 /// A cloud of fewer points is not looked for.
 const POINTS_MIN: usize = 40;
-/// A place that is only promising is accepted when it is so again after this much travel, metres.
+/// An unconfirmed place is accepted when it is found again after this much travel, metres.
 const CONFIRMED_M: f64 = 2.0;
 
 /// Places that were not looked at score at most this share of the place that is accepted.
@@ -78,8 +78,8 @@ pub struct Localizer {
     followed: Option<Followed>,
     /// The best places of the last search, as `map_from_odom`: none is dropped because a later search gives others.
     kept: Vec<(Placement, Listed)>,
-    /// A place that was promising, as `map_from_odom`, and the way until then, metres.
-    promising: Option<(Placement, f64)>,
+    /// A place that was unconfirmed, as `map_from_odom`, and the way until then, metres.
+    unconfirmed: Option<(Placement, f64)>,
     /// Where the robot was when it was looked for last.
     searched_at: Option<Placement>,
     last: Option<Placement>,
@@ -138,7 +138,7 @@ impl Localizer {
             belief: Belief::default(),
             followed: None,
             kept: Vec::new(),
-            promising: None,
+            unconfirmed: None,
             searched_at: None,
             last: None,
             hint: None,
@@ -180,7 +180,7 @@ impl Localizer {
         self.followed = None;
         self.belief = Belief::default();
         self.kept.clear();
-        self.promising = None;
+        self.unconfirmed = None;
         self.misses = 0;
         self.since_agreed_m = 0.0;
         self.searched_at = None;
@@ -405,11 +405,11 @@ impl Localizer {
         }
     }
 
-    /// Whether a place that is promising was so before, too, far enough from here; remembers it otherwise.
+    /// Whether an unconfirmed place was found before, too, far enough from here; remembers it otherwise.
     fn confirms(&mut self, odom: &Placement, at: &Placement) -> bool {
         let way_m = self.recent.way_m();
-        let before = self.promising.filter(|(from, _)| is_same(&from.compose(*odom), at));
-        let (_, since_m) = *self.promising.insert(before.unwrap_or((at.compose(odom.inverse()), way_m)));
+        let before = self.unconfirmed.filter(|(from, _)| is_same(&from.compose(*odom), at));
+        let (_, since_m) = *self.unconfirmed.insert(before.unwrap_or((at.compose(odom.inverse()), way_m)));
         way_m - since_m >= CONFIRMED_M
     }
 
@@ -433,9 +433,9 @@ impl Localizer {
             inverse(&fit.information.map(|h| unit * h))
         });
         let is_held = covariance.is_some_and(|c| widest(&c) <= SIGMA_MAX_M * SIGMA_MAX_M);
-        let verdict = verdict(evaluated, self.recent.travel_m(), is_held);
-        let is_confirmed = verdict == Verdict::Promising && self.confirms(&odom, &best.at);
-        self.belief.knowledge = if is_confirmed { Knowledge::Localized } else { verdict.knowledge() };
+        let acceptance = acceptance(evaluated, self.recent.travel_m(), is_held);
+        let is_confirmed = acceptance == Acceptance::Unconfirmed && self.confirms(&odom, &best.at);
+        self.belief.knowledge = if is_confirmed { Knowledge::Localized } else { acceptance.knowledge() };
         if let (Knowledge::Localized, Some(fit), Some(covariance)) =
             (self.belief.knowledge, best.fit, covariance)
         {

@@ -251,8 +251,8 @@ impl OdometryGraph {
         };
         self.unmatched += usize::from(matches!(link, Link::Predicted | Link::Followed));
         let to = self.nodes.len();
-        let said = self.odometry.zip(new.odometry).map(|(before, now)| before.to(now));
-        let information = in_frame(&self.information(&link, &motion, said), &last.local_pose);
+        let by_odometry = self.odometry.zip(new.odometry).map(|(before, now)| before.to(now));
+        let information = in_frame(&self.information(&link, &motion, by_odometry), &last.local_pose);
         let motion = last.local_pose.to(local_pose);
         self.edges.push(Edge { from: to - 1, to, motion, information });
         self.matched_motions.push(motion);
@@ -277,15 +277,15 @@ impl OdometryGraph {
 
     /// The constraint that odometry gives between the last node and a new one of another trajectory, its covariance inflated.
     fn joint(&self, motion: &Placement, new: &NewNode) -> Option<Joint> {
-        let said = self.odometry.zip(new.odometry).filter(|_| new.continues)?;
-        let said = said.0.to(said.1);
-        let way_m = (said.x_m * said.x_m + said.y_m * said.y_m).sqrt();
-        let (position, heading) = self.noise.variances(way_m, said.heading_rad.abs());
+        let by_odometry = self.odometry.zip(new.odometry).filter(|_| new.continues)?;
+        let by_odometry = by_odometry.0.to(by_odometry.1);
+        let way_m = (by_odometry.x_m * by_odometry.x_m + by_odometry.y_m * by_odometry.y_m).sqrt();
+        let (position, heading) = self.noise.variances(way_m, by_odometry.heading_rad.abs());
         let sigmas = (
-            LOST_SIGMA.0 + LOST_FACTOR * position.sqrt() + said.distance_m(motion),
-            LOST_SIGMA.1 + LOST_FACTOR * heading.sqrt() + said.turn_rad(motion),
+            LOST_SIGMA.0 + LOST_FACTOR * position.sqrt() + by_odometry.distance_m(motion),
+            LOST_SIGMA.1 + LOST_FACTOR * heading.sqrt() + by_odometry.turn_rad(motion),
         );
-        Some(Joint { sequence: new.sequence, sigmas, motion: said })
+        Some(Joint { sequence: new.sequence, sigmas, motion: by_odometry })
     }
 
     /// The constraints by odometry between trajectories among the first `known` nodes: switchable, unlike [`Self::edges`].
@@ -319,8 +319,8 @@ impl OdometryGraph {
     /// Whether odometry agrees with the front end's motion to a node.
     fn follows(&self, motion: &Placement, new: &NewNode) -> bool {
         let (Some(before), Some(now)) = (self.odometry, new.odometry) else { return false };
-        let said = before.to(now);
-        said.distance_m(motion) <= FOLLOWED.0 && said.turn_rad(motion) <= FOLLOWED.1
+        let by_odometry = before.to(now);
+        by_odometry.distance_m(motion) <= FOLLOWED.0 && by_odometry.turn_rad(motion) <= FOLLOWED.1
     }
 
     /// Learns from a match how far odometry is off, and how much matches scatter. Gives whether the match is accepted: where
@@ -335,11 +335,11 @@ impl OdometryGraph {
         if self.noise.excess() < SCATTERING {
             return true;
         }
-        let (said, found) = (before.to(odometry), last.local_pose.to(found.placement));
-        let way_m = (said.x_m * said.x_m + said.y_m * said.y_m).sqrt();
-        let (position, heading) = self.noise.variances(way_m, said.heading_rad.abs());
+        let (by_odometry, found) = (before.to(odometry), last.local_pose.to(found.placement));
+        let way_m = (by_odometry.x_m * by_odometry.x_m + by_odometry.y_m * by_odometry.y_m).sqrt();
+        let (position, heading) = self.noise.variances(way_m, by_odometry.heading_rad.abs());
         let of_match = self.noise.inflated(claimed);
-        let (off_m, off_rad) = (said.distance_m(&found), said.turn_rad(&found));
+        let (off_m, off_rad) = (by_odometry.distance_m(&found), by_odometry.turn_rad(&found));
         off_m * off_m <= IMPROBABLE * (position + of_match.xx.max(of_match.yy))
             && off_rad * off_rad <= IMPROBABLE * (heading + of_match.tt)
     }
@@ -411,7 +411,7 @@ impl OdometryGraph {
     }
 
     /// Information of an odometry edge, in the grid's axes.
-    fn information(&self, link: &Link, motion: &Placement, said: Option<Placement>) -> Symmetric {
+    fn information(&self, link: &Link, motion: &Placement, by_odometry: Option<Placement>) -> Symmetric {
         let way = (motion.x_m * motion.x_m + motion.y_m * motion.y_m).sqrt();
         let turn = motion.heading_rad.abs();
         match link {
@@ -432,7 +432,7 @@ impl OdometryGraph {
             Link::Followed => {
                 let (position, heading) = self.noise.variances(way, turn);
                 let (off_m, off_rad) =
-                    said.map_or((0.0, 0.0), |s| (s.distance_m(motion), s.turn_rad(motion)));
+                    by_odometry.map_or((0.0, 0.0), |s| (s.distance_m(motion), s.turn_rad(motion)));
                 diagonal(
                     FOLLOWED_SIGMA.0 + position.sqrt() + off_m,
                     FOLLOWED_SIGMA.1 + heading.sqrt() + off_rad,

@@ -150,11 +150,12 @@ impl OdometryNoise {
     }
 
     fn compare(&mut self, from: Measured, to: Measured, is_long: bool) {
-        let (measured, said) = (from.pose.to(to.pose), from.odometry.to(to.odometry));
-        let error = measured.to(said);
+        let (measured, by_odometry) = (from.pose.to(to.pose), from.odometry.to(to.odometry));
+        let error = measured.to(by_odometry);
         let square = 0.5 * (error.x_m * error.x_m + error.y_m * error.y_m);
         let turned = error.heading_rad * error.heading_rad;
-        let (position, heading) = usual(hypot(said.x_m, said.y_m), said.heading_rad.abs());
+        let (position, heading) =
+            usual(hypot(by_odometry.x_m, by_odometry.y_m), by_odometry.heading_rad.abs());
         self.position.sample(is_long, square, position);
         self.heading.sample(is_long, turned, heading);
     }

@@ -15,10 +15,10 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// After an invalid message the next is awaited for this time: a sender of invalid messages does not get all of a core …
-const PAUSE_AFTER_GARBAGE: Duration = Duration::from_millis(1);
+const PAUSE_AFTER_MALFORMED: Duration = Duration::from_millis(1);
 /// … but only after so many of them within this: good messages of the topic wait, too.
-const GARBAGE_FREE: u32 = 10;
-const GARBAGE_SPAN: Duration = Duration::from_millis(10);
+const MALFORMED_FREE: u32 = 10;
+const MALFORMED_SPAN: Duration = Duration::from_millis(10);
 
 /// What receives on a topic or a service, once the node runs.
 type SubscriptionTask = Box<dyn FnOnce() -> Pin<Box<dyn Future<Output = ()>>> + Send>;
@@ -99,7 +99,7 @@ impl DdsNode {
             .map_err(|error| refused(&full, &error))?;
         let (undecodable, own) = (Arc::clone(&self.undecodable), Arc::clone(&self.own));
         let listen = async move {
-            let mut garbage = Garbage::default();
+            let mut malformed = MalformedMessages::default();
             loop {
                 match subscription.async_take().await {
                     Ok((message, info)) => {
@@ -111,7 +111,7 @@ impl DdsNode {
                     }
                     Err(error) => {
                         undecodable.note(&full, &error);
-                        garbage.pause().await;
+                        malformed.pause().await;
                     }
                 }
             }
@@ -140,7 +140,7 @@ impl DdsNode {
         let server = Arc::new(server);
         let undecodable = Arc::clone(&self.undecodable);
         let listen = async move {
-            let mut garbage = Garbage::default();
+            let mut malformed = MalformedMessages::default();
             loop {
                 match server.async_receive_request().await {
                     Ok((id, request)) => {
@@ -154,7 +154,7 @@ impl DdsNode {
                     }
                     Err(error) => {
                         undecodable.note(&full, &error);
-                        garbage.pause().await;
+                        malformed.pause().await;
                     }
                 }
             }
@@ -215,22 +215,22 @@ impl Drop for RunningDdsNode {
     }
 }
 
-/// How many messages that are none have come of late.
+/// How many messages that cannot be decoded were received of late.
 #[derive(Default)]
-struct Garbage {
+struct MalformedMessages {
     since: Option<Instant>,
     count: u32,
 }
 
-impl Garbage {
+impl MalformedMessages {
     /// Counts one, and waits where there are too many.
     async fn pause(&mut self) {
-        if self.since.is_none_or(|since| since.elapsed() > GARBAGE_SPAN) {
+        if self.since.is_none_or(|since| since.elapsed() > MALFORMED_SPAN) {
             *self = Self { since: Some(Instant::now()), count: 0 };
         }
         self.count += 1;
-        if self.count > GARBAGE_FREE {
-            tokio::time::sleep(PAUSE_AFTER_GARBAGE).await;
+        if self.count > MALFORMED_FREE {
+            tokio::time::sleep(PAUSE_AFTER_MALFORMED).await;
         }
     }
 }

@@ -81,15 +81,15 @@ impl fmt::Display for LidarLineStatus {
         if self.state == "measuring" {
             write!(f, ", {:.1} Hz, {} beams", self.speed_hz, self.beams)?;
         }
-        let said = [
+        let parts = [
             ("", &self.model),
             ("firmware ", &self.firmware),
             ("serial number ", &self.serial_number),
             ("health ", &self.health),
         ];
-        for (what, said) in said {
-            if let Some(said) = said {
-                write!(f, ", {what}{said}")?;
+        for (what, value) in parts {
+            if let Some(value) = value {
+                write!(f, ", {what}{value}")?;
             }
         }
         if self.returns > 0 { write!(f, ", came back {} times", self.returns) } else { Ok(()) }
@@ -164,14 +164,14 @@ impl LidarBoard {
             }
         }
         self.speed.one(&[name]).set(if status.state == "measuring" { status.speed_hz } else { 0.0 });
-        let said = |said: &Option<String>| said.clone().unwrap_or_default();
+        let known = |value: &Option<String>| value.clone().unwrap_or_default();
         let labels = [
             name.clone(),
             status.state.clone(),
-            said(&status.model),
-            said(&status.firmware),
-            said(&status.serial_number),
-            said(&status.health),
+            known(&status.model),
+            known(&status.firmware),
+            known(&status.serial_number),
+            known(&status.health),
         ];
         if self.shown[at].as_ref() != Some(&labels) {
             if let Some(old) = &self.shown[at] {

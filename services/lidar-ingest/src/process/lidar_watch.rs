@@ -71,9 +71,9 @@ impl LidarWatch {
             return;
         }
         (self.written_ns, self.written_scans) = (now_ns, scans);
-        let said = self.lidars.iter().map(|watched| watched.status.clone());
-        let said: Vec<LidarStatus> = said.filter(|status| status.scans > 0).collect();
-        if let Err(error) = LidarStatus::write(&said, &context.status_dir) {
+        let statuses = self.lidars.iter().map(|watched| watched.status.clone());
+        let measuring: Vec<LidarStatus> = statuses.filter(|status| status.scans > 0).collect();
+        if let Err(error) = LidarStatus::write(&measuring, &context.status_dir) {
             tracing::warn!(%error, "it is not left how lidars are");
         }
     }

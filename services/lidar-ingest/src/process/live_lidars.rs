@@ -115,13 +115,13 @@ impl LidarHandler for LidarOutput {
         if *state == LidarState::Measuring {
             let (speed_hz, beams) = session.last_turn();
             let rate = session.rate().map_or_else(String::new, |rate| format!(" at {rate} baud"));
-            let said =
+            let line =
                 format!("{lidar} measures{rate}: {beams} beams, {speed_hz:.1} Hz; {}", session.device());
             // After a logged problem its end is logged, too.
             if self.troubled.remove(&lidar.name) {
-                tracing::warn!("{said}");
+                tracing::warn!("{line}");
             } else {
-                tracing::info!("{said}");
+                tracing::info!("{line}");
             }
         } else {
             self.troubled.insert(lidar.name.clone());

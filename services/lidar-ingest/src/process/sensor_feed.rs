@@ -111,7 +111,7 @@ impl SensorFeed {
             ("producers_came", producers.came),
             ("producers_went", producers.went),
             ("frames_broken_off", producers.broken_off),
-            ("odometry_carried_on", guesses.extrapolated),
+            ("odometry_extrapolated", guesses.extrapolated),
             ("odometry_missing", guesses.without),
             ("times_gone_back", self.times_back),
         ]

@@ -91,9 +91,9 @@ impl SyncManager {
         let counts = |i: &usize| {
             nodes[*i].trajectory == newest.trajectory && newest.travel_m - nodes[*i].travel_m <= CORRECTION_M
         };
-        let said = |i: usize| at.to(self.poses[i].compose(nodes[i].odom.to(newest.odom)));
+        let correction = |i: usize| at.to(self.poses[i].compose(nodes[i].odom.to(newest.odom)));
         let (mut sum, mut count) = ([0.0; 3], 0.0);
-        for off in (0..known).rev().take(CORRECTION_NODES).take_while(counts).map(said) {
+        for off in (0..known).rev().take(CORRECTION_NODES).take_while(counts).map(correction) {
             sum = [sum[0] + off.x_m, sum[1] + off.y_m, sum[2] + off.heading_rad];
             count += 1.0;
         }

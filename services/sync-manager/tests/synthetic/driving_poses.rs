@@ -29,19 +29,19 @@ fn driven_errors_m(at_each_scan: bool, seed: u64) -> Vec<f64> {
         let pose = PoseEstimate { id, odom_from_base: *odom, submap, flags, ..PoseEstimate::default() };
         manager.pose(&pose);
         manager.node(building.scan(*at, &mut noise).view().unwrap(), &pose, &[]);
-        let mut said = Vec::new();
+        let mut corrections = Vec::new();
         if accepted && at_each_scan {
-            said.push(manager.scan_accepted(id));
-            assert_eq!(said[0].scan, i as u64, "it is named by its scan");
+            corrections.push(manager.scan_accepted(id));
+            assert_eq!(corrections[0].scan, i as u64, "it is named by its scan");
         }
         if i % SUBMAP_SCANS == SUBMAP_SCANS - 1 {
-            said.push(manager.submap_closed(&SubmapClosed {
+            corrections.push(manager.submap_closed(&SubmapClosed {
                 last: id,
                 number: submap,
                 ..SubmapClosed::default()
             }));
         }
-        for correction in said {
+        for correction in corrections {
             assert!(correction.revision >= revision, "revisions only rise");
             (map_from_odom, revision) = (correction.map_from_odom, correction.revision);
         }

@@ -141,7 +141,7 @@ fn a_robot_in_another_building_is_not_localized() {
 
 /// A corridor of another building fits one of the map for some metres.
 #[test]
-fn a_promising_place_is_taken_once_it_is_promising_again_farther_on() {
+fn an_unconfirmed_place_is_accepted_once_it_is_found_again_farther_on() {
     let (mut localizer, map) = localizer();
     let place = Placement::new(4.0, -2.0, 0.5);
     let mut confirmed = |x_m: f64, off_m: f64| {
@@ -152,7 +152,7 @@ fn a_promising_place_is_taken_once_it_is_promising_again_farther_on() {
     assert!(!confirmed(0.0, 0.0) && !confirmed(1.5, 0.1) && confirmed(2.1, 0.1), "2.1 m after it was found");
     assert!(!confirmed(3.0, 2.0) && !confirmed(4.5, 2.1) && confirmed(5.1, 2.0), "another place");
     localizer.relocalize(None);
-    assert!(localizer.promising.is_none());
+    assert!(localizer.unconfirmed.is_none());
 }
 
 #[test]

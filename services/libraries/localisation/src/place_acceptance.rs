@@ -83,34 +83,34 @@ impl Evaluated {
     }
 }
 
-/// What a search says of the best place.
+/// Whether the best place of a search is accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Verdict {
+pub(crate) enum Acceptance {
     /// It is not good enough.
-    Unfit,
+    Rejected,
     /// It is good enough, and others may be as good.
     Ambiguous,
     /// It is the only one, once it is found again after some travel.
-    Promising,
+    Unconfirmed,
     /// It is the only one.
-    Unmistakable,
+    Accepted,
 }
 
-impl Verdict {
+impl Acceptance {
     /// What the robot knows by it, as long as no search after some travel has found the place again.
     pub(crate) fn knowledge(self) -> Knowledge {
         match self {
-            Self::Unfit => Knowledge::Unknown,
-            Self::Ambiguous | Self::Promising => Knowledge::Ambiguous,
-            Self::Unmistakable => Knowledge::Localized,
+            Self::Rejected => Knowledge::Unknown,
+            Self::Ambiguous | Self::Unconfirmed => Knowledge::Ambiguous,
+            Self::Accepted => Knowledge::Localized,
         }
     }
 }
 
-/// What is to be thought of the best place after so much travel, metres, when these are the best, the best first. `is_held`: surfaces hold it
+/// Whether the best place is accepted after so much travel, metres, when these are the best, the best first. `is_held`: surfaces hold it
 /// in all directions.
-pub(crate) fn verdict(evaluated: &[Evaluated], travel_m: f64, is_held: bool) -> Verdict {
-    let Some((best, others)) = evaluated.split_first() else { return Verdict::Unfit };
+pub(crate) fn acceptance(evaluated: &[Evaluated], travel_m: f64, is_held: bool) -> Acceptance {
+    let Some((best, others)) = evaluated.split_first() else { return Acceptance::Rejected };
     // The greatest share of the best place's merit that is found elsewhere, by both measures.
     let greatest = |of: fn(&Evaluated) -> f64| {
         let most = others.iter().map(of).fold(0.0, f64::max);
@@ -141,13 +141,13 @@ pub(crate) fn verdict(evaluated: &[Evaluated], travel_m: f64, is_held: bool) -> 
     let stands_out = |of: &(f64, f64, f64, f64)| is_driven(of) && alternative <= of.3;
     let would_be_known = is_held && (best.listed.is_among_all || best.listed.times >= LISTED_MIN);
     if would_be_known && ((is_best && (is_clear || travel_m >= EARLY_M)) || is_at_border || is_far) {
-        Verdict::Unmistakable
+        Acceptance::Accepted
     } else if would_be_known && (is_best || is_alone || is_among_furniture || DRIVEN.iter().any(stands_out)) {
-        Verdict::Promising
+        Acceptance::Unconfirmed
     } else if is_good || is_alone || is_among_furniture || DRIVEN.iter().any(is_driven) {
-        Verdict::Ambiguous
+        Acceptance::Ambiguous
     } else {
-        Verdict::Unfit
+        Acceptance::Rejected
     }
 }
 
@@ -187,15 +187,15 @@ mod tests {
     #[test]
     fn furniture_tells_equal_rooms_apart_after_some_metres() {
         let places = [place(0.85, 0.11, LISTED), place(0.76, 0.14, LISTED)];
-        let of = |travel_m| verdict(&places, travel_m, true);
-        assert_eq!([2.0, 5.0].map(of), [Verdict::Unfit, Verdict::Promising]);
+        let of = |travel_m| acceptance(&places, travel_m, true);
+        assert_eq!([2.0, 5.0].map(of), [Acceptance::Rejected, Acceptance::Unconfirmed]);
         let changed = [place(0.85, 0.16, LISTED), place(0.76, 0.16, LISTED)];
-        let of = |travel_m| verdict(&changed, travel_m, true);
-        assert_eq!([5.0, 11.0].map(of), [Verdict::Unfit, Verdict::Promising]);
+        let of = |travel_m| acceptance(&changed, travel_m, true);
+        assert_eq!([5.0, 11.0].map(of), [Acceptance::Rejected, Acceptance::Unconfirmed]);
         let alike = [place(0.85, 0.13, LISTED), place(0.82, 0.14, LISTED)];
-        assert_eq!(verdict(&alike, 16.0, true), Verdict::Ambiguous);
+        assert_eq!(acceptance(&alike, 16.0, true), Acceptance::Ambiguous);
         let changed = [place(0.75, 0.22, LISTED), place(0.5, 0.4, LISTED)];
-        assert_eq!(verdict(&changed, 16.0, true), Verdict::Unfit);
+        assert_eq!(acceptance(&changed, 16.0, true), Acceptance::Rejected);
     }
 
     /// As Intel's log and that of ACES fit best in the map of FR079: what is explained and contradicted there, and the merit elsewhere.
@@ -203,39 +203,51 @@ mod tests {
     fn places_that_look_like_those_of_another_building_are_not_accepted_at_once() {
         let of = |explained: f64, contradicted: f64, alternative: f64, travel_m| {
             let other = alternative * (explained - contradicted);
-            verdict(&[place(explained, contradicted, LISTED), place(other, 0.0, LISTED)], travel_m, true)
+            acceptance(&[place(explained, contradicted, LISTED), place(other, 0.0, LISTED)], travel_m, true)
         };
-        assert_eq!(of(0.654, 0.137, 0.462, 1.8), Verdict::Unfit, "a room of Intel");
-        assert_eq!(of(0.624, 0.133, 0.898, 2.4), Verdict::Unfit, "another one");
-        assert_eq!(of(0.816, 0.071, 0.467, 0.9), Verdict::Promising, "the same room before that");
-        assert_eq!(of(0.730, 0.056, 0.795, 1.9), Verdict::Promising, "a room of FR079 in the map of Intel");
-        assert_eq!(of(0.806, 0.116, 0.876, 4.0), Verdict::Ambiguous, "a corridor of ACES");
-        assert_eq!(of(0.742, 0.110, 0.718, 5.2), Verdict::Promising, "it contradicts more 2 m later");
-        assert_eq!(of(0.601, 0.172, 0.65, 10.6), Verdict::Unfit, "much contradicts");
-        assert_eq!(of(0.592, 0.132, 0.58, 14.1), Verdict::Unmistakable, "ACES in its own map");
-        assert_eq!(of(0.718, 0.151, 0.831, 8.3), Verdict::Unfit, "as it does here");
+        assert_eq!(of(0.654, 0.137, 0.462, 1.8), Acceptance::Rejected, "a room of Intel");
+        assert_eq!(of(0.624, 0.133, 0.898, 2.4), Acceptance::Rejected, "another one");
+        assert_eq!(of(0.816, 0.071, 0.467, 0.9), Acceptance::Unconfirmed, "the same room before that");
+        assert_eq!(
+            of(0.730, 0.056, 0.795, 1.9),
+            Acceptance::Unconfirmed,
+            "a room of FR079 in the map of Intel"
+        );
+        assert_eq!(of(0.806, 0.116, 0.876, 4.0), Acceptance::Ambiguous, "a corridor of ACES");
+        assert_eq!(of(0.742, 0.110, 0.718, 5.2), Acceptance::Unconfirmed, "it contradicts more 2 m later");
+        assert_eq!(of(0.601, 0.172, 0.65, 10.6), Acceptance::Rejected, "much contradicts");
+        assert_eq!(of(0.592, 0.132, 0.58, 14.1), Acceptance::Accepted, "ACES in its own map");
+        assert_eq!(of(0.718, 0.151, 0.831, 8.3), Acceptance::Rejected, "as it does here");
     }
 
     #[test]
     fn who_sees_much_that_the_map_does_not_have_is_found_where_nothing_contradicts() {
         let at = |contradicted: f64, other: f64| {
             let places = [place(0.42, contradicted, LISTED), place(0.55, 0.55 - other, LISTED)];
-            verdict(&places, 8.0, true)
+            acceptance(&places, 8.0, true)
         };
-        assert_eq!(at(0.03, 0.15), Verdict::Unmistakable);
-        assert_eq!(at(0.08, 0.15), Verdict::Unfit, "much contradicts");
-        assert_eq!(at(0.03, 0.3), Verdict::Unfit, "another place is nearly as good");
-        assert_eq!(verdict(&[place(0.42, 0.03, LISTED)], 2.0, true), Verdict::Unfit, "it has hardly driven");
-        assert_eq!(verdict(&[place(0.42, 0.03, LISTED)], 8.0, false), Verdict::Unfit, "nothing holds it");
+        assert_eq!(at(0.03, 0.15), Acceptance::Accepted);
+        assert_eq!(at(0.08, 0.15), Acceptance::Rejected, "much contradicts");
+        assert_eq!(at(0.03, 0.3), Acceptance::Rejected, "another place is nearly as good");
+        assert_eq!(
+            acceptance(&[place(0.42, 0.03, LISTED)], 2.0, true),
+            Acceptance::Rejected,
+            "it has hardly driven"
+        );
+        assert_eq!(
+            acceptance(&[place(0.42, 0.03, LISTED)], 8.0, false),
+            Acceptance::Rejected,
+            "nothing holds it"
+        );
     }
 
     /// Where more places score alike than a search gives, an equal one may be among those that it does not give.
     #[test]
     fn a_place_is_accepted_once_equal_ones_would_have_been_found() {
-        let after = |times| verdict(&[place(0.9, 0.02, Listed { is_among_all: false, times })], 5.0, true);
+        let after = |times| acceptance(&[place(0.9, 0.02, Listed { is_among_all: false, times })], 5.0, true);
         assert_eq!(
             [0, 1, 2, 3].map(after),
-            [Verdict::Ambiguous, Verdict::Ambiguous, Verdict::Ambiguous, Verdict::Unmistakable]
+            [Acceptance::Ambiguous, Acceptance::Ambiguous, Acceptance::Ambiguous, Acceptance::Accepted]
         );
     }
 }
