@@ -34,6 +34,9 @@ const STEP_SCALES_MAX: (f64, f64) = (0.05, 0.5);
 /// velocity.
 const SHARE_MAX: f64 = 0.8;
 
+/// A robot whose wheels slip changes its velocity between two scans by so much, m/s. Of 24 simulated warehouses all come out right with 0.3 to
+/// 0.5; with 0.7 scans along racks pull one robot in a wrong place.
+const COASTING_NOISE_M_S: f64 = 0.4;
 /// A change of the turn between scans that may be noise of odometry, radians a second.
 const TURN_NOISE_RAD_S: f64 = 0.1;
 
@@ -160,6 +163,7 @@ impl Motion {
                 step,
                 steady: None,
                 coasting: None,
+                is_coasting: false,
             };
         }
         let step_s = self.steps.step_s(scan);
@@ -203,15 +207,28 @@ impl Motion {
         covariance.xx += position;
         covariance.yy += position;
         covariance.tt += drift_rad2;
-        let coasting =
-            self.odometry.filter(|_| goes_on).map(|_| Coasting { pose: unchanged, twist: self.velocity });
+        let coasting = self.odometry.filter(|_| goes_on).map(|_| Coasting {
+            pose: unchanged,
+            twist: self.velocity,
+            sigma_m: COASTING_NOISE_M_S * unchanged_s,
+        });
         let scales = self.noise.scales();
         let position = drift_m2 * (STEP_SCALES_MAX.0 / scales.0).min(1.0);
         let heading = drift_rad2 * (STEP_SCALES_MAX.1 / scales.1).min(1.0);
         let step = Covariance { xx: position, yy: position, tt: heading, ..Covariance::default() };
         let pose = self.pose * motion;
         let measured = self.measured(scan).map(|_| self.measured_sigma(twist));
-        Prediction { pose, twist, measured, after_gap, covariance, step, steady, coasting }
+        Prediction {
+            pose,
+            twist,
+            measured,
+            after_gap,
+            covariance,
+            step,
+            steady,
+            coasting,
+            is_coasting: false,
+        }
     }
 
     /// The velocity during a scan as odometry measured it, unless it may have jumped.

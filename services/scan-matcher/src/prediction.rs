@@ -27,6 +27,8 @@ pub(crate) struct Prediction {
     pub(crate) steady: Option<Steady>,
     /// The motion since the scan before if the robot went on at its velocity, where it has odometry.
     pub(crate) coasting: Option<Coasting>,
+    /// Wheels slip: the pose is by the velocity, not by odometry.
+    pub(crate) is_coasting: bool,
 }
 
 /// A motion from one scan to the next at a constant velocity.
@@ -34,6 +36,8 @@ pub(crate) struct Prediction {
 pub(crate) struct Coasting {
     pub(crate) pose: Pose,
     pub(crate) twist: Twist,
+    /// Standard deviation of the position along each axis after it, metres.
+    pub(crate) sigma_m: f64,
 }
 
 /// The pose if the robot went on at its velocity.

@@ -61,7 +61,7 @@ const NOISE_MIN: f64 = 0.1;
 const SEARCH_COST: f64 = 8.0;
 /// What a scan of a place that never looks the same gains by chance when it is fitted.
 const CHANCE_GAIN: f64 = 2.0;
-/// Standard deviations of where the robot is if it goes on as before, metres and radians.
+/// Greatest standard deviations of where the robot is if it goes on as before, metres and radians.
 const COASTING_SIGMA: (f64, f64) = (0.1, 0.1);
 /// A fit that costs less than this by odometry is not compared with the predicted pose: two standard deviations.
 const PLAUSIBLE_COST: f64 = 2.0;
@@ -283,7 +283,7 @@ impl<F: ScoreField> Fitter<'_, F> {
     /// The covariance of a fit: large where the scan determines little; there the fit is fused with the prediction.
     fn weighed(&self, fitted: Fitted) -> Fitted {
         let claimed = self.claimed(fitted.covariance, &fitted.points, fitted.fit.pose);
-        let has_odometry = self.scan.odometry().is_some();
+        let has_odometry = self.scan.odometry().is_some() && !fitted.prediction.is_coasting;
         let covariance = if has_odometry {
             self.noise.inflated(claimed)
         } else {
@@ -391,8 +391,10 @@ impl<F: ScoreField> Fitter<'_, F> {
         let fit = self.refine(&points, start, start);
         let gain = gain + self.gain(&fit, &near) - CHANCE_GAIN;
         if gain >= SLIP_COST {
-            let covariance = Covariance::diagonal(COASTING_SIGMA.0, COASTING_SIGMA.1);
-            let prediction = Prediction { pose: start, twist: motion.twist, covariance, ..prediction };
+            let sigma_m = coasting.sigma_m.min(COASTING_SIGMA.0);
+            let covariance = Covariance::diagonal(sigma_m, COASTING_SIGMA.1);
+            let prediction =
+                Prediction { pose: start, twist: motion.twist, covariance, is_coasting: true, ..prediction };
             return Settled { prediction, points, near: Some(fit), alternative: None };
         }
         let points = points.straightened(prediction.twist);
