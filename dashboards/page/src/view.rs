@@ -84,7 +84,7 @@ pub struct RobotNow {
     pub sequence: u64,
     /// Pose in the map: metres, metres, radians.
     pub map_from_base: [f64; 3],
-    /// The correction in force.
+    /// The current correction.
     pub map_from_odom: [f64; 3],
     /// `tracking`, `degraded` or `lost`.
     pub quality: &'static str,

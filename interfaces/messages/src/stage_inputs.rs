@@ -18,7 +18,7 @@ message! {
         pub grid: CommitName,
         /// The first commit that the process has taken in: tiles of earlier ones it has only by later ones.
         pub first_grid: CommitName,
-        /// The correction in force; revision 0 when there is none.
+        /// The current correction; revision 0 when there is none.
         pub correction: Correction,
         /// Tiles of the grid.
         pub tiles: u32,

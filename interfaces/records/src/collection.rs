@@ -265,9 +265,9 @@ impl Collection {
         if !begun && of_robot().count() >= self.limits.epochs_max {
             return Some(Refusal::Epochs);
         }
-        let of_its_own: u64 = of_robot().map(|(_, log)| log.bytes()).sum();
+        let robot_bytes: u64 = of_robot().map(|(_, log)| log.bytes()).sum();
         let bytes = bytes as u64;
-        if of_its_own + bytes > self.limits.robot_bytes_max {
+        if robot_bytes + bytes > self.limits.robot_bytes_max {
             return Some(Refusal::Bytes);
         }
         let of_others = self.logs.iter().filter(|((robot, _), _)| self.own.as_ref() != Some(robot));

@@ -348,9 +348,9 @@ impl ProcessSet {
 
     /// What a process said when it ended by itself, else how it ended.
     fn reason(&self, stage: Stage, status: ExitStatus) -> String {
-        let reason =
+        let written =
             || std::fs::read_to_string(error_file(&self.runtime, stage)).ok().filter(|text| !text.is_empty());
-        status.code().and_then(|_| reason()).unwrap_or_else(|| describe(status))
+        status.code().and_then(|_| written()).unwrap_or_else(|| describe(status))
     }
 
     fn ended(&self, stage: Stage, status: ExitStatus) -> SetError {

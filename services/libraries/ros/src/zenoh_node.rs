@@ -26,7 +26,7 @@ const LOOK_PERIOD: Duration = Duration::from_millis(50);
 /// Greatest number of keys of others with their subscriptions: more are not read.
 const SUBSCRIPTIONS_MAX: usize = 4096;
 /// What rmw_zenoh has by default; a bound for what is put together of fragments, as a scan of ten million beams has 80 MB; and how long a
-/// message waits for room before it is dropped, microseconds: after a map that of zenoh, 1 ms, is too short on a busy machine.
+/// message waits for room before it is dropped, microseconds. Zenoh waits 1 ms; a transform behind a map may have to wait longer for a processor.
 const DEFAULTS: [(&str, &str); 8] = [
     ("mode", "\"peer\""),
     ("connect/endpoints", "[\"tcp/localhost:7447\"]"),

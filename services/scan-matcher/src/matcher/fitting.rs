@@ -61,8 +61,8 @@ const NOISE_MIN: f64 = 0.1;
 const SEARCH_COST: f64 = 8.0;
 /// What a scan of a place that never looks the same gains by chance when it is fitted.
 const CHANCE_GAIN: f64 = 2.0;
-/// Greatest standard deviations of where the robot is if it goes on as before, metres and radians.
-const COASTING_SIGMA: (f64, f64) = (0.1, 0.1);
+/// Standard deviation of the heading if the robot goes on as before, radians.
+const COASTING_SIGMA_RAD: f64 = 0.1;
 /// A fit that costs less than this by odometry is not compared with the predicted pose: two standard deviations.
 const PLAUSIBLE_COST: f64 = 2.0;
 /// Standard deviations of the prediction in directions that the scan does not determine.
@@ -391,8 +391,7 @@ impl<F: ScoreField> Fitter<'_, F> {
         let fit = self.refine(&points, start, start);
         let gain = gain + self.gain(&fit, &near) - CHANCE_GAIN;
         if gain >= SLIP_COST {
-            let sigma_m = coasting.sigma_m.min(COASTING_SIGMA.0);
-            let covariance = Covariance::diagonal(sigma_m, COASTING_SIGMA.1);
+            let covariance = Covariance::diagonal(coasting.sigma_m, COASTING_SIGMA_RAD);
             let prediction =
                 Prediction { pose: start, twist: motion.twist, covariance, is_coasting: true, ..prediction };
             return Settled { prediction, points, near: Some(fit), alternative: None };

@@ -25,7 +25,7 @@ const TRAVEL_MAX_M: f64 = 2.5;
 const SAME: (f64, f64) = (0.1, 0.02);
 /// Odometry must hold less than this share of the points that the alternative holds.
 const POOR_SHARE: f64 = 0.6;
-/// Greatest standard deviations of a pose that an alternative gives, metres and radians.
+/// Standard deviations of a pose that an alternative gives, metres where the velocity gives none, and radians.
 const SIGMA: (f64, f64) = (0.1, 0.05);
 
 /// A scan as it was placed.
@@ -131,7 +131,7 @@ impl SlipWatch {
         let cost = if now.was_right { AGAIN_COST } else { SLIP_COST };
         if now.gain >= cost && now.held[1] < POOR_SHARE * now.held[0] {
             self.alternative = Some(Alternative { gain: 0.0, held: [0.0; 2], was_right: true, ..now });
-            let sigma_m = prediction.coasting.map_or(SIGMA.0, |coasting| coasting.sigma_m.min(SIGMA.0));
+            let sigma_m = prediction.coasting.map_or(SIGMA.0, |coasting| coasting.sigma_m);
             let covariance = Covariance::diagonal(sigma_m, SIGMA.1);
             let twist = Twist { turn_rad_s: now.twist.turn_rad_s, ..prediction.twist };
             return Prediction {
