@@ -14,6 +14,12 @@ const STEPS: u32 = 12;
 const GATES_M: (f64, f64) = (0.3, 0.15);
 /// Scale of the Cauchy kernel, metres.
 const KERNEL_M: f64 = 0.05;
+/// The pose at which points are nearest to something: number of points, what is far, metres, …
+const NEAREST_POINTS: usize = 96;
+const NEAREST_M: f64 = 0.4;
+/// … and steps on each side, and their length: in each direction, metres, and in heading, radians.
+const NEAREST_STEPS: (i32, f64) = (3, 0.1);
+const NEAREST_TURNS: (i32, f64) = (3, 0.005);
 /// A direction of which the surfaces say less than this share of what they say across it is open.
 const OPEN_SHARE: f64 = 0.03;
 /// A point nearer to something occupied than this is explained by it, metres.
@@ -24,6 +30,8 @@ const CONTRADICTED_M: f64 = 0.3;
 const BEFORE_M: f64 = 0.4;
 /// A surface that beams pass is counted in squares of this side, metres, as points of a cloud are.
 const THROUGH_M: f64 = 0.1;
+/// Agreement is a share of at least this share of all points, however many lie among scattered returns.
+const TELLING_MIN: f64 = 0.3;
 /// Steps along a beam, metres.
 const BEAM_STEP_M: f64 = 0.1;
 
@@ -73,15 +81,24 @@ pub struct Surroundings {
     map: KnownMap,
     field: PlaceField,
     border_field: PlaceField,
+    outdoors: OutdoorMap,
     lines: SurfaceLines,
+}
+
+/// What is firm in a map: no ground, grass and leaves.
+struct OutdoorMap {
+    map: KnownMap,
+    field: PlaceField,
 }
 
 impl Surroundings {
     /// Works them out once.
     pub fn new(map: KnownMap) -> Self {
         let [field, border_field] = [UNKNOWN, MUCH_UNKNOWN].map(|unknown| PlaceField::new(&map, unknown));
+        let firm = map.without_scattered();
+        let outdoors = OutdoorMap { field: PlaceField::wide(&firm, UNKNOWN), map: firm };
         let lines = SurfaceLines::new(&map);
-        Self { map, field, border_field, lines }
+        Self { map, field, border_field, outdoors, lines }
     }
 
     /// The map itself.
@@ -97,6 +114,40 @@ impl Surroundings {
     /// What a search reads for a robot that may see much that the map does not have.
     pub fn border_field(&self) -> &PlaceField {
         &self.border_field
+    }
+
+    /// What a search reads for a robot outdoors.
+    pub fn outdoor_field(&self) -> &PlaceField {
+        &self.outdoors.field
+    }
+
+    /// The pose near a place of a wide search at which points are nearest to something occupied: within a cell of that, nearer than lines
+    /// draw a fit.
+    pub fn nearest_outdoors(&self, points: &[SeenPoint], place: Placement) -> Placement {
+        let map = &self.outdoors.map;
+        let few = points.iter().step_by(points.len().div_ceil(NEAREST_POINTS).max(1));
+        let few: Vec<(f64, f64)> = few.map(|point| (point.x_m, point.y_m)).collect();
+        let nearness = |at: &Placement| -> f64 {
+            let distances = few.iter().map(|(x_m, y_m)| {
+                let (x_m, y_m) = at.apply(*x_m, *y_m);
+                map.at(x_m, y_m).distance_m.min(NEAREST_M)
+            });
+            -distances.sum::<f64>()
+        };
+        let steps = |count: i32, step: f64| (-count..=count).map(move |k| f64::from(k) * step);
+        let mut best = (nearness(&place), place);
+        for turn in steps(NEAREST_TURNS.0, NEAREST_TURNS.1) {
+            for dx in steps(NEAREST_STEPS.0, NEAREST_STEPS.1) {
+                for dy in steps(NEAREST_STEPS.0, NEAREST_STEPS.1) {
+                    let at = Placement::new(place.x_m + dx, place.y_m + dy, place.heading_rad + turn);
+                    let near = nearness(&at);
+                    if near > best.0 {
+                        best = (near, at);
+                    }
+                }
+            }
+        }
+        best.1
     }
 
     /// Fits points to the surfaces of the map from `guess`, drawn to it by `prior` (information in the map's axes). `None` when no point
@@ -160,48 +211,61 @@ impl Surroundings {
 
     /// How points agree with the map at a pose.
     pub fn agreement(&self, points: &[SeenPoint], map_from_cloud: &Placement) -> Agreement {
-        let (mut explained, mut clear, mut behind, mut in_free) = (0, 0, 0, 0);
-        let mut through: Vec<(i32, i32)> = Vec::new();
-        for point in points {
-            let (x, y) = map_from_cloud.apply(point.x_m, point.y_m);
-            let place = self.map.at(x, y);
-            let is_in_free = place.state == CellState::Free && place.distance_m > CONTRADICTED_M;
-            let is_explained = place.distance_m <= EXPLAINED_M;
-            let passed = if is_in_free { None } else { self.seen_through(point, map_from_cloud) };
-            explained += u32::from(is_explained);
-            clear += u32::from(is_explained && passed.is_none());
-            behind += u32::from(passed.is_some());
-            in_free += u32::from(is_in_free);
-            through.extend(passed);
-        }
-        through.sort_unstable();
-        through.dedup();
-        let through = through.len() as u32;
-        let share = |count: u32| f64::from(count) / points.len().max(1) as f64;
-        Agreement {
-            explained: share(explained),
-            contradicted: share(in_free + through),
-            clear: share(clear),
-            behind: share(behind),
-            through: share(through),
-        }
+        agreement_with(&self.map, points, map_from_cloud)
     }
 
-    /// The square of the map in which a beam to a point would have ended at something before it.
-    fn seen_through(&self, point: &SeenPoint, map_from_cloud: &Placement) -> Option<(i32, i32)> {
-        let from = map_from_cloud.apply(point.from_x_m, point.from_y_m);
-        let to = map_from_cloud.apply(point.x_m, point.y_m);
-        let (dx, dy) = (to.0 - from.0, to.1 - from.1);
-        let range_m = hypot(dx, dy);
-        let steps = ((range_m - BEFORE_M) / BEAM_STEP_M).floor().max(0.0) as u32;
-        let (dx, dy) = (dx / range_m * BEAM_STEP_M, dy / range_m * BEAM_STEP_M);
-        let at = |step: u32| (from.0 + dx * f64::from(step), from.1 + dy * f64::from(step));
-        // A beam that grazes a corner meets it in a step or two.
-        let mut met = (2..steps).map(at).filter(|at| self.map.at(at.0, at.1).state == CellState::Occupied);
-        let (first, _) = (met.next()?, met.next()?);
-        let square = |metres: f64| (metres * (1.0 / THROUGH_M)).floor() as i32;
-        Some((square(first.0), square(first.1)))
+    /// How firm points agree with what is firm in the map.
+    pub fn agreement_outdoors(&self, points: &[SeenPoint], map_from_cloud: &Placement) -> Agreement {
+        agreement_with(&self.outdoors.map, points, map_from_cloud)
     }
+}
+
+fn agreement_with(map: &KnownMap, points: &[SeenPoint], map_from_cloud: &Placement) -> Agreement {
+    let (mut explained, mut clear, mut behind, mut in_free, mut scattered) = (0, 0, 0, 0, 0);
+    let mut through: Vec<(i32, i32)> = Vec::new();
+    for point in points {
+        let (x, y) = map_from_cloud.apply(point.x_m, point.y_m);
+        let place = map.at(x, y);
+        let is_in_free =
+            place.state == CellState::Free && place.distance_m > CONTRADICTED_M && !place.is_scattered;
+        let is_explained = place.distance_m <= EXPLAINED_M;
+        let passed = if is_in_free { None } else { seen_through(map, point, map_from_cloud) };
+        explained += u32::from(is_explained);
+        clear += u32::from(is_explained && passed.is_none());
+        behind += u32::from(passed.is_some());
+        in_free += u32::from(is_in_free);
+        scattered += u32::from(place.is_scattered && !is_explained && passed.is_none());
+        through.extend(passed);
+    }
+    through.sort_unstable();
+    through.dedup();
+    let through = through.len() as u32;
+    // Points on ground and grass say nothing.
+    let telling = (points.len() as u32 - scattered).max((TELLING_MIN * points.len() as f64) as u32).max(1);
+    let share = |count: u32| f64::from(count) / f64::from(telling);
+    Agreement {
+        explained: share(explained),
+        contradicted: share(in_free + through),
+        clear: share(clear),
+        behind: share(behind),
+        through: share(through),
+    }
+}
+
+/// The square of the map in which a beam to a point would have ended at something before it.
+fn seen_through(map: &KnownMap, point: &SeenPoint, map_from_cloud: &Placement) -> Option<(i32, i32)> {
+    let from = map_from_cloud.apply(point.from_x_m, point.from_y_m);
+    let to = map_from_cloud.apply(point.x_m, point.y_m);
+    let (dx, dy) = (to.0 - from.0, to.1 - from.1);
+    let range_m = hypot(dx, dy);
+    let steps = ((range_m - BEFORE_M) / BEAM_STEP_M).floor().max(0.0) as u32;
+    let (dx, dy) = (dx / range_m * BEAM_STEP_M, dy / range_m * BEAM_STEP_M);
+    let at = |step: u32| (from.0 + dx * f64::from(step), from.1 + dy * f64::from(step));
+    // A beam that grazes a corner meets it in a step or two.
+    let mut met = (2..steps).map(at).filter(|at| map.at(at.0, at.1).state == CellState::Occupied);
+    let (first, _) = (met.next()?, met.next()?);
+    let square = |metres: f64| (metres * (1.0 / THROUGH_M)).floor() as i32;
+    Some((square(first.0), square(first.1)))
 }
 
 /// Sums over the points at one pose.
@@ -247,4 +311,35 @@ impl Sums {
 /// `h⁻¹ · g`; `None` when h has no inverse.
 fn solved(h: &Symmetric, g: &[f64; 3]) -> Option<[f64; 3]> {
     Some(times(&inverse(h)?, g))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockslam_geometry::Point;
+
+    /// A step of the wide search is farther from the pose than lines draw a fit.
+    #[test]
+    fn the_nearest_pose_is_where_points_lie_on_walls() {
+        let mut map = KnownMap::of_width(200, 0.05, Point::default());
+        for y in 0..200 {
+            let is_wall = |x: usize| x == 20 || y == 30 || (x == 150 && y > 100);
+            let state = |x: usize| if is_wall(x) { CellState::Occupied } else { CellState::Free };
+            map.push_row((0..200).map(state));
+        }
+        let surroundings = Surroundings::new(map.measured());
+        let truth = Placement::new(5.0, 5.0, 0.3);
+        let on_walls = (0..60).flat_map(|k| {
+            let along_m = 2.0 + 0.1 * f64::from(k);
+            [(1.025, along_m), (along_m, 1.525), (7.525, 5.1 + 0.05 * f64::from(k))]
+        });
+        let seen = |(x, y)| {
+            let (x_m, y_m) = truth.inverse().apply(x, y);
+            SeenPoint { x_m, y_m, from_x_m: 0.0, from_y_m: 0.0 }
+        };
+        let points: Vec<SeenPoint> = on_walls.map(seen).collect();
+        let place = Placement::new(5.2, 4.8, 0.31);
+        let nearest = surroundings.nearest_outdoors(&points, place);
+        assert!(nearest.distance_m(&truth) < 0.08 && nearest.turn_rad(&truth) < 0.008, "{nearest:?}");
+    }
 }

@@ -1,5 +1,6 @@
 //! The known map: a grid of free, occupied and unknown cells with the distance to the nearest occupied one, read only.
 
+use crate::scattered_returns::scattered_returns;
 use flockslam_evidence::CellState;
 use flockslam_geometry::Point;
 
@@ -9,6 +10,8 @@ const FAR: u8 = 63;
 const STEPS_PER_CELL: u8 = 3;
 /// Bits of the state in a cell's byte.
 const STATE_SHIFT: u8 = 6;
+/// The state of a cell among scattered returns, beside those of [`CellState`].
+const SCATTERED: u8 = 3;
 
 /// A grid map that is known and never edited.
 ///
@@ -29,6 +32,8 @@ pub struct Place {
     pub state: CellState,
     /// Distance from the middle of the cell to that of the nearest occupied one, metres; what is far is no farther than 21 cells.
     pub distance_m: f64,
+    /// It lies among scattered returns of ground or grass: beams end there, or pass, at random.
+    pub is_scattered: bool,
 }
 
 impl KnownMap {
@@ -83,6 +88,25 @@ impl KnownMap {
         self
     }
 
+    /// The map without scattered returns of ground, grass and leaves: far points would meet some everywhere.
+    #[must_use]
+    pub(crate) fn without_scattered(&self) -> Self {
+        let is_occupied: Vec<bool> =
+            self.cells.iter().map(|cell| cell >> STATE_SHIFT == CellState::Occupied as u8).collect();
+        let scattered = scattered_returns(&is_occupied, self.width, self.cell_size_m);
+        let is_known = |cell: u8| cell >> STATE_SHIFT != CellState::Unknown as u8;
+        let mut surfaces = self.clone();
+        let is_scattered = scattered.is_patch.iter().zip(&scattered.is_among_many).map(|(a, b)| *a || *b);
+        for (cell, is_scattered) in surfaces.cells.iter_mut().zip(is_scattered) {
+            if is_scattered && is_known(*cell) {
+                *cell = (SCATTERED << STATE_SHIFT) | FAR;
+            } else if *cell >> STATE_SHIFT != CellState::Occupied as u8 {
+                *cell |= FAR;
+            }
+        }
+        surfaces.measured()
+    }
+
     /// Cells along x.
     pub fn width(&self) -> usize {
         self.width
@@ -114,9 +138,10 @@ impl KnownMap {
     pub fn cell(&self, column: i64, row: i64) -> Place {
         let inside = (0..self.width as i64).contains(&column) && (0..self.height as i64).contains(&row);
         let byte = if inside { self.cells[row as usize * self.width + column as usize] } else { FAR };
-        let state = CellState::of_bits(byte >> STATE_SHIFT);
+        let is_scattered = byte >> STATE_SHIFT == SCATTERED;
+        let state = if is_scattered { CellState::Free } else { CellState::of_bits(byte >> STATE_SHIFT) };
         let distance_m = f64::from(byte & FAR) * self.cell_size_m / f64::from(STEPS_PER_CELL);
-        Place { state, distance_m }
+        Place { state, distance_m, is_scattered }
     }
 
     /// The cell that holds a point of the map frame, metres.
@@ -156,7 +181,10 @@ mod tests {
             map.push_row((0..8).map(state));
         }
         let map = map.measured();
-        assert_eq!(map.at(0.15, 1.25), Place { state: CellState::Occupied, distance_m: 0.0 });
+        assert_eq!(
+            map.at(0.15, 1.25),
+            Place { state: CellState::Occupied, distance_m: 0.0, is_scattered: false }
+        );
         assert!((map.cell(7, 2).distance_m - 0.4).abs() < 1e-9);
         let across = map.cell(0, 5).distance_m;
         assert!((across - 0.3 * 2f64.sqrt()).abs() < 0.03, "{across}");

@@ -2,7 +2,9 @@
 
 use crate::alignment::{Agreement, SeenPoint, Surroundings};
 use crate::belief::{Belief, Hypothesis, Knowledge};
-use crate::place_acceptance::{Acceptance, Evaluated, Listed, acceptance, shows_walls};
+use crate::hint::Hint;
+use crate::outdoors::{Outdoors, free_samples};
+use crate::place_acceptance::{Acceptance, Evaluated, Listed, acceptance, acceptance_outdoors, shows_walls};
 use crate::place_search::{Near, PlaceSearch, SearchRequest, is_same};
 use crate::recent_views::RecentViews;
 use flockslam_geometry::elementary::{exp, hypot};
@@ -51,6 +53,8 @@ const SHARED: f64 = 1.0 / 6.0;
 /// How the front end's pose drifts: standard deviations for a metre of travel, metres and radians, and for a radian of turning.
 const DRIFT: (f64, f64) = (0.015, 0.004);
 const DRIFT_TURNING_RAD: f64 = 0.004;
+/// What is firm is known after this much travel, metres.
+const FIRM_FROM_M: f64 = 3.0;
 /// A fit of fewer inliers is discarded.
 const INLIERS_MIN: f64 = 0.25;
 /// After this much travel a better place is looked for beside the one that is followed …
@@ -65,6 +69,8 @@ const RESUMED_SIGMA: (f64, f64) = (0.1, 0.03);
 /// A robot has lost its place when more than this of what it has seen contradicts the map, and less than three times as much is explained …
 const LOST_CONTRADICTED: f64 = 0.1;
 const LOST_EXPLAINED: f64 = 3.0;
+/// … half as many outdoors, where some of what is taken to be firm is not …
+const LOST_EXPLAINED_OUTDOORS: f64 = 1.5;
 /// … over at least this much travel, metres, and not by furniture alone: what it sees now does not show the map's walls.
 const LOST_M: f64 = 2.0;
 
@@ -83,6 +89,9 @@ pub struct Localizer {
     /// Where the robot was when it was looked for last.
     searched_at: Option<Placement>,
     last: Option<Placement>,
+    outdoors: Outdoors,
+    /// Travel since that was looked at, metres.
+    since_firm_m: f64,
     /// A guess from outside that was not tried yet.
     hint: Option<Hint>,
     searches: u64,
@@ -104,24 +113,6 @@ pub struct Measurement {
     pub information: Symmetric,
 }
 
-/// A guess of where the robot is, with its standard deviations: metres and radians.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Hint {
-    /// The guess.
-    pub map_from_base: Placement,
-    /// Of the position.
-    pub sigma_m: f64,
-    /// Of the heading.
-    pub sigma_rad: f64,
-}
-
-impl Hint {
-    /// The pose near which the robot is searched.
-    fn near(&self) -> Near {
-        Near { pose: self.map_from_base, reach_m: 3.0 * self.sigma_m, turn_rad: 3.0 * self.sigma_rad }
-    }
-}
-
 #[derive(Clone, Copy)]
 struct Followed {
     map_from_odom: Placement,
@@ -138,6 +129,8 @@ impl Localizer {
             belief: Belief::default(),
             followed: None,
             kept: Vec::new(),
+            outdoors: Outdoors::default(),
+            since_firm_m: 0.0,
             unconfirmed: None,
             searched_at: None,
             last: None,
@@ -218,6 +211,31 @@ impl Localizer {
         &self.belief
     }
 
+    /// Whether a robot that is followed is outdoors, after so much more travel, metres: is looked at once in a while.
+    fn follows_outdoors(&mut self, way_m: f64) -> bool {
+        self.since_firm_m += way_m;
+        if self.since_firm_m >= FOLLOWED_M && self.recent.travel_m() >= FIRM_FROM_M {
+            let (firm, share) = self.recent.firm_cloud(FOLLOWED_M, POINTS);
+            self.outdoors = self.outdoors.after(self.since_firm_m, firm.len(), share);
+            self.since_firm_m = 0.0;
+        }
+        self.outdoors.is_so()
+    }
+
+    /// What was seen over the last metres; outdoors what of it is firm, if enough is.
+    fn seen(&self, length_m: f64, most: usize) -> Vec<SeenPoint> {
+        let firm = if self.outdoors.is_so() { self.recent.firm_cloud(length_m, most).0 } else { Vec::new() };
+        if firm.len() >= POINTS_MIN { firm } else { self.recent.cloud(length_m, most) }
+    }
+
+    fn agreement(&self, cloud: &[SeenPoint], at: &Placement) -> Agreement {
+        if self.outdoors.is_so() {
+            self.surroundings.agreement_outdoors(cloud, at)
+        } else {
+            self.surroundings.agreement(cloud, at)
+        }
+    }
+
     fn is_due(&self, at: &Placement) -> bool {
         self.searched_at.is_none_or(|last| last.distance_m(at) >= AGAIN.0 || last.turn_rad(at) >= AGAIN.1)
     }
@@ -229,7 +247,8 @@ impl Localizer {
         let position = DRIFT.0 * DRIFT.0 * way_m;
         let heading = DRIFT.1 * DRIFT.1 * way_m + DRIFT_TURNING_RAD * DRIFT_TURNING_RAD * turn_rad;
         let prior = carried(&followed.information, position, heading);
-        let cloud = self.recent.cloud(FOLLOWED_M, POINTS);
+        let is_outdoors = self.follows_outdoors(way_m);
+        let cloud = self.seen(FOLLOWED_M, POINTS);
         let unit = SHARED * FIT_INFORMATION / cloud.len().max(1) as f64;
         let fit = self.surroundings.fit(&cloud, expected, &prior.map(|v| v / unit));
         let fit = fit.filter(|fit| fit.inliers >= INLIERS_MIN);
@@ -251,22 +270,23 @@ impl Localizer {
             }
         }
         let at = now.map_from_odom.compose(odom);
-        let agreement = self.surroundings.agreement(&cloud, &at);
+        let agreement = self.agreement(&cloud, &at);
         self.belief = Belief {
             knowledge: Knowledge::Localized,
             hypotheses: vec![Hypothesis { map_from_base: at, weight: 1.0, agreement }],
             covariance: inverse(&now.information),
         };
+        let lost_explained = if is_outdoors { LOST_EXPLAINED_OUTDOORS } else { LOST_EXPLAINED };
         let is_against = |agreement: &Agreement| {
             agreement.contradicted > LOST_CONTRADICTED
-                && agreement.explained < LOST_EXPLAINED * agreement.contradicted
+                && agreement.explained < lost_explained * agreement.contradicted
         };
         self.since_agreed_m += way_m;
         if !is_against(&agreement) {
             self.since_agreed_m = 0.0;
         } else if !shows_walls(&agreement) {
-            let wider = self.recent.cloud(LOST_M, POINTS);
-            if is_against(&self.surroundings.agreement(&wider, &at)) {
+            let wider = self.seen(LOST_M, POINTS);
+            if is_against(&self.agreement(&wider, &at)) {
                 // A kidnapped robot has no odometry from the last agreeing scans to the contradicting ones.
                 self.recent.keep(self.since_agreed_m);
                 self.relocalize(None);
@@ -282,7 +302,7 @@ impl Localizer {
         let points: Vec<(f64, f64)> = cloud.iter().map(|p| (p.x_m, p.y_m)).collect();
         let near = Near { pose: at, reach_m: BESIDE_REACH.0, turn_rad: BESIDE_REACH.1 };
         let request = SearchRequest { score_min: SCORE_MIN, share_min: SHARE_MIN, near: Some(near) };
-        let present = self.surroundings.agreement(&cloud, &at);
+        let present = self.agreement(&cloud, &at);
         let merit = |agreement: &Agreement| agreement.explained - agreement.contradicted;
         let places = self.search.find(self.surroundings.field(), &points, &request);
         let evaluated =
@@ -312,7 +332,7 @@ impl Localizer {
         let fitted = starts.filter_map(|start| {
             // A fit is drawn to its start; how far that is from the hint counts in its merit.
             let fit = self.surroundings.fit(&cloud, start, &prior.map(|v| v / unit))?;
-            let agreement = self.surroundings.agreement(&cloud, &fit.map_from_cloud);
+            let agreement = self.agreement(&cloud, &fit.map_from_cloud);
             let moved = hint.map_from_base.to(fit.map_from_cloud);
             let off = (moved.x_m * moved.x_m + moved.y_m * moved.y_m) * position
                 + moved.heading_rad * moved.heading_rad * heading;
@@ -353,16 +373,30 @@ impl Localizer {
             self.belief = Belief::default();
             return;
         }
+        let (firm, firm_share) = self.recent.firm_cloud(SEARCH_M, 2 * POINTS);
+        self.outdoors = Outdoors::by_search(firm.len(), firm_share);
+        let cloud = if self.outdoors.is_so() { firm } else { cloud };
+        let is_outdoors = self.outdoors.is_so();
         let points: Vec<(f64, f64)> = cloud.iter().map(|p| (p.x_m, p.y_m)).collect();
         let request = SearchRequest { score_min: SCORE_MIN, share_min: SHARE_MIN, near };
         let is_at_border = near.is_none() && self.misses % 2 == 1;
-        let field = if is_at_border { self.surroundings.border_field() } else { self.surroundings.field() };
         self.misses += 1;
-        let places = self.search.find(field, &points, &request);
-        let verification_cloud = self.recent.cloud(VERIFIED_M, POINTS);
+        let places = if is_outdoors {
+            let free = free_samples(&cloud);
+            self.search.find_seen(self.surroundings.outdoor_field(), &points, &free, &request)
+        } else if is_at_border {
+            self.search.find(self.surroundings.border_field(), &points, &request)
+        } else {
+            self.search.find(self.surroundings.field(), &points, &request)
+        };
+        let verification_cloud = self.seen(VERIFIED_M, POINTS);
         let mut evaluated: Vec<Evaluated> = Vec::new();
         for place in &places.found {
-            let mut candidate = self.evaluate(&verification_cloud, place.map_from_cloud, place.score);
+            let mut at = place.map_from_cloud;
+            if is_outdoors {
+                at = self.surroundings.nearest_outdoors(&verification_cloud, at);
+            }
+            let mut candidate = self.evaluate(&verification_cloud, at, place.score);
             candidate.listed.is_among_all = places.others_max <= UNSEEN_MAX * place.score;
             candidate.listed.times = u32::from(has_moved);
             if !evaluated.iter().any(|better| is_same(&better.at, &candidate.at)) {
@@ -396,13 +430,7 @@ impl Localizer {
         let weak = [1.0, 0.0, 0.0, 1.0, 0.0, 4.0];
         let fit = self.surroundings.fit(cloud, at, &weak);
         let at = fit.map_or(at, |fit| fit.map_from_cloud);
-        Evaluated {
-            at,
-            score,
-            listed: Listed::default(),
-            fit,
-            agreement: self.surroundings.agreement(cloud, &at),
-        }
+        Evaluated { at, score, listed: Listed::default(), fit, agreement: self.agreement(cloud, &at) }
     }
 
     /// Whether an unconfirmed place was found before, too, far enough from here; remembers it otherwise.
@@ -433,7 +461,10 @@ impl Localizer {
             inverse(&fit.information.map(|h| unit * h))
         });
         let is_held = covariance.is_some_and(|c| widest(&c) <= SIGMA_MAX_M * SIGMA_MAX_M);
-        let acceptance = acceptance(evaluated, self.recent.travel_m(), is_held);
+        let mut acceptance = acceptance(evaluated, self.recent.travel_m(), is_held);
+        if self.outdoors.is_so() && matches!(acceptance, Acceptance::Rejected | Acceptance::Ambiguous) {
+            acceptance = acceptance_outdoors(evaluated, self.recent.travel_m(), is_held);
+        }
         let is_confirmed = acceptance == Acceptance::Unconfirmed && self.confirms(&odom, &best.at);
         self.belief.knowledge = if is_confirmed { Knowledge::Localized } else { acceptance.knowledge() };
         if let (Knowledge::Localized, Some(fit), Some(covariance)) =
@@ -463,5 +494,7 @@ fn widest(covariance: &Symmetric) -> f64 {
     0.5 * (xx + yy) + hypot(0.5 * (xx - yy), xy)
 }
 
+#[cfg(test)]
+mod outdoor_tests;
 #[cfg(test)]
 mod tests;

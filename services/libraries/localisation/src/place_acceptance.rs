@@ -41,6 +41,12 @@ const BORDER_EXPLAINED_MIN: f64 = 0.35;
 /// … greatest share contradicted of what is explained, and greatest share of the merit elsewhere.
 const BORDER_CONTRADICTED_MAX: f64 = 0.15;
 const BORDER_ALTERNATIVE_MAX: f64 = 0.5;
+/// Outdoors, after at least this much travel, metres: least share explained and greatest contradicted, both strictly, …
+const OUTDOORS_M: f64 = 3.0;
+const OUTDOORS: (f64, f64) = (0.65, 0.3);
+/// … and greatest share of the merit elsewhere, farther away than this, metres: nearer it is the same place, a step of the search off.
+const OUTDOORS_ALTERNATIVE_MAX: f64 = 0.5;
+const OUTDOORS_APART_M: f64 = 2.0;
 /// Elsewhere at most this share of the merit is found.
 const ALTERNATIVE_MAX: f64 = 0.8;
 /// A search gives so many places at most. Where more score alike, a place as good as one that so many searches gave was in one of them, too.
@@ -151,6 +157,22 @@ pub(crate) fn acceptance(evaluated: &[Evaluated], travel_m: f64, is_held: bool) 
     }
 }
 
+/// The same where most of what is seen is ground, grass and leaves: what is firm is explained by the map in part only, and still stands out.
+/// A place is confirmed before it is accepted.
+pub(crate) fn acceptance_outdoors(evaluated: &[Evaluated], travel_m: f64, is_held: bool) -> Acceptance {
+    let Some((best, others)) = evaluated.split_first() else { return Acceptance::Rejected };
+    let (explained, contradicted) = best.strictly();
+    let (explained_min, contradicted_max) = OUTDOORS;
+    if travel_m < OUTDOORS_M || explained < explained_min || contradicted > contradicted_max {
+        return Acceptance::Rejected;
+    }
+    let is_elsewhere = |other: &&Evaluated| other.at.distance_m(&best.at) > OUTDOORS_APART_M;
+    let most = others.iter().filter(is_elsewhere).map(Evaluated::strict_merit).fold(0.0, f64::max);
+    let is_alone = most <= OUTDOORS_ALTERNATIVE_MAX * best.strict_merit();
+    let is_listed = best.listed.is_among_all || best.listed.times >= LISTED_MIN;
+    if is_alone && is_held && is_listed { Acceptance::Unconfirmed } else { Acceptance::Ambiguous }
+}
+
 /// Whether all walls say that the robot is here, and only things between them that the map does not show say otherwise.
 fn is_among_furniture(best: &Evaluated, others: &[Evaluated], travel_m: f64) -> bool {
     let by_walls = |evaluated: &Evaluated| evaluated.agreement.clear - evaluated.agreement.behind;
@@ -239,6 +261,23 @@ mod tests {
             Acceptance::Rejected,
             "nothing holds it"
         );
+    }
+
+    /// What is firm on a campus, seen over some metres: a place of its own map, and the best of another one's.
+    #[test]
+    fn outdoors_a_place_is_accepted_that_stands_out_though_some_of_what_is_seen_contradicts() {
+        let of = |explained: f64, contradicted: f64, alternative: f64, travel_m| {
+            let best = place(explained, contradicted, Listed { is_among_all: false, times: 4 });
+            let other = place(alternative * best.strict_merit(), 0.0, LISTED);
+            let beside = Evaluated { at: Placement::new(1.0, 0.0, 0.0), ..best };
+            let other = Evaluated { at: Placement::new(40.0, 0.0, 0.0), ..other };
+            acceptance_outdoors(&[best, beside, other], travel_m, true)
+        };
+        assert_eq!(of(0.75, 0.24, 0.4, 5.0), Acceptance::Unconfirmed);
+        assert_eq!(of(0.75, 0.24, 0.4, 1.0), Acceptance::Rejected, "it has hardly driven");
+        assert_eq!(of(0.75, 0.24, 0.7, 5.0), Acceptance::Ambiguous, "another place is nearly as good");
+        assert_eq!(of(0.6, 0.2, 0.1, 5.0), Acceptance::Rejected, "little is explained");
+        assert_eq!(of(0.75, 0.35, 0.1, 5.0), Acceptance::Rejected, "much contradicts");
     }
 
     /// Where more places score alike than a search gives, an equal one may be among those that it does not give.

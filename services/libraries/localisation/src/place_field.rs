@@ -6,15 +6,19 @@ use flockslam_geometry::Point;
 use flockslam_geometry::elementary::exp;
 use std::ops::Range;
 
-/// Cells of the field are about this wide, metres.
+/// Cells of the field are about this wide, metres; so many times that for a cloud whose points are far away, as outdoors: the same step of
+/// headings moves these so much more.
 const CELL_M: f64 = 0.2;
+const WIDE: f64 = 2.0;
 /// Width of the influence of what is occupied, metres: a point may be half a cell off by its place and as much by its heading.
 const SIGMA_M: f64 = 0.15;
 /// The value of an unknown cell: a point there has little weight, in free space it counts against the pose.
 pub const UNKNOWN: u8 = 40;
+/// The value of an unknown cell for a sample of free space.
+const FREE_IN_UNKNOWN: u8 = 60;
 /// The same for a robot that may see much that the map does not have: at its pose, many points are in unknown cells.
 pub const MUCH_UNKNOWN: u8 = 130;
-/// No point is farther from the origin of its cloud, metres.
+/// No point is farther from the origin of its cloud, metres; so many times that in the wide field.
 pub(crate) const REACH_M: f64 = 15.0;
 /// A block has so many cells along each side.
 pub(crate) const BLOCK: usize = 4;
@@ -31,6 +35,8 @@ pub(crate) const LANES: usize = 32;
 /// the border. Cells are taken together in blocks of 4 × 4, of which a bound is known: no cell of a block sums up to more.
 pub struct PlaceField {
     cell_m: f64,
+    /// Reach of the points, metres.
+    reach_m: f64,
     origin: Point,
     /// Unknown cells on each side.
     border: usize,
@@ -44,6 +50,8 @@ pub struct PlaceField {
     bound_stride: usize,
     /// Rows of cells.
     height: usize,
+    /// Where the values, and the bounds, of free samples begin, where the field has them.
+    free: Option<(usize, usize)>,
     /// Of each block with a cell where the robot may stand a bit for each of those, row by row; of all others 0.
     passable: Vec<u16>,
     /// Blocks in a row, without the border.
@@ -61,29 +69,68 @@ pub(crate) struct Stretch {
 impl PlaceField {
     /// The field of a map in which an unknown cell has this value.
     pub fn new(map: &KnownMap, unknown: u8) -> Self {
-        let cells = (CELL_M / map.cell_size_m()).round().max(1.0) as usize;
+        Self::scaled(map, unknown, 1.0, false)
+    }
+
+    /// The same for points twice as far away, with cells twice as wide, and with values for samples of free space.
+    pub fn wide(map: &KnownMap, unknown: u8) -> Self {
+        Self::scaled(map, unknown, WIDE, true)
+    }
+
+    fn scaled(map: &KnownMap, unknown: u8, scale: f64, has_free: bool) -> Self {
+        let (reach_m, sigma_m) = (scale * REACH_M, scale * SIGMA_M);
+        let cells = (scale * CELL_M / map.cell_size_m()).round().max(1.0) as usize;
         let cell_m = map.cell_size_m() * cells as f64;
         // Rounding may put a point a cell farther.
-        let border = (REACH_M / cell_m).ceil() as usize + 1;
+        let border = (reach_m / cell_m).ceil() as usize + 1;
         let (width, height) = (map.width().div_ceil(cells), map.height().div_ceil(cells));
         let (blocks, block_rows) = (width.div_ceil(BLOCK), height.div_ceil(BLOCK));
         // Whole blocks, and as many beside the last one as are summed up with it.
         let stride = (blocks + LANES) * BLOCK + 2 * border;
         let rows = block_rows * BLOCK + 2 * border;
         let mut values = vec![unknown; stride * rows];
+        let mut free_values = vec![FREE_IN_UNKNOWN; if has_free { values.len() } else { 0 }];
         let mut passable = vec![0; blocks * block_rows];
         for (row, column) in (0..height).flat_map(|row| (0..width).map(move |column| (row, column))) {
-            let (value, is_free) = cell_of(map, cells, column, row, unknown);
+            let (value, is_free) = cell_of(map, cells, (column, row), unknown, sigma_m);
             values[(row + border) * stride + column + border] = value;
+            if has_free {
+                free_values[(row + border) * stride + column + border] =
+                    free_value(map, cells, (column, row));
+            }
             if is_free {
                 passable[row / BLOCK * blocks + column / BLOCK] |= bit(column % BLOCK, row % BLOCK);
             }
         }
         let bound_stride = stride.div_ceil(BLOCK);
         let plane = bound_stride * rows.div_ceil(BLOCK);
-        let bounds = bounds(&values, stride, bound_stride, plane);
+        let mut of_bounds = bounds(&values, stride, bound_stride, plane);
+        let free = if has_free { Some((values.len(), of_bounds.len())) } else { None };
+        if has_free {
+            of_bounds.extend(bounds(&free_values, stride, bound_stride, plane));
+            values.extend(free_values);
+        }
         let origin = map.origin();
-        Self { cell_m, origin, border, stride, values, bounds, plane, bound_stride, height, passable, blocks }
+        Self {
+            cell_m,
+            reach_m,
+            origin,
+            border,
+            stride,
+            values,
+            bounds: of_bounds,
+            plane,
+            bound_stride,
+            free,
+            height,
+            passable,
+            blocks,
+        }
+    }
+
+    /// No point is farther from the origin of its cloud than this, metres.
+    pub fn reach_m(&self) -> f64 {
+        self.reach_m
     }
 
     /// Side of a cell, metres.
@@ -135,6 +182,18 @@ impl PlaceField {
         let (column, row) = (step(x_m), step(y_m));
         let plane = (row % BLOCK * BLOCK + column % BLOCK) * self.plane;
         (row * self.stride + column, plane + row / BLOCK * self.bound_stride + column / BLOCK)
+    }
+
+    /// The same for a sample of free space; `None` where the field has none of these.
+    pub(crate) fn free_offsets(&self, x_m: f64, y_m: f64) -> Option<(usize, usize)> {
+        let (values, bounds) = self.free?;
+        let (value, bound) = self.offsets(x_m, y_m);
+        Some((values + value, bounds + bound))
+    }
+
+    /// Whether it has values of samples of free space.
+    pub(crate) fn has_free(&self) -> bool {
+        self.free.is_some()
     }
 
     /// Bounds of the sums of all points for the blocks of a stretch.
@@ -198,22 +257,76 @@ fn bounds(values: &[u8], stride: usize, bound_stride: usize, plane: usize) -> Ve
 }
 
 /// The value of a cell, made of `cells` × `cells` of the map, and whether some of it is free.
-fn cell_of(map: &KnownMap, cells: usize, column: usize, row: usize, unknown: u8) -> (u8, bool) {
+fn cell_of(
+    map: &KnownMap,
+    cells: usize,
+    (column, row): (usize, usize),
+    unknown: u8,
+    sigma_m: f64,
+) -> (u8, bool) {
     let (mut distance_m, mut is_free, mut is_known) = (f64::INFINITY, false, false);
     for (i, k) in (0..cells).flat_map(|k| (0..cells).map(move |i| (i, k))) {
         let place = map.cell((column * cells + i) as i64, (row * cells + k) as i64);
         distance_m = distance_m.min(place.distance_m);
         is_free |= place.state == CellState::Free;
-        is_known |= place.state != CellState::Unknown;
+        is_known |= place.state != CellState::Unknown && !place.is_scattered;
     }
-    let d = distance_m / SIGMA_M;
+    let d = distance_m / sigma_m;
     let value = if d < 3.0 { (255.0 * exp(-0.5 * d * d)).round() as u8 } else { 0 };
     (if is_known { value } else { value.max(unknown) }, is_free)
+}
+
+/// The value of a cell for a sample of free space.
+fn free_value(map: &KnownMap, cells: usize, (column, row): (usize, usize)) -> u8 {
+    let (mut free, mut occupied) = (0, 0);
+    for (i, k) in (0..cells).flat_map(|k| (0..cells).map(move |i| (i, k))) {
+        match map.cell((column * cells + i) as i64, (row * cells + k) as i64).state {
+            CellState::Free => free += 1,
+            CellState::Occupied => occupied += 1,
+            CellState::Unknown => {}
+        }
+    }
+    if occupied > 0 {
+        0
+    } else if 4 * free >= cells * cells {
+        u8::MAX
+    } else {
+        FREE_IN_UNKNOWN
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_sample_of_free_space_scores_most_in_free_little_in_unknown_and_nothing_in_occupied_cells() {
+        let mut map = KnownMap::of_width(40, 0.1, Point::default());
+        for _ in 0..40 {
+            let state = |x| match x {
+                0..8 => CellState::Unknown,
+                30 => CellState::Occupied,
+                _ => CellState::Free,
+            };
+            map.push_row((0..40).map(state));
+        }
+        let field = PlaceField::wide(&map.measured(), UNKNOWN);
+        let at = |column: usize| {
+            let offsets = [field.free_offsets(0.0, 0.0).unwrap()];
+            field.sums((0, column / BLOCK), &offsets, 255, 0).unwrap()[column % BLOCK]
+        };
+        assert_eq!([0, 4, 7].map(at), [u16::from(FREE_IN_UNKNOWN), 255, 0]);
+        let bound =
+            field.bounds(Stretch { row: 0, column: 0, count: 2 }, &[field.free_offsets(0.0, 0.0).unwrap()]);
+        assert_eq!(bound[..2], [255, 255]);
+        assert_eq!(PlaceField::new(&map_of_one_cell(), UNKNOWN).free_offsets(0.0, 0.0), None);
+    }
+
+    fn map_of_one_cell() -> KnownMap {
+        let mut map = KnownMap::of_width(1, 0.1, Point::default());
+        map.push_row([CellState::Free].into_iter());
+        map.measured()
+    }
 
     #[test]
     fn a_point_scores_most_in_occupied_little_in_unknown_and_nothing_in_free_cells() {

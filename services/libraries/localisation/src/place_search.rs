@@ -1,7 +1,7 @@
 //! Where a cloud of points fits in the whole known map, at any heading: every place is looked at.
 
 use crate::PlaceField;
-use crate::place_field::{BLOCK, CELLS, REACH_M, Stretch, bit};
+use crate::place_field::{BLOCK, CELLS, Stretch, bit};
 use flockslam_registration::cloud::Placement;
 use std::cmp::Reverse;
 use std::f64::consts::{PI, TAU};
@@ -10,6 +10,8 @@ use std::f64::consts::{PI, TAU};
 const STEP_RAD: f64 = 0.025;
 /// Points of a cloud that are looked at. Their values sum up in 16 bits.
 const POINTS: usize = 96;
+/// Samples of free space that are looked at.
+const FREE_SAMPLES: usize = 128;
 /// Places within this of a better one are the same, metres and radians.
 const APART: (f64, f64) = (0.6, 0.25);
 /// Places that a search gives at most.
@@ -82,6 +84,8 @@ pub struct PlaceSearch {
 struct SearchInput<'a> {
     field: &'a PlaceField,
     points: Vec<(f64, f64)>,
+    /// Samples of free space.
+    free: Vec<(f64, f64)>,
     headings: Vec<f64>,
     stretches: Vec<Stretch>,
     near: Option<Near>,
@@ -91,7 +95,19 @@ impl PlaceSearch {
     /// Looks for `points` (metres, in the cloud's own frame): at each heading the values of all of them are summed up for each cell where
     /// the robot may stand (Olson 2009). Blocks whose bound is too low are left out, and none that matters.
     pub fn find(&mut self, field: &PlaceField, points: &[(f64, f64)], request: &SearchRequest) -> Places {
-        let near = points.iter().filter(|p| p.0 * p.0 + p.1 * p.1 <= REACH_M * REACH_M);
+        self.find_seen(field, points, &[], request)
+    }
+
+    /// The same where `free` was seen to be free, too: a place where something stands there is none. Only fields that are wide know of it.
+    pub fn find_seen(
+        &mut self,
+        field: &PlaceField,
+        points: &[(f64, f64)],
+        free: &[(f64, f64)],
+        request: &SearchRequest,
+    ) -> Places {
+        let reach_m = field.reach_m();
+        let near = points.iter().filter(|p| p.0 * p.0 + p.1 * p.1 <= reach_m * reach_m);
         let near: Vec<(f64, f64)> = near.copied().collect();
         let stride = near.len().div_ceil(POINTS).max(1);
         let few: Vec<(f64, f64)> = near.into_iter().step_by(stride).collect();
@@ -100,9 +116,13 @@ impl PlaceSearch {
         }
         // Neighbours in the cloud lie on one wall. In this order the first points already say much of the sum of all.
         let points: Vec<(f64, f64)> = (0..few.len()).map(|i| few[i * MIXING % few.len()]).collect();
-        let full = 255.0 * points.len() as f64;
+        let near = free.iter().filter(|p| field.has_free() && p.0 * p.0 + p.1 * p.1 <= reach_m * reach_m);
+        let near: Vec<(f64, f64)> = near.copied().collect();
+        let stride = near.len().div_ceil(FREE_SAMPLES).max(1);
+        let free: Vec<(f64, f64)> = near.into_iter().step_by(stride).collect();
+        let full = 255.0 * (points.len() + free.len()) as f64;
         let (headings, stretches) = (headings(request.near), stretches(field, request.near));
-        let input = SearchInput { field, points, headings, stretches, near: request.near };
+        let input = SearchInput { field, points, free, headings, stretches, near: request.near };
         let bounds = self.bound(&input);
         let enough = |best: u16| (request.share_min * f64::from(best)).ceil() as u16;
         let mut least =
@@ -126,7 +146,7 @@ impl PlaceSearch {
 
     /// Bounds of the mean value of a point in each block at each heading.
     fn bound(&mut self, input: &SearchInput<'_>) -> Vec<u8> {
-        let points = input.points.len() as u16;
+        let points = (input.points.len() + input.free.len()) as u16;
         let mut bounds = Vec::with_capacity(input.headings.len() * input.blocks());
         for number in 0..input.headings.len() {
             self.turn(input, number);
@@ -162,6 +182,8 @@ impl PlaceSearch {
         let offsets = input.points.iter().map(|&(x_m, y_m)| turned.rotate(x_m, y_m));
         self.offsets.clear();
         self.offsets.extend(offsets.map(|(x_m, y_m)| input.field.offsets(x_m, y_m)));
+        let free = input.free.iter().map(|&(x_m, y_m)| turned.rotate(x_m, y_m));
+        self.offsets.extend(free.filter_map(|(x_m, y_m)| input.field.free_offsets(x_m, y_m)));
     }
 
     /// Remembers all cells that sum up to enough at a heading, and gives the greatest sum.
@@ -246,7 +268,7 @@ impl SearchInput<'_> {
     fn bounded(&self, bounds: &[u8], number: usize) -> impl Iterator<Item = (u16, (usize, usize))> {
         let blocks =
             self.stretches.iter().flat_map(|s| (s.column..s.column + s.count).map(|column| (s.row, column)));
-        let points = self.points.len() as u16;
+        let points = (self.points.len() + self.free.len()) as u16;
         bounds[number * self.blocks()..].iter().map(move |bound| u16::from(*bound) * points).zip(blocks)
     }
 
@@ -310,11 +332,17 @@ mod tests {
     }
 
     /// The same without bounds: all cells are summed up at all headings.
-    fn exhaustive(field: &PlaceField, points: &[(f64, f64)], request: &SearchRequest) -> Places {
+    fn exhaustive(
+        field: &PlaceField,
+        points: &[(f64, f64)],
+        free: &[(f64, f64)],
+        request: &SearchRequest,
+    ) -> Places {
         let headings = headings(request.near);
         let input = SearchInput {
             field,
             points: points.to_vec(),
+            free: free.to_vec(),
             headings: headings.clone(),
             stretches: field.stretches(0..usize::MAX, 0..usize::MAX),
             near: request.near,
@@ -324,13 +352,14 @@ mod tests {
         for heading in 0..headings.len() {
             search.turn(&input, heading);
             for block in blocks(&input.stretches) {
-                for (cell, sum) in input.sums(&search.offsets, block, 255 * points.len() as u16, 0) {
+                let bound = 255 * (points.len() + free.len()) as u16;
+                for (cell, sum) in input.sums(&search.offsets, block, bound, 0) {
                     best = best.max(sum);
                     all.push(Scored::new(sum, heading, block, cell));
                 }
             }
         }
-        let full = 255.0 * points.len() as f64;
+        let full = 255.0 * (points.len() + free.len()) as f64;
         let least =
             (request.score_min * full).ceil().max(1.0).max((request.share_min * f64::from(best)).ceil())
                 as u16;
@@ -387,17 +416,23 @@ mod tests {
             size in (20usize..150, 20usize..90),
             numbers in prop::collection::vec(any::<u8>(), 8..64),
             points in prop::collection::vec((-9.0..9.0f64, -9.0..9.0f64), 4..40),
+            free in prop::option::of(prop::collection::vec((-9.0..9.0f64, -9.0..9.0f64), 1..20)),
             (score_min, share_min) in (0.0..0.5f64, 0.6..0.95f64),
             near in prop::option::of((-4.0..12.0f64, 0.0..10.0f64, -4.0..4.0f64, 0.3..6.0f64, 0.1..4.0f64)),
         ) {
-            let field = PlaceField::new(&map(size.0, size.1, &numbers), crate::UNKNOWN);
+            let map = map(size.0, size.1, &numbers);
+            let (field, free) = match free {
+                Some(free) => (PlaceField::wide(&map, crate::UNKNOWN), free),
+                None => (PlaceField::new(&map, crate::UNKNOWN), Vec::new()),
+            };
             let near = near.map(|(x, y, heading, reach_m, turn_rad)| Near {
                 pose: Placement::new(x, y, heading),
                 reach_m,
                 turn_rad,
             });
             let request = SearchRequest { score_min, share_min, near };
-            prop_assert_eq!(PlaceSearch::default().find(&field, &points, &request), exhaustive(&field, &points, &request));
+            let found = PlaceSearch::default().find_seen(&field, &points, &free, &request);
+            prop_assert_eq!(found, exhaustive(&field, &points, &free, &request));
         }
     }
 }
