@@ -5,8 +5,8 @@ use flockslam_stage::StageError;
 use std::io;
 use std::time::Duration;
 
-/// A stage that takes longer than this to get ready is not waited for.
-pub(super) const READY_LIMIT: Duration = Duration::from_secs(20);
+/// A stage that takes longer than this to get ready is not waited for. A small computer needs a minute for a known map of 40 000 m².
+pub(super) const READY_LIMIT: Duration = Duration::from_secs(120);
 
 /// Why a process set failed.
 #[derive(Debug, thiserror::Error)]

@@ -179,8 +179,8 @@ fn fitted(
     let (mut n, mut sx, mut sy, mut sxx, mut sxy, mut syy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
     let (mut near, mut near_x, mut near_y) = (0.0, 0.0, 0.0);
     for r in row - reach..=row + reach {
-        for c in column - reach..=column + reach {
-            let Some(other) = surface.get(&(r, c)).filter(|other| is_same_side(at, other)) else { continue };
+        let in_row = surface.range((r, column - reach)..=(r, column + reach)).map(|(_, other)| other);
+        for other in in_row.filter(|other| is_same_side(at, other)) {
             let (dx, dy) = (other.x_m - at.x_m, other.y_m - at.y_m);
             (n, sx, sy) = (n + 1.0, sx + dx, sy + dy);
             (sxx, sxy, syy) = (sxx + dx * dx, sxy + dx * dy, syy + dy * dy);
