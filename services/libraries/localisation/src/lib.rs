@@ -4,22 +4,22 @@
 
 mod alignment;
 mod belief;
-mod hint;
 mod known_map;
 mod localizer;
 mod outdoors;
 mod place_acceptance;
 mod place_field;
 mod place_search;
+mod pose_hint;
 mod recent_views;
 mod scattered_returns;
 mod surface_lines;
 
 pub use alignment::{Agreement, Fit, SeenPoint, Surroundings};
 pub use belief::{Belief, Hypothesis, Knowledge};
-pub use hint::Hint;
 pub use known_map::{KnownMap, Place};
 pub use localizer::{Localizer, Measurement};
 pub use place_field::{MUCH_UNKNOWN, PlaceField, UNKNOWN};
 pub use place_search::{Candidate, Near, PlaceSearch, Places, SearchRequest};
+pub use pose_hint::Hint;
 pub use recent_views::RecentViews;

@@ -2,10 +2,10 @@
 
 use crate::alignment::{Agreement, SeenPoint, Surroundings};
 use crate::belief::{Belief, Hypothesis, Knowledge};
-use crate::hint::Hint;
 use crate::outdoors::{Outdoors, free_samples};
 use crate::place_acceptance::{Acceptance, Evaluated, Listed, acceptance, acceptance_outdoors, shows_walls};
 use crate::place_search::{Near, PlaceSearch, SearchRequest, is_same};
+use crate::pose_hint::Hint;
 use crate::recent_views::RecentViews;
 use flockslam_geometry::elementary::{exp, hypot};
 use flockslam_pose_graph::{Symmetric, inverse};

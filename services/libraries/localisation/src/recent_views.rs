@@ -10,11 +10,11 @@ use std::f64::consts::TAU;
 const CELL_M: f64 = 0.1;
 /// Views that are held at most: a robot that turns on the spot gets many without travel.
 const VIEWS_MAX: usize = 400;
-/// What is firm is told by what was seen over at least this much travel, metres.
+/// What is firm follows from what was seen over at least this much travel, metres.
 const FIRM_M: f64 = 4.0;
 /// … by at most so many views.
 const PANORAMAS: usize = 24;
-/// Beams are told apart in so many directions of a turn.
+/// So many directions of a turn are distinguished.
 const DIRECTIONS: usize = 360;
 /// A beam that ends within this of a point ends there, metres.
 const ENDS_M: f32 = 0.3;
