@@ -6,7 +6,7 @@ mod alignment;
 mod belief;
 mod known_map;
 mod localizer;
-mod outdoors;
+mod outdoor_state;
 mod place_acceptance;
 mod place_field;
 mod place_search;

@@ -2,7 +2,7 @@
 
 use crate::alignment::{Agreement, SeenPoint, Surroundings};
 use crate::belief::{Belief, Hypothesis, Knowledge};
-use crate::outdoors::{Outdoors, free_samples};
+use crate::outdoor_state::{Outdoors, free_samples};
 use crate::place_acceptance::{Acceptance, Evaluated, Listed, acceptance, acceptance_outdoors, shows_walls};
 use crate::place_search::{Near, PlaceSearch, SearchRequest, is_same};
 use crate::pose_hint::Hint;
