@@ -10,6 +10,8 @@ use std::path::{Path, PathBuf};
 const WEIGHT_NAT: f64 = 4.0;
 /// Most cells: 10 km² of 5 cm.
 const CELLS_MAX: u64 = 4_000_000_000;
+/// Beside it lies a map that is the output of a run.
+const REPORT: &str = "report.json";
 /// Least share of the ends of free space that are walls, in a map that shows walls.
 const WALLS_MIN: f64 = 0.1;
 /// A map that is turned by less than this is not turned, radians.
@@ -67,7 +69,9 @@ pub fn read_nav2_map(yaml: &Path) -> Result<StoredMap, Nav2MapError> {
     } else {
         turned(&description, &picture)
     };
-    Ok(with_walls(map))
+    // A run's own map shows its walls. Outdoors it has few, and many single unknown cells.
+    let is_output = yaml.with_file_name(REPORT).is_file();
+    Ok(if is_output { map } else { with_walls(map) })
 }
 
 /// A map whose free space ends at unknown cells nearly everywhere shows its walls as unknown: they are taken for occupied where free space
@@ -263,6 +267,18 @@ mod tests {
     fn a_map_without_walls_gets_them_where_free_space_ends() {
         let map = read([254, 205, 205, 254, 205, 205], "origin: [0, 0, 0]").unwrap();
         assert_eq!(states(&map), [[Free, Occupied, Unknown], [Free, Occupied, Unknown]]);
+    }
+
+    #[test]
+    fn the_map_of_a_run_is_read_as_it_is() {
+        let directory = tempfile::tempdir().unwrap();
+        let at = |name: &str| directory.path().join(name);
+        image::GrayImage::from_raw(3, 1, vec![254, 205, 205]).unwrap().save(at("map.pgm")).unwrap();
+        let text = "image: map.pgm\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n";
+        std::fs::write(at("map.yaml"), text).unwrap();
+        assert_eq!(states(&read_nav2_map(&at("map.yaml")).unwrap()), [[Free, Occupied, Unknown]]);
+        std::fs::write(at(REPORT), "{}").unwrap();
+        assert_eq!(states(&read_nav2_map(&at("map.yaml")).unwrap()), [[Free, Unknown, Unknown]]);
     }
 
     #[test]
