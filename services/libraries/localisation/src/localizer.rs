@@ -461,11 +461,8 @@ impl Localizer {
             inverse(&fit.information.map(|h| unit * h))
         });
         let is_held = covariance.is_some_and(|c| widest(&c) <= SIGMA_MAX_M * SIGMA_MAX_M);
-        let acceptance = if self.outdoors.is_so() { acceptance_outdoors } else { acceptance }(
-            evaluated,
-            self.recent.travel_m(),
-            is_held,
-        );
+        let rules = if self.outdoors.is_so() { acceptance_outdoors } else { acceptance };
+        let acceptance = rules(evaluated, self.recent.travel_m(), is_held);
         let is_confirmed = acceptance == Acceptance::Unconfirmed && self.confirms(&odom, &best.at);
         self.belief.knowledge = if is_confirmed { Knowledge::Localized } else { acceptance.knowledge() };
         if let (Knowledge::Localized, Some(fit), Some(covariance)) =

@@ -41,11 +41,10 @@ const BORDER_EXPLAINED_MIN: f64 = 0.35;
 /// … greatest share contradicted of what is explained, and greatest share of the merit elsewhere.
 const BORDER_CONTRADICTED_MAX: f64 = 0.15;
 const BORDER_ALTERNATIVE_MAX: f64 = 0.5;
-/// Outdoors, after at least this much travel, metres: least share explained and greatest contradicted, both strictly, …
-const OUTDOORS_M: f64 = 3.0;
-const OUTDOORS: (f64, f64) = (0.65, 0.3);
-/// … and greatest share of the merit elsewhere, farther away than this, metres: nearer it is the same place, a step of the search off.
-const OUTDOORS_ALTERNATIVE_MAX: f64 = 0.5;
+/// Outdoors: least travel, metres, least share explained and greatest contradicted, both strictly, and greatest share of the merit elsewhere.
+/// Where nothing stands but a few trees, places some metres off explain much, and the true one nearly all.
+const OUTDOORS: [(f64, f64, f64, f64); 2] = [(3.0, 0.65, 0.3, 0.5), (8.0, 0.85, 0.12, 0.8)];
+/// Nearer than this, metres, it is the same place, a step of the search off.
 const OUTDOORS_APART_M: f64 = 2.0;
 /// Elsewhere at most this share of the merit is found.
 const ALTERNATIVE_MAX: f64 = 0.8;
@@ -162,15 +161,21 @@ pub(crate) fn acceptance(evaluated: &[Evaluated], travel_m: f64, is_held: bool) 
 pub(crate) fn acceptance_outdoors(evaluated: &[Evaluated], travel_m: f64, is_held: bool) -> Acceptance {
     let Some((best, others)) = evaluated.split_first() else { return Acceptance::Rejected };
     let (explained, contradicted) = best.strictly();
-    let (explained_min, contradicted_max) = OUTDOORS;
-    if travel_m < OUTDOORS_M || explained < explained_min || contradicted > contradicted_max {
-        return Acceptance::Rejected;
-    }
     let is_elsewhere = |other: &&Evaluated| other.at.distance_m(&best.at) > OUTDOORS_APART_M;
     let most = others.iter().filter(is_elsewhere).map(Evaluated::strict_merit).fold(0.0, f64::max);
-    let is_alone = most <= OUTDOORS_ALTERNATIVE_MAX * best.strict_merit();
-    let is_listed = best.listed.is_among_all || best.listed.times >= LISTED_MIN;
-    if is_alone && is_held && is_listed { Acceptance::Unconfirmed } else { Acceptance::Ambiguous }
+    let is_good = |(least_m, least, greatest, _): &(f64, f64, f64, f64)| {
+        travel_m >= *least_m && explained >= *least && contradicted <= *greatest
+    };
+    let is_alone =
+        |of: &(f64, f64, f64, f64)| is_good(of) && most <= of.3 * (explained - contradicted).max(0.0);
+    let would_be_known = is_held && (best.listed.is_among_all || best.listed.times >= LISTED_MIN);
+    if would_be_known && OUTDOORS.iter().any(is_alone) {
+        Acceptance::Unconfirmed
+    } else if OUTDOORS.iter().any(is_good) {
+        Acceptance::Ambiguous
+    } else {
+        Acceptance::Rejected
+    }
 }
 
 /// Whether all walls say that the robot is here, and only things between them that the map does not show say otherwise.
