@@ -137,7 +137,7 @@ fn a_robot_that_is_not_in_the_map_is_not_found_there() {
 fn five_times_the_way_in_a_known_map_takes_the_same_memory() {
     let directory = tempfile::tempdir().unwrap();
     let known = directory.path().join("known");
-    run_well("known-map", &known, &building(240));
+    run_well("known-map", &known, &building(200));
     let peaks = |duration_s: u32| {
         let mut args = building(duration_s);
         let more = ["--set", "simulation.walkers=6", "--set", "simulation.doors=4", "--localize"];
@@ -153,7 +153,7 @@ fn five_times_the_way_in_a_known_map_takes_the_same_memory() {
             .map(|(stage, report)| (stage, report.peak_private_bytes))
             .collect::<Vec<_>>()
     };
-    for ((stage, short), (_, long)) in peaks(300).into_iter().zip(peaks(1500)) {
+    for ((stage, short), (_, long)) in peaks(200).into_iter().zip(peaks(1000)) {
         println!("{stage}: {:.1} MB, then {:.1} MB", short as f64 / 1e6, long as f64 / 1e6);
         // Poses and views of sync-manager are bounded at ten times the short drive.
         let more = if stage == Stage::SyncManager.name() { 6_000_000 } else { 2_000_000 };

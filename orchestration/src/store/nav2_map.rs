@@ -182,15 +182,31 @@ pub(super) fn evidence(state: CellState) -> Cell {
     }
 }
 
+/// The cells of a picture, by column and row from its upper left corner. A grey picture, the usual kind, is read by a table of its 256
+/// values: it may have millions of pixels.
+fn cells_of<'a>(
+    description: &'a Description,
+    picture: &'a DynamicImage,
+) -> Box<dyn Fn(u32, u32) -> Cell + 'a> {
+    match picture {
+        DynamicImage::ImageLuma8(grey) => {
+            let of_grey: Vec<Cell> =
+                (0..=u8::MAX).map(|grey| evidence(description.state([grey, grey, grey, u8::MAX]))).collect();
+            let (width, pixels) = (grey.width() as usize, grey.as_raw());
+            Box::new(move |column, row| of_grey[usize::from(pixels[row as usize * width + column as usize])])
+        }
+        _ => Box::new(|column, row| evidence(description.state(picture.get_pixel(column, row).0))),
+    }
+}
+
 /// A picture that is along the axes of the map: its last row is the lowest.
 fn straight(description: &Description, picture: &DynamicImage) -> StoredMap {
     let (width, height) = picture.dimensions();
     let origin = Point::new(description.origin.x_m, description.origin.y_m);
     let mut map = StoredMap::of_width(width as usize, description.resolution_m, origin);
+    let cell = cells_of(description, picture);
     for row in (0..height).rev() {
-        let cells: Vec<Cell> =
-            (0..width).map(|column| evidence(description.state(picture.get_pixel(column, row).0))).collect();
-        map.push_row(&cells);
+        map.push_row(&(0..width).map(|column| cell(column, row)).collect::<Vec<_>>());
     }
     map
 }
@@ -208,13 +224,13 @@ fn turned(description: &Description, picture: &DynamicImage) -> StoredMap {
     let (columns, rows) = (cells(corner.x_m, high(|p| p.x_m)), cells(corner.y_m, high(|p| p.y_m)));
     let mut map = StoredMap::of_width(columns, side_m, corner);
     let picture_from_map = origin.inverse();
+    let of_pixel = cells_of(description, picture);
     let cell = |column: usize, row: usize| {
         let along = |from: f64, cell: usize| from + (cell as f64 + 0.5) * side_m;
         let at = picture_from_map.apply(Point::new(along(corner.x_m, column), along(corner.y_m, row)));
         let (x, y) = ((at.x_m / side_m).floor(), (at.y_m / side_m).floor());
         let inside = x >= 0.0 && y >= 0.0 && x < f64::from(width) && y < f64::from(height);
-        let pixel = |x: f64, y: f64| picture.get_pixel(x as u32, height - 1 - y as u32).0;
-        if inside { evidence(description.state(pixel(x, y))) } else { Cell::UNKNOWN }
+        if inside { of_pixel(x as u32, height - 1 - y as u32) } else { Cell::UNKNOWN }
     };
     for row in 0..rows {
         map.push_row(&(0..columns).map(|column| cell(column, row)).collect::<Vec<_>>());
@@ -241,6 +257,27 @@ mod tests {
         let mut rows = Vec::new();
         map.for_each_row(|row| rows.push(row.iter().map(CellState::of).collect()));
         rows
+    }
+
+    #[test]
+    fn a_coloured_picture_of_greys_says_what_the_grey_one_says() {
+        let greys: Vec<u8> = (0..=u8::MAX).collect();
+        let grey = DynamicImage::from(image::GrayImage::from_raw(256, 1, greys).unwrap());
+        let coloured = DynamicImage::from(grey.to_rgba8());
+        for mode in [PixelMode::Trinary, PixelMode::Scale, PixelMode::Raw] {
+            let description = Description {
+                image: PathBuf::new(),
+                resolution_m: 0.05,
+                origin: Pose::IDENTITY,
+                mode,
+                is_negated: false,
+                occupied_min: 0.65,
+                free_max: 0.25,
+            };
+            let read = |picture: &DynamicImage| states(&straight(&description, picture));
+            assert!(read(&grey) == read(&coloured), "{mode:?}");
+            assert_eq!(read(&grey)[0][0], if mode == PixelMode::Raw { Free } else { Occupied });
+        }
     }
 
     #[test]

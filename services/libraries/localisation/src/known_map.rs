@@ -36,6 +36,35 @@ pub struct Place {
     pub is_scattered: bool,
 }
 
+/// Some cells together.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Square {
+    /// Least distance to an occupied cell, of those of [`KnownMap::distances_m`].
+    pub(crate) distance_steps: u8,
+    /// A cell is free or occupied, and not among scattered returns.
+    pub(crate) is_known: bool,
+    /// Cells that are free, and that are occupied.
+    pub(crate) free: u32,
+    pub(crate) occupied: u32,
+}
+
+impl Default for Square {
+    fn default() -> Self {
+        Self { distance_steps: FAR, is_known: false, free: 0, occupied: 0 }
+    }
+}
+
+impl Square {
+    fn add(&mut self, cell: u8) {
+        let state = cell >> STATE_SHIFT;
+        let (is_free, is_occupied) = (state == CellState::Free as u8, state == CellState::Occupied as u8);
+        self.distance_steps = self.distance_steps.min(cell & FAR);
+        self.is_known |= is_free || is_occupied;
+        self.free += u32::from(is_free || state == SCATTERED);
+        self.occupied += u32::from(is_occupied);
+    }
+}
+
 impl KnownMap {
     /// An empty map of so many cells in a row, whose lower left corner is at `origin`, to which rows are added.
     ///
@@ -61,29 +90,19 @@ impl KnownMap {
     /// The map with all distances worked out, once it has all rows.
     #[must_use]
     pub fn measured(mut self) -> Self {
-        let (width, height) = (self.width, self.height);
-        let (straight, across) = (STEPS_PER_CELL, STEPS_PER_CELL + 1);
-        let mut lower = |x: usize, y: usize, around: [(i64, i64, u8); 4]| {
-            let cell = y * width + x;
-            let mut least = self.cells[cell] & FAR;
-            for (dx, dy, step) in around {
-                let (x, y) = (x as i64 + dx, y as i64 + dy);
-                if (0..width as i64).contains(&x) && (0..height as i64).contains(&y) {
-                    let other = self.cells[y as usize * width + x as usize] & FAR;
-                    least = least.min(other + step);
-                }
-            }
-            self.cells[cell] = (self.cells[cell] & !FAR) | least.min(FAR);
-        };
-        for y in 0..height {
-            for x in 0..width {
-                lower(x, y, [(-1, 0, straight), (0, -1, straight), (-1, -1, across), (1, -1, across)]);
-            }
+        let width = self.width.max(1);
+        // Distances of the row before, with a cell far from everything at both ends.
+        let mut before = vec![FAR; self.width + 2];
+        for row in self.cells.chunks_exact_mut(width) {
+            lower_beside(row, &before);
+            lower_along(row.iter_mut());
+            before[1..].iter_mut().zip(&*row).for_each(|(distance, cell)| *distance = cell & FAR);
         }
-        for y in (0..height).rev() {
-            for x in (0..width).rev() {
-                lower(x, y, [(1, 0, straight), (0, 1, straight), (1, 1, across), (-1, 1, across)]);
-            }
+        before.fill(FAR);
+        for row in self.cells.chunks_exact_mut(width).rev() {
+            lower_beside(row, &before);
+            lower_along(row.iter_mut().rev());
+            before[1..].iter_mut().zip(&*row).for_each(|(distance, cell)| *distance = cell & FAR);
         }
         self
     }
@@ -91,20 +110,42 @@ impl KnownMap {
     /// The map without scattered returns of ground, grass and leaves: far points would meet some everywhere.
     #[must_use]
     pub(crate) fn without_scattered(&self) -> Self {
-        let is_occupied: Vec<bool> =
-            self.cells.iter().map(|cell| cell >> STATE_SHIFT == CellState::Occupied as u8).collect();
-        let scattered = scattered_returns(&is_occupied, self.width, self.cell_size_m);
+        let is_occupied = self.cells.iter().map(|cell| cell >> STATE_SHIFT == CellState::Occupied as u8);
+        let marks = scattered_returns(is_occupied, self.width, self.cell_size_m);
         let is_known = |cell: u8| cell >> STATE_SHIFT != CellState::Unknown as u8;
         let mut surfaces = self.clone();
-        let is_scattered = scattered.is_patch.iter().zip(&scattered.is_among_many).map(|(a, b)| *a || *b);
-        for (cell, is_scattered) in surfaces.cells.iter_mut().zip(is_scattered) {
-            if is_scattered && is_known(*cell) {
+        for (cell, mark) in surfaces.cells.iter_mut().zip(marks) {
+            if mark.is_scattered() && is_known(*cell) {
                 *cell = (SCATTERED << STATE_SHIFT) | FAR;
             } else if *cell >> STATE_SHIFT != CellState::Occupied as u8 {
                 *cell |= FAR;
             }
         }
         surfaces.measured()
+    }
+
+    /// Columns of the occupied cells of a row, in order.
+    pub(crate) fn occupied_columns(&self, row: usize) -> impl Iterator<Item = usize> + '_ {
+        let cells = self.cells[row * self.width..][..self.width].iter().enumerate();
+        cells.filter(|(_, cell)| **cell >> STATE_SHIFT == CellState::Occupied as u8).map(|(column, _)| column)
+    }
+
+    /// A row of squares of `side` × `side` cells, the first at the first column; what lies beyond the map is unknown.
+    pub(crate) fn squares(&self, row: usize, side: usize, squares: &mut [Square]) {
+        squares.fill(Square::default());
+        let rows = row * side..((row + 1) * side).min(self.height);
+        let cells = &self.cells[rows.start * self.width..rows.end * self.width];
+        for cells in cells.chunks_exact(self.width.max(1)) {
+            for (square, cells) in squares.iter_mut().zip(cells.chunks(side)) {
+                cells.iter().for_each(|cell| square.add(*cell));
+            }
+        }
+    }
+
+    /// The distances of [`Square::distance_steps`], metres, from 0 steps on.
+    pub(crate) fn distances_m(&self) -> impl Iterator<Item = f64> {
+        let cell_size_m = self.cell_size_m;
+        (0..=FAR).map(move |steps| f64::from(steps) * cell_size_m / f64::from(STEPS_PER_CELL))
     }
 
     /// Cells along x.
@@ -169,9 +210,40 @@ impl KnownMap {
     }
 }
 
+fn lower(cell: &mut u8, distance: u8) {
+    *cell = (*cell & !FAR) | distance.min(*cell & FAR);
+}
+
+/// Lowers the distances of a row to what the row beside it allows, whose distances begin one cell earlier.
+fn lower_beside(row: &mut [u8], beside: &[u8]) {
+    let (straight, across) = (STEPS_PER_CELL, STEPS_PER_CELL + 1);
+    for (cell, near) in row.iter_mut().zip(beside.windows(3)) {
+        lower(cell, (near[1] + straight).min(near[0].min(near[2]) + across));
+    }
+}
+
+/// Lowers the distances of cells in a line to what the one before each allows.
+fn lower_along<'a>(cells: impl Iterator<Item = &'a mut u8>) {
+    cells.fold(FAR, |before, cell| {
+        lower(cell, before + STEPS_PER_CELL);
+        *cell & FAR
+    });
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Surroundings;
+
+    #[test]
+    fn a_map_without_columns_or_without_rows_can_be_prepared() {
+        for (width, rows) in [(0, 0), (0, 3), (7, 0), (1, 1)] {
+            let mut map = KnownMap::of_width(width, 0.05, Point::default());
+            (0..rows).for_each(|_| map.push_row(std::iter::repeat(CellState::Unknown)));
+            let surroundings = Surroundings::new(map.measured());
+            assert_eq!(surroundings.map().known_area_m2(), 0.0, "{width} x {rows}");
+        }
+    }
 
     #[test]
     fn distances_are_those_to_the_nearest_occupied_cell() {

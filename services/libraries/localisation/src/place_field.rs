@@ -1,7 +1,7 @@
 //! How well a point fits the known map, as a byte per cell of two decimetres: what the search reads.
 
 use crate::KnownMap;
-use flockslam_evidence::CellState;
+use crate::known_map::Square;
 use flockslam_geometry::Point;
 use flockslam_geometry::elementary::exp;
 use std::ops::Range;
@@ -91,15 +91,21 @@ impl PlaceField {
         let mut values = vec![unknown; stride * rows];
         let mut free_values = vec![FREE_IN_UNKNOWN; if has_free { values.len() } else { 0 }];
         let mut passable = vec![0; blocks * block_rows];
-        for (row, column) in (0..height).flat_map(|row| (0..width).map(move |column| (row, column))) {
-            let (value, is_free) = cell_of(map, cells, (column, row), unknown, sigma_m);
-            values[(row + border) * stride + column + border] = value;
-            if has_free {
-                free_values[(row + border) * stride + column + border] =
-                    free_value(map, cells, (column, row));
-            }
-            if is_free {
-                passable[row / BLOCK * blocks + column / BLOCK] |= bit(column % BLOCK, row % BLOCK);
+        let of_distance: Vec<u8> =
+            map.distances_m().map(|distance_m| value_at(distance_m / sigma_m)).collect();
+        let mut squares = vec![Square::default(); width];
+        for row in 0..height {
+            map.squares(row, cells, &mut squares);
+            let begin = (row + border) * stride + border;
+            for (column, square) in squares.iter().enumerate() {
+                let value = of_distance[usize::from(square.distance_steps)];
+                values[begin + column] = if square.is_known { value } else { value.max(unknown) };
+                if has_free {
+                    free_values[begin + column] = free_value(square, cells);
+                }
+                if square.free > 0 {
+                    passable[row / BLOCK * blocks + column / BLOCK] |= bit(column % BLOCK, row % BLOCK);
+                }
             }
         }
         let bound_stride = stride.div_ceil(BLOCK);
@@ -244,51 +250,38 @@ pub(crate) fn bit(column: usize, row: usize) -> u16 {
 /// The greatest value of the block that begins at each cell, plane by plane.
 fn bounds(values: &[u8], stride: usize, bound_stride: usize, plane: usize) -> Vec<u8> {
     let mut bounds = vec![u8::MAX; BLOCK * BLOCK * plane];
+    // Of each cell the greatest value from it to the right.
+    let mut across = values.to_vec();
+    for row in across.chunks_exact_mut(stride) {
+        for column in 0..stride {
+            row[column] = row[column..(column + BLOCK).min(stride)].iter().copied().fold(0, u8::max);
+        }
+    }
     let rows = values.len() / stride;
-    let greatest = |row: usize, column: usize| {
-        let in_row = |row: usize| &values[row * stride + column..row * stride + (column + BLOCK).min(stride)];
-        (row..(row + BLOCK).min(rows)).flat_map(in_row).copied().max().unwrap_or(0)
-    };
-    for (row, column) in (0..rows).flat_map(|row| (0..stride).map(move |column| (row, column))) {
-        let of_plane = (row % BLOCK * BLOCK + column % BLOCK) * plane;
-        bounds[of_plane + row / BLOCK * bound_stride + column / BLOCK] = greatest(row, column);
+    let mut greatest = vec![0; stride];
+    for row in 0..rows {
+        greatest.fill(0);
+        for row in across[row * stride..(row + BLOCK).min(rows) * stride].chunks_exact(stride) {
+            greatest.iter_mut().zip(row).for_each(|(most, value): (&mut u8, _)| *most = (*most).max(*value));
+        }
+        for phase in 0..BLOCK {
+            let to = &mut bounds[(row % BLOCK * BLOCK + phase) * plane + row / BLOCK * bound_stride..];
+            to.iter_mut().zip(greatest[phase..].iter().step_by(BLOCK)).for_each(|(to, most)| *to = *most);
+        }
     }
     bounds
 }
 
-/// The value of a cell, made of `cells` × `cells` of the map, and whether some of it is free.
-fn cell_of(
-    map: &KnownMap,
-    cells: usize,
-    (column, row): (usize, usize),
-    unknown: u8,
-    sigma_m: f64,
-) -> (u8, bool) {
-    let (mut distance_m, mut is_free, mut is_known) = (f64::INFINITY, false, false);
-    for (i, k) in (0..cells).flat_map(|k| (0..cells).map(move |i| (i, k))) {
-        let place = map.cell((column * cells + i) as i64, (row * cells + k) as i64);
-        distance_m = distance_m.min(place.distance_m);
-        is_free |= place.state == CellState::Free;
-        is_known |= place.state != CellState::Unknown && !place.is_scattered;
-    }
-    let d = distance_m / sigma_m;
-    let value = if d < 3.0 { (255.0 * exp(-0.5 * d * d)).round() as u8 } else { 0 };
-    (if is_known { value } else { value.max(unknown) }, is_free)
+/// The value of a point so many standard deviations from what is occupied.
+fn value_at(deviations: f64) -> u8 {
+    if deviations < 3.0 { (255.0 * exp(-0.5 * deviations * deviations)).round() as u8 } else { 0 }
 }
 
-/// The value of a cell for a sample of free space.
-fn free_value(map: &KnownMap, cells: usize, (column, row): (usize, usize)) -> u8 {
-    let (mut free, mut occupied) = (0, 0);
-    for (i, k) in (0..cells).flat_map(|k| (0..cells).map(move |i| (i, k))) {
-        match map.cell((column * cells + i) as i64, (row * cells + k) as i64).state {
-            CellState::Free => free += 1,
-            CellState::Occupied => occupied += 1,
-            CellState::Unknown => {}
-        }
-    }
-    if occupied > 0 {
+/// The value of a square of `cells` × `cells` cells for a sample of free space.
+fn free_value(square: &Square, cells: usize) -> u8 {
+    if square.occupied > 0 {
         0
-    } else if 4 * free >= cells * cells {
+    } else if 4 * square.free as usize >= cells * cells {
         u8::MAX
     } else {
         FREE_IN_UNKNOWN
@@ -298,6 +291,7 @@ fn free_value(map: &KnownMap, cells: usize, (column, row): (usize, usize)) -> u8
 #[cfg(test)]
 mod tests {
     use super::*;
+    use flockslam_evidence::CellState;
 
     #[test]
     fn a_sample_of_free_space_scores_most_in_free_little_in_unknown_and_nothing_in_occupied_cells() {

@@ -9,32 +9,50 @@ const PATCHES_MIN: u32 = 12;
 /// … and it has one itself, or this many of the squares around it do.
 const NEIGHBOURS_MIN: u32 = 4;
 
-/// What is scattered in a map: by cell, row by row.
-pub(crate) struct Scattered {
-    /// Small patches of occupied cells, single ones, too.
-    pub(crate) is_patch: Vec<bool>,
-    /// Cells in squares of many patches, and in no surface there.
-    pub(crate) is_among_many: Vec<bool>,
+/// What a cell of a grid is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Mark {
+    /// Nothing that matters here.
+    Empty,
+    /// Occupied; the patch that it belongs to was not looked at yet.
+    Occupied,
+    /// Of a surface.
+    Surface,
+    /// Of a small patch of occupied cells.
+    Patch,
+    /// In a square of many patches, and of no surface there.
+    AmongMany,
 }
 
-/// Finds what is scattered among the occupied cells of a grid.
-pub(crate) fn scattered_returns(is_occupied: &[bool], width: usize, cell_size_m: f64) -> Scattered {
-    let height = is_occupied.len() / width.max(1);
+impl Mark {
+    /// Beams end there, or pass, at random.
+    pub(crate) fn is_scattered(self) -> bool {
+        matches!(self, Self::Patch | Self::AmongMany)
+    }
+}
+
+/// Finds what is scattered among the occupied cells of a grid, which are given row by row.
+pub(crate) fn scattered_returns(
+    is_occupied: impl Iterator<Item = bool>,
+    width: usize,
+    cell_size_m: f64,
+) -> Vec<Mark> {
+    let width = width.max(1);
+    let mark = |is_occupied| if is_occupied { Mark::Occupied } else { Mark::Empty };
+    let mut marks: Vec<Mark> = is_occupied.map(mark).collect();
+    let height = marks.len() / width;
     let patch_max = (PATCH_MAX_M2 / (cell_size_m * cell_size_m)).round().max(1.0) as usize;
     let side = (SQUARE_M / cell_size_m).round().max(1.0) as usize;
     let (columns, rows) = (width.div_ceil(side), height.div_ceil(side));
-    let square = |cell: usize| cell / width / side * columns + cell % width / side;
     let mut patches = vec![0u32; columns * rows];
-    // Occupied cells of surfaces, and of patches that have been counted.
-    let (mut is_surface, mut is_seen) = (vec![false; is_occupied.len()], vec![false; is_occupied.len()]);
     let mut patch = Vec::new();
-    for first in 0..is_occupied.len() {
-        if !is_occupied[first] || is_seen[first] {
+    for first in 0..marks.len() {
+        if marks[first] != Mark::Occupied {
             continue;
         }
         patch.clear();
         patch.push(first);
-        is_seen[first] = true;
+        marks[first] = Mark::Patch;
         let mut next = 0;
         while next < patch.len() {
             let (x, y) = (patch[next] % width, patch[next] / width);
@@ -42,20 +60,20 @@ pub(crate) fn scattered_returns(is_occupied: &[bool], width: usize, cell_size_m:
             for y in y.saturating_sub(1)..(y + 2).min(height) {
                 for x in x.saturating_sub(1)..(x + 2).min(width) {
                     let cell = y * width + x;
-                    if is_occupied[cell] && !is_seen[cell] {
-                        is_seen[cell] = true;
+                    if marks[cell] == Mark::Occupied {
+                        marks[cell] = Mark::Patch;
                         patch.push(cell);
                     }
                 }
             }
         }
         if patch.len() <= patch_max {
-            patches[square(first)] += 1;
+            patches[first / width / side * columns + first % width / side] += 1;
         } else {
-            patch.iter().for_each(|cell| is_surface[*cell] = true);
+            patch.iter().for_each(|cell| marks[*cell] = Mark::Surface);
         }
     }
-    let is_scattered = |square: usize| {
+    let has_many = |square: usize| {
         let (column, row) = (square % columns, square / columns);
         let around = (row.saturating_sub(1)..(row + 2).min(rows)).flat_map(|row| {
             (column.saturating_sub(1)..(column + 2).min(columns)).map(move |column| row * columns + column)
@@ -67,12 +85,17 @@ pub(crate) fn scattered_returns(is_occupied: &[bool], width: usize, cell_size_m:
         }
         sum >= PATCHES_MIN && (patches[square] > 0 || squares >= NEIGHBOURS_MIN)
     };
-    let squares: Vec<bool> = (0..columns * rows).map(is_scattered).collect();
-    let cells = 0..is_occupied.len();
-    Scattered {
-        is_patch: cells.clone().map(|cell| is_occupied[cell] && !is_surface[cell]).collect(),
-        is_among_many: cells.map(|cell| squares[square(cell)] && !is_surface[cell]).collect(),
+    for (y, row) in marks.chunks_exact_mut(width).enumerate() {
+        for (column, cells) in row.chunks_mut(side).enumerate() {
+            if has_many(y / side * columns + column) {
+                cells
+                    .iter_mut()
+                    .filter(|mark| **mark != Mark::Surface)
+                    .for_each(|mark| *mark = Mark::AmongMany);
+            }
+        }
     }
+    marks
 }
 
 #[cfg(test)]
@@ -89,8 +112,8 @@ mod tests {
         for (x, y) in [(150, 50), (158, 50), (150, 58), (158, 58)] {
             is_occupied[y * width + x] = true;
         }
-        let scattered = scattered_returns(&is_occupied, width, cell_m).is_among_many;
-        let at = |x: usize, y: usize| scattered[y * width + x];
+        let marks = scattered_returns(is_occupied.into_iter(), width, cell_m);
+        let at = |x: usize, y: usize| marks[y * width + x] == Mark::AmongMany;
         assert!((0..200).all(|y| !at(40, y)), "a wall");
         assert!(!at(150, 50) && !at(154, 54), "a chair");
         let lawn = (0..200).flat_map(|y| (0..40).map(move |x| (x, y))).filter(|(x, y)| at(*x, *y)).count();

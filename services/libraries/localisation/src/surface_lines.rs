@@ -5,7 +5,6 @@ use crate::KnownMap;
 use flockslam_evidence::CellState;
 use flockslam_geometry::Point;
 use flockslam_geometry::elementary::{atan2, hypot, sin_cos};
-use std::collections::BTreeMap;
 
 /// Cells of lines are about this wide, metres.
 const CELL_M: f64 = 0.1;
@@ -48,19 +47,28 @@ pub struct SurfaceLines {
     lines: Vec<SurfaceLine>,
 }
 
-/// An occupied cell beside free space: its middle and the mean direction to free space.
+/// An occupied cell beside free space: its column, its middle, and the mean direction to free space with its length.
 #[derive(Clone, Copy)]
 struct SurfaceCell {
+    column: i64,
     x_m: f64,
     y_m: f64,
     to_free: (f64, f64),
+    sided: f64,
+}
+
+/// The occupied cells that are not deep in a wall, by row and column.
+struct SurfaceCells {
+    cells: Vec<SurfaceCell>,
+    /// Of each row the first of its cells; the end of the last one.
+    rows: Vec<usize>,
 }
 
 impl SurfaceLines {
     /// The lines of a map.
     pub fn new(map: &KnownMap) -> Self {
         let cells = (CELL_M / map.cell_size_m()).round().max(1.0) as i64;
-        let surface = surface_cells(map);
+        let surface = SurfaceCells::of(map);
         let per_block = cells as usize * BLOCK;
         let blocks = (map.width().div_ceil(per_block).max(1), map.height().div_ceil(per_block).max(1));
         let mut lines = Self {
@@ -72,21 +80,21 @@ impl SurfaceLines {
             lines: Vec::new(),
         };
         let reach = (FIT_M / map.cell_size_m()).floor() as i64;
-        let mut by_cell: BTreeMap<(i64, i64), Vec<SurfaceCell>> = BTreeMap::new();
-        for (&(row, column), cell) in &surface {
-            by_cell.entry((row.div_euclid(cells), column.div_euclid(cells))).or_default().push(*cell);
-        }
-        for ((row, column), of_cell) in by_cell {
-            let first = lines.lines.len() as u32;
-            let mut sides: Vec<SurfaceCell> = Vec::new();
-            for cell in of_cell {
-                // The first of each side stands for it.
-                if sides.len() < 2 && sides.iter().all(|side| !is_same_side(side, &cell)) {
-                    sides.push(cell);
+        for row in 0..map.height().div_ceil(cells as usize) {
+            let mut of_row = surface.of_rows(row * cells as usize, cells as usize).to_vec();
+            of_row.sort_by_key(|cell| cell.column / cells);
+            for of_cell in of_row.chunk_by(|a, b| a.column / cells == b.column / cells) {
+                let first = lines.lines.len() as u32;
+                let mut sides: Vec<SurfaceCell> = Vec::new();
+                for cell in of_cell {
+                    // The first of each side stands for it.
+                    if sides.len() < 2 && sides.iter().all(|side| !is_same_side(side, cell)) {
+                        sides.push(*cell);
+                    }
                 }
+                lines.lines.extend(sides.iter().map(|side| fitted(map, &surface, side, reach)));
+                lines.put((of_cell[0].column / cells) as usize, row, (first, sides.len() as u8));
             }
-            lines.lines.extend(sides.iter().map(|side| fitted(map, &surface, side, reach)));
-            lines.put(column as usize, row as usize, (first, sides.len() as u8));
         }
         lines
     }
@@ -136,51 +144,62 @@ impl SurfaceLines {
 }
 
 fn is_same_side(a: &SurfaceCell, b: &SurfaceCell) -> bool {
-    a.to_free.0 * b.to_free.0 + a.to_free.1 * b.to_free.1
-        > SAME_SIDE * (norm(a.to_free) * norm(b.to_free)).max(SIDED * SIDED)
+    a.to_free.0 * b.to_free.0 + a.to_free.1 * b.to_free.1 > SAME_SIDE * (a.sided * b.sided).max(SIDED * SIDED)
 }
 
-fn norm(v: (f64, f64)) -> f64 {
-    hypot(v.0, v.1)
+impl SurfaceCells {
+    fn of(map: &KnownMap) -> Self {
+        let mut surface = Self { cells: Vec::new(), rows: Vec::with_capacity(map.height() + 1) };
+        for row in 0..map.height() {
+            surface.rows.push(surface.cells.len());
+            let cells = map.occupied_columns(row);
+            surface.cells.extend(cells.filter_map(|column| surface_cell(map, column as i64, row as i64)));
+        }
+        surface.rows.push(surface.cells.len());
+        surface
+    }
+
+    /// The cells of so many rows from one on.
+    fn of_rows(&self, first: usize, count: usize) -> &[SurfaceCell] {
+        let row = |row: usize| self.rows[row.min(self.rows.len() - 1)];
+        &self.cells[row(first)..row(first + count)]
+    }
+
+    /// The cells of a row from the one column to the other.
+    fn within(&self, row: i64, first: i64, last: i64) -> &[SurfaceCell] {
+        let Ok(row) = usize::try_from(row) else { return &[] };
+        let cells = self.of_rows(row, 1);
+        let begin = cells.partition_point(|cell| cell.column < first);
+        let count = cells[begin..].iter().take_while(|cell| cell.column <= last).count();
+        &cells[begin..begin + count]
+    }
 }
 
-/// The occupied cells that are not deep in a wall, by row and column.
-fn surface_cells(map: &KnownMap) -> BTreeMap<(i64, i64), SurfaceCell> {
-    let mut cells = BTreeMap::new();
-    for row in 0..map.height() as i64 {
-        for column in 0..map.width() as i64 {
-            if map.cell(column, row).state != CellState::Occupied {
-                continue;
-            }
-            let (mut x, mut y, mut free) = (0.0, 0.0, 0.0);
-            for (dx, dy) in (-BESIDE..=BESIDE).flat_map(|dy| (-BESIDE..=BESIDE).map(move |dx| (dx, dy))) {
-                if map.cell(column + dx, row + dy).state == CellState::Free {
-                    let share = 1.0 / hypot(dx as f64, dy as f64);
-                    (x, y, free) = (x + dx as f64 * share, y + dy as f64 * share, free + 1.0);
-                }
-            }
-            if free > 0.0 {
-                let (x_m, y_m) = map.middle(column, row);
-                cells.insert((row, column), SurfaceCell { x_m, y_m, to_free: (x / free, y / free) });
-            }
+/// An occupied cell, unless it lies deep in a wall.
+fn surface_cell(map: &KnownMap, column: i64, row: i64) -> Option<SurfaceCell> {
+    let (mut x, mut y, mut free) = (0.0, 0.0, 0.0);
+    for (dx, dy) in (-BESIDE..=BESIDE).flat_map(|dy| (-BESIDE..=BESIDE).map(move |dx| (dx, dy))) {
+        if map.cell(column + dx, row + dy).state == CellState::Free {
+            let share = 1.0 / hypot(dx as f64, dy as f64);
+            (x, y, free) = (x + dx as f64 * share, y + dy as f64 * share, free + 1.0);
         }
     }
-    cells
+    if free == 0.0 {
+        return None;
+    }
+    let (x_m, y_m) = map.middle(column, row);
+    let to_free = (x / free, y / free);
+    Some(SurfaceCell { column, x_m, y_m, to_free, sided: hypot(to_free.0, to_free.1) })
 }
 
 /// The line of a surface around one of its cells.
-fn fitted(
-    map: &KnownMap,
-    surface: &BTreeMap<(i64, i64), SurfaceCell>,
-    at: &SurfaceCell,
-    reach: i64,
-) -> SurfaceLine {
+fn fitted(map: &KnownMap, surface: &SurfaceCells, at: &SurfaceCell, reach: i64) -> SurfaceLine {
     let (column, row) = (map.column(at.x_m), map.row(at.y_m));
     let (mut n, mut sx, mut sy, mut sxx, mut sxy, mut syy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
     let (mut near, mut near_x, mut near_y) = (0.0, 0.0, 0.0);
     for r in row - reach..=row + reach {
-        let in_row = surface.range((r, column - reach)..=(r, column + reach)).map(|(_, other)| other);
-        for other in in_row.filter(|other| is_same_side(at, other)) {
+        let in_row = surface.within(r, column - reach, column + reach);
+        for other in in_row.iter().filter(|other| is_same_side(at, other)) {
             let (dx, dy) = (other.x_m - at.x_m, other.y_m - at.y_m);
             (n, sx, sy) = (n + 1.0, sx + dx, sy + dy);
             (sxx, sxy, syy) = (sxx + dx * dx, sxy + dx * dy, syy + dy * dy);
@@ -189,7 +208,7 @@ fn fitted(
             }
         }
     }
-    let has_sides = norm(at.to_free) > SIDED;
+    let has_sides = at.sided > SIDED;
     let mut line = SurfaceLine { has_sides, ..SurfaceLine::default() };
     if n < 1.0 {
         (line.x_m, line.y_m) = (at.x_m as f32, at.y_m as f32);
