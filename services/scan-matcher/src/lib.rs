@@ -48,6 +48,7 @@ pub mod process;
 mod scan_steps;
 mod settings;
 mod turn_scale;
+mod twist_weights;
 mod velocity_noise;
 mod wheel_scale;
 

@@ -3,6 +3,7 @@
 use crate::prediction::{Coasting, Prediction, Steady, matrix};
 use crate::scan_steps::{PERIOD_MAX_S, ScanSteps};
 use crate::turn_scale::TurnScale;
+use crate::twist_weights::TwistWeights;
 use crate::velocity_noise::VelocityNoise;
 use crate::wheel_scale::WheelScale;
 use flockslam_geometry::elementary::hypot;
@@ -80,6 +81,10 @@ pub(crate) struct Motion {
     turn_scale: TurnScale,
     /// How well the velocity so far predicts, without odometry.
     velocity_noise: VelocityNoise,
+    /// The velocity from the middle of one scan that took time to that of the next, with odometry, and that middle.
+    shown: Option<(Twist, Pose)>,
+    /// How well that velocity and odometry predict the next one.
+    twist_weights: TwistWeights,
 }
 
 /// How long after the stamp half of a scan without odometry was taken, seconds. Velocities are measured from middle to middle: there a scan
@@ -110,6 +115,8 @@ impl Motion {
             scale: WheelScale::default(),
             turn_scale: TurnScale::default(),
             velocity_noise: VelocityNoise::default(),
+            shown: None,
+            twist_weights: TwistWeights::default(),
         }
     }
 
@@ -146,6 +153,7 @@ impl Motion {
         (self.odometry, self.gyro_rad, self.odometry_turn_rad_s) = (None, None, None);
         self.steps.break_off();
         self.to_middle = (Pose::IDENTITY, 0.0);
+        self.shown = None;
     }
 
     /// The pose at this scan as it follows from the one before. Odometry is a motion in the robot's own frame, so
@@ -181,7 +189,7 @@ impl Motion {
                 let twist = match self.measured(scan) {
                     Some(twist) => twist,
                     None if is_brief => self.velocity,
-                    None => self.twist_after(scan, motion, step_s),
+                    None => self.twist_during(scan, motion, step_s),
                 };
                 (motion, twist)
             }
@@ -259,6 +267,12 @@ impl Motion {
         }
     }
 
+    /// The velocity during a scan that comes after this motion by odometry, from odometry and the velocity so far.
+    fn twist_during(&self, scan: ScanView<'_>, motion: Pose, step_s: f64) -> Twist {
+        let by_odometry = self.twist_after(scan, motion, step_s);
+        self.shown.map_or(by_odometry, |(so_far, _)| self.twist_weights.blended(by_odometry, so_far))
+    }
+
     /// The velocity during a scan that comes after this motion by odometry. A turn that has become faster goes on becoming so; what may be
     /// noise of odometry is no such change.
     fn twist_after(&self, scan: ScanView<'_>, motion: Pose, step_s: f64) -> Twist {
@@ -323,6 +337,7 @@ impl Motion {
         let step_s = self.steps.step_s(scan);
         let middle_s = middle_s(scan);
         let to_middle = estimate.twist.motion_after(middle_s);
+        self.shown = self.shown_with_odometry(scan, estimate, step_s).filter(|_| !lost && !jumped);
         if self.steps.has_begun() && !self.steps.is_brief(scan, step_s) {
             let kept = if lost { KEPT_WHEN_LOST } else { 1.0 };
             let middle_before = self.pose * self.to_middle.0;
@@ -346,6 +361,30 @@ impl Motion {
         self.odometry = scan.odometry();
         self.gyro_rad = scan.gyro_heading_rad();
         self.steps.advance(scan);
+    }
+
+    /// The velocity from the middle of the scan before to that of this one, and that middle; what it says of odometry is learned.
+    fn shown_with_odometry(
+        &mut self,
+        scan: ScanView<'_>,
+        estimate: &PoseEstimate,
+        step_s: f64,
+    ) -> Option<(Twist, Pose)> {
+        let odometry = scan.odometry().filter(|_| scan.takes_time() && estimate.has(PoseFlags::MATCHED))?;
+        let after_s = 0.5 * scan.time_s(scan.len() - 1);
+        let middle = estimate.odom_from_base * estimate.twist.motion_after(after_s);
+        let fresh = (self.velocity, middle);
+        let Some((so_far, before)) = self.shown else { return Some(fresh) };
+        if self.steps.is_brief(scan, step_s) || self.steps.is_of_another(scan) {
+            return None;
+        }
+        let shown = Twist::from_motion(before.to(middle), self.steps.even_s(scan, step_s));
+        if let Some(last) = self.odometry {
+            let by_odometry = last.to(odometry);
+            let motion = Pose { x_m: self.scale.factor() * by_odometry.x_m, ..by_odometry };
+            self.twist_weights.learn(shown, self.twist_after(scan, motion, step_s), so_far);
+        }
+        Some((shown, middle))
     }
 
     /// The pose in the middle of a scan to which the velocity would have brought a robot without odometry. Where a scan hardly measures, as
