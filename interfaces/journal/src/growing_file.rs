@@ -40,6 +40,11 @@ impl GrowingFile {
         &self.path
     }
 
+    /// Bytes that were appended, those that wait among them.
+    pub fn bytes(&self) -> u64 {
+        self.written + self.waiting.len() as u64
+    }
+
     /// Appends bytes, which reach the file with later ones, or by [`Self::flush`].
     pub fn push(&mut self, bytes: &[u8]) {
         self.waiting.extend_from_slice(bytes);

@@ -2,10 +2,10 @@
 
 use crate::{LocalisationSummary, ResultsError};
 use flockslam_geometry::Pose;
-use flockslam_journal::{Durability, replace_file};
+use flockslam_journal::{Durability, replace_file, replace_file_by};
 use flockslam_messages::{DropReason, PoseEstimate, PoseFlags};
 use std::fs;
-use std::io::{BufReader, Read};
+use std::io::{self, BufReader, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
@@ -146,12 +146,21 @@ pub struct LivePoses {
     pub accepted: u64,
 }
 
-/// Writes a trajectory into a set's results.
+/// Writes a trajectory into a set's results, one pose after the other: they need not lie in memory together.
 ///
 /// # Errors
-/// When the disk refuses.
-pub fn write_trajectory(directory: &Path, name: &str, rows: &[StampedPose]) -> Result<(), ResultsError> {
-    Ok(replace_file(&directory.join(name), rows.as_bytes(), Durability::Process)?)
+/// When a pose cannot be read or the disk refuses.
+pub fn write_trajectory(
+    directory: &Path,
+    name: &str,
+    rows: impl IntoIterator<Item = io::Result<StampedPose>>,
+) -> Result<(), ResultsError> {
+    let write = |file: &mut fs::File| {
+        let mut file = BufWriter::new(file);
+        rows.into_iter().try_for_each(|row| file.write_all(row?.as_bytes()))?;
+        file.flush()
+    };
+    Ok(replace_file_by(&directory.join(name), write, Durability::Process)?)
 }
 
 /// Reads a trajectory from a set's results.
@@ -230,7 +239,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let rows: Vec<_> =
             (0..3).map(|i| StampedPose { stamp_ns: -i, pose: Pose::new(i as f64, 0.5, 0.1) }).collect();
-        write_trajectory(directory.path(), FINAL_TRAJECTORY, &rows).unwrap();
+        write_trajectory(directory.path(), FINAL_TRAJECTORY, rows.iter().copied().map(Ok)).unwrap();
         assert_eq!(read_trajectory(directory.path(), FINAL_TRAJECTORY).unwrap(), rows);
         let path = directory.path().join(FINAL_TRAJECTORY);
         let bytes = fs::read(&path).unwrap();

@@ -76,7 +76,12 @@ impl SubmapStore {
 
     /// How many submaps there are: they are numbered from 0 without gaps.
     pub fn count(&self) -> u32 {
-        (0..).find(|number| !self.file(*number).exists()).expect("a directory is finite")
+        (0..).find(|number| !self.has(*number)).expect("a directory is finite")
+    }
+
+    /// Whether the submap of this number is there.
+    pub fn has(&self, number: u32) -> bool {
+        self.file(number).exists()
     }
 
     /// The file of the submap of this number.

@@ -87,6 +87,7 @@ struct MapperProcess {
     /// The map of the predecessor is being rebuilt: readers keep its tiles until all of the new ones are there.
     recovers: bool,
     journal: JournalReader,
+    /// Of the last scan in the map.
     last: Option<PoseEstimate>,
     metrics: MapMetrics,
 }
@@ -147,9 +148,7 @@ impl MapperProcess {
         self.recovers = true;
         self.catch_up(u64::MAX, context)?;
         self.recovers = false;
-        if self.last.is_some() || count > 0 {
-            self.republish(context)?;
-        }
+        self.republish(context)?;
         self.join.finished(self.join.expected)
     }
 
@@ -161,9 +160,12 @@ impl MapperProcess {
             if record.pose.has(PoseFlags::LOCALIZING) && record.pose.id.sequence < self.applied {
                 self.logic.has_localized(record.pose.id.sequence);
             }
-            let Some(scan) = record.scan.filter(|_| record.pose.id.sequence >= self.applied) else {
-                continue;
-            };
+            let is_new = record.pose.id.sequence >= self.applied;
+            if record.pose.has(PoseFlags::INSERT) && !is_new {
+                // The grid of closed submaps is committed with the last of their scans: the active one may have none yet.
+                self.last = Some(record.pose);
+            }
+            let Some(scan) = record.scan.filter(|_| is_new) else { continue };
             let Ok(scan) = scan.view() else { continue };
             match self.apply(scan, &record.pose, &[])? {
                 Some(inserted) if self.recovers => self.store(inserted.closed)?,

@@ -9,8 +9,7 @@ use driven::Driven;
 use flockslam_loop_closure::agreement::eligible;
 use flockslam_loop_closure::closure::{CHI_SQUARED_MAX, Closure};
 use flockslam_loop_closure::connectivity::{self, TrajectoryConnectivity};
-use flockslam_loop_closure::finder::{ClosureFinder, EVERY_M, LEAST_TRAVEL_M, QUERY_NODES, World, in_reach};
-use flockslam_loop_closure::graph_distances::{CLOSURE_M, JOINT_M, graph_distances, graph_distances_to};
+use flockslam_loop_closure::finder::{ClosureFinder, LEAST_TRAVEL_M};
 use flockslam_loop_closure::node::{NewNode, Node};
 use flockslam_loop_closure::odometry_graph::OdometryGraph;
 use flockslam_loop_closure::open_finder::OpenFinder;
@@ -35,6 +34,7 @@ mod final_passes;
 mod final_solution;
 mod freeze;
 mod imported;
+mod loop_search;
 mod map_entries;
 mod middles;
 mod placed_stretch;
@@ -53,13 +53,6 @@ const NODE_TURN_RAD: f64 = 0.2;
 const FINAL_NODES: usize = 3;
 /// Most branch-and-bound searches from one closed submap to the next.
 const SEARCHES_PER_SUBMAP: usize = 60;
-/// Searches between them beyond the usual ones while the newest trajectory is not connected with the map.
-const ADRIFT_SEARCHES: u64 = 100;
-
-/// While closures found in the last so many metres wait for others that agree with them …
-const AWAITED_M: f64 = 3.0;
-/// … a search starts after this much travel: at each node.
-const AWAITED_EVERY_M: f64 = 0.25;
 
 /// Work on solving the graph from one closed submap to the next, products of 3 × 3 blocks: a graph that takes more is solved less often,
 /// with the same work for each metre.
@@ -296,21 +289,7 @@ impl SyncManager {
             return;
         }
         let before = self.closures.len();
-        let done = self.concluded.searches;
-        while let Some(query) = self.due_query(known) {
-            // An unconnected trajectory is searched for everywhere: it gets more searches, but not without a limit.
-            let trajectory = self.odometry.nodes()[query].trajectory;
-            let searches = searches as u64;
-            let most = if self.connectivity(known).is_attached(trajectory) {
-                searches
-            } else {
-                searches.min(ADRIFT_SEARCHES) + ADRIFT_SEARCHES
-            };
-            if self.finder.counts().searches - done < most {
-                self.search(query, known);
-            }
-            self.next_search_m = self.search_after_m(query);
-        }
+        self.search_due(known, searches);
         self.unsolved |= self.closures.len() > before;
         let is_last = searches == usize::MAX;
         let is_due = is_last || at_submap || self.surprise(before);
@@ -353,58 +332,6 @@ impl SyncManager {
             };
             self.poses.push(pose);
         }
-    }
-
-    /// The first node at which a search is due and whose surroundings are complete.
-    fn due_query(&self, known: usize) -> Option<usize> {
-        let nodes = &self.odometry.nodes()[..known.saturating_sub(QUERY_NODES)];
-        let first = nodes.partition_point(|node| node.travel_m < self.next_search_m);
-        (first..nodes.len()).find(|node| !nodes[*node].is_given)
-    }
-
-    /// Travel at which the search after that of node `query` is due, metres.
-    fn search_after_m(&self, query: usize) -> f64 {
-        let nodes = self.odometry.nodes();
-        let at_m = nodes[query].travel_m;
-        let found = self.closures.iter().zip(&self.is_inlier).rev();
-        let recent = found.take_while(|(closure, _)| nodes[closure.edge.to].travel_m >= at_m - AWAITED_M);
-        // A robot that may be anywhere is not found sooner: queries so near to each other err alike.
-        let is_own = |closure: &Closure| nodes[closure.edge.from].trajectory == nodes[query].trajectory;
-        let mut waiting = recent.filter(|(closure, is_inlier)| !**is_inlier && is_own(closure));
-        let waits = !nodes[query].is_open && waiting.next().is_some();
-        at_m + if waits { AWAITED_EVERY_M } else { EVERY_M }
-    }
-
-    /// What connects nodes beside driving, with the uncertainty between them as a length of path, metres.
-    fn connections(&self, known: usize) -> Vec<(usize, usize, f64)> {
-        let inliers = self.closures.iter().zip(&self.is_inlier).filter(|(_, is_inlier)| **is_inlier);
-        let closures = inliers.map(|(c, _)| (c.edge.from, c.edge.to, CLOSURE_M));
-        closures.chain(self.joints(known).map(|joint| (joint.from, joint.to, JOINT_M))).collect()
-    }
-
-    fn search(&mut self, query: usize, known: usize) {
-        let nodes = &self.odometry.nodes()[..known];
-        let world = World { nodes, scans: &self.scans, segments: &self.segments, poses: &self.poses };
-        let connections = self.connections(known);
-        let is_one_trajectory = nodes.last().is_some_and(|last| last.trajectory == nodes[0].trajectory);
-        let distances_m = if is_one_trajectory && !nodes[query].is_open {
-            graph_distances_to(nodes, &connections, query, &in_reach(&world, query))
-        } else {
-            graph_distances(nodes, &connections, query)
-        };
-        let found = if nodes[query].is_open {
-            self.open_finder.find(&world, query, &distances_m)
-        } else {
-            self.finder.find(&world, query, &distances_m)
-        };
-        if let Some(unpublished) = &mut self.unpublished {
-            unpublished.found(&found, self.odometry.nodes());
-        }
-        self.closures.extend(found);
-        // New ones count at once for the windows of the next queries.
-        let eligible = eligible(&self.closures, nodes);
-        let old = self.is_inlier.len();
-        self.is_inlier.extend(&eligible[old..]);
     }
 
     /// Solves the graph of the first `known` nodes, from the odometry, with all eligible loops on trial again.

@@ -11,14 +11,12 @@ use detached::write_detached;
 use flock_outbox::Outbox;
 use flockslam_bus::{Notifier, Publisher, SUPERVISOR_EVENT, Subscriber};
 use flockslam_flock_network::FlockMetrics;
-use flockslam_geometry::Pose;
-use flockslam_map_fusion::PlacedSubmap;
 use flockslam_messages::{
     BeamRange, ControlKind, Correction, FlockFrame, FlockRobots, LocalisationOrder, MovingBeamsHeader,
     PoseEstimate, PoseFlags, ScanView, Stage, SubmapClosed,
 };
 use flockslam_results::SubmapStore;
-use flockslam_results::{self as results, LivePoses, LocalisationStatus, SubmapRow, Summary, Unattached};
+use flockslam_results::{self as results, LocalisationStatus, Summary, Unattached};
 use flockslam_stage::{
     Actor, Copies, FinalMessage, Inbox, Join, JournalReader, LeaderLock, Mode, Notifiers, StageContext,
     StageError, run,
@@ -34,6 +32,7 @@ mod clear_at_end;
 mod detached;
 mod flock_outbox;
 mod fuser;
+mod live_solution;
 mod localized;
 mod metrics;
 mod mode_turn;
@@ -210,11 +209,7 @@ impl SyncProcess {
             if record.pose.id.sequence < self.join.expected {
                 continue;
             }
-            for number in self.next_submap..record.pose.submap.min(self.store.count()) {
-                let submap = self.store.load(number)?;
-                let notice = self.store.notice(&submap)?;
-                self.conclude(&notice, context)?;
-            }
+            self.conclude_stored(record.pose.submap, context)?;
             let scan = record.scan.as_ref().and_then(|scan| scan.view().ok());
             self.take_in(&record.pose, scan, &[], context)?;
             self.accepted(&record.pose, context)?;
@@ -313,6 +308,18 @@ impl SyncProcess {
         Ok(())
     }
 
+    /// Concludes the stored submaps below this number that are due; false if one is not stored yet.
+    fn conclude_stored(&mut self, below: u32, context: &StageContext) -> Result<bool, StageError> {
+        while self.next_submap < below {
+            if !self.store.has(self.next_submap) {
+                return Ok(false);
+            }
+            let submap = self.store.load(self.next_submap)?;
+            self.conclude(&self.store.notice(&submap)?, context)?;
+        }
+        Ok(true)
+    }
+
     fn publish(&mut self, took_ns: u64, counts: ClosureCounts) {
         let (scan, submap) = (self.join.expected, self.next_submap.saturating_sub(1));
         tracing::debug!(
@@ -330,33 +337,6 @@ impl SyncProcess {
         self.metrics.concluded(counts, took_ns, self.fuser.area_m2());
     }
 
-    /// Says what nothing connects with the map, when that has changed. A failure has no other effect.
-    fn report_unattached(&mut self, unattached: Unattached, context: &StageContext) {
-        if unattached == self.unattached {
-            return;
-        }
-        self.unattached = unattached;
-        self.metrics.unattached(&unattached);
-        if let Err(error) = unattached.write(&context.status_dir) {
-            tracing::warn!(%error, "the status does not say what is not in the map");
-        }
-    }
-
-    /// Writes the solution for readers. A failure has no other effect.
-    fn show(&mut self) {
-        let Some(mapping) = self.logic.mapping().filter(|_| self.is_watched) else { return };
-        let counts = mapping.closure_counts();
-        let live = LivePoses {
-            submaps: rows(&mapping.submap_poses()),
-            closures: mapping.loops(),
-            searches: counts.searches,
-            accepted: counts.accepted,
-        };
-        if let Err(error) = results::write_live_poses(&self.result_dir, &live) {
-            tracing::warn!(%error, "the solution is not shown");
-        }
-    }
-
     fn drain_submaps(&mut self) -> Result<(), StageError> {
         while let Some(notice) = self.submaps.receive()? {
             if notice.number >= self.next_submap {
@@ -367,7 +347,8 @@ impl SyncProcess {
     }
 
     /// Handles the oldest pose; false when its join is not complete. A submap is concluded at a fixed place: before the first
-    /// scan that enters a later one.
+    /// scan that enters a later one. A live set does not wait for its notice: the mapper may have sent that before this process was
+    /// there, or was killed before.
     fn step(&mut self, pose: &PoseEstimate, context: &mut StageContext) -> Result<bool, StageError> {
         let sequence = pose.id.sequence;
         if self.join.has_missed(sequence) {
@@ -375,10 +356,12 @@ impl SyncProcess {
             self.catch_up(sequence, context)?;
         }
         while self.next_submap < pose.submap && pose.has(PoseFlags::INSERT) {
-            match self.waiting_submaps.remove(&self.next_submap) {
-                Some(notice) => self.conclude(&notice, context)?,
-                None if context.mode == Mode::Exact => return Ok(false),
-                None => break,
+            if let Some(notice) = self.waiting_submaps.remove(&self.next_submap) {
+                self.conclude(&notice, context)?;
+            } else if context.mode == Mode::Exact {
+                return Ok(false);
+            } else if !self.conclude_stored(self.next_submap + 1, context)? {
+                break;
             }
         }
         let started_ns = context.now_ns();
@@ -416,10 +399,7 @@ impl SyncProcess {
     }
 
     fn finish(&mut self, context: &mut StageContext) -> Result<(), StageError> {
-        for number in self.next_submap..self.store.count() {
-            let submap = self.store.load(number)?;
-            self.conclude(&self.store.notice(&submap)?, context)?;
-        }
+        self.conclude_stored(u32::MAX, context)?;
         let directory = &context.result_dir.clone();
         let Some(mapping) = self.logic.mapping() else { return self.finish_localizing(directory) };
         let solution = mapping.finish();
@@ -446,15 +426,6 @@ impl SyncProcess {
         }
         self.finished.send(self.summary.scans)
     }
-}
-
-fn rows(submaps: &[PlacedSubmap]) -> Vec<SubmapRow> {
-    let numbers = |pose: Pose| [pose.x_m, pose.y_m, pose.heading_rad];
-    let row = |placed: &PlacedSubmap| SubmapRow {
-        number: placed.number,
-        map_from_odom: numbers(placed.map_from_odom),
-    };
-    submaps.iter().map(row).collect()
 }
 
 impl Actor for SyncProcess {

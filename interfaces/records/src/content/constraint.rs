@@ -14,8 +14,8 @@ const CONSTRAINT_BYTES_MIN: usize = 43;
 const UNITS_PER_M: f32 = 500.0;
 /// Widest window that a constraint can have been found in, metres.
 const REACH_MAX_M: f32 = 1e4;
-/// No relative pose is known better than 1 cm and 1 cm a metre.
-const INFORMATION_MAX: f64 = 1.01e4;
+/// No relative pose is known better than 5 mm and 5 mm a metre; what is measured in the open is known so well when both scans look the same way.
+const INFORMATION_MAX: f64 = 4.04e4;
 
 /// A node of a robot's pose graph: the scan with this sequence.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]

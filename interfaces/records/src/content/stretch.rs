@@ -136,8 +136,11 @@ impl RecordedNode {
             *value = input.f32()?;
         }
         let drift_bound_m = input.f32()?;
-        if !is_information(&information, INFORMATION_MAX) || !(0.0..=1e7).contains(&drift_bound_m) {
+        if !is_information(&information, INFORMATION_MAX) {
             return Err(RecordError::Malformed("information of a motion"));
+        }
+        if !(0.0..=1e7).contains(&drift_bound_m) {
+            return Err(RecordError::Malformed("drift of a motion"));
         }
         // Points that are foreseen take next to no bytes: the limit alone bounds them.
         let count = input.count("points of a node", POINTS_MAX, 0)?;

@@ -166,3 +166,28 @@ impl Flock {
         self.search.run(&mut atlas, self.key.id(), searches_max, self.inspected.get_mut())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::OwnLoop;
+    use flockslam_loop_closure::closure::Closure;
+    use flockslam_loop_closure::{finder, open_finder};
+    use flockslam_pose_graph::Edge;
+    use flockslam_registration::cloud::Placement;
+
+    /// A record that the robot's own log refuses would end its sync-manager.
+    #[test]
+    fn loops_of_each_finder_are_published_also_when_their_points_are_exact() {
+        for (sigma_m, sigma_rad) in [finder::SLACK, open_finder::SLACK] {
+            let (position, heading) = (1.0 / (sigma_m * sigma_m), 1.0 / (sigma_rad * sigma_rad));
+            let information = [position, 0.0, 0.0, position, 0.0, heading];
+            let edge = Edge { from: 0, to: 1, motion: Placement::IDENTITY, information };
+            let closure = Closure { edge, reach_m: 1.0, shift_m: 0.0 };
+            let loops = vec![OwnLoop { from: 0, to: 5, closure }];
+            let mut robot = Flock::new(RobotKey::of_replay("a").unwrap(), 1, Limits::default());
+            let records = robot.publish(&Findings { stretches: Vec::new(), loops });
+            assert_eq!(records.unwrap().len(), 1);
+        }
+    }
+}

@@ -63,8 +63,8 @@ const INTRUDING_MAX: f64 = 0.12;
 const INTRUDED_MAX: f64 = 0.15;
 /// Least ratio of the information along the weakest and the strongest direction of translation.
 const DEGENERATE: f64 = 0.02;
-/// Errors of a closure beyond those of its points: the segment's own bending.
-const SLACK: (f64, f64) = (0.04, 0.01);
+/// Errors of a closure beyond those of its points: the segment's own bending. Metres and radians, standard deviations.
+pub const SLACK: (f64, f64) = (0.04, 0.01);
 
 /// Counts of searches so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -47,8 +47,8 @@ const INLIERS_MIN: f64 = 0.6;
 const AMBIGUOUS_PER_POINT: f64 = 0.04;
 /// Greatest standard deviations of a match, metres and radians.
 const SIGMA_MAX: (f64, f64) = (0.15, 0.015);
-/// Errors of a closure beyond those of its points: both stretches bend.
-const SLACK: (f64, f64) = (0.1, 0.005);
+/// Errors of a closure beyond those of its points: both stretches bend. Metres and radians, standard deviations.
+pub const SLACK: (f64, f64) = (0.1, 0.005);
 /// The same beyond these where the robot looks back: it sees the other sides of what stands there.
 const OTHER_SIDE: (f64, f64) = (0.4, 0.015);
 /// A match may lie so far outside its window, metres and radians.

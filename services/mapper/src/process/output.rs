@@ -5,6 +5,7 @@ use flockslam_bus::{Notifier, Publisher, TilePublisher};
 use flockslam_evidence::TileKey;
 use flockslam_messages::{Commit, CommitName, Stage, SubmapClosed};
 use flockslam_stage::{StageContext, StageError};
+use flockslam_telemetry::failpoint;
 
 /// Tiles, commits and closed submaps on the bus.
 pub(super) struct Output {
@@ -80,6 +81,9 @@ impl Output {
 
     /// Publishes a submap that is stored.
     pub fn publish_submap(&self, notice: &SubmapClosed) -> Result<(), StageError> {
+        if failpoint("lost-notice") && notice.number == 1 {
+            return Ok(());
+        }
         self.submaps.send(notice)?;
         self.sync_manager.notify();
         Ok(())

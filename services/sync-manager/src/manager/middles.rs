@@ -8,7 +8,7 @@ use flockslam_registration::cloud::Placement;
 /// The scans before and after must be so near, in times that the scan takes: then the robot does much the same during all three.
 const NEAR: f64 = 2.5;
 /// A pose that this would move farther stays, metres and radians: one of the three is wrong.
-const MOVE_MAX: (f64, f64) = (0.03, 0.02);
+const MOVE_MAX: (f64, f64) = (0.06, 0.06);
 
 /// The middle of a scan.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

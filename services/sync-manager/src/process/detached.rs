@@ -1,7 +1,7 @@
 //! Writes what nothing connects with the map: each part gets a map and a trajectory of its own.
 
 use super::fuser::Fuser;
-use crate::{DetachedPart, Solution};
+use crate::{DetachedPart, PlacedScan, Solution};
 use flockslam_results::flock_files::NamedPose;
 use flockslam_results::{self as results, DetachedRow, StampedPose, SubmapStore};
 use flockslam_stage::{StageContext, StageError};
@@ -56,12 +56,8 @@ fn write_part(
     let name = format!("trajectory-{}", part.trajectory + 1);
     let directory = context.result_dir.join(&name);
     std::fs::create_dir_all(&directory).map_err(|error| StageError::file(&directory, error))?;
-    let poses: Vec<StampedPose> = part
-        .scans
-        .iter()
-        .map(|scan| StampedPose { stamp_ns: scan.stamp_ns, pose: scan.map_from_base })
-        .collect();
-    results::write_trajectory(&directory, results::FINAL_TRAJECTORY, &poses)?;
+    let stamped = |scan: &PlacedScan| StampedPose { stamp_ns: scan.stamp_ns, pose: scan.map_from_base };
+    results::write_trajectory(&directory, results::FINAL_TRAJECTORY, part.scans.iter().map(stamped).map(Ok))?;
     results::write_map(&directory, &map)?;
     Ok(Some(name))
 }

@@ -7,7 +7,7 @@ use flockslam_results::flock_files::NamedPose;
 use flockslam_results::{self as results, StampedPose};
 use flockslam_stage::{GrowingFile, StageError};
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
@@ -78,36 +78,53 @@ impl Trajectories {
     /// # Errors
     /// When the disk refuses.
     pub fn finish(&mut self, solution: &Solution) -> Result<Vec<NamedPose>, StageError> {
-        results::write_trajectory(&self.directory, results::ONLINE_TRAJECTORY, &self.online.read()?)?;
-        let row = |placed: &crate::PlacedScan| NamedPose {
+        results::write_trajectory(&self.directory, results::ONLINE_TRAJECTORY, self.online.read()?)?;
+        let rows = self.placed(solution)?;
+        let stamped = |row: &NamedPose| StampedPose { stamp_ns: row.stamp_ns, pose: row.pose };
+        results::write_trajectory(
+            &self.directory,
+            results::FINAL_TRAJECTORY,
+            rows.iter().map(stamped).map(Ok),
+        )?;
+        Ok(rows)
+    }
+
+    /// All scans, frozen ones and others, in the order of their sequences.
+    fn placed(&mut self, solution: &Solution) -> Result<Vec<NamedPose>, StageError> {
+        let mut rows = Vec::with_capacity(self.frozen.count() + solution.trajectory.len());
+        let mut through_frozen = Vec::new();
+        let path = self.frozen.file.path().to_owned();
+        for frozen in self.frozen.read()? {
+            let frozen = frozen.map_err(|error| StageError::file(&path, error))?;
+            match solution.anchor(frozen.anchor) {
+                Some(anchor) => rows.push(frozen.placed(anchor)),
+                None => through_frozen.push(frozen),
+            }
+        }
+        rows.sort_unstable_by_key(|row| row.sequence);
+        // A localized scan may be anchored at a node whose own scan has frozen since.
+        let anchor = |frozen: &FrozenRow| {
+            let place = rows.binary_search_by_key(&frozen.anchor, |row| row.sequence);
+            rows[place.expect("anchors stay, or their own scans are frozen")].pose
+        };
+        let placed: Vec<_> = through_frozen.iter().map(|frozen| frozen.placed(anchor(frozen))).collect();
+        rows.extend(placed);
+        rows.extend(solution.trajectory.iter().map(|placed| NamedPose {
             sequence: placed.id.sequence,
             stamp_ns: placed.stamp_ns,
             pose: placed.map_from_base,
-        };
-        let mut live = solution.trajectory.iter().peekable();
-        let mut rows = Vec::new();
-        let mut frozen_rows = self.frozen.read()?;
+        }));
         // Scans of the map freeze later than those after them that the set has localized with.
-        frozen_rows.sort_by_key(|row| row.sequence);
-        let pose = |row: &FrozenRow| Some(solution.anchor(row.anchor)? * row.anchor_from_base);
-        // A localized scan may be anchored at a node whose own scan has frozen since.
-        let through_frozen = |row: &FrozenRow| {
-            let place = frozen_rows.binary_search_by_key(&row.anchor, |other| other.sequence).ok()?;
-            Some(pose(&frozen_rows[place])? * row.anchor_from_base)
-        };
-        for frozen in &frozen_rows {
-            while let Some(placed) = live.next_if(|placed| placed.id.sequence < frozen.sequence) {
-                rows.push(row(placed));
-            }
-            let pose = pose(frozen).or_else(|| through_frozen(frozen));
-            let pose = pose.expect("anchors stay, or their own scans are frozen");
-            rows.push(NamedPose { sequence: frozen.sequence, stamp_ns: frozen.stamp_ns, pose });
-        }
-        rows.extend(live.map(row));
-        let stamped = |row: &NamedPose| StampedPose { stamp_ns: row.stamp_ns, pose: row.pose };
-        let stamped: Vec<_> = rows.iter().map(stamped).collect();
-        results::write_trajectory(&self.directory, results::FINAL_TRAJECTORY, &stamped)?;
+        rows.sort_unstable_by_key(|row| row.sequence);
         Ok(rows)
+    }
+}
+
+impl FrozenRow {
+    /// Where the scan is when its anchor is there.
+    fn placed(&self, anchor: Pose) -> NamedPose {
+        let (sequence, stamp_ns) = (self.sequence, self.stamp_ns);
+        NamedPose { sequence, stamp_ns, pose: anchor * self.anchor_from_base }
     }
 }
 
@@ -131,18 +148,22 @@ impl<T: FromBytes + IntoBytes + Immutable> RowFile<T> {
         self.file.push(row.as_bytes());
     }
 
-    fn read(&mut self) -> Result<Vec<T>, StageError> {
+    /// Number of rows.
+    fn count(&self) -> usize {
+        self.file.bytes() as usize / size_of::<T>()
+    }
+
+    /// The rows, read one after the other.
+    fn read(&mut self) -> Result<impl Iterator<Item = io::Result<T>> + use<T>, StageError> {
         self.file.flush()?;
-        let wrong = |e| StageError::file(self.file.path(), e);
-        let file = File::open(self.file.path()).map_err(wrong)?;
-        let rows = file.metadata().map_err(wrong)?.len() as usize / size_of::<T>();
+        let file = File::open(self.file.path()).map_err(|e| StageError::file(self.file.path(), e))?;
         let mut file = BufReader::new(file);
         let mut row = vec![0; size_of::<T>()];
-        let mut read = || {
+        let mut read = move || {
             file.read_exact(&mut row)?;
-            T::read_from_bytes(&row).map_err(|_| std::io::Error::other("a torn row"))
+            T::read_from_bytes(&row).map_err(|_| io::Error::other("a torn row"))
         };
-        (0..rows).map(|_| read().map_err(wrong)).collect()
+        Ok((0..self.count()).map(move |_| read()))
     }
 }
 
