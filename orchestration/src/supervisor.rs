@@ -13,6 +13,7 @@ mod set_error;
 mod set_file;
 mod side_process;
 mod stage_command;
+mod starvation;
 mod status;
 mod supervision;
 mod system_limits;

@@ -122,7 +122,7 @@ pub const OLD_KEYS: &[(&str, Now)] = &[
     ("sync_manager.range_min_m", Fixed("0.3")),
     ("sync_manager.refine", Gone("matching all scans once more at the end improved nothing")),
     ("sync_manager.segment_length_m", Fixed("5.0")),
-    ("sync_manager.visits_kept", Fixed("4")),
+    ("sync_manager.visits_kept", Fixed("3")),
 ];
 
 /// The message for an old key: one line.

@@ -254,8 +254,8 @@ mod tests {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap();
         assert_eq!(connect(&format!("tcp/{address}")), Ok(()));
-        drop(listener);
-        assert!(connect(&format!("tcp/{address}")).is_err() && connect("nonsense").is_err());
+        // A port of its own, not the one just closed: a process that another test starts can hold that open for an instant.
+        assert!(connect("tcp/127.0.0.1:1").is_err() && connect("nonsense").is_err());
     }
 
     #[test]

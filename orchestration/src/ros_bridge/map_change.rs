@@ -10,7 +10,7 @@ pub fn map_change(
     stamp_ns: i64,
     frame: &str,
 ) -> Option<OccupancyGridUpdate> {
-    if !before.lies_as(after) {
+    if !before.has_same_metadata(after) {
         return None;
     }
     let width = after.width();

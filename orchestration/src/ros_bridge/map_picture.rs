@@ -205,7 +205,7 @@ impl MapPicture {
     }
 
     /// Whether another map has the same size and place.
-    pub fn lies_as(&self, other: &Self) -> bool {
+    pub fn has_same_metadata(&self, other: &Self) -> bool {
         (self.bounds, self.resolution_m) == (other.bounds, other.resolution_m)
     }
 

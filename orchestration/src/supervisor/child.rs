@@ -2,6 +2,7 @@
 
 use super::hang::hangs;
 use super::restarts::{AfterDeath, RestartPolicy};
+use super::starvation::{RunState, StarvationWatch};
 use super::supervision::ProcessLimits;
 use crate::time_slice;
 use flockslam_messages::Stage;
@@ -41,6 +42,7 @@ pub struct StageChild {
     pub pids: Vec<u32>,
     /// How often it was replaced because it hung.
     pub hangs: u64,
+    starvation: StarvationWatch,
     /// Why its process is killed, unless it ends by itself.
     killed_for: RestartReason,
     process: Option<(Child, OwnedFd)>,
@@ -71,6 +73,7 @@ impl StageChild {
             replica,
             pids: Vec::new(),
             hangs: 0,
+            starvation: StarvationWatch::default(),
             killed_for: RestartReason::default(),
             process: None,
             started: Instant::now(),
@@ -198,11 +201,17 @@ impl StageChild {
         self.given_up.is_some()
     }
 
-    /// Kills the process when it has been silent for too long; true when it has.
+    /// Kills the process when it has been silent for too long though it could run; true when it has.
     pub fn kill_if_it_hangs(&mut self, status_dir: &Path, now_ns: u64, deadline: Duration) -> bool {
         if !self.is_running() || !hangs(self.beat(status_dir), self.started_ns, now_ns, deadline) {
+            self.starvation.reset();
             return false;
         }
+        let state = self.pids.last().and_then(|pid| RunState::of(*pid));
+        if self.starvation.starves(state, now_ns, deadline) {
+            return false;
+        }
+        self.starvation.reset();
         self.hangs += 1;
         self.killed_for = RestartReason::Hung;
         self.signal(Signal::KILL);
