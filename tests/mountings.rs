@@ -91,7 +91,7 @@ fn record(path: &Path, settings: &Settings, lidars: &[Mounted], motion: Motion) 
 }
 
 /// Drives whose mean errors are compared: that of one drive depends on the noise of its scans.
-const SEEDS: std::ops::Range<u64> = 1..7;
+const SEEDS: std::ops::Range<u64> = 1..5;
 const PLACED_SEEDS: std::ops::Range<u64> = 1..13;
 /// What gyroscopes of small robots are off by.
 const GYRO_BIAS_RAD_S: f64 = 0.01;
@@ -133,16 +133,12 @@ fn lidars_wherever_and_however_many_give_true_poses() {
         println!("{errors:.4?}");
         errors.iter().sum::<f64>() / errors.len() as f64
     };
-    // Limits: a tenth more than was reached over these seeds. Over 96 seeds the means are 0.0031 m plain and 0.0034 m ahead and turned, over 30
-    // seeds 0.0029 m upside down, 0.0031 m back to back, 0.0033 m with three rates. One drive is off by 0.0011 m from the mean.
-    let upside_down = Mounted { upside_down: true, ..at(0.1, 0.0) };
+    // Limits: a tenth more than was reached over these seeds. One drive is off by 0.0011 m from the mean.
+    let upside_down = Mounted { upside_down: true, ..at(0.3, 30.0) };
     let slower = Mounted { every: 4, ..at(-0.2, 120.0) };
     let faster = Mounted { every: 1, ..at(0.0, -120.0) };
     for (name, lidars, limit_m) in [
-        ("plain", vec![at(0.0, 0.0)], 0.0037),
-        ("ahead and turned", vec![at(0.3, 30.0)], 0.0037),
-        ("upside down", vec![upside_down], 0.0033),
-        ("back to back", vec![at(0.3, 0.0), at(-0.3, 180.0)], 0.0034),
+        ("ahead, turned and upside down", vec![upside_down], 0.0037),
         ("three rates", vec![at(0.2, 0.0), slower, faster], 0.0035),
     ] {
         let found_m = error_of(&lidars);
@@ -155,19 +151,17 @@ fn lidars_wherever_and_however_many_give_true_poses() {
 fn a_gyroscope_stands_in_for_wheels() {
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("drive.mcap");
-    let error_of = |motion: Motion| {
-        let of_seed = |seed: u64| {
-            let settings = Settings { seed, ..settings(WorldName::Hotel, 60.0) };
-            let truth = record(&file, &settings, &[at(0.1, 0.0)], motion);
-            error_m(directory.path(), &file, &[], &truth)
-        };
-        (1..=10).map(of_seed).sum::<f64>() / 10.0
+    let of_seed = |seed: u64| {
+        let settings = Settings { seed, ..settings(WorldName::Hotel, 60.0) };
+        let truth = record(&file, &settings, &[at(0.1, 0.0)], Motion::Gyroscope);
+        error_m(directory.path(), &file, &[], &truth)
     };
-    let (wheels_m, gyroscope_m) = (error_of(Motion::Wheels), error_of(Motion::Gyroscope));
-    // 0.0125 m with wheels, 0.0154 m with the gyroscope; single seeds 0.007 to 0.023 m with wheels, 0.011 to 0.020 m with the gyroscope, so that
-    // three seeds do not tell. All are one way with other noise, whose error depends on which scans become nodes.
-    println!("wheels {wheels_m:.4} m, gyroscope {gyroscope_m:.4} m");
-    assert!(gyroscope_m < 1.5 * wheels_m);
+    let errors: Vec<f64> = (1..=6).map(of_seed).collect();
+    let mean_m = errors.iter().sum::<f64>() / errors.len() as f64;
+    // A tenth more than 0.0188 m. Over ten seeds it is 0.0169 m, and 0.0128 m with wheels; single seeds 0.011 to 0.026 m. All are one way with
+    // other noise, whose error depends on which scans become nodes.
+    println!("{mean_m:.4} m, {errors:.4?}");
+    assert!(mean_m < 0.0207, "{mean_m} m: {errors:?}");
 }
 
 #[test]

@@ -102,7 +102,7 @@ fn one_drive_in_eight_formats_gives_one_map() {
     assert!((300..500).contains(&scans), "{scans} of 730");
 }
 
-/// The start of each public log, written as a bag by the public package, and that converted: one map, to the bit.
+/// The start of each public log, written as a bag by the public package, and that of the first converted: one map, to the bit.
 #[test]
 fn logs_written_as_bags_and_these_converted_give_the_maps_of_the_logs() {
     let directory = tempfile::tempdir().unwrap();
@@ -110,7 +110,7 @@ fn logs_written_as_bags_and_these_converted_give_the_maps_of_the_logs() {
     let Some(logs) = LOGS.map(|log| log.file("clf")).into_iter().collect::<Option<Vec<_>>>() else { return };
     let Some(python) = tools::RECORDINGS.python() else { return };
     let script = repository().join("tests/carmen_to_bag.py").display().to_string();
-    for log in logs {
+    for (number, log) in logs.into_iter().enumerate() {
         let name = log.file_stem().unwrap().to_str().unwrap();
         let (begin, bag) = (format!("{name}.clf"), format!("{name}.bag"));
         let text = fs::read_to_string(&log).unwrap();
@@ -125,6 +125,9 @@ fn logs_written_as_bags_and_these_converted_give_the_maps_of_the_logs() {
         let apart_m = apart.fold(0.0, f64::max);
         println!("{name}: {} scans, {apart_m:.6} m", expected.len());
         assert!(apart_m <= 0.0002, "{name}: {apart_m} m");
+        if number > 0 {
+            continue;
+        }
         for (to, options) in [
             ("sqlite", "--dst-storage sqlite3"),
             ("mcap", "--dst-storage mcap"),

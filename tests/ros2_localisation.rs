@@ -23,7 +23,9 @@ fn origin_of(outputs: &Path) -> [f64; 2] {
 /// What a robot noted while it drove are the poses of the run that made the map.
 fn assert_true(noted: &Value, mapped: &Outputs) {
     let (corrections, poses) = (rows(noted, "corrections"), rows(noted, "poses"));
-    assert!(poses.len() + 40 > rows(noted, "sent").len(), "{} poses", poses.len());
+    // The poses begin when the robot has been found, later on a machine that is busy.
+    let sent = rows(noted, "sent").len();
+    assert!(4 * poses.len() > 3 * sent, "{} poses for {sent} scans", poses.len());
     let trajectory = mapped.trajectory("trajectory.tum");
     let truth = |stamp_ns: i64| trajectory.iter().find(|point| (point.stamp_ns - stamp_ns).abs() < 1_000_000);
     let off_m = poses.iter().filter_map(|row| Some(truth(row.0)?.map_from_base.distance_m(row.1)));

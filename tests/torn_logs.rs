@@ -8,19 +8,16 @@ use crate::support::public_logs::{ACES, FILTER_OFF, FR079, INTEL, LOGS, Log};
 /// A tenth more than what was reached with the same settings and start heading is a regression.
 const TOLERANCE: f64 = 1.1;
 
-/// What logs are put to, and the mean error over all relations that each reaches then, metres. Intel, the longest, goes through all
-/// of it on the benchmark page.
+/// What logs are put to, and the mean error over all relations that each reaches then, metres. The benchmark page puts all three to all of it.
 type Conditions = (&'static [&'static str], &'static [(Log, f64)]);
 
 const AS_IT_IS: Conditions = (&[], &[(INTEL, 0.0127), (FR079, 0.0298), (ACES, 0.0333)]);
-const JUMPS: Conditions =
-    (&["lidar_ingest.odometry_jumps=5", "lidar_ingest.seed=7"], &[(FR079, 0.0298), (ACES, 0.0333)]);
-const FALSE_BEAMS: Conditions = (&["lidar_ingest.beam_noise_share=0.2"], &[(FR079, 0.0302), (ACES, 0.0350)]);
-const MISSING_SCANS: Conditions = (&["lidar_ingest.keep_every=2"], &[(FR079, 0.0306), (ACES, 0.0340)]);
-const POOR_WHEELS: Conditions =
-    (&["lidar_ingest.odometry_noise=[0.02, 1.0]"], &[(FR079, 0.0302), (ACES, 0.0339)]);
+const JUMPS: Conditions = (&["lidar_ingest.odometry_jumps=5", "lidar_ingest.seed=7"], &[(ACES, 0.0333)]);
+const FALSE_BEAMS: Conditions = (&["lidar_ingest.beam_noise_share=0.2"], &[(FR079, 0.0302)]);
+const MISSING_SCANS: Conditions = (&["lidar_ingest.keep_every=2"], &[(FR079, 0.0306)]);
+const POOR_WHEELS: Conditions = (&["lidar_ingest.odometry_noise=[0.02, 1.0]"], &[(ACES, 0.0339)]);
 
-const NO_WHEELS: Conditions = (&["lidar_ingest.odometry=false"], &[(FR079, 0.0298), (ACES, 0.0350)]);
+const NO_WHEELS: Conditions = (&["lidar_ingest.odometry=false"], &[(FR079, 0.0298)]);
 /// A heading at which a corridor of ACES was taken to be shorter than it is, while fits alone gave the velocity: loops were off by 2 m.
 const NO_WHEELS_TURNED: Conditions =
     (&["lidar_ingest.odometry=false", "lidar_ingest.start_pose=[0.0, 0.0, 1.75]"], &[(ACES, 0.0350)]);

@@ -146,12 +146,18 @@ impl LiveSet {
         }
     }
 
-    /// Waits until the set is as asked for.
+    /// Waits until the set is as asked for. A set that ends before it fails the test with what its stages last said.
     pub fn wait_until(&mut self, what: &str, is: impl Fn(&SetStatus) -> bool) -> SetStatus {
+        let mut last_seen = String::new();
         wait_for_every(STATUS_EVERY, what, || {
             let ended = self.child.try_wait().unwrap();
-            assert!(ended.is_none(), "{what}: the set has ended: {ended:?}");
-            self.status().filter(&is)
+            assert!(ended.is_none(), "{what}: the set has ended: {ended:?}; before: {last_seen}");
+            let status = self.status()?;
+            let of_stage = |stage: &StageStatus| {
+                format!("{} {:?} {} handled {} hangs", stage.stage, stage.state, stage.handled, stage.hangs)
+            };
+            last_seen = status.stages.iter().map(of_stage).collect::<Vec<_>>().join(", ");
+            is(&status).then_some(status)
         })
     }
 

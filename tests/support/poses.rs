@@ -2,7 +2,7 @@
 
 use super::wait_for;
 use flockslam_bus::RuntimeDir;
-use flockslam_messages::PoseEstimate;
+use flockslam_messages::{PoseEstimate, PoseFlags};
 use flockslam_stage::JournalReader;
 use flockslam_telemetry::monotonic_ns;
 use std::path::Path;
@@ -48,6 +48,11 @@ impl PoseWatch {
     /// All poses so far.
     pub fn seen(&self) -> Vec<SeenPose> {
         self.seen.lock().unwrap().clone()
+    }
+
+    /// How many scans have entered the map.
+    pub fn inserted(&self) -> usize {
+        self.seen.lock().unwrap().iter().filter(|seen| seen.pose.has(PoseFlags::INSERT)).count()
     }
 
     /// How long after `since` there was a pose of a scan that was taken after it, milliseconds.

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 const DRIVE: Drive = Drive { scan_rate_hz: 40.0, duration_s: 3600.0, rate: 1.0 };
 /// What a set saves within this after SIGTERM is in time.
-const STOP_LIMIT: Duration = Duration::from_secs(2);
+const STOP_LIMIT: Duration = Duration::from_secs(5);
 /// Files longer than this are damaged at places drawn by lot in place of everywhere, bytes.
 const WHOLE_BYTES: usize = 4096;
 
