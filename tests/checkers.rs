@@ -36,9 +36,8 @@ fn a_mapper_that_replays_what_it_has_in_store_has_scans_twice() {
 #[test]
 fn a_restarted_matcher_without_its_state_has_lost_its_pose() {
     machine_share::mostly_waits();
-    // Without odometry that would tell it.
+    // Without odometry that would tell it. Also a jump is seen, unless poses are missing for so long that a robot could have driven there.
     let trial = with_failpoint("no-resume", &[Stage::ScanMatcher], &["lidar_ingest.odometry=false"]);
-    complains(&trial, "the pose jumps");
     complains(&trial, "the error is");
 }
 

@@ -199,11 +199,11 @@ fn two_lidars_of_different_families_give_poses_of_every_scan_while_one_comes_and
     for _ in 0..3 {
         drop(player);
         set.wait_until("one", |status| status.lidar_lines[1].state != "measuring");
-        let seen = poses.seen().len();
-        wait_for("poses by the other", || (poses.seen().len() > seen + 10).then_some(()));
+        let seen = poses.count();
+        wait_for("poses by the other", || (poses.count() > seen + 10).then_some(()));
         player = LidarPlayer::plug(&paths[1], rear());
         set.wait_until("both", |status| status.lidar_lines[1].state == "measuring");
-        let seen = poses.seen().len();
+        let seen = poses.count();
         wait_for("poses by both", || {
             let by_rear = poses.seen()[seen..].iter().filter(|seen| seen.pose.id.lidar == 1).count();
             (by_rear > 4).then_some(())

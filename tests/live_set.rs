@@ -129,8 +129,8 @@ fn the_filter_gets_a_second_process_and_loses_it_again_without_a_lost_scan() {
             let filters = status.stages.iter().filter(|stage| stage.stage == "correlation-filter");
             filters.clone().count() == processes && filters.clone().all(|f| f.state == StageState::Running)
         });
-        let seen = poses.seen().len();
-        wait_for("more poses", || (poses.seen().len() > seen + 10).then_some(()));
+        let seen = poses.count();
+        wait_for("more poses", || (poses.count() > seen + 10).then_some(()));
         let others = |status| {
             pids(status).into_iter().filter(|(stage, _)| stage != "correlation-filter").collect::<Vec<_>>()
         };
@@ -240,7 +240,7 @@ fn a_set_that_is_killed_as_a_submap_closes_matches_on_the_same_grid_again() {
     let mut set = LiveSet::start_with_failpoints("closing", directory.path(), drive, "", &arguments, "");
     set.wait_until_handled(Stage::ScanMatcher, 1);
     let poses = PoseWatch::start(&set.runtime_dir());
-    wait_for("a closed submap", || poses.seen().last().filter(|last| last.pose.submap > 0).map(drop));
+    wait_for("a closed submap", || poses.last().filter(|last| last.pose.submap > 0).map(drop));
     let inserted = poses.inserted();
     drop(poses);
     let set = set.kill_and_start_again();

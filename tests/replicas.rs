@@ -78,8 +78,8 @@ impl Subject {
             let processes = processes_of(status, stage);
             processes.len() == count && processes.iter().all(|(_, state)| *state == StageState::Running)
         });
-        let seen = self.poses.seen().len();
-        wait_for("more poses", || (self.poses.seen().len() > seen + 10).then_some(()));
+        let seen = self.poses.count();
+        wait_for("more poses", || (self.poses.count() > seen + 10).then_some(()));
         status
     }
 

@@ -254,7 +254,7 @@ class FollowedMap:
     """The map by its topic and the changes of it: whether these bring it nearer to the next map."""
 
     def __init__(self):
-        self.maps, self.changes, self.pending, self.nearer, self.last = 0, 0, 0, None, time.monotonic()
+        self.maps, self.changes, self.pending, self.nearer = 0, 0, 0, None
         self.size, self.cells, self.before = None, [], []
         participant = DomainParticipant(int(os.environ["ROS_DOMAIN_ID"]))
         self.hears_maps = reader(participant, "rt/map", GridByCyclone, LATCHED_BY_CYCLONE)
@@ -264,7 +264,7 @@ class FollowedMap:
     def keep(self):
         while True:
             for change in self.hears_changes.take(N=10):
-                self.changes, self.pending, self.last = self.changes + 1, self.pending + 1, time.monotonic()
+                self.changes, self.pending = self.changes + 1, self.pending + 1
                 for row in range(change.height):
                     at, end = row * change.width, (row + 1) * change.width
                     to = (change.y + row) * self.size[0] + change.x
@@ -274,12 +274,12 @@ class FollowedMap:
                 differing = lambda cells: sum(a != b for a, b in zip(cells, grid.data))
                 if self.pending and size == self.size:
                     self.nearer = self.nearer is not False and differing(self.cells) < differing(self.before)
-                self.maps, self.pending, self.last = self.maps + 1, 0, time.monotonic()
+                self.maps, self.pending = self.maps + 1, 0
                 self.size, self.cells, self.before = size, list(grid.data), list(grid.data)
             time.sleep(0.02)
 
     def state(self):
-        return {"maps": self.maps, "changes": self.changes, "nearer": self.nearer, "quiet_s": time.monotonic() - self.last}
+        return {"maps": self.maps, "changes": self.changes, "nearer": self.nearer}
 
 
 def serve_map(picture, resolution, x, y):

@@ -50,6 +50,16 @@ impl PoseWatch {
         self.seen.lock().unwrap().clone()
     }
 
+    /// The newest pose.
+    pub fn last(&self) -> Option<SeenPose> {
+        self.seen.lock().unwrap().last().copied()
+    }
+
+    /// How many poses there are.
+    pub fn count(&self) -> usize {
+        self.seen.lock().unwrap().len()
+    }
+
     /// How many scans have entered the map.
     pub fn inserted(&self) -> usize {
         self.seen.lock().unwrap().iter().filter(|seen| seen.pose.has(PoseFlags::INSERT)).count()

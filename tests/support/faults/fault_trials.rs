@@ -157,9 +157,9 @@ impl Subject {
         let status = self.set.wait_until("all stages to run", |status| {
             status.stages.iter().all(|stage| stage.state == StageState::Running)
         });
-        let enough = self.poses.seen().len() + CALM_SCANS;
+        let enough = self.poses.count() + CALM_SCANS;
         let poses = &self.poses;
-        self.set.wait_until("some poses", |_| poses.seen().len() >= enough);
+        self.set.wait_until("some poses", |_| poses.count() >= enough);
         status
     }
 

@@ -116,7 +116,7 @@ pub fn overload(kind: Overload) -> Trial {
     let sent = of(&before, Stage::LidarIngest).handled + 200;
     set.wait_until_handled(Stage::LidarIngest, sent);
     let newest_s = wait_for("a pose of one of the newest scans", || {
-        let newest = poses.seen().last().copied()?;
+        let newest = poses.last()?;
         let age_s = (monotonic_ns() - newest.pose.times.monotonic_ns) as f64 * 1e-9;
         (age_s < NEWEST_WITHIN_S).then_some(age_s)
     });

@@ -90,7 +90,7 @@ pub fn refusing_disk(runs: usize) -> Trial {
         set.wait_until("a reported problem", |status| {
             status.saved.as_ref().is_some_and(|saved| saved.problem.is_some() && !saved.durable)
         });
-        wait_for("poses without a disk", || (poses.seen().len() > 40).then_some(()));
+        wait_for("poses without a disk", || (poses.count() > 40).then_some(()));
         fs::remove_file(&path).unwrap();
         let since = Instant::now();
         set.wait_until("a saved map", |status| status.saved.as_ref().is_some_and(|saved| saved.durable));
