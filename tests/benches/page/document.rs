@@ -23,6 +23,7 @@ pub const SECTIONS: [(&str, &str); 14] = [
 const INTRODUCTION: &str = "# Benchmarks\n\n\
     Written by `cargo bench -p flockslam --bench page`, which runs the built executable as a user would. Single sections: \
     `… --bench page -- --only accuracy,cost`; the others stay as they are. `--quick` takes one start heading and leaves out what takes minutes. \
+    A section ends with the commit that it was measured on; one without is of an older state. \
     The logs are looked for in `FLOCKSLAM_DATA` or `../shared/data`.\n\n\
     Errors over relations: of every relation between two poses that is known from ground truth (R. Kümmerle et al. 2009), how far the \
     estimated motion is off; *short* are relations of less than 60 s, *loops* the others. ATE: absolute error against exact truth after the best \

@@ -1,6 +1,7 @@
 //! Section `machine`, and the speed of a copy of 64 MiB, which is measured beside other times so that machines can be compared.
 
 use std::fmt::Write;
+use std::process::Command;
 use std::time::Instant;
 
 /// Bytes of the copy that tells how fast the machine was at that moment.
@@ -25,6 +26,19 @@ pub fn section() -> String {
     let _ = writeln!(text, "- flockslam {}, {profile} profile", flockslam::VERSION);
     let _ = writeln!(text, "- {}", copy_line());
     text
+}
+
+/// The commit that is measured, as a sentence. Documents do not count as changes: the page is one.
+pub fn measured_on() -> String {
+    let git = |arguments: &[&str]| {
+        let output =
+            Command::new("git").args(arguments).current_dir(env!("CARGO_MANIFEST_DIR")).output().ok()?;
+        output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
+    };
+    let Some(commit) = git(&["rev-parse", "--short=7", "HEAD"]) else { return "Of no commit.".to_owned() };
+    let changes = git(&["status", "--porcelain", "--", ":/", ":!/docs"]).unwrap_or_default();
+    let state = if changes.is_empty() { "" } else { " with changes" };
+    format!("Commit {commit}{state}.")
 }
 
 /// What a copy of 64 MiB takes now, as a measure for every time measured beside it.

@@ -88,7 +88,7 @@ pub fn generate<E>(plan: &Plan, page: &mut Page, keep: impl Fn(&Page) -> Result<
             "long-run" => long_run::section(),
             other => unreachable!("{other} is not a section"),
         };
-        page.set(name, &body);
+        page.set(name, &format!("{}\n\n{}", body.trim_end(), machine::measured_on()));
         keep(page)?;
     }
     Ok(())
