@@ -272,3 +272,18 @@ fn submaps_are_concluded_though_the_notice_of_one_is_lost() {
     send(set.supervisor_pid(), Signal::TERM);
     assert_eq!(set.wait(), Some(0));
 }
+
+/// A connection in shared memory that could not be made stays away without an error.
+#[test]
+fn a_sync_manager_that_no_pose_reaches_is_replaced_and_loses_none() {
+    machine_share::mostly_waits();
+    let directory = tempfile::tempdir().unwrap();
+    let drive = Drive { scan_rate_hz: 20.0, duration_s: 60.0, rate: 2.0 };
+    let mut set = LiveSet::start_with_failpoints("deaf", directory.path(), drive, "", &[], "deaf");
+    // The first process handles none.
+    set.wait_until_handled(Stage::SyncManager, 100);
+    let outputs = set.finish();
+    let lines = outputs.lines("trajectory.tum").len();
+    println!("{lines} of {} scans", drive.scans());
+    assert!(lines * 100 >= drive.scans() * 98, "{lines} poses");
+}

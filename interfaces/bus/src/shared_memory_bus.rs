@@ -10,7 +10,7 @@ use crate::transport::{Held, Lender, Source, TopicSpec, Transport};
 use crate::word_rows::Words;
 use crate::{BusError, Capacity, Limits};
 use iceoryx2::port::update_connections::UpdateConnections;
-use iceoryx2::port::{publisher, subscriber};
+use iceoryx2::port::{DegradationAction, DegradationCause, DegradationInfo, publisher, subscriber};
 use iceoryx2::prelude::*;
 use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
@@ -108,6 +108,7 @@ impl Transport for SharedBus {
             .max_loaned_samples(2)
             .initial_max_slice_len(topic.words)
             .allocation_strategy(growth)
+            .set_degradation_handler(unconnected(topic.name))
             .override_sample_preallocation(move |worst| worst.min(limit));
         let created = with_first_bytes(topic.reserved_bytes(), || builder.create());
         let port = made(topic.name, created)?;
@@ -117,7 +118,10 @@ impl Transport for SharedBus {
 
     fn source(&self, topic: &TopicSpec) -> Result<Box<dyn Source>, BusError> {
         let factory = self.open(topic)?;
-        let port = made(topic.name, factory.subscriber_builder().create())?;
+        let port = made(
+            topic.name,
+            factory.subscriber_builder().set_degradation_handler(unconnected(topic.name)).create(),
+        )?;
         Ok(Box::new(SharedSource { topic: topic.name, port, guard: HalfMadeGuard::default() }))
     }
 
@@ -177,6 +181,19 @@ impl Source for SharedSource {
     fn receive(&self) -> Result<Option<Held>, BusError> {
         let sample = self.guard.pass(self.topic, self.port.receive())?;
         Ok(sample.map(|sample| Held::Shared(SharedSample::new(sample))))
+    }
+}
+
+/// Logs a connection that cannot be made or is broken: iceoryx2 goes on without it, and what passes there is lost.
+fn unconnected(topic: &'static str) -> impl Fn(DegradationCause, &DegradationInfo) -> DegradationAction {
+    move |cause, ports| {
+        let cause = match cause {
+            DegradationCause::FailedToEstablishConnection => "it cannot be made",
+            DegradationCause::ConnectionCorrupted => "it is broken",
+        };
+        let (from, to) = (ports.sender_port_id, ports.receiver_port_id);
+        tracing::warn!(topic, from, to, cause, "a connection is missing");
+        DegradationAction::Ignore
     }
 }
 

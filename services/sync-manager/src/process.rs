@@ -24,6 +24,7 @@ use flockslam_stage::{
 use fuser::Fuser;
 use metrics::CorrectionMetrics;
 use mode_turn::{LocalStretches, back_end, localizes};
+use recovery::{Silence, is_deaf};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use trajectories::Trajectories;
@@ -36,6 +37,7 @@ mod live_solution;
 mod localized;
 mod metrics;
 mod mode_turn;
+mod recovery;
 mod trajectories;
 
 /// Runs the stage until its stop is requested.
@@ -105,6 +107,8 @@ struct SyncProcess {
     summary: Summary,
     /// The state of a predecessor is recovered.
     recovered: bool,
+    /// Since when no pose has been received.
+    silence: Silence,
     /// Scans that the set has localized with, while a map is made.
     local: LocalStretches,
     metrics: CorrectionMetrics,
@@ -154,6 +158,7 @@ impl SyncProcess {
             pose: None,
             summary: Summary::default(),
             recovered: false,
+            silence: Silence::new(context.mode),
             local: LocalStretches::default(),
             metrics: CorrectionMetrics::new(&context.metrics),
             unattached: Unattached::default(),
@@ -165,13 +170,6 @@ impl SyncProcess {
         }
         process.recover(context)?;
         Ok(process)
-    }
-
-    /// Recovers the state of a predecessor: the journal has every pose and every accepted scan.
-    fn recover(&mut self, context: &mut StageContext) -> Result<(), StageError> {
-        self.catch_up(u64::MAX, context)?;
-        self.go_on(context)?;
-        self.join.finished(self.join.expected)
     }
 
     /// From now on this process publishes to the flock.
@@ -200,22 +198,6 @@ impl SyncProcess {
             self.matcher.notify();
         }
         self.join.refresh()
-    }
-
-    /// Reads the journal's poses and scans before this sequence.
-    fn catch_up(&mut self, before: u64, context: &mut StageContext) -> Result<(), StageError> {
-        while let Some(record) = self.journal.read_before(before)? {
-            context.alive();
-            if record.pose.id.sequence < self.join.expected {
-                continue;
-            }
-            self.conclude_stored(record.pose.submap, context)?;
-            let scan = record.scan.as_ref().and_then(|scan| scan.view().ok());
-            self.take_in(&record.pose, scan, &[], context)?;
-            self.accepted(&record.pose, context)?;
-            self.join.expected = record.pose.id.sequence + 1;
-        }
-        Ok(())
     }
 
     fn take_in(
@@ -399,6 +381,7 @@ impl SyncProcess {
     }
 
     fn finish(&mut self, context: &mut StageContext) -> Result<(), StageError> {
+        self.read_on(context)?;
         self.conclude_stored(u32::MAX, context)?;
         let directory = &context.result_dir.clone();
         let Some(mapping) = self.logic.mapping() else { return self.finish_localizing(directory) };
@@ -435,13 +418,14 @@ impl Actor for SyncProcess {
         }
         self.obey()?;
         let mut any = false;
-        while let Some(pose) = self.join.oldest()? {
+        while let Some(pose) = self.join.oldest()?.filter(|_| !is_deaf(context)) {
             self.drain_submaps()?;
             if !self.step(&pose, context)? {
                 break;
             }
             any = true;
         }
+        self.listen(any, context)?;
         let ended = self.join.has_ended()? && self.join.stream.submaps.is_some();
         if ended && self.is_active && !self.finished.is_sent() {
             self.finish(context)?;

@@ -32,6 +32,14 @@ pub enum StageError {
     /// The source of scans is not usable: a mistake of the user's, exit code 2.
     #[error("{0}")]
     Source(String),
+    /// Messages do not reach this process, though they are in the journal.
+    #[error(
+        "{missed} poses are in the journal that did not arrive here: topics are opened anew by the next process"
+    )]
+    Unreached {
+        /// Poses that were missed in one pause.
+        missed: u64,
+    },
 }
 
 impl StageError {
