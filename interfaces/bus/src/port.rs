@@ -5,6 +5,7 @@ use crate::word_rows::{plain, plain_mut, slice, slice_mut, words_of, words_of_sl
 use crate::{BusError, SliceTopic, Topic};
 use std::marker::PhantomData;
 use std::ops::Deref;
+use std::ptr::NonNull;
 
 /// Sends messages of one topic.
 pub struct Publisher<T: Topic>(Box<dyn Lender>, PhantomData<T>);
@@ -54,8 +55,8 @@ impl<T: Topic> Subscriber<T> {
     /// When more samples are held than the topic allows, or a publisher that was killed while it was made is not cleaned up.
     pub fn receive(&self) -> Result<Option<Sample<T>>, BusError> {
         let Some(held) = self.0.receive()? else { return Ok(None) };
-        match plain::<T>(held.words()) {
-            Some(_) => Ok(Some(Sample(held, PhantomData))),
+        match plain::<T>(held.words()).map(NonNull::from) {
+            Some(message) => Ok(Some(Sample { message, _held: held })),
             None => Err(too_short(T::NAME)),
         }
     }
@@ -66,13 +67,20 @@ fn too_short(topic: &'static str) -> BusError {
 }
 
 /// A received message, read in place.
-pub struct Sample<T: Topic>(Held, PhantomData<T>);
+pub struct Sample<T: Topic> {
+    /// In the memory that is held. Grids are read through this, cell by cell.
+    message: NonNull<T>,
+    _held: Held,
+}
 
 impl<T: Topic> Deref for Sample<T> {
     type Target = T;
 
+    #[inline]
     fn deref(&self) -> &T {
-        plain(self.0.words()).expect("looked at when it was received")
+        // SAFETY: it came from a reference into the memory that is held, which stays where it is when the sample moves, and is not
+        // written as long as it is held.
+        unsafe { self.message.as_ref() }
     }
 }
 

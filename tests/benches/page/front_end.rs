@@ -73,7 +73,8 @@ impl Times {
     fn of(scans: &[ScanBuffer], shared: &SharedMemory) -> Self {
         let configuration = Configuration::default();
         let mut times = Self::default();
-        let mut matcher = ScanMatcher::new(configuration.scan_matcher);
+        let unknown_score = f64::from(configuration.mapper.read_out().unknown()) / f64::from(u16::MAX);
+        let mut matcher = ScanMatcher::new(configuration.scan_matcher).with_unknown_score(unknown_score);
         let mut grid: TileGrid<Box<Tile>> = TileGrid::new(configuration.mapper.cell_size_m);
         let mut mapper = Mapper::new(configuration.mapper);
         let publisher = TilePublisher::open(&shared.bus).expect("the topic is there");
