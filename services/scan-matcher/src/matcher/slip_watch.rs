@@ -77,6 +77,11 @@ impl SlipWatch {
         *self = Self::default();
     }
 
+    /// Odometry is right here.
+    pub(super) fn clear_alternative(&mut self) {
+        self.alternative = None;
+    }
+
     /// Whether it is open how the robot moved.
     pub(super) fn is_undecided(&self) -> bool {
         self.alternative.is_some()
