@@ -173,3 +173,50 @@ pub(super) fn prior(pose: Pose, covariance: Covariance) -> SurfacePrior {
     let covariance = matrix(covariance) + Matrix3::from_diagonal(&least);
     SurfacePrior { pose, information: covariance.try_inverse().unwrap_or_else(Matrix3::zeros) }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::Motion;
+    use flockslam_geometry::elementary::sin_cos;
+    use flockslam_messages::{PoseEstimate, ScanBuffer};
+
+    /// Walls of 20 m around, seen from here; odometry has the robot there.
+    fn scan(sequence: u64, at: Pose, odometry: Pose) -> ScanBuffer {
+        let range = |degree: u32| {
+            let (sin, cos) = sin_cos(at.heading_rad + f64::from(degree).to_radians());
+            let wall = |side: f64, part: f64| (10.0 * part.signum() - side) / part;
+            wall(at.x_m, cos).min(wall(at.y_m, sin)) as f32
+        };
+        let mut scan =
+            ScanBuffer::from_ranges(&(0..360).map(range).collect::<Vec<_>>(), 0.0, 1f64.to_radians());
+        (scan.header.odometry, scan.header.has_odometry) = (odometry, 1);
+        (scan.header.id.sequence, scan.header.times.sensor_ns) = (sequence, 1_000_000_000 * sequence as i64);
+        scan
+    }
+
+    /// The turn that is predicted of a robot that drives straight on while its wheels show a turn of 0.4 rad, where this share of the
+    /// points usually lies on surfaces.
+    fn predicted_turn_rad(usual: f64) -> f64 {
+        let (mut surroundings, mut motion) = (Surroundings::default(), Motion::new());
+        let at = |step: u64| Pose::new(0.3 * step as f64, 0.0, 0.02);
+        for step in 0..=8 {
+            let (seen, pose) = (scan(step, at(step), at(step)), at(0).to(at(step)));
+            let view = seen.view().unwrap();
+            surroundings.add(view, &MoverMask::default(), pose, Twist::default());
+            motion.advance(view, &PoseEstimate { odom_from_base: pose, ..PoseEstimate::default() });
+            surroundings.placed(view, pose);
+        }
+        (surroundings.usual, surroundings.fits) = (usual, START_FITS);
+        let slipped = scan(9, at(9), at(9) * Pose::new(0.0, 0.0, 0.4));
+        let view = slipped.view().unwrap();
+        let prediction = surroundings.watched(view, motion.predict(view));
+        prediction.pose.turn_rad(at(0).to(at(9)))
+    }
+
+    #[test]
+    fn wheels_that_slip_are_told_where_surfaces_repeat_only() {
+        assert!(predicted_turn_rad(0.8) < 0.05, "{}", predicted_turn_rad(0.8));
+        assert!((predicted_turn_rad(0.3) - 0.4).abs() < 0.05, "{}", predicted_turn_rad(0.3));
+    }
+}
