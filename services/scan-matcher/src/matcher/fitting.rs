@@ -148,8 +148,9 @@ impl<F: ScoreField> Fitter<'_, F> {
                 let search = if is_held { Search::None } else { Search::Wide };
                 self.fit_to_grid(points, prediction, first, search)
             }
+            // Outdoors odometry goes on: of a front that comes into sight a good part fits somewhere in a wide window.
             Open::Unknown => {
-                let fitted = self.fit_to_grid(points, prediction, first, Search::Wide);
+                let fitted = self.fit_to_grid(points, prediction, first, Search::None);
                 if is_held(&fitted.fit, fitted.points.of_beams(self.scan.len())) {
                     fitted
                 } else {

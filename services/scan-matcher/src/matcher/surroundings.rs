@@ -62,9 +62,14 @@ impl Surroundings {
         self.fits >= START_FITS
     }
 
+    /// Whether points usually lie on surfaces that were seen before, as far as is known.
+    fn repeat(&self) -> bool {
+        !self.are_known() || self.usual >= REPEATING_MIN
+    }
+
     /// The prediction of a scan in the open, or where the robot is if its wheels have slipped, when that explains the last scans better.
     pub(super) fn watched(&mut self, scan: ScanView<'_>, prediction: Prediction) -> Prediction {
-        if self.are_known() && self.usual < REPEATING_MIN {
+        if !self.repeat() {
             self.slip.clear_alternative();
             return prediction;
         }
@@ -140,7 +145,7 @@ impl Surroundings {
     /// The fit by odometry, or a likelier one where wheels slip and turn the robot by more than they say.
     fn slipped(&self, usual: &SurfacePrior, by_odometry: SurfaceFit) -> SurfaceFit {
         let is_poor = by_odometry.inliers < POOR_SHARE * self.usual;
-        if !is_poor || prior_cost(usual, by_odometry.alone) < UNUSUAL_COST {
+        if !is_poor || !self.repeat() || prior_cost(usual, by_odometry.alone) < UNUSUAL_COST {
             return by_odometry;
         }
         let mut weak = *usual;
