@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn wheels_that_slip_are_told_where_surfaces_repeat_only() {
+    fn slipping_wheels_are_found_out_only_where_surfaces_repeat() {
         assert!(predicted_turn_rad(0.8) < 0.05, "{}", predicted_turn_rad(0.8));
         assert!((predicted_turn_rad(0.3) - 0.4).abs() < 0.05, "{}", predicted_turn_rad(0.3));
     }
