@@ -184,7 +184,8 @@ impl Source for SharedSource {
     }
 }
 
-/// Logs a connection that cannot be made or is broken: iceoryx2 goes on without it, and what passes there is lost.
+/// Logs a connection that cannot be made or is broken: iceoryx2 goes on without it, and what passes there is lost. Mostly the other process has
+/// ended at that moment, so it is no warning.
 fn unconnected(topic: &'static str) -> impl Fn(DegradationCause, &DegradationInfo) -> DegradationAction {
     move |cause, ports| {
         let cause = match cause {
@@ -192,7 +193,7 @@ fn unconnected(topic: &'static str) -> impl Fn(DegradationCause, &DegradationInf
             DegradationCause::ConnectionCorrupted => "it is broken",
         };
         let (from, to) = (ports.sender_port_id, ports.receiver_port_id);
-        tracing::warn!(topic, from, to, cause, "a connection is missing");
+        tracing::debug!(topic, from, to, cause, "a connection is missing");
         DegradationAction::Ignore
     }
 }
