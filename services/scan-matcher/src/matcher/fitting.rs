@@ -390,9 +390,11 @@ impl<F: ScoreField> Fitter<'_, F> {
         let start = pose * motion.pose;
         let points = points.straightened(motion.twist);
         let fit = self.refine(&points, start, start);
-        // Where most of the scan fits nowhere, as behind a door, a few points that happen to lie on something are no evidence.
-        let noise = self.confidence.noise.max(NOISE_MIN).max(fit.noise);
-        let gain = gain + self.gain_at(noise, &fit, &near) - CHANCE_GAIN;
+        // Where the scan fits nowhere, as behind a door, a few points that happen to lie on something are no evidence.
+        let usual = self.confidence.noise.max(NOISE_MIN);
+        let is_good = fit.score >= self.settings.rescue.below * self.confidence.mean_score;
+        let noise = if is_good { usual } else { usual.max(fit.noise) };
+        let gain = gain + fit.gain_over(&near, noise) / self.noise.excess() - CHANCE_GAIN;
         if gain >= SLIP_COST {
             let covariance = Covariance::diagonal(coasting.sigma_m, COASTING_SIGMA_RAD);
             let prediction =
@@ -420,12 +422,7 @@ impl<F: ScoreField> Fitter<'_, F> {
 
     /// How much better a fit explains the scan than another, as the logarithm of the ratio of likelihoods.
     pub(super) fn gain(&self, fit: &Fit, other: &Fit) -> f64 {
-        self.gain_at(self.confidence.noise.max(NOISE_MIN), fit, other)
-    }
-
-    /// The same when the mean squared residual at the right pose is this.
-    fn gain_at(&self, noise: f64, fit: &Fit, other: &Fit) -> f64 {
-        fit.gain_over(other, noise) / self.noise.excess()
+        fit.gain_over(other, self.confidence.noise.max(NOISE_MIN)) / self.noise.excess()
     }
 
     /// The best of the poses in a window, each refined, whose bound exceeds that of `alternative`.
