@@ -381,7 +381,10 @@ impl SyncProcess {
     }
 
     fn finish(&mut self, context: &mut StageContext) -> Result<(), StageError> {
-        self.read_on(context)?;
+        // In replay none is missed, and the journal need not be read once more.
+        if self.is_watched {
+            self.read_on(context)?;
+        }
         self.conclude_stored(u32::MAX, context)?;
         let directory = &context.result_dir.clone();
         let Some(mapping) = self.logic.mapping() else { return self.finish_localizing(directory) };
