@@ -390,11 +390,9 @@ impl<F: ScoreField> Fitter<'_, F> {
         let start = pose * motion.pose;
         let points = points.straightened(motion.twist);
         let fit = self.refine(&points, start, start);
-        // Where the scan fits nowhere, as behind a door, a few points that happen to lie on something are no evidence.
-        let usual = self.confidence.noise.max(NOISE_MIN);
         let is_good = fit.score >= self.settings.rescue.below * self.confidence.mean_score;
-        let noise = if is_good { usual } else { usual.max(fit.noise) };
-        let gain = gain + fit.gain_over(&near, noise) / self.noise.excess() - CHANCE_GAIN;
+        let gained = if is_good { self.gain(&fit, &near) } else { self.gain_of_poor(&fit, &near) };
+        let gain = gain + gained - CHANCE_GAIN;
         if gain >= SLIP_COST {
             let covariance = Covariance::diagonal(coasting.sigma_m, COASTING_SIGMA_RAD);
             let prediction =
@@ -423,6 +421,12 @@ impl<F: ScoreField> Fitter<'_, F> {
     /// How much better a fit explains the scan than another, as the logarithm of the ratio of likelihoods.
     pub(super) fn gain(&self, fit: &Fit, other: &Fit) -> f64 {
         fit.gain_over(other, self.confidence.noise.max(NOISE_MIN)) / self.noise.excess()
+    }
+
+    /// The same of a fit that is poor itself. Where the scan fits nowhere, as behind a door, a few points that happen to lie on something are
+    /// no evidence: they weigh by how far off its other points are.
+    pub(super) fn gain_of_poor(&self, fit: &Fit, other: &Fit) -> f64 {
+        fit.gain_over(other, self.confidence.noise.max(NOISE_MIN).max(fit.noise)) / self.noise.excess()
     }
 
     /// The best of the poses in a window, each refined, whose bound exceeds that of `alternative`.

@@ -59,7 +59,7 @@ impl<F: ScoreField> Fitter<'_, F> {
     /// else that odometry would be rejected.
     fn is_contradicted(&self, ends: &[Point], pose: Pose, dense: Option<(Fit, Pose)>, poor: Fit) -> bool {
         let best = dense.map(|(fit, _)| fit).filter(|fit| fit.score > poor.score).unwrap_or(poor);
-        self.gain(&best, &Fit::at(self.field, ends, pose)) >= SLIP_COST
+        self.gain_of_poor(&best, &Fit::at(self.field, ends, pose)) >= SLIP_COST
     }
 
     /// A scan at the pose that the surfaces around give.
