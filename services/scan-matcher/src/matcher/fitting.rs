@@ -342,10 +342,9 @@ impl<F: ScoreField> Fitter<'_, F> {
         let Confidence { mean_score, lost, searched, .. } = *self.confidence;
         let prediction = by_motion.pose;
         let (fit, is_predicted) = self.plausible(points, by_motion, near);
-        if search == Search::None
-            || near.score >= self.settings.rescue.below * mean_score
-            || points.len() < POINTS_MIN_FOR_SHARE
-        {
+        let is_poor = near.score < self.settings.rescue.below * mean_score;
+        let proves_nothing = self.confidence.scatters() && self.scan.odometry().is_some();
+        if search == Search::None || !is_poor || proves_nothing || points.len() < POINTS_MIN_FOR_SHARE {
             return Placed { fit, is_rescued: false, is_predicted, searched: None };
         }
         let near =

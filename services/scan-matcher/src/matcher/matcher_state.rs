@@ -201,6 +201,11 @@ impl Confidence {
         self.mean_score - UNUSUAL * self.score_variance.sqrt()
     }
 
+    /// Whether scores scatter so much that no score is unusual: between open places and a thing that the robot passes closely.
+    pub(super) fn scatters(&self) -> bool {
+        self.has_started() && self.unusual_score() <= 0.0
+    }
+
     /// Whether the grid usually does not hold a scan here.
     pub(super) fn is_in_the_open(&self) -> bool {
         self.open > OPEN_FROM

@@ -115,3 +115,35 @@ fn inverse(information: Matrix3<f64>, (sigma_m, sigma_rad): (f64, f64)) -> Covar
 pub(super) fn is_held(fit: &Fit, beams: usize) -> bool {
     fit.score >= DENSE && fit.score * fit.points as f64 >= HELD_POINTS.min(HELD_SHARE * beams as f64)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::points::MoverMask;
+    use super::super::tests::{FrontEnd, look, truth};
+    use super::*;
+    use crate::settings::Settings;
+    use flockslam_registration::GridField;
+
+    /// Whether the grid contradicts surfaces that have a robot turned by 0.12 rad, by a scan of which so many beams end where they would if it
+    /// had not turned, and the others anywhere.
+    fn contradicts(beams: usize) -> bool {
+        let mut front_end = FrontEnd::new(Settings::default());
+        (0..60).for_each(|i| drop(front_end.step(&look(i, truth(i), Some(truth(i))), true)));
+        let mut scan = look(60, truth(60), Some(truth(60)));
+        for (beam, range) in scan.numbers.iter_mut().enumerate().skip(beams) {
+            *range = 0.5 + (beam * 7919 % 97) as f32 * 0.01;
+        }
+        let (view, mask) = (scan.view().unwrap(), MoverMask::default());
+        let points = ScanPoints::default().thinned(view, Default::default(), &mask, 30.0, 150);
+        let field = GridField::new(&front_end.grid, front_end.matcher.map.unknown_score);
+        let fitter = front_end.matcher.fitter(view, &mask, &field);
+        let straight = truth(0).to(truth(60));
+        let turned = straight * Pose::new(0.0, 0.0, 0.12);
+        fitter.is_contradicted(&points.ends, turned, None, Fit::at(&field, &points.ends, straight))
+    }
+
+    #[test]
+    fn few_points_on_something_by_chance_do_not_contradict_the_surfaces_around() {
+        assert_eq!([300, 60].map(contradicts), [true, false]);
+    }
+}

@@ -33,6 +33,8 @@ const APART_M: f64 = 0.2;
 const START_FITS: u64 = 20;
 /// Weight of the newest fit in the usual share of inliers.
 const RATE: f64 = 0.02;
+/// The same in the share of the last few scans.
+const RECENT_RATE: f64 = 0.2;
 
 /// The surfaces that the last scans have shown.
 #[derive(Debug, Default)]
@@ -41,6 +43,8 @@ pub(super) struct Surroundings {
     points: ScanPoints,
     /// Running mean of the share of inliers and of its squared deviation, and the scans that they were taken over.
     usual: f64,
+    /// The same mean over few scans.
+    recent: f64,
     variance: f64,
     fits: u64,
     slip: SlipWatch,
@@ -54,7 +58,7 @@ impl Surroundings {
         self.map.clear();
         self.slip.clear();
         self.added = None;
-        (self.usual, self.variance, self.fits) = (0.0, 0.0, 0);
+        (self.usual, self.recent, self.variance, self.fits) = (0.0, 0.0, 0.0, 0);
     }
 
     /// Whether enough scans were fitted to say that another does not belong here.
@@ -62,9 +66,9 @@ impl Surroundings {
         self.fits >= START_FITS
     }
 
-    /// Whether points usually lie on surfaces that were seen before, as far as is known.
+    /// Whether points lie on surfaces that were seen before, usually and of late, as far as is known.
     fn repeat(&self) -> bool {
-        !self.are_known() || self.usual >= REPEATING_MIN
+        !self.are_known() || self.usual.min(self.recent) >= REPEATING_MIN
     }
 
     /// The prediction of a scan in the open, or where the robot is if its wheels have slipped, when that explains the last scans better.
@@ -139,6 +143,7 @@ impl Surroundings {
         self.fits += 1;
         let (rate, off) = (RATE.max(1.0 / self.fits as f64), inliers - self.usual);
         self.usual += rate * off;
+        self.recent += RECENT_RATE.max(1.0 / self.fits as f64) * (inliers - self.recent);
         self.variance += rate * (off * off - self.variance);
     }
 
@@ -200,9 +205,9 @@ mod tests {
         scan
     }
 
-    /// The turn that is predicted of a robot that drives straight on while its wheels show a turn of 0.4 rad, where this share of the
-    /// points usually lies on surfaces.
-    fn predicted_turn_rad(usual: f64) -> f64 {
+    /// The turn that is predicted of a robot that drives straight on while its wheels show a turn of 0.4 rad, where these shares of the
+    /// points lie on surfaces, usually and of late.
+    fn predicted_turn_rad(usual: f64, recent: f64) -> f64 {
         let (mut surroundings, mut motion) = (Surroundings::default(), Motion::new());
         let at = |step: u64| Pose::new(0.3 * step as f64, 0.0, 0.02);
         for step in 0..=8 {
@@ -212,7 +217,7 @@ mod tests {
             motion.advance(view, &PoseEstimate { odom_from_base: pose, ..PoseEstimate::default() });
             surroundings.placed(view, pose);
         }
-        (surroundings.usual, surroundings.fits) = (usual, START_FITS);
+        (surroundings.usual, surroundings.recent, surroundings.fits) = (usual, recent, START_FITS);
         let slipped = scan(9, at(9), at(9) * Pose::new(0.0, 0.0, 0.4));
         let view = slipped.view().unwrap();
         let prediction = surroundings.watched(view, motion.predict(view));
@@ -221,7 +226,9 @@ mod tests {
 
     #[test]
     fn slipping_wheels_are_found_out_only_where_surfaces_repeat() {
-        assert!(predicted_turn_rad(0.8) < 0.05, "{}", predicted_turn_rad(0.8));
-        assert!((predicted_turn_rad(0.3) - 0.4).abs() < 0.05, "{}", predicted_turn_rad(0.3));
+        let turn_rad = predicted_turn_rad(0.8, 0.8);
+        assert!(turn_rad < 0.05, "{turn_rad}");
+        let turns_rad = [predicted_turn_rad(0.3, 0.8), predicted_turn_rad(0.8, 0.3)];
+        assert!(turns_rad.iter().all(|turn_rad| (turn_rad - 0.4).abs() < 0.05), "{turns_rad:?}");
     }
 }

@@ -7,7 +7,7 @@ use flockslam_mapper::Mapper;
 use flockslam_messages::{DropReason, FlockRobot, STARTS_DETACHED, ScanBuffer};
 
 /// A room of 8 × 6 m with a pillar, seen from `pose`; odometry is what the robot claims.
-fn look(sequence: u64, pose: Pose, odometry: Option<Pose>) -> ScanBuffer {
+pub(super) fn look(sequence: u64, pose: Pose, odometry: Option<Pose>) -> ScanBuffer {
     let walls = [(1.0, 0.0, 5.02), (1.0, 0.0, -3.04), (0.0, 1.0, 2.53), (0.0, 1.0, -3.48)];
     let range = |i: u32| {
         let angle = pose.heading_rad - 3.0 + 0.02 * f64::from(i);
@@ -34,7 +34,7 @@ fn look(sequence: u64, pose: Pose, odometry: Option<Pose>) -> ScanBuffer {
 pub(super) struct FrontEnd {
     pub(super) matcher: ScanMatcher,
     mapper: Mapper,
-    grid: TileGrid<Box<Tile>>,
+    pub(super) grid: TileGrid<Box<Tile>>,
 }
 
 impl FrontEnd {
@@ -84,7 +84,7 @@ impl FrontEnd {
 }
 
 /// A curved drive through the room.
-fn truth(i: u64) -> Pose {
+pub(super) fn truth(i: u64) -> Pose {
     let t = i as f64;
     Pose::new(0.04 * t, 0.3 * (0.05 * t).sin(), 0.02 * t)
 }
@@ -116,6 +116,19 @@ fn follows_the_robot_with_wheels_that_slip_and_turn_too_much() {
     }
     let inserted = front_end.mapper.generation();
     assert!((15..30).contains(&inserted), "{inserted} of 80 scans entered the map");
+}
+
+/// Between the open and a car that is passed closely scores scatter, and where the car is out of sight a scan fits somewhere by chance.
+#[test]
+fn where_scores_scatter_a_scan_is_not_looked_for_in_a_wide_window() {
+    let kick = Pose::new(0.5, -0.35, 0.33);
+    let kicked = |score_variance: f64| {
+        let mut front_end = FrontEnd::new(Settings::default());
+        (0..40).for_each(|i| drop(front_end.step(&look(i, truth(i), Some(truth(i))), true)));
+        front_end.matcher.confidence.score_variance = score_variance;
+        front_end.step(&look(40, truth(40) * kick, Some(truth(40))), true).has(PoseFlags::RESCUED)
+    };
+    assert_eq!([0.001, 0.16].map(kicked), [true, false]);
 }
 
 /// Of a scan that fits nowhere, as behind a door, some points lie on something by chance.
