@@ -4,6 +4,7 @@ use super::machine::copy_line;
 use super::{Bench, SharedMemory, Table};
 use flockslam::configuration::Configuration;
 use flockslam_bus::TilePublisher;
+use flockslam_drives::matching::matched;
 use flockslam_evidence::{Tile, TileGrid, TileKey};
 use flockslam_lidar_ingest::carmen::CarmenReader;
 use flockslam_mapper::Mapper;
@@ -83,7 +84,7 @@ impl Times {
             let view = scan.view().expect("sources make whole scans");
             let verdict = Verdict { id: scan.header.id, keep: 1, ..Verdict::default() };
             let started = monotonic_ns();
-            let pose = matcher.handle(view, &verdict, &grid);
+            let pose = matched(&mut matcher, view, &verdict, &grid);
             times.record(0, monotonic_ns() - started);
             if !pose.has(PoseFlags::INSERT) {
                 continue;

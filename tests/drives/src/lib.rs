@@ -4,5 +4,6 @@
 
 pub mod experiments;
 pub mod followed;
+pub mod matching;
 pub mod ndt_system;
 pub mod nees;
