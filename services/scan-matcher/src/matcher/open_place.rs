@@ -128,7 +128,9 @@ mod tests {
     /// had not turned, and the others anywhere.
     fn contradicts(beams: usize) -> bool {
         let mut front_end = FrontEnd::new(Settings::default());
-        (0..60).for_each(|i| drop(front_end.step(&look(i, truth(i), Some(truth(i))), true)));
+        for i in 0..60 {
+            front_end.step(&look(i, truth(i), Some(truth(i))), true);
+        }
         let mut scan = look(60, truth(60), Some(truth(60)));
         for (beam, range) in scan.numbers.iter_mut().enumerate().skip(beams) {
             *range = 0.5 + (beam * 7919 % 97) as f32 * 0.01;

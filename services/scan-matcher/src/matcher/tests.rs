@@ -124,7 +124,9 @@ fn where_scores_scatter_a_scan_is_not_looked_for_in_a_wide_window() {
     let kick = Pose::new(0.5, -0.35, 0.33);
     let kicked = |score_variance: f64| {
         let mut front_end = FrontEnd::new(Settings::default());
-        (0..40).for_each(|i| drop(front_end.step(&look(i, truth(i), Some(truth(i))), true)));
+        for i in 0..40 {
+            front_end.step(&look(i, truth(i), Some(truth(i))), true);
+        }
         front_end.matcher.confidence.score_variance = score_variance;
         front_end.step(&look(40, truth(40) * kick, Some(truth(40))), true).has(PoseFlags::RESCUED)
     };
