@@ -1,5 +1,5 @@
 //! How outcomes that depend on a seed are spread: `cargo bench -p flockslam --bench seeds -- [yard|campus|people|flat|cuts] [SEEDS]`, twenty seeds
-//! of each by default; cuts: the robot is kidnapped at eight places of each public log.
+//! of each by default, or the seeds FIRST..LAST; cuts: the robot is kidnapped at eight places of each public log.
 //! Tests check a few of these drives; their limits come from here.
 
 #![allow(clippy::disallowed_methods, reason = "no result depends on tests")]
@@ -9,6 +9,7 @@
 mod support;
 
 use flockslam_drives::experiments::BEARING_SIGMA_RAD;
+use std::ops::RangeInclusive;
 use support::kidnapped_log::{cut_at, kidnapped};
 use support::public_logs::{FILTER_OFF, LOGS, Log};
 use support::seeded_drives::{YardDrive, alone_and_among_twenty_m, campus_drive, flat_worst};
@@ -16,22 +17,21 @@ use support::seeded_drives::{YardDrive, alone_and_among_twenty_m, campus_drive, 
 fn main() {
     // Cargo adds an option of its own.
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
-    let seeds = arguments.iter().find_map(|argument| argument.parse().ok()).unwrap_or(20);
+    let seeds = arguments.iter().find_map(|argument| seeds_of(argument)).unwrap_or(1..=20);
     let wants = |name: &str| {
-        arguments.iter().all(|argument| argument.parse::<u64>().is_ok())
-            || arguments.iter().any(|a| a == name)
+        arguments.iter().all(|argument| seeds_of(argument).is_some()) || arguments.iter().any(|a| a == name)
     };
     if wants("flat") {
         for (name, sigma_rad) in [("exact bearings", 0.0), ("bearings off by a degree", BEARING_SIGMA_RAD)] {
-            let worst: Vec<_> = (1..=seeds).map(|seed| flat_worst(sigma_rad, seed)).collect();
+            let worst: Vec<_> = seeds.clone().map(|seed| flat_worst(sigma_rad, seed)).collect();
             spread(&format!("flat, {name}: way, mm"), worst.iter().map(|worst| 1e3 * worst.way_m));
             spread(&format!("flat, {name}: turn, degrees"), worst.iter().map(|worst| worst.turn_deg));
             spread(&format!("flat, {name}: end, mm"), worst.iter().map(|worst| 1e3 * worst.end_m));
         }
     }
     if wants("yard") {
-        let drives: Vec<_> = (1..=seeds).map(YardDrive::with_seed).collect();
-        drives.iter().zip(1..).for_each(|(drive, seed)| println!("yard, seed {seed}: {drive:?}"));
+        let drives: Vec<_> = seeds.clone().map(YardDrive::with_seed).collect();
+        drives.iter().zip(seeds.clone()).for_each(|(drive, seed)| println!("yard, seed {seed}: {drive:?}"));
         let claims: usize = drives.iter().map(|drive| drive.claims).sum();
         let wrong: usize = drives.iter().map(|drive| drive.false_claims).sum();
         println!("yard: {wrong} of {claims} seconds wrong though said to be tracked");
@@ -42,7 +42,7 @@ fn main() {
         spread("yard: ATE, m", drives.iter().map(|drive| drive.ate_m));
     }
     if wants("campus") {
-        let drives: Vec<_> = (1..=seeds).map(campus_drive).collect();
+        let drives: Vec<_> = seeds.clone().map(campus_drive).collect();
         spread("campus: ATE, m", drives.iter().map(|(ate_m, _)| *ate_m));
         spread("campus: scans that are not in the map", drives.iter().map(|(_, detached)| *detached as f64));
     }
@@ -52,7 +52,7 @@ fn main() {
     if wants("people") {
         for building in [None, Some("stata_basement")] {
             let name = building.unwrap_or("office");
-            let drives = (1..=seeds).map_while(|seed| alone_and_among_twenty_m(building, seed));
+            let drives = seeds.clone().map_while(|seed| alone_and_among_twenty_m(building, seed));
             let drives: Vec<_> = drives.collect();
             spread(&format!("{name}: ATE alone, mm"), drives.iter().map(|[alone, _]| 1e3 * alone));
             spread(&format!("{name}: ATE among twenty, mm"), drives.iter().map(|[_, among]| 1e3 * among));
@@ -62,6 +62,12 @@ fn main() {
             );
         }
     }
+}
+
+/// The seeds that an argument names: so many from 1 on, or FIRST..LAST.
+fn seeds_of(argument: &str) -> Option<RangeInclusive<u64>> {
+    let (first, last) = argument.split_once("..").unwrap_or(("1", argument));
+    Some(first.parse().ok()?..=last.parse().ok()?)
 }
 
 /// Prints the results for a robot that is kidnapped on its way, without a trace in its odometry.
