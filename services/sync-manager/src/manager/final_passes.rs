@@ -13,6 +13,11 @@ use flockslam_pose_graph::Edge;
 use std::collections::BTreeSet;
 use std::ops::Range;
 
+/// Searches in the open at the end, at most.
+const AGAIN_MAX: usize = 3;
+/// A solution that moves a node farther than this is followed by another search, metres.
+const MOVED_FAR_M: f64 = 2.0;
+
 impl SyncManager {
     /// Looks for the trajectories that no closure has attached, the longest first, as wholes.
     pub(super) fn attach(&mut self) {
@@ -33,13 +38,25 @@ impl SyncManager {
         }
     }
 
-    /// Looks for loops in the open once more. While driving, windows were as wide as the drift, and what was found first bent the map:
-    /// in the windows that the solution leaves fewer places can be mistaken for each other.
+    /// Looks for loops in the open again. While driving, windows were as wide as the drift, and what was found first bent the map:
+    /// in the windows that the solution leaves fewer places can be mistaken for each other. Where this moves the solution far, other
+    /// places have come near, which are looked for then.
     pub(super) fn close_again_in_the_open(&mut self) {
-        let known = self.odometry.nodes().len();
         if !self.odometry.nodes().iter().any(|node| node.is_open) {
             return;
         }
+        for _ in 0..AGAIN_MAX {
+            let before = self.poses.clone();
+            self.find_again_in_the_open();
+            let moved_m = before.iter().zip(&self.poses).map(|(a, b)| a.distance_m(b)).fold(0.0, f64::max);
+            if moved_m < MOVED_FAR_M {
+                break;
+            }
+        }
+    }
+
+    fn find_again_in_the_open(&mut self) {
+        let known = self.odometry.nodes().len();
         let (nodes, connections) = (self.odometry.nodes(), self.connections(known));
         let world = World { nodes, scans: &self.scans, segments: &self.segments, poses: &self.poses };
         let found = self.open_finder.find_again(&world, |query| graph_distances(nodes, &connections, query));

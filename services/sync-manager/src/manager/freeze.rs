@@ -5,6 +5,9 @@ use super::placed_stretch::Stretch;
 use super::{FINAL_NODES, SyncManager};
 use crate::filled_trajectory::{Between, filled};
 use crate::solution::FrozenScan;
+use flockslam_loop_closure::agreement::WIDE_M;
+use flockslam_loop_closure::finder::window;
+use flockslam_loop_closure::graph_distances::graph_distances_to;
 use flockslam_loop_closure::place::Placer;
 use flockslam_pose_graph::Symmetric;
 use flockslam_registration::cloud::Placement;
@@ -57,7 +60,9 @@ impl SyncManager {
         }
     }
 
-    /// The node that a stretch is frozen at: the nearest of those older stretches that cover its place, if there are enough.
+    /// The node that a stretch is frozen at: the nearest of those older stretches that cover its place, if there are enough, and if
+    /// closures hold the two together. Otherwise they may only seem to be of one place: a later solution that moves them apart would
+    /// carry what is frozen away from its neighbours.
     fn host(&self, number: usize) -> Option<usize> {
         let segment = &self.segments[number];
         let connectivity = self.connectivity(self.poses.len());
@@ -72,7 +77,16 @@ impl SyncManager {
         let covering: Vec<usize> = self.segments[..number].iter().filter(same).map(|s| s.anchor).collect();
         let away_m = |node: &usize| self.poses[*node].distance_m(&middle);
         let nearest = covering.iter().min_by(|a, b| away_m(a).total_cmp(&away_m(b)));
-        nearest.copied().filter(|_| covering.len() >= VISITS_KEPT)
+        let host = nearest.copied().filter(|_| covering.len() >= VISITS_KEPT)?;
+        self.holds_together(segment.anchor, host).then_some(host)
+    }
+
+    /// Whether so little of the graph is between two nodes that a loop from one to the other would be looked for in a narrow window.
+    fn holds_together(&self, a: usize, b: usize) -> bool {
+        let known = self.poses.len();
+        let (nodes, connections) = (&self.odometry.nodes()[..known], self.connections(known));
+        let distance_m = graph_distances_to(nodes, &connections, a, &[b])[b];
+        window(distance_m).reach_m <= WIDE_M
     }
 
     /// Gives the scans of a segment their poses relative to the node `host`, and takes its nodes out of the graph.
@@ -189,5 +203,45 @@ impl SyncManager {
     /// Nodes, records and scans that are held in memory.
     pub fn held(&self) -> (usize, usize, usize) {
         (self.odometry.nodes().len(), self.records.len(), self.scans.len())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Settings;
+    use crate::manager::loop_search::tests::drive_to;
+    use flockslam_geometry::Pose;
+    use flockslam_messages::{ScanBuffer, ScanId, SubmapClosed};
+
+    /// Ranges from a pose in a room of 14 m × 11 m.
+    fn scan(at: Pose) -> ScanBuffer {
+        let range_m = |degrees: i32| {
+            let (y, x) = (at.heading_rad + f64::from(degrees).to_radians()).sin_cos();
+            ((7.0 - at.x_m * x.signum()) / x.abs()).min((5.5 - at.y_m * y.signum()) / y.abs()) as f32
+        };
+        ScanBuffer::from_ranges(&(0..360).map(range_m).collect::<Vec<_>>(), 0.0, 1f64.to_radians())
+    }
+
+    /// Scans that are frozen on a drive of 250 m along a circle of 25 m.
+    fn frozen(close_loops: bool) -> usize {
+        let mut manager = SyncManager::new(Settings { close_loops, ..Settings::default() });
+        for sequence in 0..800 {
+            let angle_rad = sequence as f64 * std::f64::consts::TAU / 80.0;
+            let heading_rad = angle_rad + std::f64::consts::FRAC_PI_2;
+            let at = Pose::new(4.0 * angle_rad.cos(), 4.0 * angle_rad.sin(), heading_rad);
+            drive_to(&mut manager, (sequence, 0), at, &scan(at));
+            if sequence % 16 == 15 {
+                let last = ScanId { sequence, ..ScanId::default() };
+                manager.submap_closed(&SubmapClosed { last, ..SubmapClosed::default() });
+            }
+        }
+        manager.take_frozen().len()
+    }
+
+    #[test]
+    fn only_stretches_that_closures_hold_together_are_frozen() {
+        assert_eq!(frozen(false), 0);
+        assert!(frozen(true) > 100);
     }
 }

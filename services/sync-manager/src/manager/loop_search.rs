@@ -120,7 +120,7 @@ impl SyncManager {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::Settings;
     use flockslam_geometry::Pose;
@@ -140,14 +140,23 @@ mod tests {
         let mut manager = SyncManager::new(Settings::default());
         for step in 0..=13 {
             let at = Pose::new(0.31 * step as f64, 0.0, 0.0);
-            let mut pose =
-                PoseEstimate { flags: PoseFlags::MATCHED | PoseFlags::INSERT, ..PoseEstimate::default() };
-            (pose.id.sequence, pose.odom_from_base) = (step, at);
-            pose.trajectory = u32::from(step >= new_from);
-            manager.pose(&pose);
-            manager.node(scan(at.x_m).view().unwrap(), &pose, &[]);
+            drive_to(&mut manager, (step, u32::from(step >= new_from)), at, &scan(at.x_m));
         }
         manager
+    }
+
+    /// Gives a manager the scan with this sequence in this trajectory, taken there.
+    pub(crate) fn drive_to(
+        manager: &mut SyncManager,
+        (sequence, trajectory): (u64, u32),
+        at: Pose,
+        scan: &ScanBuffer,
+    ) {
+        let mut pose =
+            PoseEstimate { flags: PoseFlags::MATCHED | PoseFlags::INSERT, ..PoseEstimate::default() };
+        (pose.id.sequence, pose.odom_from_base, pose.trajectory) = (sequence, at, trajectory);
+        manager.pose(&pose);
+        manager.node(scan.view().unwrap(), &pose, &[]);
     }
 
     #[test]
