@@ -10,8 +10,8 @@ mod support;
 use flockslam_messages::Stage;
 use support::faults::{
     JournalCost, Overload, Trial, corrupt_scans, crashing_starts, endless_loop, everything_at_once,
-    jumping_clock, kills_of_each_stage, kills_of_the_leader, kills_while_saving, overload, refusing_disk,
-    repetitions, stops_of_each_stage, storm, terminations, torn_files,
+    jumping_clock, kills_of_each_stage, kills_of_the_leader, kills_while_localized, kills_while_saving,
+    overload, refusing_disk, repetitions, stops_of_each_stage, storm, terminations, torn_files,
 };
 
 const RUNS: usize = 100;
@@ -58,6 +58,7 @@ fn rows() -> Vec<Row> {
     rows.push(("storm".to_owned(), Box::new(|runs| storm(0.6 * runs as f64, 3))));
     rows.push(("all at once".to_owned(), Box::new(|runs| everything_at_once(runs.div_ceil(10)))));
     rows.push(("saving".to_owned(), Box::new(|runs| kills_while_saving(runs, 5))));
+    rows.push(("localized".to_owned(), Box::new(|runs| kills_while_localized(runs, 8))));
     rows.push(("starts".to_owned(), Box::new(|runs| crashing_starts(Stage::DynamicCleaner, 30 * runs, 4))));
     rows
 }

@@ -5,6 +5,7 @@ mod evidence;
 mod fault_trials;
 mod input;
 mod journal_cost;
+mod localized_trial;
 mod overload_trial;
 mod storage;
 
@@ -17,6 +18,7 @@ pub use fault_trials::{
 use flockslam_random::Random;
 pub use input::{corrupt_scans, repetitions};
 pub use journal_cost::JournalCost;
+pub use localized_trial::kills_while_localized;
 pub use overload_trial::{Overload, overload};
 pub use storage::{refusing_disk, terminations, torn_files};
 
