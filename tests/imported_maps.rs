@@ -2,10 +2,10 @@
 
 use crate::support::plan_pictures::PlanPicture;
 use crate::support::{
-    Drive, LiveSet, Outputs, building, data_dir, flockslam, machine_share, run_well, stderr, truth_offsets_m,
+    Drive, LiveSet, Outputs, building, data_dir, flockslam, is_localized, machine_share, run_well, stderr,
+    truth_offsets_m,
 };
 use flockslam::store::SavedMap;
-use flockslam::supervisor::SetStatus;
 use flockslam_evidence::CellState;
 use flockslam_geometry::Pose;
 use flockslam_results::SubmapStore;
@@ -13,10 +13,6 @@ use std::fs;
 use std::path::Path;
 
 const DRIVE: Drive = Drive { scan_rate_hz: 10.0, duration_s: 240.0, rate: 4.0 };
-
-fn is_localized(status: &SetStatus) -> bool {
-    status.localisation.as_ref().is_some_and(|localisation| localisation.knowledge == "localized")
-}
 
 fn store(order: &str, from: &Path, out: &Path) {
     let output = flockslam().args(["store", order]).arg(from).arg("--out").arg(out).output().unwrap();

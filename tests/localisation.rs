@@ -2,10 +2,9 @@
 
 use crate::support::machine_share;
 use crate::support::{
-    Drive, LiveSet, Outputs, building, data_dir, flockslam, robot, run, run_well, send, stderr,
+    Drive, LiveSet, Outputs, building, data_dir, flockslam, is_localized, robot, run, run_well, send, stderr,
 };
 use flockslam::outputs::TrajectoryPoint;
-use flockslam::supervisor::SetStatus;
 use flockslam_bus::RuntimeDir;
 use flockslam_geometry::Pose;
 use flockslam_messages::Stage;
@@ -21,10 +20,6 @@ fn map_in(directory: &Path) -> Outputs {
     let mut args = building(60);
     args.extend(["--set", "correlation_filter.mode=off"].map(str::to_owned));
     run_well("known-map", directory, &args)
-}
-
-fn is_localized(status: &SetStatus) -> bool {
-    status.localisation.as_ref().is_some_and(|localisation| localisation.knowledge == "localized")
 }
 
 #[test]

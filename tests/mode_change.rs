@@ -1,10 +1,9 @@
 //! A running set changes from making a map to localizing in it and back: nothing of the map is edited meanwhile, and no pose jumps.
 
 use crate::support::{
-    Drive, LiveSet, PoseWatch, SeenPose, building, machine_share, run_well, send, stderr, truth_error_m,
-    wait_for,
+    Drive, LiveSet, PoseWatch, SeenPose, building, is_localized, machine_share, run_well, send, stderr,
+    truth_error_m, wait_for,
 };
-use flockslam::supervisor::SetStatus;
 use flockslam_bus::RuntimeDir;
 use flockslam_messages::{PoseFlags, Stage};
 use flockslam_results::{KNOWN_MAP, SubmapStore};
@@ -16,10 +15,6 @@ use std::path::Path;
 const DRIVE: Drive = Drive { scan_rate_hz: 10.0, duration_s: 240.0, rate: 4.0 };
 /// A drive that no test sees the end of.
 const LONG: Drive = Drive { scan_rate_hz: 10.0, duration_s: 3000.0, rate: 6.0 };
-
-fn is_localized(status: &SetStatus) -> bool {
-    status.localisation.as_ref().is_some_and(|localisation| localisation.knowledge == "localized")
-}
 
 /// All files below a directory, by their names.
 fn files(directory: &Path) -> BTreeMap<String, Vec<u8>> {

@@ -109,8 +109,12 @@ fn each_stage_gets_a_second_process_and_loses_it_again_without_a_lost_scan() {
         for count in [2, 1] {
             subject.set.command_well(&["scale", &format!("{}={count}", stage.name())]);
             let after = subject.wait_until_all_run(stage, count);
-            let of_stages = || format!("no other stage is restarted: {:#?}", after.stages);
-            assert_eq!(others(&before, stage), others(&after, stage), "{}", of_stages());
+            assert_eq!(
+                others(&before, stage),
+                others(&after, stage),
+                "no other stage is restarted: {:#?}",
+                after.stages
+            );
         }
     }
     subject.conclude();

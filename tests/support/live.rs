@@ -225,6 +225,11 @@ impl LiveSet {
     }
 }
 
+/// Whether a set knows where in the map its robot is.
+pub fn is_localized(status: &SetStatus) -> bool {
+    status.localisation.as_ref().is_some_and(|localisation| localisation.knowledge == "localized")
+}
+
 /// What a status says of the first process of a stage.
 pub fn of(status: &SetStatus, stage: Stage) -> &StageStatus {
     status.stages.iter().find(|found| found.stage == stage.name()).unwrap()

@@ -38,7 +38,7 @@ pub use benchmark::{benchmark_file, evaluate_relations, evaluate_trajectory};
 pub use browser::Browser;
 pub use http_get::{free_port, http_get};
 pub use later_free::later_free;
-pub use live::{Drive, LiveSet, of};
+pub use live::{Drive, LiveSet, is_localized, of};
 pub use montage::{montage, panel, picture_of_ways, store_picture};
 pub use moved_map::{MapFigures, occupied_cells};
 pub use moving_drive::{BUILDINGS, MovingDrive, MovingRun, UNCLEANED, moving_building, with_movers};

@@ -1,7 +1,7 @@
 //! SIGKILL of the stages of a set that localizes: the map that it localizes in must stay the same to the byte.
 
 use super::{Seeded, Trial};
-use crate::support::{Drive, LiveSet, building, run_well, send, truth_error_m};
+use crate::support::{Drive, LiveSet, building, is_localized, of, run_well, send, truth_error_m};
 use flockslam::supervisor::{SetStatus, StageState};
 use flockslam_bus::RuntimeDir;
 use flockslam_messages::Stage;
@@ -15,8 +15,8 @@ const MAPPED_S: u32 = 120;
 /// A drive has so many seconds for each kill: far more than one takes on a busy machine.
 const KILL_S: f64 = 4.0;
 
-/// Kills each stage of a set that localizes, one after the other, so often all together. A recovery lasts until the robot is known to be localized by a
-/// scan that was taken after the kill.
+/// Kills the stages of a set that localizes in turn, so many kills in all. A recovery lasts until a scan that was taken after the kill shows that the
+/// robot is localized. No scan enters a map, so that none can be lost from one.
 pub fn kills_while_localized(runs: usize, seed: u64) -> Trial {
     let (directory, mut random) = (tempfile::tempdir().unwrap(), Seeded::new(seed));
     let known = directory.path().join("known");
@@ -36,9 +36,7 @@ pub fn kills_while_localized(runs: usize, seed: u64) -> Trial {
         std::thread::sleep(Duration::from_millis(random.below(100)));
         let (pid, since) = (set.pid(stage), Instant::now());
         send(pid, Signal::KILL);
-        set.wait_until("a successor", |status| {
-            status.stages.iter().any(|s| s.stage == stage.name() && s.pid.is_some_and(|now| now != pid))
-        });
+        set.wait_until("a successor", |status| of(status, stage).pid.is_some_and(|now| now != pid));
         let known_ns = stamp_ns(&set.status().unwrap());
         set.wait_until("the robot is localized after a kill", |status| {
             is_localized(status) && stamp_ns(status) > known_ns
@@ -54,10 +52,6 @@ pub fn kills_while_localized(runs: usize, seed: u64) -> Trial {
         trial.violations.push("the known map has changed".to_owned());
     }
     trial
-}
-
-fn is_localized(status: &SetStatus) -> bool {
-    status.localisation.as_ref().is_some_and(|localisation| localisation.knowledge == "localized")
 }
 
 /// Sensor stamp of the newest scan that the belief takes into account.
