@@ -55,7 +55,7 @@ impl FusedPicture {
         self.remove(number);
         let Ok(submap) = Submap::decode(&bytes) else { return Ok(()) };
         let map = self.map.get_or_insert_with(|| FusedMap::new(submap.cell_size_m));
-        let footprint = map.add(&submap, map_from_odom * submap.odom_from_submap)?.known;
+        let footprint = map.add(&submap, map_from_odom * submap.odom_from_submap)?;
         self.changed.extend(footprint.tiles().iter().map(|(key, _)| *key));
         let (corners, cell_size_m) = (corners(&submap), submap.cell_size_m);
         self.placed.insert(number, Placed { bytes, map_from_odom, footprint, corners, cell_size_m });

@@ -20,7 +20,6 @@ pub type Symbol = [u8; 2];
 pub struct CellModel {
     /// Bits of a place, for "occupied" and for "free".
     bits: [u32; 2],
-    block_is_empty: [Likelihood; 4],
     chunk_is_empty: [Likelihood; 4],
     first_prediction: Box<[Likelihood; CLASSES * CLASSES]>,
     second_prediction: Box<[Likelihood; CLASSES * CLASSES]>,
@@ -37,7 +36,6 @@ impl CellModel {
         let bits = |count: usize| usize::BITS - count.leading_zeros();
         Self {
             bits: [bits(levels.occupied.weights().len()), bits(levels.free.weights().len())],
-            block_is_empty: Default::default(),
             chunk_is_empty: Default::default(),
             first_prediction: pairs(),
             second_prediction: pairs(),
@@ -48,40 +46,22 @@ impl CellModel {
         }
     }
 
-    /// Writes the cells of a tile, or fills them with what is read.
-    pub fn code(&mut self, coder: &mut impl BinaryCoder, cells: &mut [Symbol; TILE_CELLS]) {
+    /// Writes the cells of a tile, or fills them with what is read. `known` are its blocks of 8 × 8 cells that are not empty (bit = row of
+    /// blocks · 8 + column).
+    pub fn code(&mut self, coder: &mut impl BinaryCoder, known: u64, cells: &mut [Symbol; TILE_CELLS]) {
         let mut below = [[0; 2]; TILE_SIDE];
-        let mut empty_below = [true; TILE_SIDE / CHUNK];
-        for rows in cells.chunks_mut(TILE_SIDE * CHUNK) {
-            let empty = self.code_blocks(coder, rows, empty_below);
+        for (blocks, rows) in known.to_le_bytes().into_iter().zip(cells.chunks_mut(TILE_SIDE * CHUNK)) {
             for row in rows.as_chunks_mut::<TILE_SIDE>().0 {
-                for (chunk, _) in empty.iter().enumerate().filter(|(_, empty)| !**empty) {
-                    self.code_chunk(coder, row, &below, chunk * CHUNK);
+                for chunk in 0..TILE_SIDE / CHUNK {
+                    if blocks >> chunk & 1 == 1 {
+                        self.code_chunk(coder, row, &below, chunk * CHUNK);
+                    } else {
+                        row[chunk * CHUNK..(chunk + 1) * CHUNK].fill([0; 2]);
+                    }
                 }
                 below = *row;
             }
-            empty_below = empty;
         }
-    }
-
-    /// Which blocks of 8 × 8 cells in a row of blocks are empty; these are then emptied.
-    fn code_blocks(
-        &mut self,
-        coder: &mut impl BinaryCoder,
-        rows: &mut [Symbol],
-        below: [bool; TILE_SIDE / CHUNK],
-    ) -> [bool; TILE_SIDE / CHUNK] {
-        let mut empty = [true; TILE_SIDE / CHUNK];
-        for block in 0..empty.len() {
-            let places = block * CHUNK..(block + 1) * CHUNK;
-            let is_empty = rows.chunks(TILE_SIDE).all(|row| is_empty(&row[places.clone()]));
-            let context = usize::from(below[block]) + 2 * usize::from(block == 0 || empty[block - 1]);
-            empty[block] = coder.code(&mut self.block_is_empty[context], is_empty);
-            if empty[block] {
-                rows.chunks_mut(TILE_SIDE).for_each(|row| row[places.clone()].fill([0; 2]));
-            }
-        }
-        empty
     }
 
     fn code_chunk(

@@ -13,6 +13,7 @@ mod masses;
 pub mod range_coder;
 mod submap;
 mod submap_bytes;
+mod submap_outline;
 mod tile;
 mod weight_levels;
 
@@ -23,6 +24,7 @@ pub use cell_table::CellTable;
 pub use directory::{TileDirectory, TooFar};
 pub use grid::{Level, ScoreReader, TileGrid, floor};
 pub use masses::{Masses, NotMasses, UnnormalisedMasses};
-pub use submap::{ClearedCells, Submap, SubmapTile};
-pub use submap_bytes::SubmapBytesError;
+pub use submap::{Submap, SubmapTile};
+pub use submap_bytes::{SubmapBytesError, with_masked};
+pub use submap_outline::SubmapOutline;
 pub use tile::{CellIndex, TILE_CELLS, TILE_SIDE, Tile, TileKey};

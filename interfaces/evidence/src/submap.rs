@@ -59,18 +59,6 @@ pub struct SubmapTile {
     pub cleared: [u64; TILE_SIDE],
 }
 
-/// Which cells of a submap are masked: what can change about it once it is closed.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct ClearedCells(Vec<ClearedRow>);
-
-/// A row of a tile with masked cells, one bit each.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct ClearedRow {
-    key: TileKey,
-    row: u8,
-    cells: u64,
-}
-
 impl Submap {
     /// The tile with this key, if the submap has evidence there.
     pub fn tile(&self, key: TileKey) -> Option<&SubmapTile> {
@@ -91,25 +79,6 @@ impl Submap {
     pub fn known_area_m2(&self) -> f64 {
         let known = self.tiles.iter().flat_map(|tile| tile.cells.iter()).filter(|cell| !cell.is_unknown());
         known.count() as f64 * self.cell_size_m * self.cell_size_m
-    }
-
-    /// The cells that are masked now.
-    pub fn cleared(&self) -> ClearedCells {
-        let rows_of = |tile: &SubmapTile| {
-            let key = tile.key;
-            (0..).zip(tile.cleared).map(move |(row, cells)| ClearedRow { key, row, cells })
-        };
-        ClearedCells(self.tiles.iter().flat_map(rows_of).filter(|row| row.cells != 0).collect())
-    }
-
-    /// Masks these cells and no others. Tiles that the submap does not have are passed over.
-    pub fn set_cleared(&mut self, cells: &ClearedCells) {
-        self.tiles.iter_mut().for_each(|tile| tile.cleared = [0; TILE_SIDE]);
-        for ClearedRow { key, row, cells } in &cells.0 {
-            if let Some(tile) = self.tile_mut(*key) {
-                tile.cleared[usize::from(*row)] = *cells;
-            }
-        }
     }
 
     /// Evidence of a cell of the odom lattice; unknown where there is none or it was cleared.

@@ -1,26 +1,28 @@
 //! The stored and transmitted form of a submap: compact, and read with suspicion.
 //!
 //! Little-endian: `FLSM`, version, checksum (CRC-32 of all that follows), number, trajectory, insertions, first, last, reference pose,
-//! cell size; the levels of both weights (count, then each weight); the number of tiles and their keys, each as the
-//! difference to the one before; the tiles with cleared cells, as place, rows (64 bits) and a mask for each row; then to the end
-//! the cells, as places among the levels, range coded by [`CellModel`].
+//! cell size; the number of tiles and their keys, each as the difference to the one before; the blocks of each tile that have evidence
+//! (64 bits); the levels of both weights (count, then each weight); the tiles with cleared cells, as place, rows (64 bits) and a mask for
+//! each row; then to the end the cells of those blocks, as places among the levels, range coded by [`CellModel`].
 
 use crate::cell_coder::{CellModel, Symbol};
 use crate::range_coder::{RangeDecoder, RangeEncoder};
+use crate::submap_outline::known_blocks;
 use crate::weight_levels::{CellLevels, Levels};
-use crate::{PackedCell, Submap, SubmapTile, TILE_CELLS, TileKey};
+use crate::{CellIndex, PackedCell, Submap, SubmapOutline, SubmapTile, TILE_CELLS, TILE_SIDE, TileKey};
 use flockslam_geometry::Pose;
 
 const MAGIC: [u8; 4] = *b"FLSM";
-const VERSION: u8 = 2;
+const VERSION: u8 = 3;
 /// Where the bytes begin that the checksum is of.
 const CHECKED_FROM: usize = 9;
-/// Bytes from there to the levels: three numbers of 32 bits, two of 64, the reference pose and the size of a cell.
-const HEAD_BYTES: usize = 3 * 4 + 2 * 8 + 4 * 8;
 /// Tiles that a submap may have: memory that foreign bytes can ask for is bounded by it (128 MiB).
 const TILES_MAX: u32 = 8192;
-/// The least bytes of a tile: those of its key.
-const TILE_BYTES_MIN: usize = 2;
+/// The least bytes of a tile: those of its key and of its blocks.
+const TILE_BYTES_MIN: usize = 2 + 8;
+
+/// The cells of a tile that are masked, one bit each, row by row.
+type Mask = [u64; TILE_SIDE];
 
 /// Why bytes are not a submap.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -40,7 +42,7 @@ pub enum SubmapBytesError {
     /// More tiles than a bounded submap can have, or than the bytes can hold.
     #[error("a submap of {0} tiles")]
     TooManyTiles(u32),
-    /// A pose or cell size that is no number, tiles out of order, rows that are listed but empty, or a level that is not.
+    /// A pose or cell size that is no number, tiles out of order, rows or blocks that are listed but empty, or a level that is not.
     #[error("a submap's content is not well formed")]
     Malformed,
     /// Bytes follow after the end.
@@ -64,12 +66,14 @@ impl Submap {
         for number in [pose.x_m, pose.y_m, pose.heading_rad, self.cell_size_m] {
             out.extend(number.to_le_bytes());
         }
+        let outline = SubmapOutline::of(self);
+        encode_keys(&outline.blocks, &mut out);
+        outline.blocks.iter().for_each(|(_, blocks)| out.extend(blocks.to_le_bytes()));
         let levels = CellLevels::of(&self.tiles);
         encode_levels(&levels.occupied, &mut out);
         encode_levels(&levels.free, &mut out);
-        encode_keys(&self.tiles, &mut out);
-        encode_masks(&self.tiles, &mut out);
-        let mut out = encode_cells(&self.tiles, &levels, out);
+        encode_masks(self.tiles.iter().map(|tile| &tile.cleared), &mut out);
+        let mut out = encode_cells(&self.tiles, &outline.blocks, &levels, out);
         seal(&mut out);
         out
     }
@@ -80,25 +84,12 @@ impl Submap {
     /// # Errors
     /// When `stored` is not a stored form of this submap.
     pub fn encode_cleared(&self, stored: &[u8]) -> Result<Vec<u8>, SubmapBytesError> {
-        let mut input = checked(stored)?;
-        input.take::<HEAD_BYTES>()?;
-        decode_levels(&mut input)?;
-        decode_levels(&mut input)?;
-        let keys = decode_keys(&mut input, TILES_MAX as usize)?;
-        if !keys.iter().eq(self.tiles.iter().map(|tile| &tile.key)) {
+        let mut parts = Parts::of(stored)?;
+        if !parts.keys().eq(self.tiles.iter().map(|tile| tile.key)) {
             return Err(SubmapBytesError::Malformed);
         }
-        let mut out = stored[..stored.len() - input.0.len()].to_vec();
-        for _ in 0..input.u32()? {
-            input.u32()?;
-            for _ in 0..input.u64()?.count_ones() {
-                input.u64()?;
-            }
-        }
-        encode_masks(&self.tiles, &mut out);
-        out.extend(input.0);
-        seal(&mut out);
-        Ok(out)
+        parts.masks = self.tiles.iter().map(|tile| tile.cleared).collect();
+        Ok(parts.sealed())
     }
 
     /// Reads the stored form, which may be hostile: every length is checked before memory is allocated.
@@ -115,20 +106,73 @@ impl Submap {
     /// As [`Self::decode`], and when there are more tiles.
     pub fn decode_bounded(bytes: &[u8], tiles_max: usize) -> Result<Submap, SubmapBytesError> {
         let mut input = checked(bytes)?;
-        let (number, trajectory, insertions) = (input.u32()?, input.u32()?, input.u32()?);
-        let (first, last) = (input.u64()?, input.u64()?);
-        let odom_from_submap = Pose { x_m: input.f64()?, y_m: input.f64()?, heading_rad: input.f64()? };
-        let cell_size_m = input.f64()?;
-        if !odom_from_submap.is_finite() || !(1e-3..=10.0).contains(&cell_size_m) || last < first {
-            return Err(SubmapBytesError::Malformed);
-        }
+        let SubmapOutline { emptied, blocks } = decode_outline(&mut input, tiles_max)?;
         let levels = CellLevels { occupied: decode_levels(&mut input)?, free: decode_levels(&mut input)? };
-        let keys = decode_keys(&mut input, tiles_max)?;
-        let empty = |key| SubmapTile::new(key, Box::new([PackedCell::UNKNOWN; TILE_CELLS]));
-        let mut tiles: Vec<SubmapTile> = keys.into_iter().map(empty).collect();
-        decode_masks(&mut input, &mut tiles)?;
-        decode_cells(input.0, &levels, &mut tiles)?;
-        Ok(Submap { number, trajectory, insertions, first, last, odom_from_submap, cell_size_m, tiles })
+        let masks = decode_masks(&mut input, blocks.len())?;
+        let empty = |((key, _), cleared): (&(TileKey, u64), _)| SubmapTile {
+            cleared,
+            ..SubmapTile::new(*key, Box::new([PackedCell::UNKNOWN; TILE_CELLS]))
+        };
+        let mut tiles: Vec<SubmapTile> = blocks.iter().zip(masks).map(empty).collect();
+        decode_cells(input.0, &blocks, &levels, &mut tiles)?;
+        Ok(Submap { tiles, ..emptied })
+    }
+}
+
+impl SubmapOutline {
+    /// Reads the outline from the stored form of a submap, and nothing of its cells.
+    ///
+    /// # Errors
+    /// When the bytes are damaged, or their head is not that of a well-formed submap.
+    pub fn decode(bytes: &[u8]) -> Result<SubmapOutline, SubmapBytesError> {
+        decode_outline(&mut checked(bytes)?, TILES_MAX as usize)
+    }
+}
+
+/// The stored form of a submap that is stored so, with these cells masked too; those that it has no tiles for are passed over.
+///
+/// # Errors
+/// When the bytes are damaged or not well formed.
+pub fn with_masked(stored: &[u8], cells: &[CellIndex]) -> Result<Vec<u8>, SubmapBytesError> {
+    let mut parts = Parts::of(stored)?;
+    for cell in cells {
+        if let Ok(place) = parts.blocks.binary_search_by_key(&cell.tile(), |(key, _)| *key) {
+            let offset = cell.offset();
+            parts.masks[place][offset / TILE_SIDE] |= 1 << (offset % TILE_SIDE);
+        }
+    }
+    Ok(parts.sealed())
+}
+
+/// A stored form, taken apart so that its masks can be changed.
+struct Parts<'a> {
+    before_masks: &'a [u8],
+    blocks: Vec<(TileKey, u64)>,
+    masks: Vec<Mask>,
+    cells: &'a [u8],
+}
+
+impl<'a> Parts<'a> {
+    fn of(stored: &'a [u8]) -> Result<Self, SubmapBytesError> {
+        let mut input = checked(stored)?;
+        let SubmapOutline { blocks, .. } = decode_outline(&mut input, TILES_MAX as usize)?;
+        decode_levels(&mut input)?;
+        decode_levels(&mut input)?;
+        let before_masks = &stored[..stored.len() - input.0.len()];
+        let masks = decode_masks(&mut input, blocks.len())?;
+        Ok(Self { before_masks, blocks, masks, cells: input.0 })
+    }
+
+    fn keys(&self) -> impl Iterator<Item = TileKey> {
+        self.blocks.iter().map(|(key, _)| *key)
+    }
+
+    fn sealed(&self) -> Vec<u8> {
+        let mut out = self.before_masks.to_vec();
+        encode_masks(self.masks.iter(), &mut out);
+        out.extend(self.cells);
+        seal(&mut out);
+        out
     }
 }
 
@@ -170,14 +214,31 @@ fn decode_levels(input: &mut Input<'_>) -> Result<Levels, SubmapBytesError> {
     Ok(levels)
 }
 
-fn encode_keys(tiles: &[SubmapTile], out: &mut Vec<u8>) {
+fn encode_keys(tiles: &[(TileKey, u64)], out: &mut Vec<u8>) {
     out.extend((tiles.len() as u32).to_le_bytes());
     let mut before = TileKey::default();
-    for TileKey { x, y } in tiles.iter().map(|tile| tile.key) {
+    for (TileKey { x, y }, _) in tiles.iter().copied() {
         encode_difference(before.x, x, out);
         encode_difference(before.y, y, out);
         before = TileKey { x, y };
     }
+}
+
+/// All up to the levels.
+fn decode_outline(input: &mut Input<'_>, tiles_max: usize) -> Result<SubmapOutline, SubmapBytesError> {
+    let (number, trajectory, insertions) = (input.u32()?, input.u32()?, input.u32()?);
+    let (first, last) = (input.u64()?, input.u64()?);
+    let odom_from_submap = Pose { x_m: input.f64()?, y_m: input.f64()?, heading_rad: input.f64()? };
+    let cell_size_m = input.f64()?;
+    if !odom_from_submap.is_finite() || !(1e-3..=10.0).contains(&cell_size_m) || last < first {
+        return Err(SubmapBytesError::Malformed);
+    }
+    let keys = decode_keys(input, tiles_max)?.into_iter();
+    let blocks = keys.map(|key| Ok((key, input.u64()?))).collect::<Result<Vec<_>, _>>()?;
+    let tiles = Vec::new();
+    let emptied =
+        Submap { number, trajectory, insertions, first, last, odom_from_submap, cell_size_m, tiles };
+    Ok(SubmapOutline { emptied, blocks })
 }
 
 fn decode_keys(input: &mut Input<'_>, tiles_max: usize) -> Result<Vec<TileKey>, SubmapBytesError> {
@@ -223,54 +284,68 @@ fn decode_difference(from: i32, input: &mut Input<'_>) -> Result<i32, SubmapByte
     Err(SubmapBytesError::Malformed)
 }
 
-fn encode_masks(tiles: &[SubmapTile], out: &mut Vec<u8>) {
-    let rows = |tile: &SubmapTile| {
+fn encode_masks<'a>(masks: impl Iterator<Item = &'a Mask> + Clone, out: &mut Vec<u8>) {
+    let rows = |mask: &Mask| {
         let bit = |(y, row): (usize, &u64)| u64::from(*row != 0) << y;
-        tile.cleared.iter().enumerate().map(bit).sum::<u64>()
+        mask.iter().enumerate().map(bit).sum::<u64>()
     };
-    let cleared = tiles.iter().enumerate().filter(|(_, tile)| rows(tile) != 0);
+    let cleared = masks.enumerate().filter(|(_, mask)| rows(mask) != 0);
     out.extend((cleared.clone().count() as u32).to_le_bytes());
-    for (place, tile) in cleared {
+    for (place, mask) in cleared {
         out.extend((place as u32).to_le_bytes());
-        out.extend(rows(tile).to_le_bytes());
-        tile.cleared.iter().filter(|row| **row != 0).for_each(|row| out.extend(row.to_le_bytes()));
+        out.extend(rows(mask).to_le_bytes());
+        mask.iter().filter(|row| **row != 0).for_each(|row| out.extend(row.to_le_bytes()));
     }
 }
 
-fn decode_masks(input: &mut Input<'_>, tiles: &mut [SubmapTile]) -> Result<(), SubmapBytesError> {
+fn decode_masks(input: &mut Input<'_>, tiles: usize) -> Result<Vec<Mask>, SubmapBytesError> {
+    let mut masks = vec![[0; TILE_SIDE]; tiles];
     let mut next = 0;
     for _ in 0..input.u32()? {
         let place = input.u32()? as usize;
         let rows = input.u64()?;
-        let tile = tiles.get_mut(place).filter(|_| place >= next && rows != 0);
-        let tile = tile.ok_or(SubmapBytesError::Malformed)?;
-        for (y, row) in tile.cleared.iter_mut().enumerate() {
+        let mask = masks.get_mut(place).filter(|_| place >= next && rows != 0);
+        let mask = mask.ok_or(SubmapBytesError::Malformed)?;
+        for (y, row) in mask.iter_mut().enumerate() {
             if rows >> y & 1 == 1 {
                 *row = Some(input.u64()?).filter(|row| *row != 0).ok_or(SubmapBytesError::Malformed)?;
             }
         }
         next = place + 1;
     }
-    Ok(())
+    Ok(masks)
 }
 
-fn encode_cells(tiles: &[SubmapTile], levels: &CellLevels, out: Vec<u8>) -> Vec<u8> {
+fn encode_cells(
+    tiles: &[SubmapTile],
+    blocks: &[(TileKey, u64)],
+    levels: &CellLevels,
+    out: Vec<u8>,
+) -> Vec<u8> {
     let (mut coder, mut model) = (RangeEncoder::new(out), CellModel::new(levels));
     let mut symbols = [[0; 2]; TILE_CELLS];
-    for tile in tiles {
+    for (tile, (_, known)) in tiles.iter().zip(blocks) {
         for (symbol, cell) in symbols.iter_mut().zip(tile.cells.iter()) {
             *symbol = if cell.is_unknown() { [0; 2] } else { levels.places(*cell) };
         }
-        model.code(&mut coder, &mut symbols);
+        model.code(&mut coder, *known, &mut symbols);
     }
     coder.finish()
 }
 
-fn decode_cells(bytes: &[u8], levels: &CellLevels, tiles: &mut [SubmapTile]) -> Result<(), SubmapBytesError> {
+fn decode_cells(
+    bytes: &[u8],
+    blocks: &[(TileKey, u64)],
+    levels: &CellLevels,
+    tiles: &mut [SubmapTile],
+) -> Result<(), SubmapBytesError> {
     let (mut coder, mut model) = (RangeDecoder::new(bytes), CellModel::new(levels));
     let mut symbols: [Symbol; TILE_CELLS] = [[0; 2]; TILE_CELLS];
-    for tile in tiles {
-        model.code(&mut coder, &mut symbols);
+    for (tile, (_, known)) in tiles.iter_mut().zip(blocks) {
+        model.code(&mut coder, *known, &mut symbols);
+        if known_blocks(&symbols, |symbol| *symbol != [0; 2]) != *known {
+            return Err(SubmapBytesError::Malformed);
+        }
         for (cell, symbol) in tile.cells.iter_mut().zip(&symbols).filter(|(_, symbol)| **symbol != [0; 2]) {
             *cell = levels.cell(*symbol).ok_or(SubmapBytesError::Malformed)?;
         }
@@ -310,129 +385,4 @@ impl Input<'_> {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    /// A submap with a few cells of evidence and some of them cleared.
-    pub(crate) fn submap() -> impl Strategy<Value = Submap> {
-        let cell = (-90i32..90, -90i32..90, 0u16..9000, 1u16..9000, any::<bool>());
-        (proptest::collection::vec(cell, 0..60), -3.0..3.0f64, -2.0..2.0f64).prop_map(
-            |(cells, heading, x)| {
-                let mut tiles = std::collections::BTreeMap::new();
-                for (x, y, occupied, free, cleared) in cells {
-                    let index = crate::CellIndex::new(x, y);
-                    let empty = || SubmapTile::new(index.tile(), Box::new([PackedCell::UNKNOWN; TILE_CELLS]));
-                    let tile = tiles.entry(index.tile()).or_insert_with(empty);
-                    tile.cells[index.offset()] = PackedCell { occupied, free };
-                    if cleared {
-                        tile.clear(index.offset());
-                    }
-                }
-                let odom_from_submap = Pose::new(x, 0.5, heading);
-                let tiles = tiles.into_values().collect();
-                Submap {
-                    number: 3,
-                    trajectory: 0,
-                    insertions: 7,
-                    first: 40,
-                    last: 61,
-                    odom_from_submap,
-                    cell_size_m: 0.05,
-                    tiles,
-                }
-            },
-        )
-    }
-
-    proptest! {
-        #[test]
-        fn what_was_written_is_read(submap in submap()) {
-            let bytes = submap.encode();
-            let read = Submap::decode(&bytes).unwrap();
-            prop_assert_eq!(read.encode(), bytes);
-            prop_assert_eq!(read, submap.quantised());
-        }
-
-        #[test]
-        fn masks_are_written_anew_without_the_cells(
-            submap in submap(), more in proptest::collection::vec((-90i32..90, -90i32..90), 0..20), unmasks in any::<bool>()
-        ) {
-            let stored = submap.encode();
-            let mut changed = Submap::decode(&stored).unwrap();
-            if unmasks {
-                changed.set_cleared(&crate::ClearedCells::default());
-            }
-            for (x, y) in more {
-                changed.clear(crate::CellIndex::new(x, y));
-            }
-            prop_assert_eq!(changed.encode_cleared(&stored), Ok(changed.encode()));
-        }
-
-        #[test]
-        fn damaged_bytes_are_refused(
-            submap in submap(), place in any::<prop::sample::Index>(), flip in 1u8.., cut in any::<prop::sample::Index>()
-        ) {
-            let mut bytes = submap.encode();
-            prop_assert!(Submap::decode(&bytes[..cut.index(bytes.len())]).is_err());
-            let place = place.index(bytes.len());
-            bytes[place] ^= flip;
-            prop_assert!(Submap::decode(&bytes).is_err());
-        }
-
-        #[test]
-        fn forged_bytes_are_refused_or_a_submap_but_never_a_crash(
-            submap in submap(), place in any::<prop::sample::Index>(), flip in 1u8..
-        ) {
-            let mut bytes = submap.encode();
-            let place = CHECKED_FROM + place.index(bytes.len() - CHECKED_FROM);
-            bytes[place] ^= flip;
-            if let Ok(other) = Submap::decode(&signed(bytes)) {
-                prop_assert_eq!(Submap::decode(&other.encode()), Ok(other));
-            }
-        }
-
-        #[test]
-        fn keys_come_back(keys in proptest::collection::btree_set((any::<i32>(), any::<i32>()), 0..20)) {
-            let cells = Box::new([PackedCell { occupied: 0, free: 3 }; TILE_CELLS]);
-            let tiles = keys.into_iter().map(|(x, y)| SubmapTile::new(TileKey { x, y }, cells.clone()));
-            let submap = Submap { tiles: tiles.collect(), ..empty() };
-            prop_assert_eq!(Submap::decode(&submap.encode()), Ok(submap));
-        }
-    }
-
-    fn signed(mut bytes: Vec<u8>) -> Vec<u8> {
-        let checksum = crc32fast::hash(&bytes[CHECKED_FROM..]);
-        bytes[CHECKED_FROM - 4..CHECKED_FROM].copy_from_slice(&checksum.to_le_bytes());
-        bytes
-    }
-
-    fn empty() -> Submap {
-        Submap {
-            number: 0,
-            trajectory: 0,
-            insertions: 0,
-            first: 0,
-            last: 0,
-            odom_from_submap: Pose::IDENTITY,
-            cell_size_m: 0.05,
-            tiles: Vec::new(),
-        }
-    }
-
-    #[test]
-    fn sizes_are_checked_before_allocation() {
-        let mut bytes = empty().encode();
-        let count = bytes.len() - 8;
-        bytes[count..count + 4].fill(0xff);
-        let mut bytes = signed(bytes);
-        assert_eq!(Submap::decode(&bytes), Err(SubmapBytesError::TooManyTiles(u32::MAX)));
-        bytes[9] ^= 1;
-        assert_eq!(Submap::decode(&bytes), Err(SubmapBytesError::Damaged));
-        bytes[4] = 9;
-        assert_eq!(Submap::decode(&bytes), Err(SubmapBytesError::Version(9)));
-        assert_eq!(Submap::decode(b"PNG"), Err(SubmapBytesError::Truncated));
-        let long = [empty().encode(), vec![0; 8]].concat();
-        assert_eq!(Submap::decode(&signed(long)), Err(SubmapBytesError::Trailing(3)));
-    }
-}
+pub(crate) mod tests;

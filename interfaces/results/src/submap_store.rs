@@ -1,7 +1,7 @@
 //! The store of closed submaps: the mapper writes it, sync-manager and a restarted mapper read it.
 
 use crate::ResultsError;
-use flockslam_evidence::Submap;
+use flockslam_evidence::{CellIndex, Submap, SubmapOutline, with_masked};
 use flockslam_journal::{Durability, replace_file};
 use flockslam_messages::{ScanId, SubmapClosed};
 use std::fs;
@@ -38,6 +38,27 @@ impl SubmapStore {
         let bytes = fs::read(&path).map_err(|e| ResultsError::file(&path, e))?;
         let bytes = submap.encode_cleared(&bytes).map_err(|e| ResultsError::file(&path, e))?;
         Ok(replace_file(&path, &bytes, Durability::Process)?)
+    }
+
+    /// Masks cells of a stored submap, given in odom, beside those that are masked in it.
+    ///
+    /// # Errors
+    /// When there is none of its number, its file is damaged, or the disk refuses.
+    pub fn mask(&self, number: u32, cells: &[CellIndex]) -> Result<(), ResultsError> {
+        let path = self.file(number);
+        let bytes = fs::read(&path).map_err(|e| ResultsError::file(&path, e))?;
+        let bytes = with_masked(&bytes, cells).map_err(|e| ResultsError::file(&path, e))?;
+        Ok(replace_file(&path, &bytes, Durability::Process)?)
+    }
+
+    /// The outline of the submap of this number.
+    ///
+    /// # Errors
+    /// When there is none, or its file is damaged.
+    pub fn load_outline(&self, number: u32) -> Result<SubmapOutline, ResultsError> {
+        let path = self.file(number);
+        let bytes = fs::read(&path).map_err(|e| ResultsError::file(&path, e))?;
+        SubmapOutline::decode(&bytes).map_err(|e| ResultsError::file(&path, e))
     }
 
     /// The submap of this number.

@@ -1,93 +1,11 @@
 //! The area that a submap covers in the fused map.
 
 use crate::resampling::Resampling;
-use flockslam_evidence::{CellIndex, Submap, SubmapTile, TILE_SIDE, TileKey};
+use flockslam_evidence::{CellIndex, Submap, SubmapOutline, TileKey};
 use flockslam_geometry::Pose;
 
-/// Where a submap has evidence, cleared or not: this never changes once it is closed.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct KnownCells {
-    odom_from_submap: Pose,
-    cell_size_m: f64,
-    /// One bit for each cell, row by row.
-    tiles: Vec<KnownTile>,
-}
-
-impl KnownCells {
-    pub(crate) fn of(submap: &Submap) -> Self {
-        Self {
-            odom_from_submap: submap.odom_from_submap,
-            cell_size_m: submap.cell_size_m,
-            tiles: submap.tiles.iter().map(KnownTile::of).collect(),
-        }
-    }
-
-    /// The same as [`Footprint::of`] the submap.
-    pub(crate) fn footprint(&self, map_from_odom: Pose, cell_size_m: f64) -> Footprint {
-        let map_from_submap = map_from_odom * self.odom_from_submap;
-        let resampling =
-            Resampling::of_lattice(self.odom_from_submap, self.cell_size_m, map_from_submap, cell_size_m);
-        let mut parts = Vec::new();
-        for tile in &self.tiles {
-            resampling.for_each_known(tile.key, &tile.rows(), |key, blocks| parts.push((key, blocks)));
-        }
-        Footprint::new(parts)
-    }
-}
-
-/// The known cells of a tile. A block of 8 × 8 cells that is known in part takes one word, any other none.
-#[derive(Clone, Debug, PartialEq)]
-struct KnownTile {
-    key: TileKey,
-    /// Blocks of which something is known (bit = row of blocks · 8 + column), and those of which all is.
-    some: u64,
-    all: u64,
-    /// The cells of the others, one bit each, row by row.
-    partial: Box<[u64]>,
-}
-
-impl KnownTile {
-    fn of(tile: &SubmapTile) -> Self {
-        let mut blocks = [0u64; TILE_SIDE];
-        for (offset, _) in tile.cells.iter().enumerate().filter(|(_, cell)| !cell.is_unknown()) {
-            let (block, bit) = block_and_bit(offset);
-            blocks[block] |= 1 << bit;
-        }
-        let which = |is: fn(u64) -> bool| {
-            blocks.iter().enumerate().fold(0, |bits, (at, cells)| bits | u64::from(is(*cells)) << at)
-        };
-        let partial = blocks.iter().copied().filter(|cells| !matches!(*cells, 0 | u64::MAX)).collect();
-        Self {
-            key: tile.key,
-            some: which(|cells| cells != 0),
-            all: which(|cells| cells == u64::MAX),
-            partial,
-        }
-    }
-
-    /// The known cells, one bit each, row by row.
-    fn rows(&self) -> [u64; TILE_SIDE] {
-        let mut rows = [0; TILE_SIDE];
-        let mut partial = self.partial.iter();
-        for block in 0..TILE_SIDE {
-            let cells = match (self.some >> block & 1, self.all >> block & 1) {
-                (0, _) => continue,
-                (_, 1) => u64::MAX,
-                _ => *partial.next().expect("a word for each block in part"),
-            };
-            for (y, row) in cells.to_le_bytes().into_iter().enumerate() {
-                rows[block / 8 * 8 + y] |= u64::from(row) << (block % 8 * 8);
-            }
-        }
-        rows
-    }
-}
-
-/// The block of 8 × 8 cells that a cell of a tile is in, and its place there, both row by row.
-fn block_and_bit(offset: usize) -> (usize, usize) {
-    let (x, y) = (offset % TILE_SIDE, offset / TILE_SIDE);
-    (y / 8 * 8 + x / 8, y % 8 * 8 + x % 8)
-}
+/// Side of a block, cells.
+const BLOCK_SIDE: u8 = 8;
 
 /// Blocks of 8 × 8 cells of the fused map in which a submap has evidence.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -107,6 +25,29 @@ impl Footprint {
         Self::new(parts)
     }
 
+    /// Nearly that of the submap with this outline, where `map_from_odom` takes the coordinates that its evidence was inserted in: the blocks
+    /// of the map whose centres fall into blocks of the submap with evidence.
+    pub fn of_outline(outline: &SubmapOutline, map_from_odom: Pose, cell_size_m: f64) -> Self {
+        let Submap { odom_from_submap, cell_size_m: source_size_m, .. } = outline.emptied;
+        let side = f64::from(BLOCK_SIDE);
+        let resampling = Resampling::of_lattice(
+            odom_from_submap,
+            side * source_size_m,
+            map_from_odom * odom_from_submap,
+            side * cell_size_m,
+        );
+        let mut parts = Vec::new();
+        for (key, blocks) in &outline.blocks {
+            for block in (0..64).filter(|block| blocks >> block & 1 == 1) {
+                let source = CellIndex::new(8 * key.x + block % 8, 8 * key.y + block / 8);
+                for CellIndex { x, y } in resampling.targets(source) {
+                    parts.push((TileKey { x: x >> 3, y: y >> 3 }, 1 << ((y & 7) * 8 + (x & 7))));
+                }
+            }
+        }
+        Self::new(parts)
+    }
+
     /// The union of parts.
     pub(crate) fn new(mut parts: Vec<(TileKey, u64)>) -> Self {
         parts.sort_unstable_by_key(|(key, _)| *key);
@@ -117,6 +58,7 @@ impl Footprint {
             }
             same
         });
+        parts.shrink_to_fit();
         Self { tiles: parts }
     }
 
@@ -152,24 +94,33 @@ impl Footprint {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flockslam_evidence::{PackedCell, TILE_CELLS};
-    use proptest::prelude::*;
+    use flockslam_evidence::{PackedCell, SubmapTile, TILE_CELLS, TILE_SIDE};
 
-    proptest! {
-        #[test]
-        fn known_cells_round_trip(blocks in proptest::collection::vec(
-            prop_oneof![Just(0), Just(u64::MAX), any::<u64>()], TILE_SIDE
-        )) {
-            let mut tile =
-                SubmapTile::new(TileKey { x: 3, y: -2 }, Box::new([PackedCell::UNKNOWN; TILE_CELLS]));
-            for offset in 0..TILE_CELLS {
-                let (block, bit) = block_and_bit(offset);
-                tile.cells[offset].free = (blocks[block] >> bit & 1) as u16;
-            }
-            let rows = KnownTile::of(&tile).rows();
-            for (offset, cell) in tile.cells.iter().enumerate() {
-                prop_assert_eq!(rows[offset / TILE_SIDE] >> (offset % TILE_SIDE) & 1 == 1, !cell.is_unknown());
-            }
+    #[test]
+    fn an_outline_covers_nearly_what_its_submap_covers() {
+        let cell = |offset: usize| match (offset % TILE_SIDE, offset / TILE_SIDE) {
+            (3..61, 9..50) => PackedCell { occupied: 0, free: 900 },
+            _ => PackedCell::UNKNOWN,
+        };
+        let tile = |x| {
+            SubmapTile::new(TileKey { x, y: -1 }, Box::new(std::array::from_fn::<_, TILE_CELLS, _>(cell)))
+        };
+        let submap = Submap {
+            odom_from_submap: Pose::new(-2.0, 0.5, 0.3),
+            cell_size_m: 0.05,
+            tiles: (-2..3).map(tile).collect(),
+            ..Submap::default()
+        };
+        let outline = SubmapOutline::of(&submap);
+        for turn in 0..8 {
+            let map_from_odom = Pose::new(0.17 * f64::from(turn), 3.0, 0.8 * f64::from(turn));
+            let nearly = Footprint::of_outline(&outline, map_from_odom, 0.05);
+            let map_from_submap = map_from_odom * submap.odom_from_submap;
+            let blocks = Footprint::of(&submap, map_from_submap, 0.05).blocks();
+            let share = f64::from(nearly.blocks()) / f64::from(blocks);
+            assert!((0.85..=1.0).contains(&share), "{share} of {blocks}");
         }
+        let unmoved = Footprint::of_outline(&outline, Pose::IDENTITY, 0.05);
+        assert_eq!(unmoved, Footprint::of(&submap, submap.odom_from_submap, 0.05));
     }
 }

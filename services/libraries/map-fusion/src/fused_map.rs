@@ -8,7 +8,6 @@ use flockslam_evidence::{
 };
 use flockslam_geometry::{Point, Pose};
 use flockslam_results::{MapShape, StoredMap};
-use std::collections::BTreeSet;
 
 /// The sum of submaps at the poses of a solution, in a lattice of its own.
 ///
@@ -40,15 +39,6 @@ pub struct FusedMap {
     tiles: TileDirectory<Box<BlockTile>>,
 }
 
-/// Where a submap that was added has evidence.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Added {
-    /// Evidence of any kind, cleared or not.
-    pub known: Footprint,
-    /// Evidence for "occupied" that is not cleared.
-    pub occupied: Footprint,
-}
-
 /// A submap cannot be taken out: it is not in the map at this pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("submap {0} is not in the fused map at this pose")]
@@ -69,22 +59,17 @@ impl FusedMap {
         self.cell_size_m
     }
 
-    /// Adds a submap whose reference pose is at `map_from_submap`, and tells where it knows something. Cleared cells count as
-    /// unknown.
+    /// Adds a submap whose reference pose is at `map_from_submap`; gives where it has evidence, cleared or not. Cleared cells add nothing.
     ///
     /// # Errors
     /// When the submap is absurdly far from the others; then nothing changes.
-    pub fn add(&mut self, submap: &Submap, map_from_submap: Pose) -> Result<Added, TooFar> {
+    pub fn add(&mut self, submap: &Submap, map_from_submap: Pose) -> Result<Footprint, TooFar> {
         let resampling = Resampling::new(submap, map_from_submap, self.cell_size_m);
-        let (mut parts, mut occupied) = (Vec::new(), Vec::new());
+        let mut parts = Vec::new();
         let (mut done, mut result) = (0, Ok(()));
         for tile in &submap.tiles {
             resampling.for_each(tile, |part| {
                 parts.push((part.key, part.blocks));
-                match part.occupied_blocks() {
-                    0 => {}
-                    blocks => occupied.push((part.key, blocks)),
-                }
                 if result.is_ok() && !part.cells.is_empty() {
                     result = self.tile_mut(part.key).map(|cells| add(cells, part.cells));
                     done += if result.is_ok() { part.cells.len() } else { 0 };
@@ -97,41 +82,25 @@ impl FusedMap {
             });
             self.drop_empty(parts.iter().map(|(key, _)| *key).collect());
         }
-        result.map(|()| Added { known: Footprint::new(parts), occupied: Footprint::new(occupied) })
+        result.map(|()| Footprint::new(parts))
     }
 
-    /// Clears cells of a submap that was added at this pose as it is, here and in the submap.
-    ///
-    /// # Errors
-    /// When it cannot have been added so; then nothing changes.
-    pub fn clear(
-        &mut self,
-        submap: &mut Submap,
-        map_from_submap: Pose,
-        cells: &BTreeSet<CellIndex>,
-    ) -> Result<(), NotFused> {
-        let resampling = Resampling::new(submap, map_from_submap, self.cell_size_m);
-        let mut evidence = Vec::new();
-        for source in cells {
-            match submap.cell(*source) {
-                cell if cell.is_unknown() => {}
-                cell => evidence.extend(resampling.targets(*source).map(|target| (target, cell))),
-            }
-        }
+    /// Takes out evidence of single cells; false when it cannot have been added so: then nothing changes.
+    pub(crate) fn withdraw_cells(&mut self, evidence: &[(CellIndex, PackedCell)]) -> bool {
         let mut left = Vec::with_capacity(evidence.len());
-        for (target, cell) in &evidence {
-            left.push(self.cell(*target).withdraw(cell.unpack()).ok_or(NotFused(submap.number))?);
+        for (target, cell) in evidence {
+            match self.cell(*target).withdraw(cell.unpack()) {
+                Some(rest) => left.push(rest),
+                None => return false,
+            }
         }
         for ((target, _), left) in evidence.iter().zip(left) {
             if let Some(tile) = self.tiles.get_mut(target.tile()) {
                 tile.set_cell(target.offset(), left);
             }
         }
-        cells.iter().for_each(|cell| {
-            submap.clear(*cell);
-        });
         self.drop_empty(evidence.iter().map(|(target, _)| target.tile()).collect());
-        Ok(())
+        true
     }
 
     /// Takes out a submap that was added at this pose with these cells cleared.
@@ -189,18 +158,6 @@ impl FusedMap {
                 self.tiles.remove(key);
             }
         }
-    }
-
-    /// The cells of a submap at this pose whose evidence for "occupied" falls into these cells of the map.
-    pub fn occupied_sources(
-        &self,
-        submap: &Submap,
-        map_from_submap: Pose,
-        cells: &[CellIndex],
-    ) -> BTreeSet<CellIndex> {
-        let resampling = Resampling::new(submap, map_from_submap, self.cell_size_m);
-        let sources = cells.iter().filter_map(|cell| resampling.source_cell(*cell));
-        sources.filter(|source| submap.cell(*source).occupied > 0).collect()
     }
 
     /// Evidence of a cell.
@@ -322,7 +279,7 @@ impl FusedMap {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use flockslam_evidence::SubmapTile;
     use proptest::prelude::*;
@@ -332,7 +289,7 @@ mod tests {
     }
 
     /// A submap with a few cells of evidence, a third of them cleared.
-    fn submap() -> impl Strategy<Value = Submap> {
+    pub(crate) fn submap() -> impl Strategy<Value = Submap> {
         let cells = proptest::collection::vec((-90i32..90, -90i32..90, 0u16..9000, 1u16..9000), 0..60);
         (cells, pose()).prop_map(|(cells, odom_from_submap)| {
             let mut submap = Submap { odom_from_submap, ..of_tiles(Vec::new()) };
@@ -353,7 +310,7 @@ mod tests {
         })
     }
 
-    fn pose() -> impl Strategy<Value = Pose> {
+    pub(crate) fn pose() -> impl Strategy<Value = Pose> {
         (-5.0..5.0f64, -5.0..5.0f64, -3.0..3.0f64).prop_map(|(x, y, heading)| Pose::new(x, y, heading))
     }
 
@@ -364,7 +321,7 @@ mod tests {
             a in submap(), b in submap(), pose_a in pose(), pose_b in pose()
         ) {
             let (mut ab, mut ba, mut only_b) = (FusedMap::new(0.05), FusedMap::new(0.05), FusedMap::new(0.05));
-            let footprint = ab.add(&a, pose_a).unwrap().known;
+            let footprint = ab.add(&a, pose_a).unwrap();
             for (key, cells) in ab.tiles() {
                 let blocks = footprint.tiles().iter().find(|(of, _)| *of == key).map_or(0, |(_, blocks)| *blocks);
                 for (place, _) in cells.iter().enumerate().filter(|(_, cell)| !cell.is_unknown()) {
@@ -380,27 +337,6 @@ mod tests {
             prop_assert_eq!(&ab, &only_b);
             ab.withdraw(&b, pose_b).unwrap();
             prop_assert!(ab.is_empty() && ab.bounds().is_none());
-        }
-
-        #[test]
-        fn masking_the_sources_of_cells_leaves_nothing_occupied_in_them(
-            mut a in submap(), pose in pose(), picked in prop::collection::vec(any::<prop::sample::Index>(), 1..20)
-        ) {
-            let mut map = FusedMap::new(0.05);
-            map.add(&a, pose).unwrap();
-            let all: Vec<CellIndex> =
-                map.tiles().flat_map(|(key, _)| (0..TILE_CELLS).map(move |offset| key.cell(offset))).collect();
-            prop_assume!(!all.is_empty());
-            let cells: Vec<CellIndex> = picked.iter().map(|index| *index.get(&all)).collect();
-            for source in map.occupied_sources(&a, pose, &cells) {
-                a.clear(source);
-            }
-            let mut masked = FusedMap::new(0.05);
-            masked.add(&a, pose).unwrap();
-            for cell in &cells {
-                prop_assert_eq!(masked.cell(*cell).occupied, 0);
-                prop_assert!(map.cell(*cell).occupied > 0 || masked.cell(*cell) == map.cell(*cell));
-            }
         }
 
         #[test]

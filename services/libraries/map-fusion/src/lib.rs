@@ -5,6 +5,7 @@
 mod aim;
 mod coverage;
 mod final_cleaning;
+mod final_map;
 mod footprint;
 mod fused_map;
 mod fusion;
@@ -13,7 +14,8 @@ mod resampling;
 mod stale;
 
 pub use final_cleaning::{APART_NS, FinalCleaning, VIEWS};
+pub use final_map::FinalMap;
 pub use footprint::Footprint;
-pub use fused_map::{Added, FusedMap, NotFused, stored_map};
+pub use fused_map::{FusedMap, NotFused, stored_map};
 pub use fusion::{Fusion, PlacedSubmap, Step};
 pub use stale::stale_cells;

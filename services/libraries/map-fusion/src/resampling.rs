@@ -18,6 +18,7 @@ fn block(cell: usize) -> usize {
 ///
 /// A linear function in whole numbers: what it gives for a cell does not depend on where the walk over the cells began, so each
 /// target cell has exactly one source cell, in whichever tile, and there are no holes whatever the rotation.
+#[derive(Debug)]
 pub struct Resampling {
     map_from_odom: Pose,
     source_size_m: f64,
@@ -38,14 +39,6 @@ pub struct Resampled<'a> {
     pub cells: &'a [(u16, PackedCell)],
     /// Blocks of 8 × 8 cells with evidence of the submap (bit = row of blocks · 8 + column), whether cleared or not.
     pub blocks: u64,
-}
-
-impl Resampled<'_> {
-    /// Blocks of 8 × 8 cells with evidence for "occupied" that is not cleared.
-    pub(crate) fn occupied_blocks(&self) -> u64 {
-        let occupied = self.cells.iter().filter(|(_, cell)| cell.occupied > 0);
-        occupied.fold(0, |blocks, (target, _)| blocks | 1 << block(usize::from(*target)))
-    }
 }
 
 impl Resampling {
@@ -94,30 +87,6 @@ impl Resampling {
                 let blocks = self.gather(tile, key, (low, high), &mut cells);
                 if blocks != 0 {
                     visit(Resampled { key, cells: &cells, blocks });
-                }
-            }
-        }
-    }
-
-    /// Calls `visit` for each tile of the fused map that evidence of a tile falls into whose `known` cells are these, one bit each, row by
-    /// row: with its blocks, as [`Self::for_each`] gives them.
-    pub(crate) fn for_each_known(
-        &self,
-        tile: TileKey,
-        known: &[u64; TILE_SIDE],
-        mut visit: impl FnMut(TileKey, u64),
-    ) {
-        let (low, high) = self.target_bounds(tile);
-        for y in low.tile().y..=high.tile().y {
-            for x in low.tile().x..=high.tile().x {
-                let key = TileKey { x, y };
-                let mut blocks = 0;
-                self.walk(tile, key, (low, high), |target, source| {
-                    let is_known = known[source >> 6] >> (source & 63) & 1;
-                    blocks |= is_known << block(target);
-                });
-                if blocks != 0 {
-                    visit(key, blocks);
                 }
             }
         }

@@ -36,7 +36,7 @@ pub(super) fn clear_at_end(
     }
     let free = final_cleaning.free();
     tracing::debug!(cells = free.len(), scans = accepted.len(), "looked back");
-    fuser.clear(&free, submaps_in_map)
+    fuser.clear(&free)
 }
 
 /// The accepted scans that are looked at, in order: where each is in the journal, and which of `scans` it stands for, itself first: how long

@@ -2,11 +2,7 @@
 
 use crate::Settings;
 use flockslam_evidence::CellIndex;
-use flockslam_map_fusion::FusedMap;
-use flockslam_map_fusion::PlacedSubmap;
-use flockslam_map_fusion::stale_cells;
-use flockslam_map_fusion::stored_map;
-use flockslam_map_fusion::{Fusion, Step};
+use flockslam_map_fusion::{FinalMap, FusedMap, Fusion, PlacedSubmap, Step, stale_cells, stored_map};
 use flockslam_results::SubmapStore;
 use flockslam_results::{StoredMap, Summary, write_map, write_map_rows};
 use flockslam_stage::StageError;
@@ -15,6 +11,8 @@ use std::path::Path;
 /// Loads stored submaps for the fusion.
 pub struct Fuser {
     fusion: Fusion,
+    /// The map of the final solution, once it is made.
+    final_map: Option<FinalMap>,
     store: SubmapStore,
     known_area_m2: f64,
     /// Submaps with smaller numbers are of an imported map.
@@ -24,7 +22,12 @@ pub struct Fuser {
 impl Fuser {
     /// An empty fused map, filled from this store.
     pub fn new(store: SubmapStore, settings: &Settings) -> Self {
-        Self { fusion: Fusion::new(settings.retire_covered_by), store, known_area_m2: 0.0, kept_below: 0 }
+        Self::retiring(store, settings.retire_covered_by)
+    }
+
+    fn retiring(store: SubmapStore, covered_by: usize) -> Self {
+        let fusion = Fusion::new(covered_by);
+        Self { fusion, final_map: None, store, known_area_m2: 0.0, kept_below: 0 }
     }
 
     /// Submaps with numbers below this are of an imported map: they stay as they are, and never retire.
@@ -37,7 +40,7 @@ impl Fuser {
     /// # Errors
     /// When the store fails, or a submap is absurdly far from the others.
     pub fn of_part(store: SubmapStore, submaps: &[PlacedSubmap]) -> Result<StoredMap, StageError> {
-        let mut fuser = Self { fusion: Fusion::new(0), store, known_area_m2: 0.0, kept_below: 0 };
+        let mut fuser = Self::retiring(store, 0);
         let closed = fuser.store.count();
         fuser.take_all(submaps, closed)?;
         Ok(fuser.stored_map())
@@ -52,15 +55,15 @@ impl Fuser {
             if self.fusion.take_known(step) {
                 continue;
             }
-            let submap = self.store.load(step.number())?;
-            if let Err(far) = self.fusion.take(step, submap) {
-                tracing::warn!(%far, number = step.number(), "a submap is not in the fused map");
+            if let Step::Place(placed) = step {
+                self.fusion.take(placed, self.store.load_outline(placed.number)?);
             }
         }
         let covered = self.fusion.covered(self.kept_below);
         for number in &covered {
-            let emptied = self.fusion.retire(self.store.load(*number)?);
-            if let Err(error) = self.store.save(&emptied) {
+            if let Some(emptied) = self.fusion.retire(*number)
+                && let Err(error) = self.store.save(&emptied)
+            {
                 // It takes more room than it needs; at the end it is emptied again.
                 tracing::warn!(%error, number, "a submap that has retired is not emptied");
             }
@@ -86,7 +89,7 @@ impl Fuser {
 
     /// The fused map, once it is finished; `None` when there is no submap.
     pub fn map(&self) -> Option<&FusedMap> {
-        self.fusion.map()
+        self.final_map.as_ref().map(FinalMap::map)
     }
 
     /// The fused map, once it is finished, on the rectangle that has evidence.
@@ -110,13 +113,12 @@ impl Fuser {
     ///
     /// # Errors
     /// When the store fails.
-    pub fn clear(&mut self, cells: &[CellIndex], submaps_in_map: &[PlacedSubmap]) -> Result<(), StageError> {
-        let occupying = self.fusion.occupying(submaps_in_map, cells);
-        for placed in occupying.into_iter().filter(|placed| placed.number >= self.kept_below) {
-            let mut submap = self.store.load(placed.number)?;
-            match self.fusion.clear(&mut submap, cells) {
-                Ok(false) => {}
-                Ok(true) => self.store.save_cleared(&submap)?,
+    pub fn clear(&mut self, cells: &[CellIndex]) -> Result<(), StageError> {
+        let Some(final_map) = &mut self.final_map else { return Ok(()) };
+        for number in final_map.knowing(cells).into_iter().filter(|number| *number >= self.kept_below) {
+            match final_map.clear(number, cells) {
+                Ok(masked) if masked.is_empty() => {}
+                Ok(masked) => self.store.mask(number, &masked)?,
                 Err(error) => tracing::warn!(%error, "what was moved since stays in it"),
             }
         }
@@ -142,21 +144,21 @@ impl Fuser {
 
     /// Adds all submaps, and masks in each the cells that newer ones have found free: the mapper clears within its window only.
     fn take_all(&mut self, submaps_in_map: &[PlacedSubmap], closed: u32) -> Result<(), StageError> {
-        self.known_area_m2 = 0.0;
-        for step in self.fusion.last_steps(submaps_in_map, closed) {
-            let mut submap = self.store.load(step.number())?;
+        (self.known_area_m2, self.final_map) = (0.0, None);
+        for PlacedSubmap { number, map_from_odom } in self.fusion.parts(submaps_in_map, closed) {
+            let mut submap = self.store.load(number)?;
             self.known_area_m2 += submap.known_area_m2();
-            let may_change = step.number() >= self.kept_below;
-            if let (Some(newer), Step::Place(placed), true) = (self.fusion.map(), step, may_change) {
-                let stale = stale_cells(&submap, placed.map_from_odom, newer);
+            let sum = self.final_map.get_or_insert_with(|| FinalMap::new(submap.cell_size_m));
+            if number >= self.kept_below {
+                let stale = stale_cells(&submap, map_from_odom, sum.map());
                 if !stale.is_empty() {
-                    for cell in stale {
+                    self.store.mask(number, &stale)?;
+                    stale.into_iter().for_each(|cell| {
                         submap.clear(cell);
-                    }
-                    self.store.save_cleared(&submap)?;
+                    });
                 }
             }
-            self.fusion.take(step, submap).map_err(|far| StageError::file("the fused map", far))?;
+            sum.add(&submap, map_from_odom).map_err(|far| StageError::file("the fused map", far))?;
         }
         Ok(())
     }
@@ -164,10 +166,9 @@ impl Fuser {
     /// The mapper may have stored a submap once more after it retired, with the cells that it has cleared.
     fn empty_retired(&self) -> Result<(), StageError> {
         for number in self.fusion.retired() {
-            let mut submap = self.store.load(number)?;
-            if !submap.tiles.is_empty() {
-                submap.tiles.clear();
-                self.store.save(&submap)?;
+            let outline = self.store.load_outline(number)?;
+            if !outline.blocks.is_empty() {
+                self.store.save(&outline.emptied)?;
             }
         }
         Ok(())

@@ -1,0 +1,57 @@
+//! A submap without its evidence: where it knows something.
+
+use crate::{PackedCell, Submap, SubmapTile, TILE_CELLS, TILE_SIDE, TileKey};
+
+/// Side of a block, cells.
+const BLOCK_SIDE: usize = 8;
+
+/// A submap without its evidence, in which blocks of 8 × 8 cells it has some. Once a submap is closed this never changes: cleared cells
+/// count. It is read from the stored form without the cells.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SubmapOutline {
+    /// The submap without its tiles.
+    pub emptied: Submap,
+    /// Its tiles in ascending order, each with the blocks that have evidence (bit = row of blocks · 8 + column).
+    pub blocks: Vec<(TileKey, u64)>,
+}
+
+impl SubmapOutline {
+    /// That of a submap.
+    pub fn of(submap: &Submap) -> Self {
+        let Submap { number, trajectory, insertions, first, last, odom_from_submap, cell_size_m, .. } =
+            *submap;
+        let tiles = Vec::new();
+        Self {
+            emptied: Submap {
+                number,
+                trajectory,
+                insertions,
+                first,
+                last,
+                odom_from_submap,
+                cell_size_m,
+                tiles,
+            },
+            blocks: submap.tiles.iter().map(|tile| (tile.key, tile.known_blocks())).collect(),
+        }
+    }
+}
+
+impl SubmapTile {
+    /// The blocks of 8 × 8 cells that have evidence, cleared or not (bit = row of blocks · 8 + column).
+    pub fn known_blocks(&self) -> u64 {
+        known_blocks(&self.cells, |cell: &PackedCell| !cell.is_unknown())
+    }
+}
+
+/// The blocks of 8 × 8 cells of a tile with a cell that is known.
+pub(crate) fn known_blocks<T>(cells: &[T; TILE_CELLS], is_known: impl Fn(&T) -> bool) -> u64 {
+    let mut blocks = 0;
+    for (y, row) in cells.as_chunks::<TILE_SIDE>().0.iter().enumerate() {
+        for (x, cells) in row.as_chunks::<BLOCK_SIDE>().0.iter().enumerate() {
+            let any = cells.iter().fold(false, |any, cell| any | is_known(cell));
+            blocks |= u64::from(any) << (y / BLOCK_SIDE * BLOCK_SIDE + x);
+        }
+    }
+    blocks
+}
