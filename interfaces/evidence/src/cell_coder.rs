@@ -11,6 +11,8 @@ const CHUNK: usize = 8;
 const CLASSES: usize = 32;
 /// Places that five bits can distinguish.
 const PLACES: usize = 32;
+/// Places near a prediction that are tried before any.
+const NEAR: usize = 5;
 
 /// Places of a cell's weights among their levels, for "occupied" and for "free".
 pub type Symbol = [u8; 2];
@@ -26,6 +28,8 @@ pub struct CellModel {
     is_occupied: [Likelihood; 4],
     occupied: [Likelihood; PLACES],
     free_if_occupied: [Likelihood; PLACES],
+    /// By class of the prediction: that the place is one near it.
+    near: [[Likelihood; NEAR]; CLASSES],
     free: Box<[[Likelihood; PLACES]; CLASSES]>,
 }
 
@@ -42,6 +46,7 @@ impl CellModel {
             is_occupied: Default::default(),
             occupied: [Likelihood::default(); PLACES],
             free_if_occupied: [Likelihood::default(); PLACES],
+            near: [[Likelihood::default(); NEAR]; CLASSES],
             free: Box::new([[Likelihood::default(); PLACES]; CLASSES]),
         }
     }
@@ -109,8 +114,25 @@ impl CellModel {
             let occupied = code_place(coder, &mut self.occupied, occupied_bits, cell[0]);
             [occupied, code_place(coder, &mut self.free_if_occupied, free_bits, cell[1])]
         } else {
-            [0, code_place(coder, &mut self.free[class(first)], free_bits, cell[1])]
+            [0, self.code_free(coder, first, second, cell[1])]
         }
+    }
+
+    /// The place of a cell without evidence for "occupied" that neither prediction is right about: unknown, one near the prediction, or any.
+    #[inline]
+    fn code_free(&mut self, coder: &mut impl BinaryCoder, first: Symbol, second: Symbol, place: u8) -> u8 {
+        let class = class(first);
+        let is_free = |cell: &Symbol| cell[0] == 0 && cell[1] > 0;
+        if let Some([_, base]) = [first, second].into_iter().find(is_free) {
+            let candidates: [u8; NEAR] = [0, base + 1, base - 1, base + 2, base.saturating_sub(2)];
+            for (likelihood, candidate) in self.near[class].iter_mut().zip(candidates) {
+                let is_excluded = [first, second].contains(&[0, candidate]);
+                if !is_excluded && coder.code(likelihood, place == candidate) {
+                    return candidate;
+                }
+            }
+        }
+        code_place(coder, &mut self.free[class], self.bits[1], place)
     }
 }
 

@@ -7,7 +7,7 @@
 
 use crate::cell_coder::{CellModel, Symbol};
 use crate::range_coder::{RangeDecoder, RangeEncoder};
-use crate::submap_outline::known_blocks;
+use crate::submap_outline::{block_rows, known_blocks};
 use crate::weight_levels::{CellLevels, Levels};
 use crate::{CellIndex, PackedCell, Submap, SubmapOutline, SubmapTile, TILE_CELLS, TILE_SIDE, TileKey};
 use flockslam_geometry::Pose;
@@ -69,7 +69,7 @@ impl Submap {
         let outline = SubmapOutline::of(self);
         encode_keys(&outline.blocks, &mut out);
         outline.blocks.iter().for_each(|(_, blocks)| out.extend(blocks.to_le_bytes()));
-        let levels = CellLevels::of(&self.tiles);
+        let levels = CellLevels::of(&self.tiles, &outline.blocks);
         encode_levels(&levels.occupied, &mut out);
         encode_levels(&levels.free, &mut out);
         encode_masks(self.tiles.iter().map(|tile| &tile.cleared), &mut out);
@@ -325,8 +325,10 @@ fn encode_cells(
     let (mut coder, mut model) = (RangeEncoder::new(out), CellModel::new(levels));
     let mut symbols = [[0; 2]; TILE_CELLS];
     for (tile, (_, known)) in tiles.iter().zip(blocks) {
-        for (symbol, cell) in symbols.iter_mut().zip(tile.cells.iter()) {
-            *symbol = if cell.is_unknown() { [0; 2] } else { levels.places(*cell) };
+        for row in block_rows(*known) {
+            for (symbol, cell) in symbols[row.clone()].iter_mut().zip(&tile.cells[row]) {
+                *symbol = levels.places(*cell);
+            }
         }
         model.code(&mut coder, *known, &mut symbols);
     }
@@ -346,8 +348,10 @@ fn decode_cells(
         if known_blocks(&symbols, |symbol| *symbol != [0; 2]) != *known {
             return Err(SubmapBytesError::Malformed);
         }
-        for (cell, symbol) in tile.cells.iter_mut().zip(&symbols).filter(|(_, symbol)| **symbol != [0; 2]) {
-            *cell = levels.cell(*symbol).ok_or(SubmapBytesError::Malformed)?;
+        for row in block_rows(*known) {
+            for (cell, symbol) in tile.cells[row.clone()].iter_mut().zip(&symbols[row]) {
+                *cell = levels.cell(*symbol).ok_or(SubmapBytesError::Malformed)?;
+            }
         }
     }
     // Zeros at the end are never written.

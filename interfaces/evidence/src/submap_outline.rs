@@ -1,6 +1,7 @@
 //! A submap without its evidence: where it knows something.
 
 use crate::{PackedCell, Submap, SubmapTile, TILE_CELLS, TILE_SIDE, TileKey};
+use std::ops::Range;
 
 /// Side of a block, cells.
 const BLOCK_SIDE: usize = 8;
@@ -54,4 +55,13 @@ pub(crate) fn known_blocks<T>(cells: &[T; TILE_CELLS], is_known: impl Fn(&T) -> 
         }
     }
     blocks
+}
+
+/// The rows of eight cells that these blocks of a tile consist of, as ranges of offsets.
+pub(crate) fn block_rows(blocks: u64) -> impl Iterator<Item = Range<usize>> {
+    let blocks = (0..TILE_SIDE).filter(move |block| blocks >> block & 1 == 1);
+    blocks.flat_map(|block| {
+        let corner = block / BLOCK_SIDE * BLOCK_SIDE * TILE_SIDE + block % BLOCK_SIDE * BLOCK_SIDE;
+        (0..BLOCK_SIDE).map(move |row| corner + row * TILE_SIDE..corner + row * TILE_SIDE + BLOCK_SIDE)
+    })
 }

@@ -1,7 +1,8 @@
 //! Quantisation of the weights of a submap: at most 27 levels for each of the two weights, each the mean of what it
 //! stands for.
 
-use crate::{PackedCell, Submap, SubmapTile};
+use crate::submap_outline::block_rows;
+use crate::{PackedCell, Submap, SubmapOutline, SubmapTile, TileKey};
 
 /// Kinds of weights, each half again as great as the one before: all of `1 … 65535`.
 const BINS: usize = 27;
@@ -32,13 +33,15 @@ pub struct CellLevels {
 }
 
 impl CellLevels {
-    /// The levels of a submap; what was cleared counts like the rest.
-    pub fn of(tiles: &[SubmapTile]) -> Self {
+    /// The levels of a submap, whose tiles have evidence in these blocks; what was cleared counts like the rest.
+    pub fn of(tiles: &[SubmapTile], blocks: &[(TileKey, u64)]) -> Self {
         let mut sums = [[(0u64, 0u64); BINS + 1]; 2];
-        for cell in tiles.iter().flat_map(|tile| tile.cells.iter()).filter(|cell| !cell.is_unknown()) {
-            for (sums, weight) in sums.iter_mut().zip([cell.occupied, cell.free]) {
-                let (sum, count) = &mut sums[usize::from(kind(weight))];
-                (*sum, *count) = (*sum + u64::from(weight), *count + 1);
+        for (tile, (_, blocks)) in tiles.iter().zip(blocks) {
+            for cell in block_rows(*blocks).flat_map(|row| &tile.cells[row]) {
+                for (sums, weight) in sums.iter_mut().zip([cell.occupied, cell.free]) {
+                    let (sum, count) = &mut sums[usize::from(kind(weight))];
+                    (*sum, *count) = (*sum + u64::from(weight), *count + 1);
+                }
             }
         }
         let [occupied, free] = sums.map(|sums| {
@@ -104,7 +107,7 @@ impl Submap {
     /// The submap as it is stored: every weight replaced by its level. Doing it again changes nothing.
     #[must_use]
     pub fn quantised(&self) -> Submap {
-        let levels = CellLevels::of(&self.tiles);
+        let levels = CellLevels::of(&self.tiles, &SubmapOutline::of(self).blocks);
         let mut submap = self.clone();
         for cell in submap.tiles.iter_mut().flat_map(|tile| tile.cells.iter_mut()) {
             *cell = levels.cell(levels.places(*cell)).expect("every weight has its level");

@@ -182,17 +182,25 @@ impl FusedMap {
 
     /// The smallest and the greatest cell index with evidence, both included.
     pub fn bounds(&self) -> Option<(CellIndex, CellIndex)> {
-        let known = self.tiles.iter().flat_map(|(key, tile)| {
-            let known = (0..TILE_CELLS).filter(|offset| !tile.cell(*offset).is_unknown());
-            known.map(move |offset| key.cell(offset))
-        });
-        known.fold(None, |bounds, c| {
-            let (low, high) = bounds.unwrap_or((c, c));
-            Some((
-                CellIndex::new(low.x.min(c.x), low.y.min(c.y)),
-                CellIndex::new(high.x.max(c.x), high.y.max(c.y)),
-            ))
-        })
+        let mut bounds: Option<(CellIndex, CellIndex)> = None;
+        for (key, tile) in self.tiles.iter() {
+            let ends = [key.cell(0), key.cell(TILE_CELLS - 1)];
+            let is_inside = |cell: &CellIndex| {
+                bounds.is_some_and(|(low, high)| {
+                    (low.x..=high.x).contains(&cell.x) && (low.y..=high.y).contains(&cell.y)
+                })
+            };
+            if ends.iter().all(is_inside) {
+                continue;
+            }
+            for offset in (0..TILE_CELLS).filter(|offset| !tile.cell(*offset).is_unknown()) {
+                let cell = key.cell(offset);
+                let (low, high) = bounds.get_or_insert((cell, cell));
+                *low = CellIndex::new(low.x.min(cell.x), low.y.min(cell.y));
+                *high = CellIndex::new(high.x.max(cell.x), high.y.max(cell.y));
+            }
+        }
+        bounds
     }
 
     fn tile_mut(&mut self, key: TileKey) -> Result<&mut BlockTile, TooFar> {
