@@ -39,6 +39,24 @@ impl Default for BlockTile {
 }
 
 impl BlockTile {
+    /// A tile of these cells.
+    pub fn of(cells: &[PackedCell; TILE_CELLS]) -> Self {
+        let mut tile = Self::default();
+        for block in 0..tile.places.len() {
+            let corner = corner(block);
+            let of_block = std::array::from_fn::<_, BLOCK_CELLS, _>(|place| {
+                cells[corner + place / BLOCK_SIDE * TILE_SIDE + place % BLOCK_SIDE]
+            });
+            let all = of_block.iter().fold([0; 2], |all, cell| [all[0] | cell.occupied, all[1] | cell.free]);
+            tile.places[block] = match all {
+                [0, 0] => NONE,
+                [0, _] => take_place(&mut tile.free, of_block.map(|cell| cell.free)),
+                _ => NARROW + take_place(&mut tile.narrow, of_block),
+            };
+        }
+        tile
+    }
+
     /// A cell.
     #[inline]
     pub fn cell(&self, offset: usize) -> Cell {
@@ -89,9 +107,39 @@ impl BlockTile {
     }
 
     /// Copies the cells of row `y` from column `from` on.
-    pub fn copy_row(&self, y: usize, from: usize, cells: &mut [Cell]) {
-        for (x, cell) in (from..TILE_SIDE).zip(cells) {
-            *cell = self.cell(y * TILE_SIDE + x);
+    pub fn copy_row(&self, y: usize, mut from: usize, mut cells: &mut [Cell]) {
+        while from < TILE_SIDE && !cells.is_empty() {
+            let row = self.row_of_block(y / BLOCK_SIDE * BLOCKS_IN_ROW + from / BLOCK_SIDE, y % BLOCK_SIDE);
+            let row = &row[from % BLOCK_SIDE..];
+            let (here, rest) = cells.split_at_mut(row.len().min(cells.len()));
+            here.copy_from_slice(&row[..here.len()]);
+            (from, cells) = (from + here.len(), rest);
+        }
+    }
+
+    /// The cells with evidence and their offsets, block by block.
+    pub fn known(&self) -> impl Iterator<Item = (usize, Cell)> {
+        let blocks = (0..self.places.len()).filter(|block| self.places[*block] != NONE);
+        let rows = blocks.flat_map(|block| (0..BLOCK_SIDE).map(move |row| (block, row)));
+        let cells = rows
+            .flat_map(|(block, row)| (corner(block) + row * TILE_SIDE..).zip(self.row_of_block(block, row)));
+        cells.filter(|(_, cell)| !cell.is_unknown())
+    }
+
+    /// The eight cells of a row of a block.
+    #[inline]
+    fn row_of_block(&self, block: usize, row: usize) -> [Cell; BLOCK_SIDE] {
+        let start = row * BLOCK_SIDE;
+        match self.places[block] {
+            NONE => [Cell::UNKNOWN; BLOCK_SIDE],
+            at @ WIDE.. => std::array::from_fn(|x| self.wide[usize::from(at - WIDE)][start + x]),
+            at @ NARROW.. => {
+                std::array::from_fn(|x| self.narrow[usize::from(at - NARROW)][start + x].unpack())
+            }
+            at => std::array::from_fn(|x| Cell {
+                occupied: 0,
+                free: u32::from(self.free[usize::from(at)][start + x]),
+            }),
         }
     }
 
@@ -141,6 +189,11 @@ fn exactly(cell: Cell) -> Option<PackedCell> {
     Some(PackedCell { occupied: packed(cell.occupied)?, free: packed(cell.free)? })
 }
 
+/// The offset of the first cell of a block.
+fn corner(block: usize) -> usize {
+    block / BLOCKS_IN_ROW * BLOCK_SIDE * TILE_SIDE + block % BLOCKS_IN_ROW * BLOCK_SIDE
+}
+
 /// The block of a cell, and the place of the cell in it.
 #[inline]
 fn split(offset: usize) -> (usize, usize) {
@@ -164,6 +217,16 @@ mod tests {
         for offset in 0..TILE_CELLS {
             let expected = if wall(&offset) { cell(offset) } else { Cell::UNKNOWN };
             assert_eq!((cells[offset], tile.cell(offset)), (expected, expected));
+        }
+        let again = BlockTile::of(&cells.map(Cell::pack));
+        assert_eq!((again.cells(), again.bytes()), (cells.clone(), tile.bytes()));
+        let mut known: Vec<_> = tile.known().collect();
+        known.sort_by_key(|(offset, _)| *offset);
+        assert!(known.into_iter().eq((0..TILE_CELLS).filter(wall).map(|offset| (offset, cell(offset)))));
+        for (y, from, count) in [(9, 0, TILE_SIDE), (30, 13, 30), (63, 63, 1), (0, 60, 4)] {
+            let mut row = vec![Cell::UNKNOWN; count];
+            tile.copy_row(y, from, &mut row);
+            assert_eq!(row, cells[y * TILE_SIDE + from..][..count]);
         }
         assert!(
             tile.bytes() < 40 * 2 * FREE_BLOCK_BYTES && !tile.is_empty() && BlockTile::default().is_empty()

@@ -1,7 +1,7 @@
 //! A closed submap of the window: needed to withdraw its evidence once it leaves the window.
 
 use flockslam_evidence::{
-    BlockTile, CellIndex, PackedCell, Submap, SubmapTile, TILE_CELLS, TILE_SIDE, TileKey,
+    BlockTile, Cell, CellIndex, PackedCell, Submap, SubmapTile, TILE_CELLS, TILE_SIDE, TileKey,
 };
 
 /// A closed submap in little memory: most of its cells are unknown or free.
@@ -14,8 +14,9 @@ pub(crate) struct ClosedSubmap {
     tiles: Vec<ClosedTile>,
 }
 
+/// A tile of a closed submap.
 #[derive(Debug)]
-struct ClosedTile {
+pub(crate) struct ClosedTile {
     key: TileKey,
     cells: BlockTile,
     /// As in [`SubmapTile`].
@@ -68,30 +69,34 @@ impl ClosedSubmap {
     }
 
     /// Its tiles, one after the other.
-    pub(crate) fn tiles(&self) -> impl Iterator<Item = SubmapTile> {
-        self.tiles.iter().map(ClosedTile::tile)
+    pub(crate) fn tiles(&self) -> &[ClosedTile] {
+        &self.tiles
     }
 
     /// The submap as it was closed, with the cells that have been masked since.
     pub(crate) fn submap(&self) -> Submap {
-        Submap { tiles: self.tiles().collect(), ..self.head.clone() }
+        Submap { tiles: self.tiles.iter().map(ClosedTile::tile).collect(), ..self.head.clone() }
     }
 }
 
 impl ClosedTile {
     fn new(tile: &SubmapTile) -> Self {
-        let mut cells = BlockTile::default();
-        for (offset, cell) in tile.cells.iter().enumerate().filter(|(_, cell)| !cell.is_unknown()) {
-            cells.set_cell(offset, cell.unpack());
-        }
-        Self { key: tile.key, cells, cleared: tile.cleared }
+        Self { key: tile.key, cells: BlockTile::of(&tile.cells), cleared: tile.cleared }
+    }
+
+    pub(crate) fn key(&self) -> TileKey {
+        self.key
+    }
+
+    /// The cells with evidence that are not masked, and their offsets.
+    pub(crate) fn evidence(&self) -> impl Iterator<Item = (usize, Cell)> {
+        let is_masked = |offset: usize| self.cleared[offset / TILE_SIDE] >> (offset % TILE_SIDE) & 1 == 1;
+        self.cells.known().filter(move |(offset, _)| !is_masked(*offset))
     }
 
     fn tile(&self) -> SubmapTile {
         let mut cells = Box::new([PackedCell::UNKNOWN; TILE_CELLS]);
-        for (offset, cell) in cells.iter_mut().enumerate() {
-            *cell = self.cells.cell(offset).pack();
-        }
+        self.cells.known().for_each(|(offset, cell)| cells[offset] = cell.pack());
         SubmapTile { cleared: self.cleared, ..SubmapTile::new(self.key, cells) }
     }
 }

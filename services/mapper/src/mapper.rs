@@ -124,8 +124,9 @@ impl Mapper {
         self.window.begin_scan();
         self.number = closed.number + 1;
         self.enter_trajectory(closed.trajectory);
+        let closed = ClosedSubmap::new(&closed, i64::MAX);
         self.window.add_submap(&closed);
-        self.keep_in_window(&closed, i64::MAX);
+        self.keep_in_window(closed);
         self.window.end_scan();
         // A submap that has left the window again is stored as it is.
         self.left_cleared.clear();
@@ -325,7 +326,7 @@ impl Mapper {
             tiles: self.window.close_active(),
         };
         self.number += 1;
-        self.keep_in_window(&submap, active.last_ns);
+        self.keep_in_window(ClosedSubmap::new(&submap, active.last_ns));
         Some(submap)
     }
 
@@ -341,8 +342,8 @@ impl Mapper {
     }
 
     /// Keeps a closed submap while it is in the window, and lets the oldest leave a bounded one.
-    fn keep_in_window(&mut self, submap: &Submap, last_ns: i64) {
-        self.closed.push_back(ClosedSubmap::new(submap, last_ns));
+    fn keep_in_window(&mut self, submap: ClosedSubmap) {
+        self.closed.push_back(submap);
         let Some(size) = self.settings.window_submaps() else { return };
         while self.closed.len() > size {
             self.leave_oldest();

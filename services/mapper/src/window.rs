@@ -1,12 +1,12 @@
 //! The grid around the robot that scans are matched to: evidence goes in, changed and retired tiles come out.
 
-use crate::closed_submap::ClosedSubmap;
+use crate::closed_submap::{ClosedSubmap, ClosedTile};
 use crate::score::Scores;
 use crate::settings::Settings;
 use crate::tile_share::TileShare;
 use crate::window_tile::WindowTile;
 use flockslam_evidence::{
-    Cell, CellIndex, PackedCell, Submap, SubmapTile, TILE_CELLS, Tile, TileDirectory, TileKey, WEIGHT_SCALE,
+    Cell, CellIndex, PackedCell, SubmapTile, Tile, TileDirectory, TileKey, WEIGHT_SCALE,
 };
 use flockslam_ray_insertion::{CrossedCells, ObservedCells, Ray};
 
@@ -150,34 +150,33 @@ impl Window {
     }
 
     /// Adds a closed submap's evidence to the sum.
-    pub(crate) fn add_submap(&mut self, submap: &Submap) {
-        submap.tiles.iter().for_each(|tile| self.change_sums(tile, Cell::combine));
+    pub(crate) fn add_submap(&mut self, submap: &ClosedSubmap) {
+        submap.tiles().iter().for_each(|tile| self.change_sums(tile, Cell::combine));
     }
 
     /// Subtracts a closed submap's evidence from the sum; its tiles retire if they hold nothing else.
     pub(crate) fn withdraw_submap(&mut self, submap: &ClosedSubmap) {
         for tile in submap.tiles() {
-            self.change_sums(&tile, |sum, evidence| {
+            self.change_sums(tile, |sum, evidence| {
                 sum.withdraw(evidence).expect("the window holds what its submaps hold")
             });
-            self.retired.push(tile.key);
+            self.retired.push(tile.key());
         }
     }
 
     /// Changes the sum of each cell that a tile of a submap has evidence of.
-    fn change_sums(&mut self, part: &SubmapTile, change: impl Fn(Cell, Cell) -> Cell) {
-        let evidence = |offset| Some(part.cell(offset)).filter(|cell| !cell.is_unknown());
-        let mut known = (0..TILE_CELLS).filter_map(|offset| Some((offset, evidence(offset)?))).peekable();
+    fn change_sums(&mut self, part: &ClosedTile, change: impl Fn(Cell, Cell) -> Cell) {
+        let mut known = part.evidence().peekable();
         if known.peek().is_none() {
             return;
         }
-        let tile = tile_at(&mut self.tiles, part.key, self.scores.unknown());
+        let tile = tile_at(&mut self.tiles, part.key(), self.scores.unknown());
         let Some(tile) = tile else { return };
         for (offset, evidence) in known {
-            let sum = change(tile.sum(offset), evidence.unpack());
+            let sum = change(tile.sum(offset), evidence);
             tile.set_sum(offset, sum, &mut self.scores);
         }
-        self.touch(part.key);
+        self.touch(part.key());
     }
 
     /// Removes all evidence; every tile retires.

@@ -193,8 +193,7 @@ impl FusedMap {
             if ends.iter().all(is_inside) {
                 continue;
             }
-            for offset in (0..TILE_CELLS).filter(|offset| !tile.cell(*offset).is_unknown()) {
-                let cell = key.cell(offset);
+            for cell in tile.known().map(|(offset, _)| key.cell(offset)) {
                 let (low, high) = bounds.get_or_insert((cell, cell));
                 *low = CellIndex::new(low.x.min(cell.x), low.y.min(cell.y));
                 *high = CellIndex::new(high.x.max(cell.x), high.y.max(cell.y));
