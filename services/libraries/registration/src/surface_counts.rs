@@ -13,8 +13,10 @@ impl SurfaceCounts {
     /// Takes over the numbers of a map; greater ones than `most` become that.
     pub fn take(&mut self, map: &SurfaceMap, most: u8) {
         self.counts.clear();
-        self.counts
-            .extend((0..SIDE * SIDE).map(|i| map.count(i % SIDE, i / SIDE).clamp(0, most.into()) as u8));
+        self.counts.resize((SIDE * SIDE) as usize, 0);
+        map.for_each_count(|column, row, count| {
+            self.counts[(row * SIDE + column) as usize] = count.clamp(0, most.into()) as u8;
+        });
     }
 
     /// The column of an x coordinate in metres, for [`Self::at`].

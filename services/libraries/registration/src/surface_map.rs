@@ -42,6 +42,10 @@ const CONVERGED: (f64, f64) = (1e-3, 5e-5);
 /// Least information of a scan by itself, per m² and per rad²: what the scan does not determine stays where it is.
 const LEAST_INFORMATION: (f64, f64) = (11.0, 44.0);
 
+/// A cell and the eight around it, as rows and columns from it.
+const NEIGHBOURS: [(i32, i32); 9] =
+    [(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 0), (0, 1), (1, -1), (1, 0), (1, 1)];
+
 /// Zeroth, first and second moments of the points in a cell, about its centre, in units.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, FromZeros)]
 struct Moments {
@@ -229,9 +233,12 @@ impl SurfaceMap {
         }
     }
 
-    /// Number of points in a cell of the torus.
-    pub(crate) fn count(&self, column: i32, row: i32) -> i32 {
-        self.cells[index(column, row)].count
+    /// Calls `visit` with the column and the row, on the torus, of each cell with points, and their number; with some cells more than once.
+    pub(crate) fn for_each_count(&self, mut visit: impl FnMut(i32, i32, i32)) {
+        for (x, y) in self.held.iter().flat_map(|scan| &scan.points) {
+            let (column, row) = (x.div_euclid(CELL_UNITS), y.div_euclid(CELL_UNITS));
+            visit(column & (SIDE - 1), row & (SIDE - 1), self.cells[index(column, row)].count);
+        }
     }
 
     /// Sum of the weights of the points at a pose over their number, as [`SurfaceFit::inliers`]; there must be a point.
@@ -280,14 +287,17 @@ impl SurfaceMap {
         let (column, row) = (floor(u), floor(v));
         // Moments about the middle of the middle cell, in units.
         let [mut n, mut x, mut y, mut xx, mut xy, mut yy] = [0.0; 6];
-        for (dc, dr) in (-1..=1).flat_map(|dr| (-1..=1).map(move |dc| (dc, dr))) {
+        let nearness =
+            |position: f64, at: i32| (1.5 - (position - 0.5 - f64::from(at)).abs()).clamp(0.0, 1.0);
+        let around = [-1, 0, 1];
+        let (across, along) =
+            (around.map(|dc| nearness(u, column + dc)), around.map(|dr| nearness(v, row + dr)));
+        for (dr, dc) in NEIGHBOURS {
             let cell = &self.cells[index(column + dc, row + dr)];
             if cell.count <= 0 {
                 continue;
             }
-            let nearness =
-                |position: f64, at: i32| (1.5 - (position - 0.5 - f64::from(at)).abs()).clamp(0.0, 1.0);
-            let weight = nearness(u, column + dc) * nearness(v, row + dr);
+            let weight = across[(dc + 1) as usize] * along[(dr + 1) as usize];
             let [count, cx, cy, cxx, cxy, cyy] =
                 [cell.count, cell.x, cell.y, cell.xx, cell.xy, cell.yy].map(f64::from);
             let (ox, oy) = (f64::from(dc * CELL_UNITS), f64::from(dr * CELL_UNITS));
