@@ -4,7 +4,7 @@
 use crate::closure::Closure;
 use crate::finder::{SearchCounts, World, window};
 use crate::node::BROKEN_M;
-use flockslam_geometry::elementary::sin;
+use flockslam_geometry::elementary::{hypot, sin};
 use flockslam_geometry::{Point, Pose};
 use flockslam_pose_graph::{Edge, Symmetric, inflated, inverse};
 use flockslam_registration::cloud::{Placement, Window};
@@ -56,6 +56,10 @@ pub const SLACK: (f64, f64) = (0.1, 0.005);
 const OTHER_SIDE: (f64, f64) = (0.4, 0.015);
 /// A match may lie so far outside its window, metres and radians.
 const OUTSIDE: (f64, f64) = (0.2, 0.02);
+/// At the end windows are so many standard deviations of the solution wide, but no narrower than this, metres. With four the true place of a
+/// loop was outside in one of 18 campuses: drift of odometry is not independent from edge to edge.
+const SIGMAS: f64 = 8.0;
+const NARROW_M: f64 = 2.0;
 /// After failures in a row only every n-th search is made, n up to this.
 const FAILURES_MAX: u32 = 4;
 
@@ -83,7 +87,8 @@ impl OpenFinder {
         if travel_m < self.next_m {
             return Vec::new();
         }
-        let Some(found) = self.look(world, query, distances_m) else { return Vec::new() };
+        let found = self.look(world, query, distances_m, |_, window| window);
+        let Some(found) = found else { return Vec::new() };
         // What was not found is hardly found a step farther.
         self.failures = if found.is_empty() { (self.failures + 1).min(FAILURES_MAX) } else { 0 };
         self.next_m = travel_m + EVERY_M * f64::from(self.failures.max(1));
@@ -91,23 +96,40 @@ impl OpenFinder {
     }
 
     /// Looks for the surroundings of node `query` wherever older nodes are near; `None` where there are none.
-    fn look(&mut self, world: &World<'_>, query: usize, distances_m: &[f64]) -> Option<Vec<Closure>> {
+    fn look(
+        &mut self,
+        world: &World<'_>,
+        query: usize,
+        distances_m: &[f64],
+        narrowed: impl Fn(usize, Window) -> Window,
+    ) -> Option<Vec<Closure>> {
         let stretches = stretches(world, query, distances_m);
         if stretches.is_empty() {
             return None;
         }
-        let searched =
-            stretches.into_iter().filter_map(|(nearest, window)| self.search(world, query, nearest, window));
+        let searched = stretches
+            .into_iter()
+            .filter_map(|(nearest, window)| self.search(world, query, nearest, narrowed(nearest, window)));
         Some(searched.collect())
     }
 
     /// Looks again for the surroundings of open nodes, one every few metres, among those before them, in the windows that a solution
-    /// leaves: `distances_m` gives distances along its graph from a node.
-    pub fn find_again(&mut self, world: &World<'_>, distances_m: impl Fn(usize) -> Vec<f64>) -> Vec<Closure> {
+    /// leaves: `distances_m` gives distances along its graph from a node, `sigmas` how uncertain it is about the pose of the second node in the
+    /// axes of the first, metres and radians.
+    pub fn find_again(
+        &mut self,
+        world: &World<'_>,
+        distances_m: impl Fn(usize) -> Vec<f64>,
+        sigmas: impl Fn(usize, usize) -> Option<[f64; 3]>,
+    ) -> Vec<Closure> {
         let (mut found, mut next_m) = (Vec::new(), 0.0);
         for (query, node) in world.nodes.iter().enumerate() {
             if node.is_open && node.travel_m >= next_m {
-                found.extend(self.look(world, query, &distances_m(query)).unwrap_or_default());
+                let narrowed = |nearest, window: Window| {
+                    let sigmas = (window.reach_m > NARROW_M).then(|| sigmas(nearest, query)).flatten();
+                    sigmas.map_or(window, |sigmas| narrowed(window, sigmas))
+                };
+                found.extend(self.look(world, query, &distances_m(query), narrowed).unwrap_or_default());
                 next_m = node.travel_m + EVERY_M;
             }
         }
@@ -233,6 +255,14 @@ impl OpenFinder {
     }
 }
 
+/// A window no wider than a solution is uncertain.
+fn narrowed(window: Window, [x_m, y_m, turn_rad]: [f64; 3]) -> Window {
+    Window {
+        reach_m: window.reach_m.min(NARROW_M.max(SIGMAS * hypot(x_m, y_m))),
+        turn_rad: window.turn_rad.min(0.06 + SIGMAS * turn_rad),
+    }
+}
+
 /// The columns or rows of all points at each shift.
 fn cells(
     shifts: RangeInclusive<i32>,
@@ -328,5 +358,14 @@ mod tests {
         assert_eq!(least(0.0), INLIERS_MIN);
         assert!((least(PI) - (INLIERS_MIN - OTHER_SIDE_INLIERS)).abs() < 1e-9);
         assert!(least(0.5 * PI) > INLIERS_MIN - 0.05 && least(-0.5 * PI) == least(0.5 * PI));
+    }
+
+    #[test]
+    fn a_window_is_no_wider_than_the_solution_is_uncertain_and_never_wider_than_before() {
+        let wide = Window { reach_m: 25.0, turn_rad: 0.7 };
+        let of = |sigma_m, sigma_rad| narrowed(wide, [sigma_m, 0.0, sigma_rad]);
+        assert_eq!((of(0.5, 0.01).reach_m, of(0.01, 0.01).reach_m), (SIGMAS * 0.5, NARROW_M));
+        assert!((of(0.5, 0.01).turn_rad - (0.06 + SIGMAS * 0.01)).abs() < 1e-9);
+        assert_eq!((of(50.0, 3.0).reach_m, of(50.0, 3.0).turn_rad), (25.0, 0.7));
     }
 }

@@ -78,21 +78,27 @@ impl BlockCholesky {
     /// Solves the system in place: right-hand side (by node) in, solution out. The matrix is consumed. False
     /// when it is not positive definite.
     pub fn solve(&mut self, vector: &mut [[f64; 3]]) -> bool {
+        let is_definite = self.factor();
+        if is_definite {
+            self.substituted(vector);
+        }
+        is_definite
+    }
+
+    /// Solves the system of a matrix that is factorised, in place: right-hand side (by node) in, solution out.
+    pub fn substituted(&self, vector: &mut [[f64; 3]]) {
         let mut x = vec![[0.0; 3]; vector.len()];
         for (node, value) in vector.iter().enumerate() {
             x[self.position[node]] = *value;
-        }
-        if !self.factor() {
-            return false;
         }
         self.substitute(&mut x);
         for (node, value) in vector.iter_mut().enumerate() {
             *value = x[self.position[node]];
         }
-        true
     }
 
-    fn factor(&mut self) -> bool {
+    /// Factorises the matrix in place. False when it is not positive definite.
+    pub fn factor(&mut self) -> bool {
         for column in 0..self.diagonal.len() {
             let Some(factor) = cholesky(&self.diagonal[column]) else { return false };
             self.diagonal[column] = factor;

@@ -58,13 +58,7 @@ impl<'a> PoseGraph<'a> {
     /// When there is no pose at all, or an edge names a node that has none.
     pub fn step(&mut self, weights: &[f64], poses: &mut [Placement]) -> f64 {
         self.steps += 1;
-        self.matrix.clear();
-        self.vector.fill([0.0; 3]);
-        for (edge, &weight) in self.edges.iter().zip(weights) {
-            if weight > 0.0 {
-                self.add(edge, weight, poses);
-            }
-        }
+        self.linearise(weights, poses);
         if !self.matrix.solve(&mut self.vector) {
             return 0.0;
         }
@@ -76,13 +70,26 @@ impl<'a> PoseGraph<'a> {
         largest
     }
 
+    /// The factorised information at these poses; `None` when a node is not connected with node 0.
+    pub(crate) fn factorised(mut self, poses: &[Placement]) -> Option<BlockCholesky> {
+        self.linearise(&vec![1.0; self.edges.len()], poses);
+        self.matrix.factor().then_some(self.matrix)
+    }
+
+    fn linearise(&mut self, weights: &[f64], poses: &[Placement]) {
+        self.matrix.clear();
+        self.vector.fill([0.0; 3]);
+        for (edge, &weight) in self.edges.iter().zip(weights) {
+            if weight > 0.0 {
+                self.add(edge, weight, poses);
+            }
+        }
+    }
+
     /// Linearises one edge: e = Rᵢᵀ(tⱼ - tᵢ) - t, θⱼ - θᵢ - θ.
     fn add(&mut self, edge: &Edge, weight: f64, poses: &[Placement]) {
-        let from = &poses[edge.from];
-        let seen = from.to(poses[edge.to]);
-        let (cos, sin) = from.rotate(1.0, 0.0);
-        let to_jacobian = [cos, sin, 0.0, -sin, cos, 0.0, 0.0, 0.0, 1.0];
-        let from_jacobian = [-cos, -sin, seen.y_m, sin, -cos, -seen.x_m, 0.0, 0.0, -1.0];
+        let (from_jacobian, to_jacobian) =
+            (from_jacobian(poses, edge.from, edge.to), to_jacobian(poses, edge.from));
         let information = edge.information.map(|v| v * weight);
         let error = edge.error(poses);
         let weighted = times(&information, &error);
@@ -103,6 +110,19 @@ impl<'a> PoseGraph<'a> {
     }
 }
 
+/// How the pose of node `to` in the axes of node `from` changes with that of `to`.
+pub(crate) fn to_jacobian(poses: &[Placement], from: usize) -> Block {
+    let (cos, sin) = poses[from].rotate(1.0, 0.0);
+    [cos, sin, 0.0, -sin, cos, 0.0, 0.0, 0.0, 1.0]
+}
+
+/// How it changes with that of `from`.
+pub(crate) fn from_jacobian(poses: &[Placement], from: usize, to: usize) -> Block {
+    let (cos, sin) = poses[from].rotate(1.0, 0.0);
+    let seen = poses[from].to(poses[to]);
+    [-cos, -sin, seen.y_m, sin, -cos, -seen.x_m, 0.0, 0.0, -1.0]
+}
+
 /// `Jᵀ·Ω`.
 fn left(jacobian: &Block, information: &Symmetric) -> Block {
     let mut out = [0.0; 9];
@@ -114,7 +134,7 @@ fn left(jacobian: &Block, information: &Symmetric) -> Block {
 }
 
 /// `a·b`.
-fn product(a: &Block, b: &Block) -> Block {
+pub(crate) fn product(a: &Block, b: &Block) -> Block {
     std::array::from_fn(|i| {
         let (r, c) = (i / 3, i % 3);
         a[3 * r] * b[c] + a[3 * r + 1] * b[3 + c] + a[3 * r + 2] * b[6 + c]

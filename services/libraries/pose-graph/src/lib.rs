@@ -6,11 +6,13 @@
 mod cholesky;
 mod edge;
 mod graph;
+mod marginals;
 mod ordering;
 mod robust;
 mod symmetric;
 
 pub use edge::Edge;
 pub use graph::PoseGraph;
+pub use marginals::Marginals;
 pub use robust::{RobustSettings, Solved, solve};
 pub use symmetric::{Symmetric, in_frame, inflated, inverse, times};

@@ -9,7 +9,7 @@ use flockslam_loop_closure::graph_distances::graph_distances;
 use flockslam_loop_closure::node::Node;
 use flockslam_loop_closure::refine::Refinement;
 use flockslam_loop_closure::segment::Segment;
-use flockslam_pose_graph::Edge;
+use flockslam_pose_graph::{Edge, Marginals};
 use std::collections::BTreeSet;
 use std::ops::Range;
 
@@ -59,7 +59,10 @@ impl SyncManager {
         let known = self.odometry.nodes().len();
         let (nodes, connections) = (self.odometry.nodes(), self.connections(known));
         let world = World { nodes, scans: &self.scans, segments: &self.segments, poses: &self.poses };
-        let found = self.open_finder.find_again(&world, |query| graph_distances(nodes, &connections, query));
+        let marginals = Marginals::new(&self.edges_that_hold(known), &self.poses[..known]);
+        let sigmas = |from, to| marginals.as_ref().map(|marginals| marginals.sigmas(from, to));
+        let distances_m = |query| graph_distances(nodes, &connections, query);
+        let found = self.open_finder.find_again(&world, distances_m, sigmas);
         let again: BTreeSet<usize> = found.iter().map(|closure| closure.edge.to).collect();
         self.closures.retain(|closure| {
             let query = closure.edge.to;
@@ -67,6 +70,16 @@ impl SyncManager {
         });
         self.closures.extend(found);
         self.solve_with(known, &eligible_at_the_end(&self.closures, self.odometry.nodes()));
+    }
+
+    /// The edges of the present solution.
+    fn edges_that_hold(&self, known: usize) -> Vec<Edge> {
+        let mut edges: Vec<Edge> = self.odometry.edges()[..known - 1].to_vec();
+        edges.extend(self.odometry.given());
+        let inliers = self.closures.iter().zip(&self.is_inlier).filter(|(_, is_inlier)| **is_inlier);
+        edges.extend(inliers.map(|(closure, _)| closure.edge));
+        edges.extend(self.joints(known));
+        edges
     }
 
     /// The nodes of the largest trajectory that does not belong to the map, except those tried.
