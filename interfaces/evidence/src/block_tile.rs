@@ -3,7 +3,7 @@
 use crate::{Cell, PackedCell, TILE_CELLS, TILE_SIDE};
 
 /// Cells along a side of a block.
-const BLOCK_SIDE: usize = 8;
+pub(crate) const BLOCK_SIDE: usize = 8;
 /// Blocks along a side of a tile.
 const BLOCKS_IN_ROW: usize = TILE_SIDE / BLOCK_SIDE;
 /// Cells of a block.
@@ -190,7 +190,7 @@ fn exactly(cell: Cell) -> Option<PackedCell> {
 }
 
 /// The offset of the first cell of a block.
-fn corner(block: usize) -> usize {
+pub(crate) fn corner(block: usize) -> usize {
     block / BLOCKS_IN_ROW * BLOCK_SIDE * TILE_SIDE + block % BLOCKS_IN_ROW * BLOCK_SIDE
 }
 

@@ -1,10 +1,8 @@
 //! A submap without its evidence: where it knows something.
 
+use crate::block_tile::{BLOCK_SIDE, corner};
 use crate::{PackedCell, Submap, SubmapTile, TILE_CELLS, TILE_SIDE, TileKey};
 use std::ops::Range;
-
-/// Side of a block, cells.
-const BLOCK_SIDE: usize = 8;
 
 /// A submap without its evidence, in which blocks of 8 × 8 cells it has some. Once a submap is closed this never changes: cleared cells
 /// count. It is read from the stored form without the cells.
@@ -61,7 +59,7 @@ pub(crate) fn known_blocks<T>(cells: &[T; TILE_CELLS], is_known: impl Fn(&T) -> 
 pub(crate) fn block_rows(blocks: u64) -> impl Iterator<Item = Range<usize>> {
     let blocks = (0..TILE_SIDE).filter(move |block| blocks >> block & 1 == 1);
     blocks.flat_map(|block| {
-        let corner = block / BLOCK_SIDE * BLOCK_SIDE * TILE_SIDE + block % BLOCK_SIDE * BLOCK_SIDE;
-        (0..BLOCK_SIDE).map(move |row| corner + row * TILE_SIDE..corner + row * TILE_SIDE + BLOCK_SIDE)
+        let start = move |row| corner(block) + row * TILE_SIDE;
+        (0..BLOCK_SIDE).map(move |row| start(row)..start(row) + BLOCK_SIDE)
     })
 }

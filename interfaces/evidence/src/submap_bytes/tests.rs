@@ -111,16 +111,7 @@ fn signed(mut bytes: Vec<u8>) -> Vec<u8> {
 }
 
 fn empty() -> Submap {
-    Submap {
-        number: 0,
-        trajectory: 0,
-        insertions: 0,
-        first: 0,
-        last: 0,
-        odom_from_submap: Pose::IDENTITY,
-        cell_size_m: 0.05,
-        tiles: Vec::new(),
-    }
+    Submap { cell_size_m: 0.05, ..Submap::default() }
 }
 
 #[test]

@@ -39,7 +39,10 @@ impl Footprint {
         let mut parts = Vec::new();
         for (key, blocks) in &outline.blocks {
             for block in (0..64).filter(|block| blocks >> block & 1 == 1) {
-                let source = CellIndex::new(8 * key.x + block % 8, 8 * key.y + block / 8);
+                let source = CellIndex::new(
+                    key.x.saturating_mul(8).saturating_add(block % 8),
+                    key.y.saturating_mul(8).saturating_add(block / 8),
+                );
                 for CellIndex { x, y } in resampling.targets(source) {
                     parts.push((TileKey { x: x >> 3, y: y >> 3 }, 1 << ((y & 7) * 8 + (x & 7))));
                 }
