@@ -114,7 +114,7 @@ fn a_nav2_map_that_is_imported_is_localized_in_and_then_mapped_on_in_its_own_fra
     let count = SavedMap::at(&imported).check().unwrap().submaps;
     let localizes = format!("localize = {imported:?}");
     let mut set = LiveSet::start_in(&yaml, "nav2", directory.path(), DRIVE, &localizes);
-    set.wait_until("the robot is localized", is_localized);
+    let found = set.wait_until("the robot is localized", is_localized).localisation;
     set.command_well(&["mode", "map"]);
     let begun = set.wait_until("a map is made", |status| status.mode.name == "map");
     let handled = begun.stages.iter().map(|stage| stage.handled).max().unwrap();
@@ -125,8 +125,8 @@ fn a_nav2_map_that_is_imported_is_localized_in_and_then_mapped_on_in_its_own_fra
     // Nobody knows where the robot was before it is found, and how long that takes depends on what else runs.
     let error = error_in_plan(&outputs, plan_from_world, handled as usize);
     println!(
-        "mapping after {handled} scans; {error:?} m from the truth, mean and greatest; {} submaps",
-        outputs.report.submaps
+        "localized: {found:?}; mapping after {handled} scans; {error:?} m from the truth, mean and greatest; {report:?}",
+        report = outputs.report
     );
     assert!(error.0 < 0.05 && error.1 < 0.25, "{error:?}");
     assert!(submaps(&imported, count) == submaps(&longer, count), "imported submaps have changed");

@@ -6,7 +6,7 @@ use crate::weight_levels::CellLevels;
 use crate::{TILE_CELLS, TILE_SIDE};
 
 /// Cells of a row that are said to be empty with one bit.
-const CHUNK: usize = 8;
+pub(crate) const CHUNK: usize = 8;
 /// Kinds of cells that contexts distinguish: unknown, free by level, occupied.
 const CLASSES: usize = 32;
 /// Places that five bits can distinguish.
@@ -20,6 +20,8 @@ pub type Symbol = [u8; 2];
 /// What is learned about the cells of a submap while they are coded, tile by tile: each is foreseen by its neighbours to the
 /// left and below.
 pub struct CellModel {
+    /// Whether places near a prediction are tried before any; submaps of version 2 were coded without.
+    tries_near: bool,
     /// Bits of a place, for "occupied" and for "free".
     bits: [u32; 2],
     chunk_is_empty: [Likelihood; 4],
@@ -39,6 +41,7 @@ impl CellModel {
         let pairs = || Box::new([Likelihood::default(); CLASSES * CLASSES]);
         let bits = |count: usize| usize::BITS - count.leading_zeros();
         Self {
+            tries_near: true,
             bits: [bits(levels.occupied.weights().len()), bits(levels.free.weights().len())],
             chunk_is_empty: Default::default(),
             first_prediction: pairs(),
@@ -51,21 +54,37 @@ impl CellModel {
         }
     }
 
+    /// The model that cells of version 2 were coded by.
+    pub fn of_version_2(levels: &CellLevels) -> Self {
+        Self { tries_near: false, ..Self::new(levels) }
+    }
+
     /// Writes the cells of a tile, or fills them with what is read. `known` are its blocks of 8 × 8 cells that are not empty (bit = row of
     /// blocks · 8 + column).
     pub fn code(&mut self, coder: &mut impl BinaryCoder, known: u64, cells: &mut [Symbol; TILE_CELLS]) {
         let mut below = [[0; 2]; TILE_SIDE];
         for (blocks, rows) in known.to_le_bytes().into_iter().zip(cells.chunks_mut(TILE_SIDE * CHUNK)) {
-            for row in rows.as_chunks_mut::<TILE_SIDE>().0 {
-                for chunk in 0..TILE_SIDE / CHUNK {
-                    if blocks >> chunk & 1 == 1 {
-                        self.code_chunk(coder, row, &below, chunk * CHUNK);
-                    } else {
-                        row[chunk * CHUNK..(chunk + 1) * CHUNK].fill([0; 2]);
-                    }
+            self.code_rows(coder, blocks, rows, &mut below);
+        }
+    }
+
+    /// The same of a row of blocks. `below` is the row of cells below it, and then its last one.
+    pub fn code_rows(
+        &mut self,
+        coder: &mut impl BinaryCoder,
+        blocks: u8,
+        rows: &mut [Symbol],
+        below: &mut [Symbol; TILE_SIDE],
+    ) {
+        for row in rows.as_chunks_mut::<TILE_SIDE>().0 {
+            for chunk in 0..TILE_SIDE / CHUNK {
+                if blocks >> chunk & 1 == 1 {
+                    self.code_chunk(coder, row, below, chunk * CHUNK);
+                } else {
+                    row[chunk * CHUNK..(chunk + 1) * CHUNK].fill([0; 2]);
                 }
-                below = *row;
             }
+            *below = *row;
         }
     }
 
@@ -123,7 +142,7 @@ impl CellModel {
     fn code_free(&mut self, coder: &mut impl BinaryCoder, first: Symbol, second: Symbol, place: u8) -> u8 {
         let class = class(first);
         let is_free = |cell: &Symbol| cell[0] == 0 && cell[1] > 0;
-        if let Some([_, base]) = [first, second].into_iter().find(is_free) {
+        if let Some([_, base]) = [first, second].into_iter().find(is_free).filter(|_| self.tries_near) {
             let candidates: [u8; NEAR] = [0, base + 1, base - 1, base + 2, base.saturating_sub(2)];
             for (likelihood, candidate) in self.near[class].iter_mut().zip(candidates) {
                 let is_excluded = [first, second].contains(&[0, candidate]);

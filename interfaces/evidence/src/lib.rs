@@ -14,6 +14,7 @@ pub mod range_coder;
 mod submap;
 mod submap_bytes;
 mod submap_outline;
+mod submap_version_2;
 mod tile;
 mod weight_levels;
 

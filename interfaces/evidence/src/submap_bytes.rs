@@ -4,16 +4,23 @@
 //! cell size; the number of tiles and their keys, each as the difference to the one before; the blocks of each tile that have evidence
 //! (64 bits); the levels of both weights (count, then each weight); the tiles with cleared cells, as place, rows (64 bits) and a mask for
 //! each row; then to the end the cells of those blocks, as places among the levels, range coded by [`CellModel`].
+//! Submaps of version 2 are read too.
 
 use crate::cell_coder::{CellModel, Symbol};
 use crate::range_coder::{RangeDecoder, RangeEncoder};
 use crate::submap_outline::{block_rows, known_blocks};
+use crate::submap_version_2;
 use crate::weight_levels::{CellLevels, Levels};
 use crate::{CellIndex, PackedCell, Submap, SubmapOutline, SubmapTile, TILE_CELLS, TILE_SIDE, TileKey};
 use flockslam_geometry::Pose;
+use std::borrow::Cow;
 
 const MAGIC: [u8; 4] = *b"FLSM";
 const VERSION: u8 = 3;
+/// The version before, which is read and no longer written.
+const VERSION_BEFORE: u8 = 2;
+/// Where the byte of the version is.
+const VERSION_AT: usize = MAGIC.len();
 /// Where the bytes begin that the checksum is of.
 const CHECKED_FROM: usize = 9;
 /// Tiles that a submap may have: memory that foreign bytes can ask for is bounded by it (128 MiB).
@@ -22,7 +29,7 @@ const TILES_MAX: u32 = 8192;
 const TILE_BYTES_MIN: usize = 2 + 8;
 
 /// The cells of a tile that are masked, one bit each, row by row.
-type Mask = [u64; TILE_SIDE];
+pub(crate) type Mask = [u64; TILE_SIDE];
 
 /// Why bytes are not a submap.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -34,7 +41,7 @@ pub enum SubmapBytesError {
     #[error("not a submap")]
     NotASubmap,
     /// Written by a build that this one does not know.
-    #[error("a submap of version {0}, this build reads version {VERSION}")]
+    #[error("a submap of version {0}, this build reads versions {VERSION_BEFORE} and {VERSION}")]
     Version(u8),
     /// The bytes have changed since they were written.
     #[error("a submap's bytes are damaged")]
@@ -84,7 +91,8 @@ impl Submap {
     /// # Errors
     /// When `stored` is not a stored form of this submap.
     pub fn encode_cleared(&self, stored: &[u8]) -> Result<Vec<u8>, SubmapBytesError> {
-        let mut parts = Parts::of(stored)?;
+        let stored = in_this_version(stored)?;
+        let mut parts = Parts::of(&stored)?;
         if !parts.keys().eq(self.tiles.iter().map(|tile| tile.key)) {
             return Err(SubmapBytesError::Malformed);
         }
@@ -106,14 +114,13 @@ impl Submap {
     /// As [`Self::decode`], and when there are more tiles.
     pub fn decode_bounded(bytes: &[u8], tiles_max: usize) -> Result<Submap, SubmapBytesError> {
         let mut input = checked(bytes)?;
+        if bytes[VERSION_AT] == VERSION_BEFORE {
+            return submap_version_2::decode(input, tiles_max);
+        }
         let SubmapOutline { emptied, blocks } = decode_outline(&mut input, tiles_max)?;
         let levels = CellLevels { occupied: decode_levels(&mut input)?, free: decode_levels(&mut input)? };
         let masks = decode_masks(&mut input, blocks.len())?;
-        let empty = |((key, _), cleared): (&(TileKey, u64), _)| SubmapTile {
-            cleared,
-            ..SubmapTile::new(*key, Box::new([PackedCell::UNKNOWN; TILE_CELLS]))
-        };
-        let mut tiles: Vec<SubmapTile> = blocks.iter().zip(masks).map(empty).collect();
+        let mut tiles = unknown_tiles(blocks.iter().map(|(key, _)| *key), masks);
         decode_cells(input.0, &blocks, &levels, &mut tiles)?;
         Ok(Submap { tiles, ..emptied })
     }
@@ -125,7 +132,8 @@ impl SubmapOutline {
     /// # Errors
     /// When the bytes are damaged, or their head is not that of a well-formed submap.
     pub fn decode(bytes: &[u8]) -> Result<SubmapOutline, SubmapBytesError> {
-        decode_outline(&mut checked(bytes)?, TILES_MAX as usize)
+        let bytes = in_this_version(bytes)?;
+        decode_outline(&mut checked(&bytes)?, TILES_MAX as usize)
     }
 }
 
@@ -134,7 +142,8 @@ impl SubmapOutline {
 /// # Errors
 /// When the bytes are damaged or not well formed.
 pub fn with_masked(stored: &[u8], cells: &[CellIndex]) -> Result<Vec<u8>, SubmapBytesError> {
-    let mut parts = Parts::of(stored)?;
+    let stored = in_this_version(stored)?;
+    let mut parts = Parts::of(&stored)?;
     for cell in cells {
         if let Ok(place) = parts.blocks.binary_search_by_key(&cell.tile(), |(key, _)| *key) {
             let offset = cell.offset();
@@ -176,6 +185,14 @@ impl<'a> Parts<'a> {
     }
 }
 
+/// A stored form in the version that is written: as it is, or of what the version before says.
+fn in_this_version(stored: &[u8]) -> Result<Cow<'_, [u8]>, SubmapBytesError> {
+    if stored.get(VERSION_AT) == Some(&VERSION_BEFORE) {
+        return Ok(Submap::decode(stored)?.encode().into());
+    }
+    Ok(stored.into())
+}
+
 /// What follows the checksum, which must be right.
 fn checked(bytes: &[u8]) -> Result<Input<'_>, SubmapBytesError> {
     let mut input = Input(bytes);
@@ -183,7 +200,7 @@ fn checked(bytes: &[u8]) -> Result<Input<'_>, SubmapBytesError> {
         return Err(SubmapBytesError::NotASubmap);
     }
     let [version] = input.take::<1>()?;
-    if version != VERSION {
+    if ![VERSION_BEFORE, VERSION].contains(&version) {
         return Err(SubmapBytesError::Version(version));
     }
     if input.u32()? != crc32fast::hash(input.0) {
@@ -203,7 +220,7 @@ fn encode_levels(levels: &Levels, out: &mut Vec<u8>) {
     levels.weights().iter().for_each(|weight| out.extend(weight.to_le_bytes()));
 }
 
-fn decode_levels(input: &mut Input<'_>) -> Result<Levels, SubmapBytesError> {
+pub(crate) fn decode_levels(input: &mut Input<'_>) -> Result<Levels, SubmapBytesError> {
     let [count] = input.take::<1>()?;
     let mut levels = Levels::default();
     for _ in 0..count {
@@ -226,6 +243,14 @@ fn encode_keys(tiles: &[(TileKey, u64)], out: &mut Vec<u8>) {
 
 /// All up to the levels.
 fn decode_outline(input: &mut Input<'_>, tiles_max: usize) -> Result<SubmapOutline, SubmapBytesError> {
+    let emptied = decode_head(input)?;
+    let keys = decode_keys(input, tiles_max)?.into_iter();
+    let blocks = keys.map(|key| Ok((key, input.u64()?))).collect::<Result<Vec<_>, _>>()?;
+    Ok(SubmapOutline { emptied, blocks })
+}
+
+/// All up to the tiles: a submap without any.
+pub(crate) fn decode_head(input: &mut Input<'_>) -> Result<Submap, SubmapBytesError> {
     let (number, trajectory, insertions) = (input.u32()?, input.u32()?, input.u32()?);
     let (first, last) = (input.u64()?, input.u64()?);
     let odom_from_submap = Pose { x_m: input.f64()?, y_m: input.f64()?, heading_rad: input.f64()? };
@@ -233,15 +258,11 @@ fn decode_outline(input: &mut Input<'_>, tiles_max: usize) -> Result<SubmapOutli
     if !odom_from_submap.is_finite() || !(1e-3..=10.0).contains(&cell_size_m) || last < first {
         return Err(SubmapBytesError::Malformed);
     }
-    let keys = decode_keys(input, tiles_max)?.into_iter();
-    let blocks = keys.map(|key| Ok((key, input.u64()?))).collect::<Result<Vec<_>, _>>()?;
     let tiles = Vec::new();
-    let emptied =
-        Submap { number, trajectory, insertions, first, last, odom_from_submap, cell_size_m, tiles };
-    Ok(SubmapOutline { emptied, blocks })
+    Ok(Submap { number, trajectory, insertions, first, last, odom_from_submap, cell_size_m, tiles })
 }
 
-fn decode_keys(input: &mut Input<'_>, tiles_max: usize) -> Result<Vec<TileKey>, SubmapBytesError> {
+pub(crate) fn decode_keys(input: &mut Input<'_>, tiles_max: usize) -> Result<Vec<TileKey>, SubmapBytesError> {
     let count = input.u32()?;
     if count as usize > tiles_max.min(TILES_MAX as usize) || count as usize > input.0.len() / TILE_BYTES_MIN {
         return Err(SubmapBytesError::TooManyTiles(count));
@@ -298,7 +319,7 @@ fn encode_masks<'a>(masks: impl Iterator<Item = &'a Mask> + Clone, out: &mut Vec
     }
 }
 
-fn decode_masks(input: &mut Input<'_>, tiles: usize) -> Result<Vec<Mask>, SubmapBytesError> {
+pub(crate) fn decode_masks(input: &mut Input<'_>, tiles: usize) -> Result<Vec<Mask>, SubmapBytesError> {
     let mut masks = vec![[0; TILE_SIDE]; tiles];
     let mut next = 0;
     for _ in 0..input.u32()? {
@@ -314,6 +335,12 @@ fn decode_masks(input: &mut Input<'_>, tiles: usize) -> Result<Vec<Mask>, Submap
         next = place + 1;
     }
     Ok(masks)
+}
+
+/// Tiles at these places, with these masks, of which no cell is known.
+pub(crate) fn unknown_tiles(keys: impl Iterator<Item = TileKey>, masks: Vec<Mask>) -> Vec<SubmapTile> {
+    let unknown = |key| SubmapTile::new(key, Box::new([PackedCell::UNKNOWN; TILE_CELLS]));
+    keys.zip(masks).map(|(key, cleared)| SubmapTile { cleared, ..unknown(key) }).collect()
 }
 
 fn encode_cells(
@@ -354,6 +381,11 @@ fn decode_cells(
             }
         }
     }
+    check_end(&coder, bytes)
+}
+
+/// That nothing of these bytes is left.
+pub(crate) fn check_end(coder: &RangeDecoder<'_>, bytes: &[u8]) -> Result<(), SubmapBytesError> {
     // Zeros at the end are never written.
     match (coder.left(), bytes.last()) {
         (0, None | Some(1..)) => Ok(()),
@@ -362,7 +394,7 @@ fn decode_cells(
 }
 
 /// The bytes that are left to read.
-struct Input<'a>(&'a [u8]);
+pub(crate) struct Input<'a>(pub(crate) &'a [u8]);
 
 impl Input<'_> {
     fn take<const N: usize>(&mut self) -> Result<[u8; N], SubmapBytesError> {

@@ -85,9 +85,10 @@ proptest! {
 
     #[test]
     fn forged_bytes_are_refused_or_a_submap_but_never_a_crash(
-        submap in submap(), place in any::<prop::sample::Index>(), flip in 1u8..
+        submap in submap(), place in any::<prop::sample::Index>(), flip in 1u8.., version in VERSION_BEFORE..=VERSION
     ) {
         let mut bytes = submap.encode();
+        bytes[VERSION_AT] = version;
         let place = CHECKED_FROM + place.index(bytes.len() - CHECKED_FROM);
         bytes[place] ^= flip;
         if let Ok(other) = Submap::decode(&signed(bytes)) {
