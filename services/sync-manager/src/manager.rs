@@ -186,7 +186,7 @@ impl SyncManager {
     /// Takes the published pose of a scan. Every scan's, in order of arrival. Scans that the set localizes with are no part of the map.
     pub fn pose(&mut self, pose: &PoseEstimate) {
         if pose.has(PoseFlags::LOCALIZING) {
-            return self.entries.localize();
+            return self.entries.localize(!pose.has(PoseFlags::UNPLACED));
         }
         self.revision = self.revision.max(pose.corrections);
         let mut record = PoseRecord::new(pose);

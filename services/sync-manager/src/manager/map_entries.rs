@@ -22,6 +22,8 @@ const ANCHOR_EVERY_M: f64 = 0.5;
 pub(super) struct Entries {
     /// The set localizes at the last pose.
     localizes: bool,
+    /// The last pose that the set localized with was one in the map.
+    is_placed: bool,
     /// The next node enters the map.
     is_due: bool,
     /// The first trajectory behind each stretch.
@@ -42,16 +44,17 @@ struct Entry {
 }
 
 impl Entries {
-    /// The set localizes at a pose.
-    pub(super) fn localize(&mut self) {
-        self.localizes = true;
+    /// The set localizes at a pose, which is one in the map when `is_placed`. Where localisation has not found the robot yet, or the front end
+    /// does not know it yet, the pose at which the robot enters says nothing: closures then have to attach what is driven.
+    pub(super) fn localize(&mut self, is_placed: bool) {
+        (self.localizes, self.is_placed) = (true, is_placed);
     }
 
     /// The number among those of the map of a trajectory of the front end whose pose comes now.
     pub(super) fn number(&mut self, trajectory: u32) -> u32 {
         let before = self.trajectories.len() as u32;
         if std::mem::take(&mut self.localizes) {
-            self.is_due = true;
+            self.is_due = self.is_placed;
             self.trajectories.push(trajectory + before + 1);
         }
         trajectory + self.trajectories.len() as u32
@@ -183,6 +186,28 @@ mod tests {
     /// Where the robot is at a step: it drives ahead and back.
     fn x_m(step: u64) -> f64 {
         0.05 * if step < 60 { step as f64 } else { 120.0 - step as f64 }
+    }
+
+    #[test]
+    fn a_robot_that_localisation_had_not_placed_enters_the_map_nowhere() {
+        for is_placed in [false, true] {
+            let mut manager = SyncManager::new(Settings::default());
+            for step in 0..60 {
+                let mut pose =
+                    PoseEstimate { flags: PoseFlags::MATCHED | PoseFlags::INSERT, ..PoseEstimate::default() };
+                (pose.id.sequence, pose.odom_from_base) = (step, Pose::new(x_m(step), 0.0, 0.0));
+                if step == 30 {
+                    manager.submap_closed(&SubmapClosed { last: pose.id, ..SubmapClosed::default() });
+                }
+                if (30..40).contains(&step) {
+                    pose.flags |= PoseFlags::LOCALIZING | if is_placed { 0 } else { PoseFlags::UNPLACED };
+                }
+                manager.pose(&pose);
+                manager.node(scan(x_m(step)).view().unwrap(), &pose, &[]);
+            }
+            let known = manager.odometry.nodes().len();
+            assert_eq!(manager.entry_edges(known).count(), usize::from(is_placed));
+        }
     }
 
     #[test]
