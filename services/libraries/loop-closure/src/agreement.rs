@@ -1,7 +1,9 @@
 //! Which loop closures are eligible: those found in wide windows or in the open need others that agree with them over the cycle of odometry and closures.
 
 use crate::closure::Closure;
+use crate::finder::ANYWHERE;
 use crate::node::Node;
+use flockslam_pose_graph::Edge;
 use flockslam_registration::cloud::Placement;
 
 /// Closures found in windows wider than this need others that agree, metres.
@@ -33,7 +35,8 @@ const CYCLE: (f64, f64, f64) = (0.2, 0.02, 0.05);
 
 /// Which closures may take part in a solution: those from narrow windows; those from wide ones, within a trajectory, that lie where they were
 /// expected and that nothing contradicts; and those from wide ones that at least two others confirm, that fewer than half as many contradict, and that
-/// hold over the longer a stretch the farther they would move the robot.
+/// hold over the longer a stretch the farther they would move the robot. Of matches that were looked for all over another trajectory,
+/// those of one query count once: what it sees is found in every segment that saw it, at the true place and at one that looks alike.
 ///
 /// In the open, hedges and rows of trees hold a scan little along them, and those found near are no exception. Wrong ones lie anywhere
 /// along a hedge: they contradict all others and each other. So only those count against one that agree among themselves, and more must
@@ -66,7 +69,8 @@ fn classified(closures: &[Closure], nodes: &[Node], at_the_end: bool) -> Vec<boo
     let mut eligible: Vec<bool> = closures.iter().map(|closure| !is_wide(closure)).collect();
     let mut contradicting = Vec::new();
     for (i, a) in closures.iter().enumerate().filter(|(_, a)| is_wide(a) || is_open(a)) {
-        let mut agreeing = 0;
+        let by_query = is_anywhere(a, nodes);
+        let [mut agreeing, mut contradicted] = [0; 2].map(|_| Counted::new(by_query));
         contradicting.clear();
         let joined_within_m = if is_open(a) { JOINED_WITHIN_OPEN_M } else { COMPARED_WITHIN_M };
         for k in neighbours.of(a, joined_within_m).filter(|k| closures[*k].edge != a.edge) {
@@ -78,11 +82,15 @@ fn classified(closures: &[Closure], nodes: &[Node], at_the_end: bool) -> Vec<boo
                 (way_m <= COMPARED_WITHIN_M, cycle_closes(a, &closures[k], way_m, nodes));
             if agrees {
                 groups.join(i, k);
-                agreeing += usize::from(is_compared);
+                if is_compared && !(by_query && closures[k].edge.to == a.edge.to) {
+                    agreeing.add(&closures[k]);
+                }
             } else if is_compared {
                 contradicting.push(k);
+                contradicted.add(&closures[k]);
             }
         }
+        let (agreeing, contradicted) = (agreeing.count, contradicted.count);
         eligible[i] = if is_open(a) {
             let partners_min = match is_wide(a) {
                 _ if is_expected(a) => 0,
@@ -92,7 +100,7 @@ fn classified(closures: &[Closure], nodes: &[Node], at_the_end: bool) -> Vec<boo
             agreeing >= partners_min && agreeing >= united(&contradicting, closures, nodes)
         } else {
             let partners_min = if is_expected(a) { 0 } else { PARTNERS_MIN };
-            agreeing >= partners_min && 2 * contradicting.len() <= agreeing + 1
+            agreeing >= partners_min && 2 * contradicted <= agreeing + 1
         };
     }
     let needs_extent = |closure: &Closure| is_wide(closure) && !is_expected(closure);
@@ -100,6 +108,32 @@ fn classified(closures: &[Closure], nodes: &[Node], at_the_end: bool) -> Vec<boo
         eligible[i] &= groups.extent_m(i) >= extent_needed_m(closure, nodes[closure.edge.to].is_open);
     }
     eligible
+}
+
+/// Whether a closure was looked for all over another trajectory.
+fn is_anywhere(closure: &Closure, nodes: &[Node]) -> bool {
+    let Edge { from, to, .. } = closure.edge;
+    closure.reach_m == ANYWHERE.reach_m && nodes[from].trajectory != nodes[to].trajectory
+}
+
+/// Number of closures, or of their queries.
+struct Counted {
+    count: usize,
+    by_query: bool,
+    last: Option<usize>,
+}
+
+impl Counted {
+    fn new(by_query: bool) -> Self {
+        Self { count: 0, by_query, last: None }
+    }
+
+    /// Those of one query follow each other.
+    fn add(&mut self, closure: &Closure) {
+        let is_counted = self.by_query && self.last == Some(closure.edge.to);
+        self.count += usize::from(!is_counted);
+        self.last = Some(closure.edge.to);
+    }
 }
 
 fn extent_needed_m(closure: &Closure, is_open: bool) -> f64 {
@@ -193,7 +227,10 @@ pub fn agree(a: &Closure, b: &Closure, nodes: &[Node]) -> Option<bool> {
 
 /// Odometry between the ends of two closures, both sides together, metres.
 fn way_between_m(a: &Closure, b: &Closure, nodes: &[Node]) -> f64 {
-    let between = |i: usize, k: usize| (nodes[i].drift_bound_m - nodes[k].drift_bound_m).abs();
+    // What is given does not drift.
+    let are_given = |i: usize, k: usize| nodes[i].is_given && nodes[k].is_given;
+    let drift_m = |i: usize, k: usize| (nodes[i].drift_bound_m - nodes[k].drift_bound_m).abs();
+    let between = |i: usize, k: usize| if are_given(i, k) { 0.0 } else { drift_m(i, k) };
     between(a.edge.from, b.edge.from) + between(a.edge.to, b.edge.to)
 }
 
@@ -248,6 +285,23 @@ mod tests {
         assert_eq!(eligible(&closures, &nodes), [false, true, false]);
         closures.push(closure(13, 94, 1.05, 8.0));
         assert_eq!(eligible(&closures, &nodes), [true, true, true, true]);
+    }
+
+    #[test]
+    fn a_query_found_in_many_segments_of_another_trajectory_is_one_match() {
+        let mut nodes = nodes();
+        nodes[50..].iter_mut().for_each(|node| node.trajectory = 1);
+        let anywhere =
+            |from, to, off_m| Closure { shift_m: 0.0, ..closure(from, to, off_m, ANYWHERE.reach_m) };
+        let mut closures: Vec<_> = (0..4).map(|k| anywhere(10 + k, 90, -(k as f64))).collect();
+        assert_eq!(eligible(&closures, &nodes), [false; 4]);
+        closures.push(anywhere(12, 92, 0.0));
+        assert_eq!(eligible(&closures, &nodes), [false; 5]);
+        closures.push(anywhere(14, 94, 0.0));
+        assert_eq!(eligible(&closures, &nodes), [true; 6]);
+        // As many queries are found elsewhere.
+        closures.extend((0..3).map(|k| anywhere(10 + 2 * k, 90 + 2 * k, 3.0)));
+        assert_eq!(eligible(&closures, &nodes), [false; 9]);
     }
 
     #[test]

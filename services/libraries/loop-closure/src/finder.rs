@@ -45,6 +45,8 @@ const ANYWHERE_SUMS_MAX: u64 = 150_000;
 const RUNNER_UP_SUMS_MAX: u64 = 3_000_000;
 /// Most segments that one query is looked for in so.
 const ANYWHERE_MAX: usize = 50;
+/// Most segments that a query is looked for in which was found in one of these.
+const ELSEWHERE_MAX: usize = 400;
 /// The widest window after driving, metres.
 const REACH_MAX_M: f64 = 25.0;
 /// The first window: a robot that was lost only briefly is near its predicted pose.
@@ -134,8 +136,13 @@ impl ClosureFinder {
     /// Looks for the surroundings of node `query` in older segments; `distances_m` are its distances along
     /// the graph to all nodes, or to those [`in_reach`] where there is one trajectory.
     pub fn find(&mut self, world: &World<'_>, query: usize, distances_m: &[f64]) -> Vec<Closure> {
-        let candidates = self.candidates(world, query, distances_m);
-        self.find_in(world, query, QUERY_NODES, &candidates)
+        let [candidates, rest] = self.candidates(world, query, distances_m);
+        let mut found = self.find_in(world, query, QUERY_NODES, &candidates);
+        // Where else a query is found that was found anywhere contradicts it.
+        if found.iter().any(|closure| closure.reach_m == ANYWHERE.reach_m) {
+            found.extend(self.find_in(world, query, QUERY_NODES, &rest));
+        }
+        found
     }
 
     /// Looks for the surroundings of node `query`, so many nodes before and after it, in these segments.
@@ -156,8 +163,9 @@ impl ClosureFinder {
             .collect()
     }
 
-    /// The segments that the query may see, nearest first, with the search window in each.
-    fn candidates(&self, world: &World<'_>, query: usize, distances_m: &[f64]) -> Vec<(usize, Window)> {
+    /// The segments that the query may see, nearest first, with the search window in each; and those beyond that it is looked for in when it
+    /// is found anywhere.
+    fn candidates(&self, world: &World<'_>, query: usize, distances_m: &[f64]) -> [Vec<(usize, Window)>; 2] {
         let mut near = Vec::new();
         for (number, segment) in world.segments.iter().enumerate().filter(|(_, s)| is_old(world, s, query)) {
             if distances_m[segment.anchor] >= BROKEN_M {
@@ -172,13 +180,14 @@ impl ClosureFinder {
         near.sort_by(|a, b| a.0.total_cmp(&b.0));
         near.truncate(SEGMENTS_PER_QUERY);
         let mut candidates: Vec<_> = near.into_iter().map(|(_, number, window)| (number, window)).collect();
-        candidates.extend(self.anywhere(world, query, distances_m));
-        candidates
+        let [first, rest] = self.anywhere(world, query, distances_m);
+        candidates.extend(first);
+        [candidates, rest]
     }
 
     /// Segments that only closures could connect with the query, each to be searched all over. The next query begins with
-    /// those that this one has no budget for.
-    fn anywhere(&self, world: &World<'_>, query: usize, distances_m: &[f64]) -> Vec<(usize, Window)> {
+    /// those that this one has no budget for: the second list.
+    fn anywhere(&self, world: &World<'_>, query: usize, distances_m: &[f64]) -> [Vec<(usize, Window)>; 2] {
         let trajectory = world.nodes[query].trajectory;
         let broken =
             |s: &Segment| distances_m[s.anchor] >= BROKEN_M && world.nodes[s.anchor].trajectory != trajectory;
@@ -196,10 +205,12 @@ impl ClosureFinder {
         if !far.is_empty() {
             let first = (self.counts.searches % far.len() as u64) as usize;
             far.rotate_left(first);
-            far.truncate(ANYWHERE_MAX);
         }
+        far.truncate(ELSEWHERE_MAX);
+        let rest = far.split_off(far.len().min(ANYWHERE_MAX));
         let near = near.into_iter().map(|(_, number)| (number, NEARBY));
-        near.chain(far.into_iter().map(|number| (number, ANYWHERE))).collect()
+        let anywhere = |number: usize| (number, ANYWHERE);
+        [near.chain(far.into_iter().map(anywhere)).collect(), rest.into_iter().map(anywhere).collect()]
     }
 
     fn try_segment(
