@@ -38,6 +38,11 @@ impl LocalStretches {
         self.stretches.iter().any(|(first, last)| (*first..=*last).contains(&sequence))
     }
 
+    /// The newest of them.
+    pub fn newest(&self) -> Option<u64> {
+        self.stretches.last().map(|(_, last)| *last)
+    }
+
     /// Number of scans.
     pub fn scans(&self) -> u64 {
         self.scans
@@ -83,8 +88,12 @@ impl SyncProcess {
             }
             return Ok(());
         }
-        let unheard = self.correction.filter(|correction| correction.revision > last.corrections);
-        match unheard.filter(|_| self.is_watched) {
+        // What was concluded before the set localized, or in an earlier session, says nothing of where the robot is now.
+        let since = self.local.newest().map_or(context.first_sequence, |newest| newest + 1);
+        let not_received = self.correction.filter(|correction| {
+            correction.revision > last.corrections && correction.scan >= since.max(context.first_sequence)
+        });
+        match not_received.filter(|_| self.is_watched) {
             Some(correction) => self.correct(&correction),
             None => Ok(()),
         }
@@ -125,6 +134,6 @@ mod tests {
         (30..32).for_each(|sequence| local.add(sequence));
         let held: Vec<u64> = (0..40).filter(|sequence| local.holds(*sequence)).collect();
         assert_eq!(held, [10, 11, 12, 13, 14, 30, 31]);
-        assert_eq!(local.scans(), 7);
+        assert_eq!((local.scans(), local.newest()), (7, Some(31)));
     }
 }
