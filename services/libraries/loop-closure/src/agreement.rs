@@ -3,6 +3,7 @@
 use crate::closure::Closure;
 use crate::finder::ANYWHERE;
 use crate::node::Node;
+use flockslam_geometry::elementary::cos;
 use flockslam_pose_graph::Edge;
 use flockslam_registration::cloud::Placement;
 
@@ -22,9 +23,13 @@ const EXTENT_PER_SHIFT: f64 = 2.0;
 const EXTENT_PER_SURPRISE: f64 = 5.0;
 const EXTENT_USUAL_M: f64 = 1.0;
 const USUAL_SHARE: f64 = 0.25;
+/// The same in the open at the end, where windows are as wide as the solution is uncertain, and the robot looks along its older way or back.
+const EXTENT_USUAL_OPEN_M: f64 = 3.0;
 /// A closure that would move the robot by no more than this share of its window needs no other, in the open at the end: of matches that
 /// lie anywhere in a window, one of a hundred is so near the pose that was expected.
 const EXPECTED_SHARE: f64 = 0.1;
+/// From 45° on.
+const SIDEWAYS_COS: f64 = std::f64::consts::FRAC_1_SQRT_2;
 /// Two closures are compared when the odometry between them is no longer than this, both sides together, metres.
 const COMPARED_WITHIN_M: f64 = 20.0;
 /// In the open such as agree with each other over this much odometry belong together: hedges and rows of trees repeat over some metres, and a
@@ -105,7 +110,8 @@ fn classified(closures: &[Closure], nodes: &[Node], at_the_end: bool) -> Vec<boo
     }
     let needs_extent = |closure: &Closure| is_wide(closure) && !is_expected(closure);
     for (i, closure) in closures.iter().enumerate().filter(|(_, closure)| needs_extent(closure)) {
-        eligible[i] &= groups.extent_m(i) >= extent_needed_m(closure, nodes[closure.edge.to].is_open);
+        eligible[i] &=
+            groups.extent_m(i) >= extent_needed_m(closure, nodes[closure.edge.to].is_open, at_the_end);
     }
     eligible
 }
@@ -136,13 +142,22 @@ impl Counted {
     }
 }
 
-fn extent_needed_m(closure: &Closure, is_open: bool) -> f64 {
+fn extent_needed_m(closure: &Closure, is_open: bool, at_the_end: bool) -> f64 {
     let extent_m = EXTENT_PER_SHIFT * closure.shift_m;
-    if is_open {
+    if is_open && (!at_the_end || looks_sideways(closure)) {
         return extent_m;
+    }
+    if is_open {
+        let surprise_m = (closure.shift_m - USUAL_SHARE * closure.reach_m).max(0.0);
+        return extent_m.min(EXTENT_USUAL_OPEN_M) + EXTENT_PER_SHIFT * surprise_m;
     }
     let surprise_m = (closure.shift_m - USUAL_SHARE * closure.reach_m).max(0.0);
     if surprise_m == 0.0 { extent_m.min(EXTENT_USUAL_M) } else { extent_m + EXTENT_PER_SURPRISE * surprise_m }
+}
+
+/// Whether the robot looks rather across its older way than along it: it sees little of what it saw then.
+fn looks_sideways(closure: &Closure) -> bool {
+    cos(closure.edge.motion.heading_rad).abs() < SIDEWAYS_COS
 }
 
 /// Closures in the order of their queries: those that are compared are next to each other.
@@ -358,6 +373,26 @@ mod tests {
         // Another that contradicts it makes both doubtful.
         let contradicted = [lone(0.7), closure(11, 91, 3.0, 8.0)];
         assert_eq!(eligible_at_the_end(&contradicted, &nodes), [false, false]);
+    }
+
+    #[test]
+    fn at_the_end_matches_in_the_open_along_the_older_way_need_extent_for_the_surprise_alone() {
+        let mut nodes = nodes();
+        nodes.iter_mut().for_each(|node| node.is_open = true);
+        // Three that agree over 3 m and would move the robot by 4 m, a quarter of the window.
+        let turned = |heading_rad: f64| -> Vec<Closure> {
+            let closure = |k: usize| {
+                let mut closure = Closure { shift_m: 4.0, ..closure(10, 90 + k, 0.0, 16.0) };
+                let along = nodes[90].local_pose.to(nodes[90 + k].local_pose);
+                closure.edge.motion = Placement::new(0.0, 0.0, heading_rad).compose(along);
+                closure
+            };
+            [0, 2, 3].map(closure).to_vec()
+        };
+        for (heading_rad, expected) in [(0.0, true), (3.0, true), (1.5, false), (-1.6, false)] {
+            assert_eq!(eligible_at_the_end(&turned(heading_rad), &nodes), [expected; 3], "{heading_rad}");
+            assert_eq!(eligible(&turned(heading_rad), &nodes), [false; 3], "{heading_rad}");
+        }
     }
 
     #[test]
