@@ -58,10 +58,22 @@ impl LiveSet {
 
     /// As [`LiveSet::start`], in a world that is a map of nav2's kind.
     pub fn start_in(world: &Path, test: &str, directory: &Path, drive: Drive, more: &str) -> Self {
+        Self::start_in_with(world, test, directory, drive, more, &[])
+    }
+
+    /// The same with more arguments of the command.
+    pub fn start_in_with(
+        world: &Path,
+        test: &str,
+        directory: &Path,
+        drive: Drive,
+        more: &str,
+        arguments: &[String],
+    ) -> Self {
         let robot = robot(test);
         let description = format!("{}world = {world:?}\n", drive.description(&robot, more));
         std::fs::write(directory.join("set.toml"), description).unwrap();
-        Self::start_again(robot, directory, &[])
+        Self::start_again(robot, directory, arguments)
     }
 
     /// As [`LiveSet::start`], with protections taken away from it.

@@ -19,7 +19,7 @@ pub const LABEL_REPLICA: &str = "replica";
 pub const LABEL_REASON: &str = "reason";
 /// Label: another robot of the flock: its name and the first digits of its key, or `others` beyond 32 of them.
 pub const LABEL_PEER: &str = "peer";
-/// Label: `said` (sent to another robot) or `heard` (received from it).
+/// Label: `sent` (to another robot) or `received` (from it).
 pub const LABEL_DIRECTION: &str = "direction";
 /// Label: one of the robot's lidars, by its name: that of its driver, the topic of a recording, else `0`.
 pub const LABEL_LIDAR: &str = "lidar";
