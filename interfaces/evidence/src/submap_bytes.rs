@@ -25,8 +25,9 @@ const VERSION_AT: usize = MAGIC.len();
 const CHECKED_FROM: usize = 9;
 /// Tiles that a submap may have: memory that foreign bytes can ask for is bounded by it (128 MiB).
 const TILES_MAX: u32 = 8192;
-/// The least bytes of a tile: those of its key and of its blocks.
-const TILE_BYTES_MIN: usize = 2 + 8;
+/// The least bytes of a tile: those of its key, and of its blocks, which version 2 had not.
+const TILE_BYTES_MIN: usize = KEY_BYTES_MIN + 8;
+pub(crate) const KEY_BYTES_MIN: usize = 2;
 
 /// The cells of a tile that are masked, one bit each, row by row.
 pub(crate) type Mask = [u64; TILE_SIDE];
@@ -244,7 +245,7 @@ fn encode_keys(tiles: &[(TileKey, u64)], out: &mut Vec<u8>) {
 /// All up to the levels.
 fn decode_outline(input: &mut Input<'_>, tiles_max: usize) -> Result<SubmapOutline, SubmapBytesError> {
     let emptied = decode_head(input)?;
-    let keys = decode_keys(input, tiles_max)?.into_iter();
+    let keys = decode_keys(input, tiles_max, TILE_BYTES_MIN)?.into_iter();
     let blocks = keys.map(|key| Ok((key, input.u64()?))).collect::<Result<Vec<_>, _>>()?;
     Ok(SubmapOutline { emptied, blocks })
 }
@@ -262,9 +263,13 @@ pub(crate) fn decode_head(input: &mut Input<'_>) -> Result<Submap, SubmapBytesEr
     Ok(Submap { number, trajectory, insertions, first, last, odom_from_submap, cell_size_m, tiles })
 }
 
-pub(crate) fn decode_keys(input: &mut Input<'_>, tiles_max: usize) -> Result<Vec<TileKey>, SubmapBytesError> {
+pub(crate) fn decode_keys(
+    input: &mut Input<'_>,
+    tiles_max: usize,
+    tile_bytes_min: usize,
+) -> Result<Vec<TileKey>, SubmapBytesError> {
     let count = input.u32()?;
-    if count as usize > tiles_max.min(TILES_MAX as usize) || count as usize > input.0.len() / TILE_BYTES_MIN {
+    if count as usize > tiles_max.min(TILES_MAX as usize) || count as usize > input.0.len() / tile_bytes_min {
         return Err(SubmapBytesError::TooManyTiles(count));
     }
     let mut keys: Vec<TileKey> = Vec::with_capacity(count as usize);

@@ -4,7 +4,8 @@
 use crate::cell_coder::{CHUNK, CellModel, Symbol};
 use crate::range_coder::{BinaryCoder, Likelihood, RangeDecoder};
 use crate::submap_bytes::{
-    Input, SubmapBytesError, check_end, decode_head, decode_keys, decode_levels, decode_masks, unknown_tiles,
+    Input, KEY_BYTES_MIN, SubmapBytesError, check_end, decode_head, decode_keys, decode_levels, decode_masks,
+    unknown_tiles,
 };
 use crate::weight_levels::CellLevels;
 use crate::{Submap, SubmapTile, TILE_CELLS, TILE_SIDE};
@@ -19,7 +20,7 @@ const BLOCKS: usize = TILE_SIDE / CHUNK;
 pub fn decode(mut input: Input<'_>, tiles_max: usize) -> Result<Submap, SubmapBytesError> {
     let head = decode_head(&mut input)?;
     let levels = CellLevels { occupied: decode_levels(&mut input)?, free: decode_levels(&mut input)? };
-    let keys = decode_keys(&mut input, tiles_max)?;
+    let keys = decode_keys(&mut input, tiles_max, KEY_BYTES_MIN)?;
     let masks = decode_masks(&mut input, keys.len())?;
     let mut tiles = unknown_tiles(keys.into_iter(), masks);
     decode_cells(input.0, &levels, &mut tiles)?;
