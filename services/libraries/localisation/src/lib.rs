@@ -13,6 +13,7 @@ mod place_search;
 mod pose_hint;
 mod recent_views;
 mod scattered_returns;
+mod search_schedule;
 mod surface_lines;
 
 pub use alignment::{Agreement, Fit, SeenPoint, Surroundings};

@@ -7,6 +7,7 @@ use crate::place_acceptance::{Acceptance, Evaluated, Listed, acceptance, accepta
 use crate::place_search::{Near, PlaceSearch, SearchRequest, is_same};
 use crate::pose_hint::Hint;
 use crate::recent_views::RecentViews;
+use crate::search_schedule::SearchSchedule;
 use flockslam_geometry::elementary::{exp, hypot};
 use flockslam_pose_graph::{Symmetric, inverse};
 use flockslam_registration::cloud::{PackedPoint, Placement};
@@ -17,8 +18,6 @@ const SEARCH_M: f64 = 8.0;
 const VERIFIED_M: f64 = 16.0;
 /// Points that are fitted and verified.
 const POINTS: usize = 600;
-/// A robot that is not found is looked for again after this much travel, metres, or turning, radians.
-const AGAIN: (f64, f64) = (0.9, 0.7);
 /// Least score of a place in a search, and least share of the best.
 const SCORE_MIN: f64 = 0.45;
 const SHARE_MIN: f64 = 0.75;
@@ -86,8 +85,8 @@ pub struct Localizer {
     kept: Vec<(Placement, Listed)>,
     /// A place that was unconfirmed, as `map_from_odom`, and the way until then, metres.
     unconfirmed: Option<(Placement, f64)>,
-    /// Where the robot was when it was looked for last.
-    searched_at: Option<Placement>,
+    /// When the robot is looked for again. Every second search is at the border of what is mapped.
+    schedule: SearchSchedule,
     last: Option<Placement>,
     outdoors: Outdoors,
     /// Travel since that was looked at, metres.
@@ -95,8 +94,6 @@ pub struct Localizer {
     /// A guess from outside that was not tried yet.
     hint: Option<Hint>,
     searches: u64,
-    /// Searches since the robot has lost its place or was switched on. Every second one looks for it at the border of what is mapped.
-    misses: u32,
     measured: Option<Measurement>,
     /// Travel since what was seen agreed with the map, while the robot is followed, metres.
     since_agreed_m: f64,
@@ -132,11 +129,10 @@ impl Localizer {
             outdoors: Outdoors::default(),
             since_firm_m: 0.0,
             unconfirmed: None,
-            searched_at: None,
+            schedule: SearchSchedule::default(),
             last: None,
             hint: None,
             searches: 0,
-            misses: 0,
             measured: None,
             since_agreed_m: 0.0,
             since_check_m: 0.0,
@@ -174,9 +170,8 @@ impl Localizer {
         self.belief = Belief::default();
         self.kept.clear();
         self.unconfirmed = None;
-        self.misses = 0;
         self.since_agreed_m = 0.0;
-        self.searched_at = None;
+        self.schedule = SearchSchedule::default();
         self.hint = hint;
     }
 
@@ -203,9 +198,8 @@ impl Localizer {
         if let Some(followed) = self.followed {
             self.follow(followed, last, odom_from_base);
         }
-        if self.followed.is_none() && self.is_due(&odom_from_base) {
-            let before = self.searched_at.replace(odom_from_base);
-            let has_moved = before.is_none_or(|before| before.distance_m(&odom_from_base) >= AGAIN.0);
+        if self.followed.is_none() && self.schedule.is_due(&odom_from_base) {
+            let has_moved = self.schedule.begin(odom_from_base);
             self.look(odom_from_base, has_moved);
         }
         &self.belief
@@ -234,10 +228,6 @@ impl Localizer {
         } else {
             self.surroundings.agreement(cloud, at)
         }
-    }
-
-    fn is_due(&self, at: &Placement) -> bool {
-        self.searched_at.is_none_or(|last| last.distance_m(at) >= AGAIN.0 || last.turn_rad(at) >= AGAIN.1)
     }
 
     /// Follows the robot by fitting what it sees to the map.
@@ -379,8 +369,7 @@ impl Localizer {
         let is_outdoors = self.outdoors.is_so();
         let points: Vec<(f64, f64)> = cloud.iter().map(|p| (p.x_m, p.y_m)).collect();
         let request = SearchRequest { score_min: SCORE_MIN, share_min: SHARE_MIN, near };
-        let is_at_border = near.is_none() && self.misses % 2 == 1;
-        self.misses += 1;
+        let is_at_border = near.is_none() && self.schedule.searches() % 2 == 1;
         let places = if is_outdoors {
             let free = free_samples(&cloud);
             self.search.find_seen(self.surroundings.outdoor_field(), &points, &free, &request)
@@ -389,6 +378,7 @@ impl Localizer {
         } else {
             self.search.find(self.surroundings.field(), &points, &request)
         };
+        self.schedule.searched(places.blocks);
         let verification_cloud = self.seen(VERIFIED_M, POINTS);
         let mut evaluated: Vec<Evaluated> = Vec::new();
         for place in &places.found {

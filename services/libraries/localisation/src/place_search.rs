@@ -62,6 +62,8 @@ pub struct Places {
     pub found: Vec<Candidate>,
     /// No place that is not given scores more than this.
     pub others_max: f64,
+    /// What the search took: blocks of cells that it summed up.
+    pub blocks: u64,
 }
 
 /// A cell with its score at a heading.
@@ -78,6 +80,8 @@ struct Scored {
 pub struct PlaceSearch {
     scored: Vec<Scored>,
     offsets: Vec<(usize, usize)>,
+    /// Blocks of cells that were summed up in this search.
+    blocks: u64,
 }
 
 /// A cloud that is looked for.
@@ -112,7 +116,7 @@ impl PlaceSearch {
         let stride = near.len().div_ceil(POINTS).max(1);
         let few: Vec<(f64, f64)> = near.into_iter().step_by(stride).collect();
         if few.is_empty() {
-            return Places { found: Vec::new(), others_max: 1.0 };
+            return Places { others_max: 1.0, ..Places::default() };
         }
         // Neighbours in the cloud lie on one wall. In this order the first points already say much of the sum of all.
         let points: Vec<(f64, f64)> = (0..few.len()).map(|i| few[i * MIXING % few.len()]).collect();
@@ -123,6 +127,7 @@ impl PlaceSearch {
         let full = 255.0 * (points.len() + free.len()) as f64;
         let (headings, stretches) = (headings(request.near), stretches(field, request.near));
         let input = SearchInput { field, points, free, headings, stretches, near: request.near };
+        self.blocks = 0;
         let bounds = self.bound(&input);
         let enough = |best: u16| (request.share_min * f64::from(best)).ceil() as u16;
         let mut least =
@@ -170,6 +175,7 @@ impl PlaceSearch {
         let mut best = 0;
         for ((bound, block), number) in tops.into_iter().take(PROBES) {
             self.turn(input, number);
+            self.blocks += 1;
             let sums = input.sums(&self.offsets, block, bound, best).map(|(_, sum)| sum);
             best = sums.max().unwrap_or(best);
         }
@@ -191,6 +197,7 @@ impl PlaceSearch {
         self.turn(input, number);
         let mut best = 0;
         for (bound, block) in input.bounded(bounds, number).filter(|(bound, _)| *bound >= least) {
+            self.blocks += 1;
             for (cell, sum) in input.sums(&self.offsets, block, bound, least) {
                 best = best.max(sum);
                 self.scored.push(Scored::new(sum, number, block, cell));
@@ -220,11 +227,11 @@ impl PlaceSearch {
             }
             let score = f64::from(scored.sum) / full;
             if found.len() == PLACES_MAX {
-                return Places { found, others_max: score };
+                return Places { found, others_max: score, blocks: self.blocks };
             }
             found.push(Candidate { map_from_cloud, score });
         }
-        Places { found, others_max: f64::from(least) / full }
+        Places { found, others_max: f64::from(least) / full, blocks: self.blocks }
     }
 }
 
@@ -432,7 +439,8 @@ mod tests {
             });
             let request = SearchRequest { score_min, share_min, near };
             let found = PlaceSearch::default().find_seen(&field, &points, &free, &request);
-            prop_assert_eq!(found, exhaustive(&field, &points, &free, &request));
+            let all = exhaustive(&field, &points, &free, &request);
+            prop_assert_eq!(&found, &Places { blocks: found.blocks, ..all });
         }
     }
 }
