@@ -8,7 +8,7 @@ use flockslam_loop_closure::finder::{EVERY_M, QUERY_NODES, World, in_reach};
 use flockslam_loop_closure::graph_distances::{CLOSURE_M, JOINT_M, graph_distances, graph_distances_to};
 
 /// Searches from one closed submap to the next beyond the usual ones while the newest trajectory is not connected with the map.
-const ADRIFT_SEARCHES: u64 = 100;
+const DETACHED_SEARCHES: u64 = 100;
 
 /// While closures found in the last so many metres wait for others that agree with them …
 const AWAITED_M: f64 = 3.0;
@@ -42,7 +42,7 @@ impl SyncManager {
         let most = if self.connectivity(known).is_attached(trajectory) {
             searches
         } else {
-            searches.min(ADRIFT_SEARCHES) + ADRIFT_SEARCHES
+            searches.min(DETACHED_SEARCHES) + DETACHED_SEARCHES
         };
         if self.finder.counts().searches - self.concluded.searches < most {
             self.search(query, known);
