@@ -7,7 +7,7 @@ use flockslam_registration::cloud::Placement;
 const AGAIN: (f64, f64) = (0.9, 0.7);
 /// So many searches are made like this: most robots are found by then.
 const PROMPT: u32 = 24;
-/// After these, a search that has summed up so many blocks of cells is followed by a metre of travel, and so on: in a large map of another
+/// After these, a search that has summed up so many blocks of cells is followed by a metre of travel, and so on: in the map of another
 /// building a robot would spend most of its time with searching.
 const BLOCKS_PER_M: u64 = 200_000;
 /// A robot that comes from where nothing is mapped is found this much later at most, metres.
