@@ -12,6 +12,7 @@ mod between;
 mod filled_trajectory;
 mod localizing;
 mod manager;
+mod measured_views;
 mod pose_record;
 pub mod process;
 mod settings;

@@ -1,27 +1,21 @@
 //! The back end of a robot that localizes: poses and scans in; a belief and corrections out. The map is known and stays as it is.
 
 use crate::filled_trajectory::{Between, filled};
+use crate::measured_views::MeasuredViews;
 use crate::pose_record::PoseRecord;
 use crate::solution::{ClosureCounts, DetachedPart, FrozenScan, MAP_ANCHOR, PlacedScan, Solution};
 use flockslam_geometry::Pose;
-use flockslam_geometry::elementary::hypot;
 use flockslam_localisation::{Belief, Hint, Knowledge, Localizer, Measurement, Surroundings};
 use flockslam_loop_closure::scans::ScanStore;
 use flockslam_messages::{
     BeamRange, Correction, LocalisationOrder, PoseEstimate, PoseFlags, ScanId, ScanView, SubmapClosed,
 };
-use flockslam_pose_graph::{Edge, RobustSettings, Symmetric, solve};
 use flockslam_registration::cloud::Placement;
 use flockslam_results::LocalisationSummary;
 
 /// A scan is looked at after this much travel, metres, or turning, radians.
 const VIEW_M: f64 = 0.05;
 const VIEW_RAD: f64 = 0.05;
-/// Errors of the front end's motion from view to view: for a metre of travel, metres and radians, and what is there without any.
-const DRIFT: (f64, f64) = (0.015, 0.004);
-const DRIFT_MIN: (f64, f64) = (0.002, 0.001);
-/// A measurement with a greater squared Mahalanobis error is an outlier.
-const CHI_SQUARED_MAX: f64 = 25.0;
 /// Views, and poses, after which the older half of the drive gets its final poses.
 const VIEWS_MAX: usize = 4000;
 const RECORDS_MAX: usize = 40_000;
@@ -32,7 +26,7 @@ const PUBLISHED_SIGMA: (f64, f64) = (0.03, 0.01);
 pub struct LocalizingManager {
     localizer: Localizer,
     records: Vec<PoseRecord>,
-    views: Vec<View>,
+    views: MeasuredViews,
     /// The last scan that was looked at, and its trajectory.
     last_view: Option<(Placement, u32)>,
     revision: u32,
@@ -47,15 +41,6 @@ pub struct LocalizingManager {
     map_area_m2: f64,
 }
 
-/// A place in the map that was measured.
-#[derive(Clone, Copy)]
-struct View {
-    record: usize,
-    measured: Measurement,
-    /// The robot was followed from the view before this one.
-    follows: bool,
-}
-
 impl LocalizingManager {
     /// A robot that may be anywhere in the map.
     pub fn new(surroundings: Surroundings) -> Self {
@@ -63,7 +48,7 @@ impl LocalizingManager {
             map_area_m2: surroundings.map().known_area_m2(),
             localizer: Localizer::new(surroundings),
             records: Vec::new(),
-            views: Vec::new(),
+            views: MeasuredViews::default(),
             last_view: None,
             revision: 0,
             submap: 0,
@@ -153,7 +138,7 @@ impl LocalizingManager {
             map_from_base: pose.map_from_base().into(),
             information: [position, 0.0, 0.0, position, 0.0, heading],
         };
-        self.views.push(View { record, measured, follows });
+        self.views.push(record, measured, follows, &[], false);
         self.last_view = Some((odom, trajectory));
         if self.views.len() > VIEWS_MAX {
             self.freeze();
@@ -196,7 +181,8 @@ impl LocalizingManager {
             self.summary.found_after_m.get_or_insert(self.travel_m);
         }
         if let Some(measured) = self.localizer.measured() {
-            self.views.push(View { record, measured, follows: was_localized });
+            let is_open = pose.has(PoseFlags::OPEN);
+            self.views.push(record, measured, was_localized, store.points(number), is_open);
         }
         if self.views.len() > VIEWS_MAX {
             self.freeze();
@@ -247,19 +233,12 @@ impl LocalizingManager {
 
     /// Gives the older half of the drive its final poses, and drops it.
     fn freeze(&mut self) {
-        let poses = self.solved();
-        let half = self.views.len() / 2;
-        let end = self.views.get(half).map_or(0, |view| view.record);
+        let known = self.views.solved(&self.records);
+        let end = known.get(known.len() / 2).map_or(0, |(record, _)| *record);
         // A robot that stands, or is not found, has few views.
         let end = if end == 0 { self.records.len() / 2 } else { end };
-        let known: Vec<(usize, Placement)> = self
-            .views
-            .iter()
-            .map(|view| view.record)
-            .zip(poses)
-            .take_while(|(record, _)| *record <= end)
-            .collect();
-        let filled = filled(&self.records[..=end], &known, Between::FrontEnd);
+        let until = known.partition_point(|(record, _)| *record <= end);
+        let filled = filled(&self.records[..=end], &known[..until], Between::FrontEnd);
         let frozen = |(record, pose): (&PoseRecord, &Placement)| FrozenScan {
             id: record.id,
             stamp_ns: record.stamp_ns,
@@ -267,50 +246,13 @@ impl LocalizingManager {
             anchor_from_base: pose.pose(),
         };
         self.frozen.extend(self.records[..end].iter().zip(&filled).map(frozen));
-        // What goes on begins with where the first scan that is left was.
-        let before = self.views.iter().rposition(|view| view.record <= end);
-        let begin = before.map(|last| {
-            let information = self.views[last].measured.information;
-            let measured = Measurement { map_from_base: filled[end], information };
-            View { record: end, measured, follows: false }
-        });
-        self.views.retain(|view| view.record > end);
-        self.views.splice(..0, begin);
+        self.views.drop_until(end, filled[end]);
         self.records.drain(..end);
-        self.views.iter_mut().for_each(|view| view.record -= end);
-    }
-
-    /// The poses of all views in the map: measurements and the front end's motions together.
-    fn solved(&self) -> Vec<Placement> {
-        let measured = self.views.iter().map(|view| view.measured.map_from_base);
-        let mut poses: Vec<Placement> = std::iter::once(Placement::IDENTITY).chain(measured).collect();
-        let mut edges: Vec<Edge> = Vec::new();
-        // Each view hangs loosely at where it was measured: what nothing else holds stays there.
-        let loose = [1.0, 0.0, 0.0, 1.0, 0.0, 1.0];
-        edges.extend((1..poses.len()).map(|to| Edge { from: 0, to, motion: poses[to], information: loose }));
-        for (k, pair) in self.views.windows(2).enumerate().filter(|(_, pair)| pair[1].follows) {
-            let (from, to) = (&self.records[pair[0].record], &self.records[pair[1].record]);
-            let motion = from.odom.to(to.odom);
-            edges.push(Edge { from: k + 1, to: k + 2, motion, information: drift(&motion) });
-        }
-        let fixed_count = edges.len();
-        let measured = self.views.iter().enumerate().map(|(k, view)| Edge {
-            from: 0,
-            to: k + 1,
-            motion: view.measured.map_from_base,
-            information: view.measured.information,
-        });
-        edges.extend(measured);
-        let settings =
-            RobustSettings { chi_squared_max: CHI_SQUARED_MAX, growth: 1.6, rounds: 25, warm_up: 6 };
-        solve(poses.len(), &edges, fixed_count, &settings, &mut poses);
-        poses.split_off(1)
     }
 
     /// Concludes the run: final poses of all scans that are not frozen. Trajectories that were never found in the map stay apart.
     pub fn finish(&mut self) -> Solution {
-        let known: Vec<(usize, Placement)> =
-            self.views.iter().map(|view| view.record).zip(self.solved()).collect();
+        let known = self.views.solved(&self.records);
         let poses = filled(&self.records, &known, Between::FrontEnd);
         let found: Vec<u32> = known.iter().map(|(record, _)| self.records[*record].trajectory).collect();
         let placed = |(record, pose): (&PoseRecord, &Placement)| PlacedScan {
@@ -342,14 +284,6 @@ impl LocalizingManager {
             detached: if detached_scans > 0 { vec![detached] } else { Vec::new() },
         }
     }
-}
-
-/// Information of a motion of the front end.
-fn drift(motion: &Placement) -> Symmetric {
-    let way_m = hypot(motion.x_m, motion.y_m);
-    let variance = |least: f64, per_m: f64| least * least + per_m * per_m * way_m;
-    let (position, heading) = (1.0 / variance(DRIFT_MIN.0, DRIFT.0), 1.0 / variance(DRIFT_MIN.1, DRIFT.1));
-    [position, 0.0, 0.0, position, 0.0, heading]
 }
 
 #[cfg(test)]
