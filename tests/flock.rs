@@ -155,7 +155,7 @@ fn join_late(world: &str, duration_s: f64, then: impl FnOnce(&mut FlockRobot)) {
     let (met, carried) = (Instant::now(), link.carried());
     // It counts its own records too: what it has received must be as much as the other has recorded.
     late.wait_for_flock("all records", |flock| {
-        flock.robots.len() == 2 && flock.records.0 >= all.records.0 && flock.heard_bytes >= all.records.1
+        flock.robots.len() == 2 && flock.records.0 >= all.records.0 && flock.received_bytes >= all.records.1
     });
     assert!(link.carried() >= all.records.1, "{} bytes came over the slow link", link.carried());
     println!(

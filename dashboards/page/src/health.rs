@@ -73,7 +73,7 @@ pub struct FlockHealth {
     /// Whether this robot is one of at least two of them.
     pub merged: bool,
     /// Bytes of messages received and sent.
-    pub heard_bytes: u64,
+    pub received_bytes: u64,
     /// Bytes of messages said.
     pub said_bytes: u64,
 }

@@ -301,7 +301,7 @@ fn other_robot(robot: &FlockRobot, now_ns: u64) -> OtherRobot {
     OtherRobot {
         name: robot.name().to_owned(),
         map_from_base: numbers(robot.map_from_base),
-        age_s: now_ns.saturating_sub(robot.heard_ns) as f64 * 1e-9,
+        age_s: now_ns.saturating_sub(robot.received_ns) as f64 * 1e-9,
     }
 }
 

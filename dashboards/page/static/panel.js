@@ -118,7 +118,7 @@ export class Panel {
     });
     document.querySelector('#robots').replaceChildren(...rows);
     const size = (bytes) => (bytes < 1e6 ? `${(bytes / 1e3).toFixed(1)} kB` : `${(bytes / 1e6).toFixed(1)} MB`);
-    set(document.querySelector('#flock-traffic'), `${flock.records[0]} records, ${size(flock.records[1])}; received ${size(flock.heard_bytes)}, sent ${size(flock.said_bytes)}`);
+    set(document.querySelector('#flock-traffic'), `${flock.records[0]} records, ${size(flock.records[1])}; received ${size(flock.received_bytes)}, sent ${size(flock.said_bytes)}`);
   }
 
   card(stage) {

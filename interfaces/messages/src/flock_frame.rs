@@ -22,7 +22,7 @@ pub const FLOCK_ROBOTS_MAX: usize = 16;
 
 message! {
     /// Poses of other robots of the flock, as they publish them; sent whenever one of them is received.
-    pub struct FlockRobots = "flockslam/flock-robots/v1" {
+    pub struct FlockRobots = "flockslam/flock-robots/v2" {
         /// Those that are known, `count` of them.
         pub robots: [FlockRobot; FLOCK_ROBOTS_MAX],
         /// How many.
@@ -34,11 +34,11 @@ message! {
 
 message! {
     /// Another robot of the flock.
-    pub struct FlockRobot = "flockslam/flock-robot/v1" {
+    pub struct FlockRobot = "flockslam/flock-robot/v2" {
         /// Where it is in this robot's map.
         pub map_from_base: Pose,
         /// CLOCK_MONOTONIC of its reception, nanoseconds: clocks of other robots are not trusted.
-        pub heard_ns: u64,
+        pub received_ns: u64,
         /// Radius of a circle around it that holds its body, metres.
         pub radius_m: f64,
         /// Its name in the flock, with zeros behind.

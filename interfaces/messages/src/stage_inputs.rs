@@ -5,7 +5,7 @@ use crate::{CommitName, Correction, ScanId};
 
 message! {
     /// What scan-matcher or dynamic-cleaner had in hand when it handled a scan. Nobody waits for it.
-    pub struct StageInputs = "flockslam/stage-inputs/v2" {
+    pub struct StageInputs = "flockslam/stage-inputs/v3" {
         /// The scan.
         pub id: ScanId,
         /// The process: CLOCK_MONOTONIC when it began, nanoseconds.
@@ -31,7 +31,7 @@ message! {
         /// scan-matcher: reason of the verdict.
         pub reason: u32,
         /// scan-matcher: other robots whose poses were known.
-        pub companions: u32,
+        pub flock_robots: u32,
         /// dynamic-cleaner: 1 when it had the scan.
         pub has_scan: u32,
         /// dynamic-cleaner: 1 when the grid that the pose was found in was there.

@@ -42,7 +42,7 @@ pub struct FlockStatus {
     /// Searches for shared places.
     pub searches: u64,
     /// Bytes of messages received.
-    pub heard_bytes: u64,
+    pub received_bytes: u64,
     /// Bytes of messages sent.
     pub said_bytes: u64,
     /// The same by robot, in this order.

@@ -81,7 +81,7 @@ impl<'a> Rerun<'a> {
         self.comparison.late_verdicts += u64::from(inputs.reason == KeepReason::Late as u32);
         self.comparison.overload +=
             u64::from(inputs.keep == 0 && inputs.reason == DropReason::Overload as u32);
-        if inputs.companions > 0 && !self.has_other_robots {
+        if inputs.flock_robots > 0 && !self.has_other_robots {
             self.has_other_robots = true;
             self.comparison.lacks(Gap::OtherRobots { scan: sequence });
         }

@@ -303,7 +303,7 @@ impl Matcher {
         let (correction, flock_robots) = (self.corrections.last.unwrap_or_default(), self.flock_robots_known);
         self.inputs.handled(pose.id, &self.grid, |inputs| {
             (inputs.keep, inputs.reason) = (verdict.keep, verdict.reason);
-            (inputs.correction, inputs.companions) = (correction, flock_robots);
+            (inputs.correction, inputs.flock_robots) = (correction, flock_robots);
         })?;
         // An accepted scan is stored outside of this process before its pose is published.
         let journal = self.journal.as_mut().filter(|_| !failpoint("no-journal"));

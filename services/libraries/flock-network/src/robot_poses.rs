@@ -16,7 +16,7 @@ pub struct RobotPoses {
 impl RobotPoses {
     /// Takes in the pose that a robot publishes; false when that is not used: it is not newer than the last, or nobody knows how
     /// its map is.
-    pub fn insert(&mut self, presence: Presence, heard_ns: u64, common: &Common) -> bool {
+    pub fn insert(&mut self, presence: Presence, received_ns: u64, common: &Common) -> bool {
         self.newest.retain(|_, (known, _)| common.place_of(known).is_some());
         let known = self.newest.get(&presence.robot);
         let is_new = known.is_none_or(|(known, _)| presence.is_newer_than(known));
@@ -24,20 +24,20 @@ impl RobotPoses {
         if !is_new || !has_room || common.place_of(&presence).is_none() {
             return false;
         }
-        self.newest.insert(presence.robot.clone(), (presence, heard_ns));
+        self.newest.insert(presence.robot.clone(), (presence, received_ns));
         true
     }
 
     /// Where they are in this robot's map, given the pose of that map in the flock's. `radius_m` is that of a body.
     pub fn in_map(&self, common: &Common, flock_from_map: Pose, radius_m: f64) -> FlockRobots {
         let mut robots = FlockRobots::default();
-        let places = self.newest.values().filter_map(|(presence, heard_ns)| {
+        let places = self.newest.values().filter_map(|(presence, received_ns)| {
             let map_from_base =
                 flock_from_map.inverse() * common.place_of(presence)? * presence.odom_from_base;
             let mut name = [0; 32];
             let text = presence.robot.name().as_bytes();
             name[..text.len()].copy_from_slice(text);
-            Some(FlockRobot { map_from_base, heard_ns: *heard_ns, radius_m, name })
+            Some(FlockRobot { map_from_base, received_ns: *received_ns, radius_m, name })
         });
         for (robot, place) in robots.robots.iter_mut().zip(places) {
             *robot = place;
@@ -65,7 +65,7 @@ mod tests {
         assert!(!poses.insert(says(&b, 5, 4), 8, &common) && !poses.insert(says(&b, 4, 4), 8, &common));
         let published = poses.in_map(&common, pose(100.0), 0.4);
         let [robot] = published.as_slice() else { panic!("{published:?}") };
-        assert_eq!((robot.name(), robot.heard_ns, robot.radius_m), ("b", 7, 0.4));
+        assert_eq!((robot.name(), robot.received_ns, robot.radius_m), ("b", 7, 0.4));
         assert!((robot.map_from_base.x_m + 79.0).abs() < 1e-9, "{robot:?}");
         // The submap that it is in is not known yet: the one before it is the best reference.
         assert!(poses.insert(says(&b, 6, 2), 9, &common));

@@ -24,7 +24,7 @@ impl ScanMatcher {
         let base_from_odom = pose.inverse();
         let now_ns = scan.header().times.monotonic_ns;
         for robot in self.flock_robots.as_slice() {
-            let age_s = now_ns.saturating_sub(robot.heard_ns) as f64 * 1e-9;
+            let age_s = now_ns.saturating_sub(robot.received_ns) as f64 * 1e-9;
             if age_s > AGE_MAX_S {
                 continue;
             }

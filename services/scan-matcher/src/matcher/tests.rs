@@ -429,11 +429,11 @@ fn without_a_grid_odometry_is_followed() {
 }
 
 /// A robot of the flock whose published pose is that of the pillar.
-fn robot_at_the_pillar(heard_ns: u64) -> FlockRobots {
+fn robot_at_the_pillar(received_ns: u64) -> FlockRobots {
     let mut robots = FlockRobots { count: 1, ..FlockRobots::default() };
     robots.robots[0] = FlockRobot {
         map_from_base: Pose::new(2.7, 1.2, 0.0) * Pose::new(0.0, 0.0, 1.0),
-        heard_ns,
+        received_ns,
         radius_m: 0.35,
         name: *b"other\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0",
     };
@@ -443,22 +443,22 @@ fn robot_at_the_pillar(heard_ns: u64) -> FlockRobots {
 #[test]
 fn another_robot_that_stands_at_a_wall_is_set_aside_where_it_says_that_it_is() {
     let mut front_end = FrontEnd::new(Settings::default());
-    let heard_ns = 5_000_000_000;
+    let received_ns = 5_000_000_000;
     let see = |front_end: &mut FrontEnd, i: u64, now_ns: u64| {
         let mut scan = look(i, truth(i), Some(truth(i)));
         scan.header.times.monotonic_ns = now_ns;
         front_end.step(&scan, true);
         front_end.matcher.moving_beams().to_vec()
     };
-    (0..40).for_each(|i| assert_eq!(see(&mut front_end, i, heard_ns), []));
+    (0..40).for_each(|i| assert_eq!(see(&mut front_end, i, received_ns), []));
     let there = truth(40);
-    front_end.matcher.set_flock_robots(&robot_at_the_pillar(heard_ns));
-    let [seen] = see(&mut front_end, 40, heard_ns + 100_000_000)[..] else { panic!("one range") };
+    front_end.matcher.set_flock_robots(&robot_at_the_pillar(received_ns));
+    let [seen] = see(&mut front_end, 40, received_ns + 100_000_000)[..] else { panic!("one range") };
     let bearing = (1.2 - there.y_m).atan2(2.7 - there.x_m) - there.heading_rad;
     let middle = ((bearing + 3.0) / 0.02).round() as u32;
     assert!(seen.first < middle && middle < seen.end && seen.end - seen.first < 30, "{seen:?} {middle}");
     // Its last message is too old.
-    assert_eq!(see(&mut front_end, 41, heard_ns + 3_000_000_000), []);
+    assert_eq!(see(&mut front_end, 41, received_ns + 3_000_000_000), []);
 }
 
 #[test]

@@ -50,7 +50,7 @@ impl FlockExchange {
                 [x_m, y_m, heading_rad]
             }),
             searches: flock.searches(),
-            heard_bytes: traffic.values().map(|(received, _)| received).sum(),
+            received_bytes: traffic.values().map(|(received, _)| received).sum(),
             said_bytes: traffic.values().map(|(_, sent)| sent).sum(),
             traffic,
             across: self.common.across,
