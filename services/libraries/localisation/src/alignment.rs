@@ -3,7 +3,7 @@
 use crate::place_field::{MUCH_UNKNOWN, UNKNOWN};
 use crate::surface_lines::SurfaceLines;
 use crate::{KnownMap, PlaceField};
-use flockslam_evidence::CellState;
+use flockslam_evidence::{CellState, floor};
 use flockslam_geometry::elementary::{atan2, hypot, sin_cos};
 use flockslam_pose_graph::{Symmetric, inverse, times};
 use flockslam_registration::cloud::Placement;
@@ -155,7 +155,8 @@ impl Surroundings {
     pub fn fit(&self, points: &[SeenPoint], guess: Placement, prior: &Symmetric) -> Option<Fit> {
         let mut at = guess;
         let open = self.sums(points, &at, GATES_M.0).open_direction();
-        for step in 0..STEPS {
+        let mut step = 0;
+        while step < STEPS {
             let is_first_half = 2 * step < STEPS;
             let gate_m = if is_first_half { GATES_M.0 } else { GATES_M.1 };
             let sums = self.sums(points, &at, gate_m).without(open);
@@ -172,9 +173,11 @@ impl Surroundings {
             let delta = [bounded(delta[0], 0.3), bounded(delta[1], 0.3), bounded(delta[2], 0.2)];
             at = Placement::new(at.x_m - delta[0], at.y_m - delta[1], at.heading_rad - delta[2]);
             let is_small = delta[0] * delta[0] + delta[1] * delta[1] < 1e-8 && delta[2].abs() < 1e-5;
-            if is_small && !is_first_half {
-                break;
-            }
+            step = match (is_small, is_first_half) {
+                (true, true) => STEPS / 2,
+                (true, false) => break,
+                (false, _) => step + 1,
+            };
         }
         let sums = self.sums(points, &at, GATES_M.1).without(open);
         (sums.inliers > 0).then(|| Fit {
@@ -258,13 +261,13 @@ fn seen_through(map: &KnownMap, point: &SeenPoint, map_from_cloud: &Placement) -
     let to = map_from_cloud.apply(point.x_m, point.y_m);
     let (dx, dy) = (to.0 - from.0, to.1 - from.1);
     let range_m = hypot(dx, dy);
-    let steps = ((range_m - BEFORE_M) / BEAM_STEP_M).floor().max(0.0) as u32;
+    let steps = floor((range_m - BEFORE_M) / BEAM_STEP_M).max(0) as u32;
     let (dx, dy) = (dx / range_m * BEAM_STEP_M, dy / range_m * BEAM_STEP_M);
     let at = |step: u32| (from.0 + dx * f64::from(step), from.1 + dy * f64::from(step));
     // A beam that grazes a corner meets it in a step or two.
     let mut met = (2..steps).map(at).filter(|at| map.at(at.0, at.1).state == CellState::Occupied);
     let (first, _) = (met.next()?, met.next()?);
-    let square = |metres: f64| (metres * (1.0 / THROUGH_M)).floor() as i32;
+    let square = |metres: f64| floor(metres * (1.0 / THROUGH_M));
     Some((square(first.0), square(first.1)))
 }
 

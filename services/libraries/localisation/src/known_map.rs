@@ -1,7 +1,7 @@
 //! The known map: a grid of free, occupied and unknown cells with the distance to the nearest occupied one, read only.
 
 use crate::scattered_returns::scattered_returns;
-use flockslam_evidence::CellState;
+use flockslam_evidence::{CellState, floor};
 use flockslam_geometry::Point;
 
 /// Distances are kept up to this many steps …
@@ -194,13 +194,13 @@ impl KnownMap {
     /// Column of an x coordinate, metres; it need not lie in the map.
     #[inline]
     pub fn column(&self, x_m: f64) -> i64 {
-        ((x_m - self.origin.x_m) / self.cell_size_m).floor() as i64
+        i64::from(floor((x_m - self.origin.x_m) / self.cell_size_m))
     }
 
     /// Row of a y coordinate, metres; it need not lie in the map.
     #[inline]
     pub fn row(&self, y_m: f64) -> i64 {
-        ((y_m - self.origin.y_m) / self.cell_size_m).floor() as i64
+        i64::from(floor((y_m - self.origin.y_m) / self.cell_size_m))
     }
 
     /// Middle of a cell in the map frame, metres.

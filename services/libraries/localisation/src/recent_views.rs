@@ -1,6 +1,7 @@
 //! What the robot has seen over its last metres, as one cloud by its odometry.
 
 use crate::SeenPoint;
+use flockslam_evidence::floor;
 use flockslam_geometry::elementary::{atan2, hypot};
 use flockslam_registration::cloud::{PackedPoint, Placement};
 use std::collections::VecDeque;
@@ -160,7 +161,7 @@ impl Panorama {
 
 /// Direction as the number of a step of a turn, and distance.
 fn polar(x_m: f64, y_m: f64) -> (usize, f32) {
-    let step = (atan2(y_m, x_m) * (DIRECTIONS as f64 / TAU)).floor() as isize;
+    let step = floor(atan2(y_m, x_m) * (DIRECTIONS as f64 / TAU)) as isize;
     (step.rem_euclid(DIRECTIONS as isize) as usize, hypot(x_m, y_m) as f32)
 }
 
@@ -172,7 +173,7 @@ fn evenly(points: Vec<SeenPoint>, most: usize) -> Vec<SeenPoint> {
 
 /// The mean of the points in each square, in order of squares; the last view of each gives the viewpoint.
 fn cell_means(points: &[SeenPoint]) -> Vec<SeenPoint> {
-    let key = |v: f64| (v * (1.0 / CELL_M)).floor() as i32;
+    let key = |v: f64| floor(v * (1.0 / CELL_M));
     let mut cells: Vec<(i32, i32, usize)> =
         points.iter().enumerate().map(|(i, p)| (key(p.y_m), key(p.x_m), i)).collect();
     cells.sort_unstable();

@@ -2,7 +2,7 @@
 //! thin wall.
 
 use crate::KnownMap;
-use flockslam_evidence::CellState;
+use flockslam_evidence::{CellState, floor};
 use flockslam_geometry::Point;
 use flockslam_geometry::elementary::{atan2, hypot, sin_cos};
 
@@ -126,8 +126,8 @@ impl SurfaceLines {
     /// The line nearest to a point of the map frame that is seen along `view`, among the lines of its cell and of those around it.
     #[inline]
     pub(crate) fn near(&self, x_m: f64, y_m: f64, view: (f64, f64)) -> Option<SurfaceLine> {
-        let column = ((x_m - self.origin.x_m) / self.cell_m).floor() as i64;
-        let row = ((y_m - self.origin.y_m) / self.cell_m).floor() as i64;
+        let column = i64::from(floor((x_m - self.origin.x_m) / self.cell_m));
+        let row = i64::from(floor((y_m - self.origin.y_m) / self.cell_m));
         let (mut nearest, mut least) = (None, f64::INFINITY);
         for (c, r) in (row - 1..=row + 1).flat_map(|r| (column - 1..=column + 1).map(move |c| (c, r))) {
             for line in self.of_cell(c, r) {
