@@ -6,13 +6,13 @@
 use super::surroundings::prior;
 use crate::prediction::{Prediction, SLIP_COST};
 use flockslam_geometry::elementary::hypot;
-use flockslam_geometry::{Covariance, Point, Pose, Twist};
+use flockslam_geometry::{Covariance, Point, Pose, Twist, wrap_angle};
 use flockslam_messages::ScanView;
 use flockslam_registration::SurfaceMap;
 
-/// A change of the turn by odometry that is greater than this may be a slip, rad/s: wheels on a floor turn a robot by so much within two
-/// scans too, which the scans then show.
-const SURPRISE_RAD_S: f64 = 0.15;
+/// A turn by odometry that is faster than the one before by more than this may be a slip, rad/s: wheels on a floor turn a robot by so much within
+/// two scans too, which the scans then show. A robot whose wheels stop to turn it does not go on turning.
+const SURPRISE_RAD_S: f64 = 0.08;
 /// Scans farther apart than this, seconds, show a change in one step.
 const SLOW_S: f64 = 0.25;
 /// A robot that goes on as before does so within these standard deviations, m/s and rad/s.
@@ -25,8 +25,13 @@ const TRAVEL_MAX_M: f64 = 2.5;
 const SAME: (f64, f64) = (0.1, 0.02);
 /// Odometry must hold less than this share of the points that the alternative holds.
 const POOR_SHARE: f64 = 0.6;
+/// Where so much speaks for the alternative, a greater share is enough: wide surfaces hold many points of a robot that is turned by several degrees.
+const CLEAR_GAIN: f64 = 60.0;
+const CLEAR_SHARE: f64 = 0.85;
+/// A robot that has turned by more than this share of its field of view is not judged: much of what it sees was not seen before.
+const VIEW_SHARE: f64 = 0.33;
 /// Standard deviations of a pose that an alternative gives, metres where the velocity gives none, and radians.
-const SIGMA: (f64, f64) = (0.1, 0.05);
+const SIGMA: (f64, f64) = (0.1, 0.15);
 
 /// A scan as it was placed.
 #[derive(Clone, Copy, Debug)]
@@ -46,10 +51,15 @@ struct Alternative {
     twist: Twist,
     /// Logarithm of the ratio of the likelihoods, of both motions and of the scans since.
     gain: f64,
-    /// Points on surfaces, there and by odometry.
+    /// Points on surfaces, there and by odometry, and all points.
     held: [f64; 2],
+    points: f64,
     travel_m: f64,
     was_right: bool,
+    /// The slip is over: odometry shows its motion again.
+    follows: bool,
+    /// Heading before the slip, radians.
+    begin_rad: f64,
 }
 
 /// A scan while it is open how the robot moved.
@@ -77,11 +87,6 @@ impl SlipWatch {
         *self = Self::default();
     }
 
-    /// Odometry is right here.
-    pub(super) fn clear_alternative(&mut self) {
-        self.alternative = None;
-    }
-
     /// Whether it is open how the robot moved.
     pub(super) fn is_undecided(&self) -> bool {
         self.alternative.is_some()
@@ -106,13 +111,16 @@ impl SlipWatch {
         step
     }
 
-    /// The prediction of a scan with these points (frame of the robot), or that of the alternative if it explains the scans better.
+    /// The prediction of a scan with these points (frame of the robot), or that of the alternative if it explains the scans better. Unless
+    /// much speaks for it, it has to hold at least `share_min` of their points. `view_rad` is the lidar's field of view.
     pub(super) fn decide(
         &mut self,
         step: SlipStep,
         points: &[Point],
         map: &SurfaceMap,
         prediction: Prediction,
+        share_min: f64,
+        view_rad: f64,
     ) -> Prediction {
         let SlipStep { alternative, odometry_step, step_s } = step;
         if points.is_empty() || map.is_empty() {
@@ -120,22 +128,36 @@ impl SlipWatch {
             self.alternative = Some(Alternative { pose, ..alternative });
             return prediction;
         }
-        let usual = prior(prediction.pose, prediction.step);
-        let ours = map.explained(points, &usual);
+        let turned_rad = wrap_angle(prediction.pose.heading_rad - alternative.begin_rad).abs();
+        if turned_rad > VIEW_SHARE * view_rad {
+            self.alternative = None;
+            return prediction;
+        }
+        let explained = |pose: Pose, step: Covariance| map.explained(points, &prior(pose, step));
+        let ours = explained(prediction.pose, prediction.step);
         let goes_on = alternative.pose * alternative.twist.motion_after(step_s);
         let steady = Covariance::diagonal(STEADY_SIGMA.0 * step_s, STEADY_SIGMA.1 * step_s);
         let [coasting, following] = [(goes_on, steady), (alternative.pose * odometry_step, prediction.step)]
-            .map(|(pose, step)| map.explained(points, &prior(pose, step)));
-        let theirs = if following.cost < coasting.cost { following } else { coasting };
+            .map(|(pose, step)| explained(pose, step));
+        // A slip begins with a motion that odometry does not show.
+        let begins = alternative.points == 0.0 && !alternative.was_right;
+        let follows = !begins && (alternative.follows || following.cost < coasting.cost);
+        let theirs = if follows { following } else { coasting };
         let now = Alternative {
             pose: theirs.pose,
             gain: alternative.gain + ours.cost - theirs.cost,
             held: [alternative.held[0] + theirs.weights, alternative.held[1] + ours.weights],
+            points: alternative.points + points.len() as f64,
+            follows,
             ..alternative
         };
         let cost = if now.was_right { AGAIN_COST } else { SLIP_COST };
-        if now.gain >= cost && now.held[1] < POOR_SHARE * now.held[0] {
-            self.alternative = Some(Alternative { gain: 0.0, held: [0.0; 2], was_right: true, ..now });
+        let is_poor = |share: f64| now.held[1] < share * now.held[0];
+        let is_held = is_poor(POOR_SHARE) && now.held[0] >= share_min * now.points
+            || now.gain >= CLEAR_GAIN && is_poor(CLEAR_SHARE);
+        if now.gain >= cost && is_held {
+            self.alternative =
+                Some(Alternative { gain: 0.0, held: [0.0; 2], points: 0.0, was_right: true, ..now });
             let sigma_m = prediction.coasting.map_or(SIGMA.0, |coasting| coasting.sigma_m);
             let covariance = Covariance::diagonal(sigma_m, SIGMA.1);
             let twist = Twist { turn_rad_s: now.twist.turn_rad_s, ..prediction.twist };
@@ -173,15 +195,20 @@ impl SlipWatch {
         }
         let before = if step_s > SLOW_S { Some(last) } else { self.last[1] }?;
         let turn_rad_s = Twist::from_motion(odometry_step, step_s).turn_rad_s;
-        let surprises = (turn_rad_s - before.twist.turn_rad_s).abs() > SURPRISE_RAD_S;
+        let before_rad_s = before.twist.turn_rad_s;
+        let surprises =
+            (turn_rad_s - before_rad_s).abs() > SURPRISE_RAD_S && turn_rad_s.abs() > before_rad_s.abs();
         let until_last_s = if step_s > SLOW_S { 0.0 } else { before.seconds_to(last.stamp_ns)? };
         let alternative = Alternative {
             pose: before.pose * before.twist.motion_after(until_last_s),
             twist: before.twist,
             gain: 0.0,
             held: [0.0; 2],
+            points: 0.0,
             travel_m,
             was_right: false,
+            follows: false,
+            begin_rad: before.pose.heading_rad,
         };
         surprises.then_some(SlipStep { alternative, odometry_step, step_s })
     }
