@@ -10,11 +10,13 @@ use flockslam_geometry::{Covariance, Point, Pose, Twist, wrap_angle};
 use flockslam_messages::ScanView;
 use flockslam_registration::SurfaceMap;
 
-/// A turn by odometry that is faster than the one before by more than this may be a slip, rad/s: wheels on a floor turn a robot by so much within
-/// two scans too, which the scans then show. A robot whose wheels stop to turn it does not go on turning.
-const SURPRISE_RAD_S: f64 = 0.08;
-/// Scans farther apart than this, seconds, show a change in one step.
+/// A change of the turn by odometry that is greater than this may be a slip, rad/s: wheels on a floor turn a robot by so much within two
+/// scans too, which the scans then show. A robot whose wheels turn it less than before does not go on turning.
+const SURPRISE_RAD_S: f64 = 0.15;
+/// Scans farther apart than this, seconds, show a change in one step, and of the first scan of a slip only a part …
 const SLOW_S: f64 = 0.25;
+/// … so a smaller change counts, rad/s.
+const SLOW_SURPRISE_RAD_S: f64 = 0.08;
 /// A robot that goes on as before does so within these standard deviations, m/s and rad/s.
 const STEADY_SIGMA: (f64, f64) = (0.1, 0.1);
 /// A second assumption of a slip, soon after the first was confirmed, costs less.
@@ -139,9 +141,10 @@ impl SlipWatch {
         let steady = Covariance::diagonal(STEADY_SIGMA.0 * step_s, STEADY_SIGMA.1 * step_s);
         let [coasting, following] = [(goes_on, steady), (alternative.pose * odometry_step, prediction.step)]
             .map(|(pose, step)| explained(pose, step));
-        // A slip begins with a motion that odometry does not show.
-        let begins = alternative.points == 0.0 && !alternative.was_right;
-        let follows = !begins && (alternative.follows || following.cost < coasting.cost);
+        // A slip begins with a motion that odometry does not show, and ends once. Scans that follow fast do not tell when.
+        let begins = alternative.points == 0.0 && !alternative.was_right && step_s > SLOW_S;
+        let is_over = alternative.follows && step_s > SLOW_S;
+        let follows = !begins && (is_over || following.cost < coasting.cost);
         let theirs = if follows { following } else { coasting };
         let now = Alternative {
             pose: theirs.pose,
@@ -196,8 +199,9 @@ impl SlipWatch {
         let before = if step_s > SLOW_S { Some(last) } else { self.last[1] }?;
         let turn_rad_s = Twist::from_motion(odometry_step, step_s).turn_rad_s;
         let before_rad_s = before.twist.turn_rad_s;
-        let surprises =
-            (turn_rad_s - before_rad_s).abs() > SURPRISE_RAD_S && turn_rad_s.abs() > before_rad_s.abs();
+        let slows_down = turn_rad_s * before_rad_s > 0.0 && turn_rad_s.abs() < before_rad_s.abs();
+        let least_rad_s = if step_s > SLOW_S { SLOW_SURPRISE_RAD_S } else { SURPRISE_RAD_S };
+        let surprises = (turn_rad_s - before_rad_s).abs() > least_rad_s && !slows_down;
         let until_last_s = if step_s > SLOW_S { 0.0 } else { before.seconds_to(last.stamp_ns)? };
         let alternative = Alternative {
             pose: before.pose * before.twist.motion_after(until_last_s),
