@@ -16,7 +16,7 @@ const BUILDING_HASH: &str = "614d61abf500";
 const LOG_HASHES: [(Log, &str, &str); 3] = [
     (INTEL, "e25282f72b1b", "63a147ce07fd"),
     (FR079, "29bedc24acd9", "20425630eea5"),
-    (ACES, "fc2cd1c7fed2", "3d599c720701"),
+    (ACES, "fc2cd1c7fed2", "0df92101448b"),
 ];
 
 /// Functions of the system's library whose last bits differ between processors.

@@ -17,7 +17,7 @@ use flockslam_results::LocalisationSummary;
 const VIEW_M: f64 = 0.05;
 const VIEW_RAD: f64 = 0.05;
 /// Views, and poses, after which the older half of the drive gets its final poses.
-const VIEWS_MAX: usize = 4000;
+const VIEWS_MAX: usize = 1200;
 const RECORDS_MAX: usize = 40_000;
 /// What a published pose in the map is worth as a measurement after a restart: standard deviations, metres and radians.
 const PUBLISHED_SIGMA: (f64, f64) = (0.03, 0.01);

@@ -11,11 +11,11 @@ use flockslam_messages::ScanView;
 use flockslam_registration::SurfaceMap;
 
 /// A change of the turn by odometry that is greater than this may be a slip, rad/s: wheels on a floor turn a robot by so much within two
-/// scans too, which the scans then show. A robot whose wheels turn it less than before does not go on turning.
+/// scans too, which the scans then show.
 const SURPRISE_RAD_S: f64 = 0.15;
 /// Scans farther apart than this, seconds, show a change in one step, and of the first scan of a slip only a part …
 const SLOW_S: f64 = 0.25;
-/// … so a smaller change counts, rad/s.
+/// … so a smaller change counts, rad/s; but a robot whose wheels turn it less than before does not go on turning.
 const SLOW_SURPRISE_RAD_S: f64 = 0.08;
 /// A robot that goes on as before does so within these standard deviations, m/s and rad/s.
 const STEADY_SIGMA: (f64, f64) = (0.1, 0.1);
@@ -30,7 +30,7 @@ const POOR_SHARE: f64 = 0.6;
 /// Where so much speaks for the alternative, a greater share is enough: wide surfaces hold many points of a robot that is turned by several degrees.
 const CLEAR_GAIN: f64 = 60.0;
 const CLEAR_SHARE: f64 = 0.85;
-/// A robot that has turned by more than this share of its field of view is not judged: much of what it sees was not seen before.
+/// Among plants a robot that has turned by more than this share of its field of view is not judged: much of what it sees was not seen before.
 const VIEW_SHARE: f64 = 0.33;
 /// Standard deviations of a pose that an alternative gives, metres where the velocity gives none, and radians.
 const SIGMA: (f64, f64) = (0.1, 0.15);
@@ -131,7 +131,7 @@ impl SlipWatch {
             return prediction;
         }
         let turned_rad = wrap_angle(prediction.pose.heading_rad - alternative.begin_rad).abs();
-        if turned_rad > VIEW_SHARE * view_rad {
+        if share_min > 0.0 && turned_rad > VIEW_SHARE * view_rad {
             self.alternative = None;
             return prediction;
         }
@@ -199,9 +199,13 @@ impl SlipWatch {
         let before = if step_s > SLOW_S { Some(last) } else { self.last[1] }?;
         let turn_rad_s = Twist::from_motion(odometry_step, step_s).turn_rad_s;
         let before_rad_s = before.twist.turn_rad_s;
-        let slows_down = turn_rad_s * before_rad_s > 0.0 && turn_rad_s.abs() < before_rad_s.abs();
-        let least_rad_s = if step_s > SLOW_S { SLOW_SURPRISE_RAD_S } else { SURPRISE_RAD_S };
-        let surprises = (turn_rad_s - before_rad_s).abs() > least_rad_s && !slows_down;
+        let change_rad_s = (turn_rad_s - before_rad_s).abs();
+        let surprises = if step_s > SLOW_S {
+            let slows_down = turn_rad_s * before_rad_s > 0.0 && turn_rad_s.abs() < before_rad_s.abs();
+            change_rad_s > SLOW_SURPRISE_RAD_S && !slows_down
+        } else {
+            change_rad_s > SURPRISE_RAD_S
+        };
         let until_last_s = if step_s > SLOW_S { 0.0 } else { before.seconds_to(last.stamp_ns)? };
         let alternative = Alternative {
             pose: before.pose * before.twist.motion_after(until_last_s),
