@@ -179,7 +179,7 @@ fn a_robot_that_turns_among_plants_keeps_its_heading() {
     assert!(error.rmse < TURN_ERROR_M, "{} m", error.rmse);
 }
 
-/// Wheels that turn by up to 40° within a second while the robot drives straight on: 9.5 m where only surfaces that repeat showed it.
+/// Wheels that show turns of up to 46° a second which the robot does not make: 9.5 m where only surfaces that repeat showed it.
 #[test]
 fn on_a_campus_wheels_that_slip_do_not_turn_the_robot() {
     let error_m = |seed: u64| {

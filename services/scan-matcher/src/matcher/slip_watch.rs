@@ -143,8 +143,8 @@ impl SlipWatch {
             .map(|(pose, step)| explained(pose, step));
         // A slip begins with a motion that odometry does not show, and ends once. Scans that follow fast do not tell when.
         let begins = alternative.points == 0.0 && !alternative.was_right && step_s > SLOW_S;
-        let is_over = alternative.follows && step_s > SLOW_S;
-        let follows = !begins && (is_over || following.cost < coasting.cost);
+        let has_ended = alternative.follows && step_s > SLOW_S;
+        let follows = !begins && (has_ended || following.cost < coasting.cost);
         let theirs = if follows { following } else { coasting };
         let now = Alternative {
             pose: theirs.pose,
