@@ -2,7 +2,7 @@
 
 use crate::support;
 use crate::support::machine_share;
-use crate::support::{Drive, LiveSet, PoseWatch, of, send, truth_error_m, wait_for};
+use crate::support::{Drive, LiveSet, PoseWatch, of, send, truth_error_m, truth_offsets_m, wait_for};
 use flockslam::store::SavedMap;
 use flockslam::supervisor::{SetState, StageState};
 use flockslam_bus::RuntimeDir;
@@ -286,4 +286,25 @@ fn a_sync_manager_that_no_pose_reaches_is_replaced_and_loses_none() {
     let lines = outputs.lines("trajectory.tum").len();
     println!("{lines} of {} scans", drive.scans());
     assert!(lines * 100 >= drive.scans() * 98, "{lines} poses");
+}
+
+/// While sync-manager is held up, more poses wait for it than scans.
+#[test]
+fn scans_that_have_left_the_queue_before_their_turn_are_placed_from_the_journal() {
+    machine_share::mostly_waits();
+    let directory = tempfile::tempdir().unwrap();
+    let drive = Drive { scan_rate_hz: 10.0, duration_s: 80.0, rate: 4.0 };
+    // There it turns, and its wheels slip.
+    let seed = ["--set", "simulation.seed=2"].map(str::to_owned);
+    let mut set = LiveSet::start_with_failpoints("held-up", directory.path(), drive, "", &seed, "");
+    let before = of(&set.wait_until_handled(Stage::SyncManager, 340), Stage::ScanMatcher).handled;
+    let held_up = set.pid(Stage::SyncManager);
+    send(held_up, Signal::STOP);
+    set.wait_until_handled(Stage::ScanMatcher, before + 110);
+    send(held_up, Signal::CONT);
+    let outputs = set.finish();
+    let worst_m = truth_offsets_m(&outputs, outputs.frame_from_truth(), 0.0).into_iter().fold(0.0, f64::max);
+    println!("{worst_m} m from the truth at most");
+    assert_eq!(outputs.report.stages["sync-manager"].restarts, 0);
+    assert!(worst_m < 0.1, "{worst_m}");
 }

@@ -348,7 +348,10 @@ impl SyncProcess {
         }
         let started_ns = context.now_ns();
         let sample = self.join.scans.take(sequence);
-        let scan = sample.as_ref().and_then(|sample| sample.view().ok());
+        let stored =
+            if sample.is_none() && pose.has(PoseFlags::INSERT) { self.stored_scan(sequence)? } else { None };
+        let received = sample.as_ref().and_then(|sample| sample.view().ok());
+        let scan = received.or(stored.as_ref().and_then(|scan| scan.view().ok()));
         scan.into_iter().for_each(|scan| context.probe_scan(scan));
         // They were sent before their pose, so they have arrived.
         self.moving_beams.drain()?;

@@ -1,6 +1,7 @@
 //! What the journal has and this process has not received: the state of a predecessor, and poses that were missed.
 
 use super::SyncProcess;
+use flockslam_messages::ScanBuffer;
 use flockslam_stage::{Mode, StageContext, StageError};
 use flockslam_telemetry::failpoint;
 use std::fs::File;
@@ -59,6 +60,17 @@ impl SyncProcess {
             self.join.expected = record.pose.id.sequence + 1;
         }
         Ok(())
+    }
+
+    /// The scan with this pose from the journal, which has all that have entered the map. After a long search the poses that wait reach
+    /// further back than the scans that wait.
+    pub(super) fn stored_scan(&mut self, sequence: u64) -> Result<Option<ScanBuffer>, StageError> {
+        while let Some(record) = self.journal.read_before(sequence + 1)? {
+            if record.pose.id.sequence == sequence {
+                return Ok(record.scan);
+            }
+        }
+        Ok(None)
     }
 
     /// Takes in the rest of the journal. Gives the number of its poses.
