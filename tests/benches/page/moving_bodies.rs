@@ -15,8 +15,8 @@ use flockslam_simulation::{Settings, Simulation, World};
 use std::path::Path;
 use std::time::Instant;
 
-/// Seeds of the drives of a patient page.
-const SEEDS: u64 = 10;
+/// Seeds of the drives of a patient page: whose errors are compared, and whose maps are, cell by cell, which takes longer.
+const SEEDS: (u64, u64) = (20, 4);
 /// Drives whose tracks are counted.
 const DRIVES: u64 = 12;
 /// Noises that the published experiment is repeated with.
@@ -36,7 +36,7 @@ pub fn movers(bench: &mut Bench) -> String {
 
 /// Maps of moving worlds without the traces of what moves.
 pub fn worlds(bench: &mut Bench) -> String {
-    let seeds = if bench.plan.patient { SEEDS } else { 1 };
+    let (seeds, map_seeds) = if bench.plan.patient { SEEDS } else { (1, 1) };
     let mut table = Table::new([
         "building",
         "walkers",
@@ -63,7 +63,7 @@ pub fn worlds(bench: &mut Bench) -> String {
         };
         let alone_m = error_m(0);
         for walkers in WALKERS {
-            let figures: Vec<_> = (1..=seeds)
+            let figures: Vec<_> = (1..=map_seeds)
                 .map(|seed| {
                     let drive = MovingDrive { map: Some(map.clone()), settings: with_movers(seed, walkers) };
                     drive.figures(&drive.run(&[]))
@@ -89,7 +89,7 @@ pub fn worlds(bench: &mut Bench) -> String {
     format!(
         "Maps of drives through real buildings with six doors and four pallets that come and go, cell by cell against exact truth: SA – cells of the world itself that the map shows, of those \
          that a map shows from which nothing is removed; DA – of cells that something has left and that were viewed free three times since, those that the map does not show as occupied; means \
-         over {seeds} seeds. Asked: SA ≥ 99.5, DA ≥ 95, HA ≥ 97. ATE: of the same drives with walkers alone; asked: at most 1.2 times that without anybody.\n\n{table}"
+         over {map_seeds} seeds. Asked: SA ≥ 99.5, DA ≥ 95, HA ≥ 97. ATE: of such drives with walkers alone, means over {seeds} seeds; asked: at most 1.2 times that without anybody.\n\n{table}"
     )
 }
 
