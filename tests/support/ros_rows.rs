@@ -6,7 +6,7 @@ use serde_json::Value;
 /// map → odom is stamped so much ahead of its scan.
 pub const AHEAD_NS: i64 = 200_000_000;
 /// Without poses the last correction is repeated for a second; its stamps go on for so long.
-const REPEATED_MAX_NS: i64 = 1_500_000_000;
+pub const REPEATED_MAX_NS: i64 = 1_500_000_000;
 /// A pose that is put together of odometry and correction is that of the scan, metres.
 const COMPOSED_MAX_M: f64 = 1e-3;
 
