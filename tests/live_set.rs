@@ -294,7 +294,7 @@ fn scans_that_have_left_the_queue_before_their_turn_are_placed_from_the_journal(
     machine_share::mostly_waits();
     let directory = tempfile::tempdir().unwrap();
     let drive = Drive { scan_rate_hz: 10.0, duration_s: 80.0, rate: 4.0 };
-    // There it turns, and its wheels slip.
+    // There the robot turns, and without its scans its poses follow odometry.
     let seed = ["--set", "simulation.seed=2"].map(str::to_owned);
     let mut set = LiveSet::start_with_failpoints("held-up", directory.path(), drive, "", &seed, "");
     let before = of(&set.wait_until_handled(Stage::SyncManager, 340), Stage::ScanMatcher).handled;

@@ -33,10 +33,11 @@ fn a_robot_in_a_graph_of_rmw_zenoh_is_served() {
         (rows(&noted, "sent"), rows(&noted, "poses"), rows(&noted, "corrections"));
     assert_eq!(poses.len(), sent.len(), "no scan is lost");
     assert!(corrections.is_sorted_by(|a, b| a.0 < b.0), "no stamp comes twice");
-    // What is published before a subscription is known at the publisher does not come (one run of twenty): of the first scans only.
+    // In one run of twenty no correction had come to the robot for the first scan; why is not known. All later scans must have theirs.
     let first_ns = corrections.first().expect("corrections come").0;
     let unreached = sent.iter().take_while(|scan| scan.0 + AHEAD_NS + REPEATED_MAX_NS <= first_ns).count();
-    assert!(unreached < 20, "{unreached} scans without a correction");
+    println!("{unreached} first scans without a correction");
+    assert!(unreached < 20, "{unreached} first scans without a correction");
     let mut delays_ms: Vec<f64> = sent
         .iter()
         .zip(&poses)

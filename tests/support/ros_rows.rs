@@ -29,5 +29,11 @@ pub fn assert_composed((scan_ns, odom_from_base, _): &Row, pose: Pose, correctio
     let is_own =
         |row: &&Row| times.contains(&row.0) && (row.1 * *odom_from_base).distance_m(pose) < COMPOSED_MAX_M;
     let own = corrections.iter().find(is_own);
-    own.unwrap_or_else(|| panic!("no correction leads from {odom_from_base:?} to {pose:?} at {scan_ns}; {} of them, the first {:?}", corrections.len(), corrections.first())).2
+    let missing = || {
+        let (count, first) = (corrections.len(), corrections.first());
+        panic!(
+            "no correction of {count}, the first {first:?}, leads from {odom_from_base:?} to {pose:?} at {scan_ns}"
+        )
+    };
+    own.unwrap_or_else(missing).2
 }

@@ -87,9 +87,9 @@ mod tests {
     use super::*;
     use flockslam_messages::ScanId;
 
-    #[test]
-    fn corrections_are_blended_along_the_way() {
-        let record = |i: usize| PoseRecord {
+    /// A metre behind the one before it.
+    fn record(i: usize) -> PoseRecord {
+        PoseRecord {
             id: ScanId { sequence: i as u64, ..ScanId::default() },
             stamp_ns: i as i64,
             odom: Placement::new(i as f64, 0.0, 0.0),
@@ -99,7 +99,11 @@ mod tests {
             is_given: false,
             lost: false,
             continues: false,
-        };
+        }
+    }
+
+    #[test]
+    fn corrections_are_blended_along_the_way() {
         let records: Vec<_> = (0..12).map(record).collect();
         let known = [(1, Placement::new(1.0, 0.0, 0.0)), (9, Placement::new(9.0, 0.8, 0.0))];
         let poses = filled(&records, &known, Between::FrontEnd);
@@ -116,17 +120,8 @@ mod tests {
 
     #[test]
     fn lost_scans_belong_to_the_trajectory_that_begins_after_them() {
-        let record = |i: usize| PoseRecord {
-            id: ScanId { sequence: i as u64, ..ScanId::default() },
-            stamp_ns: i as i64,
-            odom: Placement::new(i as f64, 0.0, 0.0),
-            odometry: None,
-            submap: 0,
-            trajectory: u32::from(i >= 6),
-            is_given: false,
-            lost: (3..6).contains(&i),
-            continues: false,
-        };
+        let record =
+            |i: usize| PoseRecord { trajectory: u32::from(i >= 6), lost: (3..6).contains(&i), ..record(i) };
         let records: Vec<_> = (0..10).map(record).collect();
         let known = [(1, Placement::new(1.0, 0.0, 0.0)), (6, Placement::new(6.0, 50.0, 0.0))];
         let poses = filled(&records, &known, Between::FrontEnd);
@@ -138,15 +133,9 @@ mod tests {
     #[test]
     fn a_robot_that_stands_stays_where_it_is_known_to_be() {
         let record = |i: usize| PoseRecord {
-            id: ScanId { sequence: i as u64, ..ScanId::default() },
-            stamp_ns: i as i64,
             odom: Placement::new(0.002 * (i % 2) as f64, 0.0, 0.0),
             odometry: Some(Placement::new(0.0, 0.0, if i < 30 { 0.0 } else { 0.03 })),
-            submap: 0,
-            trajectory: 0,
-            is_given: false,
-            lost: false,
-            continues: false,
+            ..record(i)
         };
         let records: Vec<_> = (0..=30).map(record).collect();
         let known = [(0, Placement::IDENTITY), (30, Placement::new(0.0, 0.0, 0.01))];
