@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Private words of earlier versions; a word that ends with `*` stands for all that begin so.
-const OLD_WORDS: [&str; 68] = [
+const OLD_WORDS: [&str; 70] = [
     "strand*",
     "hindsight*",
     "look_back*",
@@ -74,6 +74,8 @@ const OLD_WORDS: [&str; 68] = [
     "hears",
     "hear_foreign",
     "strangers",
+    "newcomer*",
+    "atlas",
 ];
 const FOLDERS: [&str; 6] = ["interfaces", "services", "orchestration", "dashboards", "tests", "docs"];
 const KINDS: [&str; 7] = ["rs", "md", "toml", "json", "yml", "js", "html"];

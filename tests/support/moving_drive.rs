@@ -9,7 +9,7 @@ use std::path::PathBuf;
 const CELL_M: f64 = 0.045;
 /// Settings under which everything that was ever seen stays in the map.
 pub const UNCLEANED: [&str; 3] =
-    ["dynamic_cleaner.enabled=false", "mapper.newcomer_views=1", "sync_manager.clear_at_end=false"];
+    ["dynamic_cleaner.enabled=false", "mapper.confirming_scans=1", "sync_manager.clear_at_end=false"];
 /// Real buildings.
 pub const BUILDINGS: [&str; 3] = ["building_31", "stata_basement", "willow-2010-02-18-0.10"];
 

@@ -41,6 +41,7 @@ pub const OLD_KEYS: &[(&str, Now)] = &[
     ("lidar_ingest.range_min_m", Fixed("0.05")),
     ("mapper.free_cap_nat", Gone("it follows mapper.sensor_model")),
     ("mapper.hit_nat", Fixed("1.5")),
+    ("mapper.newcomer_views", Called("mapper.confirming_scans")),
     ("mapper.occupied_cap_nat", Gone("it follows mapper.sensor_model")),
     ("mapper.range_max_m", Fixed("30.0")),
     ("mapper.read_out", Gone("it follows mapper.sensor_model")),

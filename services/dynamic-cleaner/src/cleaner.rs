@@ -2,9 +2,9 @@
 
 use crate::Settings;
 use crate::cells::{Reach, for_each_occupied};
-use crate::fairness::Share;
 use crate::moving::find_moving;
 use crate::sector::Sector;
+use crate::sector_share::SectorShare;
 use crate::settings::Method;
 use crate::tracking::Tracker;
 use crate::votes::{Counts, Votes};
@@ -181,7 +181,7 @@ impl DynamicCleaner {
             return;
         }
         let at = self.odom_from_laser;
-        let share = Share::new(grid, at, self.settings.radius_m, sector.parts());
+        let share = SectorShare::new(grid, at, self.settings.radius_m, sector.parts());
         let sector = sector.turned(share.turned);
         if self.settings.method == Method::Beams {
             let beside_rad = margins(pose).beside_max_rad(grid.cell_size_m(), share.nearest_m);

@@ -6,12 +6,12 @@
 
 mod cells;
 mod cleaner;
-mod fairness;
 mod moving;
 pub mod process;
 #[cfg(test)]
 mod scenarios;
 mod sector;
+mod sector_share;
 mod settings;
 mod tracking;
 mod votes;

@@ -4,11 +4,11 @@
 
 mod closed_submap;
 mod mapper;
-mod newcomers;
 pub mod process;
 mod score;
 mod settings;
 mod tile_share;
+mod unconfirmed_objects;
 mod window;
 mod window_tile;
 

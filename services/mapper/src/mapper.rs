@@ -1,9 +1,9 @@
 //! The logic of the stage: takes scans with poses and cleared cells, gives changed tiles and closed submaps.
 
 use crate::closed_submap::ClosedSubmap;
-use crate::newcomers::Newcomers;
 use crate::settings::{SUBMAP_LENGTH_M, Settings};
 use crate::tile_share::TileShare;
+use crate::unconfirmed_objects::UnconfirmedObjects;
 use crate::window::Window;
 use flockslam_evidence::{CellIndex, Submap, Tile, TileKey, floor};
 use flockslam_geometry::elementary::sin_cos;
@@ -57,7 +57,7 @@ pub struct Mapper {
     number: u32,
     trajectory: u32,
     generation: u64,
-    newcomers: Newcomers,
+    unconfirmed_objects: UnconfirmedObjects,
     /// End points of the beams of the present scan, in odom.
     ends: Vec<Point>,
     /// Those of them that may belong to a moving person.
@@ -110,7 +110,7 @@ impl Mapper {
             number: 0,
             trajectory: 0,
             generation: 0,
-            newcomers: Newcomers::default(),
+            unconfirmed_objects: UnconfirmedObjects::default(),
             ends: Vec::new(),
             held_back: Vec::new(),
             settings,
@@ -155,7 +155,7 @@ impl Mapper {
         let odom_from_base = pose.odom_from_base;
         let odom_from_laser = odom_from_base * scan.header().base_from_laser;
         self.take_ends(scan, pose);
-        let hits = self.hold_back_newcomers(pose.times.sensor_ns);
+        let hits = self.hold_back_unconfirmed(pose.times.sensor_ns);
         self.model.insert_hits(
             self.settings.cell_size_m,
             odom_from_laser.position(),
@@ -264,8 +264,8 @@ impl Mapper {
 
     /// Moves the end points that must be confirmed behind the others; gives the number of the others. Where something has been
     /// seen often enough, the evidence for "free" is removed.
-    fn hold_back_newcomers(&mut self, stamp_ns: i64) -> usize {
-        let views = self.settings.newcomer_views;
+    fn hold_back_unconfirmed(&mut self, stamp_ns: i64) -> usize {
+        let views = self.settings.confirming_scans;
         if views <= 1 {
             return self.ends.len();
         }
@@ -276,7 +276,7 @@ impl Mapper {
             if !self.window.is_clear(cell) {
                 return true;
             }
-            let stays = self.newcomers.seen(cell, scan, stamp_ns) >= views;
+            let stays = self.unconfirmed_objects.seen(cell, scan, stamp_ns) >= views;
             if stays {
                 self.remove(cell);
             } else {

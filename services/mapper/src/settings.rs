@@ -25,7 +25,7 @@ pub struct Settings {
     pub skip_isolated: bool,
     /// What stands where the map knows free space enters it once so many scans, at least 0.3 s apart, have seen it there: who
     /// walks by leaves no trail. 1 = at once.
-    pub newcomer_views: u8,
+    pub confirming_scans: u8,
     /// A submap is closed after 5 m of travel or this many insertions, which keeps its sums far from saturation.
     pub submap_insertions: u32,
     /// Travel that the closed submaps beside the active one cover in the grid that is matched, metres (rounded up to
@@ -62,7 +62,7 @@ impl Default for Settings {
             miss_nat: 0.3,
             range_min_m: 0.4,
             skip_isolated: true,
-            newcomer_views: 3,
+            confirming_scans: 3,
             submap_insertions: 200,
             window_m: 30.0,
             replicas: 1,
@@ -78,7 +78,7 @@ impl Settings {
             sensor_model: SensorModelKind::Vinyslam,
             range_min_m: 0.0,
             skip_isolated: false,
-            newcomer_views: 1,
+            confirming_scans: 1,
             submap_insertions: 2000,
             window_m: 0.0,
             ..Self::default()
@@ -92,7 +92,7 @@ impl Settings {
             cell_size_m: 0.0225,
             miss_nat: 0.001,
             skip_isolated: false,
-            newcomer_views: 1,
+            confirming_scans: 1,
             submap_insertions: 2000,
             window_m: 0.0,
             ..Self::default()

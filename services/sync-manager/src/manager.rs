@@ -22,7 +22,7 @@ use flockslam_pose_graph::{RobustSettings, solve};
 use flockslam_registration::cloud::Placement;
 use freeze::FrozenSubmap;
 use map_entries::Entries;
-use middles::Middle;
+use mid_scan_poses::MidScan;
 use placed_stretch::Stretch;
 use std::collections::{BTreeMap, BTreeSet};
 use unpublished::Unpublished;
@@ -34,11 +34,11 @@ mod final_passes;
 mod final_solution;
 mod freeze;
 mod imported;
+mod live_queries;
 mod loop_search;
 mod map_entries;
-mod middles;
+mod mid_scan_poses;
 mod placed_stretch;
-mod shown;
 mod unpublished;
 
 /// A scan this close to the last one kept is not kept, metres and radians.
@@ -68,7 +68,7 @@ struct Kept {
     is_node: bool,
     /// The front end has matched it.
     is_matched: bool,
-    middle: Middle,
+    middle: MidScan,
 }
 
 /// The back end of one robot: poses and inserted scans in, a correction after each of them, the solution at the
@@ -213,7 +213,7 @@ impl SyncManager {
             return;
         }
         let is_open = pose.has(PoseFlags::OPEN);
-        let middle = Middle::of(scan, pose.twist);
+        let middle = MidScan::of(scan, pose.twist);
         let scan = self.scans.keep(scan, pose.twist, moving, is_open);
         if is_node {
             let sequence = pose.id.sequence;

@@ -1,6 +1,6 @@
 //! Other explanations of the relative pose of two robots: looks for places in what the first robot saw where the second robot's scans fit as well.
 
-use super::Atlas;
+use super::FlockGraph;
 use super::overlap::{Fit, Overlap};
 use flockslam_loop_closure::closure::Closure;
 use flockslam_loop_closure::segment::{cell_means, cloud, picked};
@@ -69,8 +69,8 @@ pub(super) struct Place {
 
 impl Place {
     /// The place around one relative pose of a group.
-    pub fn new(atlas: &Atlas, middle: &RelativePose, group: &[RelativePose]) -> Self {
-        let travel_m = |node: usize| atlas.nodes[node].drift_bound_m;
+    pub fn new(graph: &FlockGraph, middle: &RelativePose, group: &[RelativePose]) -> Self {
+        let travel_m = |node: usize| graph.nodes[node].drift_bound_m;
         let is_near = |relative: &&RelativePose| {
             let apart_m = |a: usize, b: usize| (travel_m(a) - travel_m(b)).abs();
             apart_m(relative.from, middle.from) <= PLACE_M && apart_m(relative.to, middle.to) <= PLACE_M
@@ -78,7 +78,7 @@ impl Place {
         // The first in order, so that what is found later changes little.
         let near: Vec<&RelativePose> = group.iter().filter(is_near).take(RELATIVES_MAX).collect();
         let first_from_second = |relative: &&RelativePose| {
-            let (from, to) = (&atlas.nodes[relative.from], &atlas.nodes[relative.to]);
+            let (from, to) = (&graph.nodes[relative.from], &graph.nodes[relative.to]);
             (relative.to, from.local_pose.compose(relative.motion).compose(to.local_pose.inverse()))
         };
         let mut relatives: Vec<(usize, Placement)> = near.iter().map(first_from_second).collect();
@@ -90,8 +90,8 @@ impl Place {
                 .fold((usize::MAX, 0), |(low, high), node| (low.min(node), high.max(node)));
             let (low_m, high_m) = (travel_m(low) - beside_m, travel_m(high) + beside_m);
             // Drift bound jumps where a trajectory or a log ends: none is left.
-            let start = atlas.nodes[..low].partition_point(|node| node.drift_bound_m < low_m);
-            let end = high + atlas.nodes[high..].partition_point(|node| node.drift_bound_m <= high_m);
+            let start = graph.nodes[..low].partition_point(|node| node.drift_bound_m < low_m);
+            let end = high + graph.nodes[high..].partition_point(|node| node.drift_bound_m <= high_m);
             start..end
         };
         let nodes = [stretch(|relative| relative.from, AROUND_M), stretch(|relative| relative.to, BESIDE_M)];
@@ -99,44 +99,44 @@ impl Place {
     }
 
     /// How well what both have seen here fits together as the closures say, and where it fits next best, if anywhere.
-    pub fn fits(&self, atlas: &Atlas) -> (Fit, Option<Fit>) {
-        let overlap = self.overlap(atlas);
-        let other = self.other_place(atlas).map(|moved| overlap.fit(&moved));
+    pub fn fits(&self, graph: &FlockGraph) -> (Fit, Option<Fit>) {
+        let overlap = self.overlap(graph);
+        let other = self.other_place(graph).map(|moved| overlap.fit(&moved));
         (overlap.fit(&Placement::IDENTITY), other)
     }
 
     /// How well what both have seen here fits together as the closures say.
-    pub fn fit(&self, atlas: &Atlas) -> Fit {
-        self.overlap(atlas).fit(&Placement::IDENTITY)
+    pub fn fit(&self, graph: &FlockGraph) -> Fit {
+        self.overlap(graph).fit(&Placement::IDENTITY)
     }
 
-    fn overlap<'a>(&self, atlas: &'a Atlas) -> Overlap<'a> {
-        let first = self.nodes[0].clone().map(|node| (node, atlas.nodes[node].local_pose));
-        let second = self.nodes[1].clone().map(|node| (node, self.placed(atlas, node)));
-        Overlap::new(atlas, first, second)
+    fn overlap<'a>(&self, graph: &'a FlockGraph) -> Overlap<'a> {
+        let first = self.nodes[0].clone().map(|node| (node, graph.nodes[node].local_pose));
+        let second = self.nodes[1].clone().map(|node| (node, self.placed(graph, node)));
+        Overlap::new(graph, first, second)
     }
 
     /// A node of the second robot in the frame of the first's odometry, by the nearest closure.
-    fn placed(&self, atlas: &Atlas, node: usize) -> Placement {
+    fn placed(&self, graph: &FlockGraph, node: usize) -> Placement {
         let nearest =
             self.relatives.iter().min_by_key(|(to, _)| to.abs_diff(node)).expect("a place has a closure");
-        nearest.1.compose(atlas.nodes[node].local_pose)
+        nearest.1.compose(graph.nodes[node].local_pose)
     }
 
     /// How the surroundings of the middle would have to be moved to be where else they fit best to what the first robot has seen.
-    fn other_place(&self, atlas: &Atlas) -> Option<Placement> {
+    fn other_place(&self, graph: &FlockGraph) -> Option<Placement> {
         let query = self.middle.to;
-        let at = self.placed(atlas, query);
+        let at = self.placed(graph, query);
         let mut points = Vec::new();
-        for node in &atlas.nodes[self.nodes[0].clone()] {
+        for node in &graph.nodes[self.nodes[0].clone()] {
             let from = at.to(node.local_pose);
-            points.extend(atlas.scans.points(node.scan).iter().map(|p| from.apply(p.x_m(), p.y_m())));
+            points.extend(graph.scans.points(node.scan).iter().map(|p| from.apply(p.x_m(), p.y_m())));
         }
         let field = PooledField::new(&cell_means(&points));
-        let same = |i: &usize| atlas.nodes[*i].trajectory == atlas.nodes[query].trajectory;
+        let same = |i: &usize| graph.nodes[*i].trajectory == graph.nodes[query].trajectory;
         let start = (query.saturating_sub(QUERY_NODES)..=query).find(same)?;
-        let last = (query..(query + QUERY_NODES + 1).min(atlas.nodes.len())).rev().find(same)?;
-        let points = picked(&cloud(&atlas.nodes, &atlas.scans, start..last + 1, query), POINTS);
+        let last = (query..(query + QUERY_NODES + 1).min(graph.nodes.len())).rev().find(same)?;
+        let points = picked(&cloud(&graph.nodes, &graph.scans, start..last + 1, query), POINTS);
         let mut searcher = Searcher::bounded(SUMS_MAX);
         let mut best = |window, score_min, exclude| {
             searcher.best(&field, &points, Placement::IDENTITY, window, score_min, exclude)

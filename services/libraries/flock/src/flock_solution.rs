@@ -1,8 +1,8 @@
-//! The common solution: solves the atlas, with closures between robots on trial, and gives the poses of all nodes and submaps in one frame.
+//! The common solution: solves the graph of all robots, with closures between robots on trial, and gives the poses of all nodes and submaps in one frame.
 
 use super::inspection::Inspected;
 use super::start::start;
-use super::{Atlas, Flock};
+use super::{Flock, FlockGraph};
 use flockslam_geometry::Pose;
 use flockslam_loop_closure::closure::CHI_SQUARED_MAX;
 use flockslam_loop_closure::connectivity::TrajectoryConnectivity;
@@ -22,7 +22,7 @@ const TRIALS_MAX: usize = 8;
 /// How often what is expected is put on trial: what acts then leads one to expect more, more narrowly.
 const EXPECTED_ROUNDS: usize = 3;
 
-/// Poses of an atlas's nodes, and what holds them together.
+/// Poses of a graph's nodes, and what holds them together.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Solved {
     /// By node.
@@ -93,7 +93,7 @@ impl FlockSolution {
     }
 }
 
-impl Atlas {
+impl FlockGraph {
     /// Solves the graph from the trajectories: what ties robots together first, then with all that this leads one to expect.
     pub(super) fn solve(&self, inspected: &mut Inspected) -> Solved {
         let (connected, mut more) = self.connected(inspected);
@@ -255,7 +255,7 @@ impl Atlas {
 impl Flock {
     /// Where everything is of which this robot has records; with `finely`, matched again as a whole.
     pub fn solution(&self, finely: bool) -> FlockSolution {
-        let atlas = Atlas::new(self.collection());
-        atlas.solution(finely, &mut self.inspected())
+        let graph = FlockGraph::new(self.collection());
+        graph.solution(finely, &mut self.inspected())
     }
 }

@@ -1,7 +1,7 @@
 //! The test of a group of closures between two robots against what both have seen: free space of one where the other saw a wall speaks against it, and so
 //! does another place that fits as well.
 
-use super::Atlas;
+use super::FlockGraph;
 use super::alternatives::{Place, RelativePose};
 use super::overlap::Fit;
 use flockslam_loop_closure::closure::Closure;
@@ -48,7 +48,7 @@ impl Inspected {
     }
 }
 
-impl Atlas {
+impl FlockGraph {
     /// Whether a group of closures between two robots, which agree with each other, may act: what both robots have seen there is the
     /// same, and it fits nowhere else as well.
     ///

@@ -1,6 +1,6 @@
 //! Closures between robots that are connected already: those that lie where the solution expects them may act with less confirmation.
 
-use super::Atlas;
+use super::FlockGraph;
 use super::flock_solution::Solved;
 use super::inspection::Inspected;
 use flockslam_loop_closure::agreement::eligible;
@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 /// Closures that are looked at in one go: the work is bounded for any input.
 const LOOKED_AT_MAX: usize = 1024;
 
-impl Atlas {
+impl FlockGraph {
     /// Of the closures between robots that are outliers yet those that a solution which ties these robots together already leads one to
     /// expect: their poses agree with it within the covariance of the odometry between; they need no more than a robot's own closures do, and
     /// what both have seen there must be the same. No robot is connected to another by these.

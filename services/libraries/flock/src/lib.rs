@@ -2,15 +2,15 @@
 //! same bits.
 //!
 //! [`Flock`] is what one robot knows and concludes: a collection of records, its own among them, and the search for places that it
-//! shares with others. An [`Atlas`] is the graph that a collection describes, a [`FlockSolution`] its solution: both are functions of the
+//! shares with others. An [`FlockGraph`] is the graph that a collection describes, a [`FlockSolution`] its solution: both are functions of the
 //! records alone, whatever the order in which they came.
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
 
 mod alternatives;
-mod atlas;
 mod consistency;
 mod findings;
+mod flock_graph;
 mod flock_map;
 mod flock_solution;
 mod flock_trajectory;
@@ -22,8 +22,8 @@ mod overlap;
 mod similarity;
 mod start;
 
-pub use atlas::Atlas;
 pub use findings::{Findings, OwnLoop};
+pub use flock_graph::FlockGraph;
 pub use flock_map::FlockMap;
 pub use flock_solution::{FlockSolution, PlacedNode, PlacedRecord};
 pub use flock_trajectory::{OwnPose, in_flock_frame};

@@ -2,7 +2,7 @@
 
 use super::inspection::Inspected;
 use super::inter_robot_search::Search;
-use super::{Atlas, Findings};
+use super::{Findings, FlockGraph};
 use flockslam_geometry::Pose;
 use flockslam_records::{
     CONSTRAINTS_MAX, Collection, Constraint, Content, Limits, Message, NodeName, Presence, Record,
@@ -162,8 +162,8 @@ impl Flock {
 
     /// As [`Self::search`], without publishing: for callers that have some of it already.
     pub fn find(&mut self, searches_max: u64) -> Vec<Constraint> {
-        let mut atlas = Atlas::new(&self.collection);
-        self.search.run(&mut atlas, self.key.id(), searches_max, self.inspected.get_mut())
+        let mut graph = FlockGraph::new(&self.collection);
+        self.search.run(&mut graph, self.key.id(), searches_max, self.inspected.get_mut())
     }
 }
 

@@ -1,6 +1,6 @@
 //! How well the scans of two robots fit together at a given place: counts of points that the other robot saw too, and of points in its free space.
 
-use super::Atlas;
+use super::FlockGraph;
 use flockslam_loop_closure::polar::Polar;
 use flockslam_registration::cloud::{PackedPoint, Placement};
 
@@ -58,11 +58,11 @@ pub(super) struct Overlap<'a> {
 impl<'a> Overlap<'a> {
     /// The scans of nodes of both, as far apart as they need be, each with its pose.
     pub fn new(
-        atlas: &'a Atlas,
+        graph: &'a FlockGraph,
         first: impl Iterator<Item = (usize, Placement)>,
         second: impl Iterator<Item = (usize, Placement)>,
     ) -> Self {
-        Self { first: views(atlas, first), second: views(atlas, second) }
+        Self { first: views(graph, first), second: views(graph, second) }
     }
 
     /// How well both fit together when all of the second robot's is moved by this.
@@ -82,13 +82,13 @@ impl<'a> Overlap<'a> {
     }
 }
 
-fn views<'a>(atlas: &'a Atlas, nodes: impl Iterator<Item = (usize, Placement)>) -> Vec<View<'a>> {
+fn views<'a>(graph: &'a FlockGraph, nodes: impl Iterator<Item = (usize, Placement)>) -> Vec<View<'a>> {
     let mut next_m = f64::NEG_INFINITY;
     let mut views = Vec::new();
     for (node, at) in nodes {
-        let node = &atlas.nodes[node];
+        let node = &graph.nodes[node];
         if node.travel_m >= next_m {
-            let points = atlas.scans.points(node.scan);
+            let points = graph.scans.points(node.scan);
             views.push(View { at, points, polar: Polar::new(points) });
             next_m = node.travel_m + EVERY_M;
         }

@@ -1,6 +1,6 @@
 //! Descriptions of the surroundings of nodes by histograms of range, which do not depend on the heading: they order the pairs to be matched.
 
-use super::Atlas;
+use super::FlockGraph;
 use flockslam_loop_closure::finder::QUERY_NODES;
 use flockslam_loop_closure::segment::CLOUD_RANGE_M;
 
@@ -17,14 +17,14 @@ pub struct Similarity {
 }
 
 impl Similarity {
-    /// Describes all nodes of an atlas.
-    pub fn new(atlas: &Atlas) -> Self {
-        let seen: Vec<[u32; BINS]> = atlas.nodes.iter().map(|node| counted(atlas, node.scan)).collect();
+    /// Describes all nodes of a graph.
+    pub fn new(graph: &FlockGraph) -> Self {
+        let seen: Vec<[u32; BINS]> = graph.nodes.iter().map(|node| counted(graph, node.scan)).collect();
         let around = |i: usize| {
-            let trajectory = atlas.nodes[i].trajectory;
+            let trajectory = graph.nodes[i].trajectory;
             let near = i.saturating_sub(QUERY_NODES)..(i + QUERY_NODES + 1).min(seen.len());
             let mut sum = [0u64; BINS];
-            for k in near.filter(|k| atlas.nodes[*k].trajectory == trajectory) {
+            for k in near.filter(|k| graph.nodes[*k].trajectory == trajectory) {
                 sum.iter_mut().zip(seen[k]).for_each(|(sum, count)| *sum += u64::from(count));
             }
             let all = sum.iter().sum::<u64>().max(1);
@@ -42,9 +42,9 @@ impl Similarity {
     }
 }
 
-fn counted(atlas: &Atlas, scan: usize) -> [u32; BINS] {
+fn counted(graph: &FlockGraph, scan: usize) -> [u32; BINS] {
     let mut counts = [0; BINS];
-    for point in atlas.scans.points(scan) {
+    for point in graph.scans.points(scan) {
         let bin = (point.squared_range_m2().sqrt() * BINS_PER_M) as usize;
         if let Some(count) = counts.get_mut(bin) {
             *count += 1;

@@ -5,7 +5,7 @@
 //! first that does decides the cell, and no earlier scan is used for it.
 
 use crate::FusedMap;
-use crate::aim::Aim;
+use crate::direction_set::DirectionSet;
 use crate::rays::{BLOCK_SIDE, Rays};
 use flockslam_evidence::{CellIndex, TILE_SIDE, TileKey, floor};
 use flockslam_geometry::{Point, Pose};
@@ -50,7 +50,7 @@ pub struct FinalCleaning {
     horizon: Horizon,
     /// Beams of the present scan, as far as they go where cells are not settled.
     rays: Rays,
-    aim: Aim,
+    directions: DirectionSet,
     /// Blocks within its reach with cells that are not settled.
     open: Vec<(TileKey, usize)>,
     /// Its classification of these cells.
@@ -163,7 +163,7 @@ impl FinalCleaning {
             sight: PolarRangeImage::new(),
             horizon: Horizon::new(),
             rays: Rays::new(map.cell_size_m(), REACH_M, PASSED_BEHIND_M, NEAR_CELLS),
-            aim: Aim::new(),
+            directions: DirectionSet::new(),
             open: Vec::new(),
             sightings: Vec::new(),
         }
@@ -179,14 +179,14 @@ impl FinalCleaning {
         }
         self.sight.look(scan, deskew);
         self.horizon.look(&self.sight, map_from_laser.heading_rad, self.cell_size_m);
-        self.aim.clear();
+        self.directions.clear();
         // A cell more than what is near an end, and half of one for its corners.
         let beside_m = f64::from(NEAR_CELLS + 2) * self.cell_size_m;
         for (key, number) in &self.open {
             let (low, high) = corners(*key, *number, self.cell_size_m, at);
-            self.aim.add(low, high, beside_m);
+            self.directions.add(low, high, beside_m);
         }
-        self.rays.look(scan, deskew, map_from_base, at, &self.aim);
+        self.rays.look(scan, deskew, map_from_base, at, &self.directions);
         self.classify_open_cells(map_from_laser);
         let counts = self.sightings.iter().any(|sighting| sighting.passes.is_some())
             && !self.is_contradicted(map_from_laser);

@@ -2,8 +2,8 @@
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
 
-mod aim;
 mod coverage;
+mod direction_set;
 mod final_cleaning;
 mod final_map;
 mod footprint;

@@ -1,6 +1,6 @@
 //! The cells that the beams of a scan cross, and the cells near their end points.
 
-use crate::aim::Aim;
+use crate::direction_set::DirectionSet;
 use flockslam_evidence::{CellIndex, floor};
 use flockslam_geometry::elementary::sin_cos;
 use flockslam_geometry::{Point, Pose};
@@ -50,7 +50,14 @@ impl Rays {
     }
 
     /// Those of a scan from `at` that go where something is looked for, in place of those before.
-    pub fn look(&mut self, scan: ScanView<'_>, deskew: &Deskew, map_from_base: Pose, at: Point, aim: &Aim) {
+    pub fn look(
+        &mut self,
+        scan: ScanView<'_>,
+        deskew: &Deskew,
+        map_from_base: Pose,
+        at: Point,
+        directions: &DirectionSet,
+    ) {
         if self.scan == u8::MAX {
             self.marks.fill(Marks::default());
             self.blocks.fill(0);
@@ -69,7 +76,7 @@ impl Rays {
             let end_at = deskew.ends_in_base(scan, beam);
             let free = in_map(end_at((range_m - self.before_m).clamp(0.0, self.reach_m)));
             let end = in_map(end_at(range_m));
-            let is_wanted = |to: Point| aim.has(to.x_m - at.x_m, to.y_m - at.y_m);
+            let is_wanted = |to: Point| directions.has(to.x_m - at.x_m, to.y_m - at.y_m);
             if !is_wanted(free) && !is_wanted(end) {
                 continue;
             }
@@ -166,12 +173,12 @@ mod tests {
     #[test]
     fn cells_are_crossed_or_near_the_ends_of_the_last_scan() {
         let mut rays = Rays::new(0.05, 12.0, 0.3, 2);
-        let mut aim = Aim::new();
-        aim.add(Point::new(0.0, 0.0), Point::new(0.0, 0.0), 0.0);
+        let mut directions = DirectionSet::new();
+        directions.add(Point::new(0.0, 0.0), Point::new(0.0, 0.0), 0.0);
         let mut look = |range_m: f32, at: Pose| {
             let scan = ScanBuffer::from_ranges(&[range_m, f32::INFINITY], 0.0, 0.1);
             let view = scan.view().unwrap();
-            rays.look(view, &Deskew::new(view, Twist::default()), at, at.position(), &aim);
+            rays.look(view, &Deskew::new(view, Twist::default()), at, at.position(), &directions);
             [34, 35, 38, 39, 43, 44].map(|x| {
                 let is = |y: i32| {
                     let cell = CellIndex::new(x, y);

@@ -2,7 +2,7 @@
 //! maps. Takes snapshots, gives one map in layers.
 
 use flockslam_evidence::{Cell, CellIndex, Masses, PackedCell, Submap, SubmapTile, TILE_CELLS, TileKey};
-use flockslam_flock::{Atlas, Flock};
+use flockslam_flock::{Flock, FlockGraph};
 use flockslam_geometry::Pose;
 use flockslam_map_fusion::FusedMap;
 use flockslam_records::RobotId;
@@ -322,11 +322,11 @@ impl Snapshot {
     pub fn of(flock: &Flock) -> Option<Self> {
         let solution = flock.solution(true);
         let map = flock.map(&solution).map?;
-        let atlas = Atlas::new(flock.collection());
+        let graph = FlockGraph::new(flock.collection());
         let nodes =
             solution.nodes.iter().find(|((robot, _), _)| robot == flock.robot()).map(|(_, nodes)| nodes)?;
         let last = nodes.iter().rposition(|node| node.part == solution.main_part)?;
-        let scan = atlas.points(last).to_vec();
+        let scan = graph.points(last).to_vec();
         Some(Self {
             robot: flock.robot().clone(),
             version: nodes[last].sequence + 1,

@@ -1,4 +1,4 @@
-//! Tests of the mapper: evidence, submaps, windows, trajectories, shares and newcomers.
+//! Tests of the mapper: evidence, submaps, windows, trajectories, shares and unconfirmed objects.
 
 use super::*;
 use crate::settings::HIT_NAT;
@@ -231,7 +231,7 @@ fn a_pedestrian_leaves_no_trail_and_a_closed_door_is_mapped_at_the_third_view() 
     assert_eq!(standing(&mapper), 0);
     room(&mut mapper, 42..43, door);
     assert!(standing(&mapper) > 10, "{}", standing(&mapper));
-    let mut at_once = Mapper::new(Settings { newcomer_views: 1, ..Settings::default() });
+    let mut at_once = Mapper::new(Settings { confirming_scans: 1, ..Settings::default() });
     room(&mut at_once, 0..2, |_, _| false);
     room(&mut at_once, 2..4, |i, beam| beam / 5 == i as usize);
     assert!(standing(&at_once) > 0);

@@ -1,7 +1,7 @@
 //! Poses of the kept scans of a stretch from those of its nodes: by their own points.
 
 use super::Kept;
-use super::middles::{Sample, at_stamps};
+use super::mid_scan_poses::{Sample, at_stamps};
 use crate::filled_trajectory::{Between, filled};
 use crate::pose_record::PoseRecord;
 use flockslam_loop_closure::place::{DROPPED_MOVE_MAX, KeptScan, MATCHED_MOVE_MAX, Placer};

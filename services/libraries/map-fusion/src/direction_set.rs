@@ -5,11 +5,11 @@ use flockslam_visibility::{COARSE_DIRECTIONS, coarse_direction, coarse_direction
 
 /// Coarse directions around a place.
 #[derive(Clone, Debug)]
-pub struct Aim {
+pub struct DirectionSet {
     is_wanted: Box<[bool; COARSE_DIRECTIONS]>,
 }
 
-impl Aim {
+impl DirectionSet {
     /// Nowhere.
     pub fn new() -> Self {
         Self { is_wanted: Box::new([false; COARSE_DIRECTIONS]) }
@@ -49,14 +49,14 @@ mod tests {
         fn every_place_in_a_rectangle_and_beside_it_is_looked_at(
             x in -6.0..6.0f64, y in -6.0..6.0f64, along in 0.0..1.0f64, across in 0.0..1.0f64,
         ) {
-            let mut aim = Aim::new();
-            aim.add(Point::new(x, y), Point::new(x + 0.8, y + 0.8), 0.2);
-            prop_assert!(aim.has(x - 0.2 + 1.2 * along, y - 0.2 + 1.2 * across));
+            let mut directions = DirectionSet::new();
+            directions.add(Point::new(x, y), Point::new(x + 0.8, y + 0.8), 0.2);
+            prop_assert!(directions.has(x - 0.2 + 1.2 * along, y - 0.2 + 1.2 * across));
             // Not all around, unless the lidar is there.
             let is_here = |low: f64| (-1.0..=0.2).contains(&low);
-            prop_assert!(is_here(x) && is_here(y) || !aim.is_wanted.iter().all(|wanted| *wanted));
-            aim.clear();
-            prop_assert!(!aim.has(x, y));
+            prop_assert!(is_here(x) && is_here(y) || !directions.is_wanted.iter().all(|wanted| *wanted));
+            directions.clear();
+            prop_assert!(!directions.has(x, y));
         }
     }
 }

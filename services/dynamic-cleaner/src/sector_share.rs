@@ -12,7 +12,7 @@ const BINS_MAX: usize = 256;
 
 /// How the work of classifying the cells around a lidar is shared. It decides about nothing but time; equal grids give equal shares.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Share {
+pub(crate) struct SectorShare {
     /// Where the circle begins, in [`TURNS`]-ths of a sector, so that the sector with the most occupied cells has as few as possible: how
     /// long the slowest replica takes is how long all of them take. Cells are counted by blocks, angles measured roughly.
     pub turned: u32,
@@ -20,7 +20,7 @@ pub(crate) struct Share {
     pub nearest_m: f64,
 }
 
-impl Share {
+impl SectorShare {
     /// For `parts` equal sectors of the circle around a lidar that reaches `radius_m`.
     pub fn new<H: Deref<Target = Tile>>(grid: &TileGrid<H>, laser: Pose, radius_m: f64, parts: u32) -> Self {
         let bins = (parts * TURNS) as usize;
@@ -85,7 +85,7 @@ mod tests {
         for (key, tile) in tiles {
             grid.set(key, tile).unwrap();
         }
-        let share = |heading_rad: f64| Share::new(&grid, Pose::new(0.0, 0.0, heading_rad), 12.0, 2);
+        let share = |heading_rad: f64| SectorShare::new(&grid, Pose::new(0.0, 0.0, heading_rad), 12.0, 2);
         assert_eq!(share(0.0).turned, TURNS / 2);
         assert_eq!(share(TAU / 8.0).turned, TURNS / 4);
         assert_eq!(share(TAU / 4.0).turned, 0);

@@ -17,7 +17,7 @@ use std::ops::Range;
 /// Information where nothing is known: just enough that the graph hangs together.
 const UNKNOWN: [f64; 6] = [1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-4];
 
-/// One log's part of the atlas.
+/// One log's part of the graph.
 #[derive(Clone, Debug)]
 pub struct Log {
     /// Whose it is.
@@ -30,7 +30,7 @@ pub struct Log {
 
 /// The graph that a collection of records describes: the trajectories of all robots one behind the other, in the order of their names, with
 /// nothing known between them but what constraints say.
-pub struct Atlas {
+pub struct FlockGraph {
     pub(super) logs: Vec<Log>,
     pub(super) nodes: Vec<Node>,
     /// By node: the submap that its scan is in, and the sequence of its scan.
@@ -52,10 +52,10 @@ pub struct Scanned {
     pub submap: u32,
 }
 
-impl Atlas {
+impl FlockGraph {
     /// The graph of all records that hold.
     pub fn new(collection: &Collection) -> Self {
-        let mut atlas = Self {
+        let mut graph = Self {
             logs: Vec::new(),
             nodes: Vec::new(),
             scanned: Vec::new(),
@@ -65,20 +65,20 @@ impl Atlas {
             closures: Vec::new(),
             owners: Vec::new(),
         };
-        atlas.add_odometry(collection);
-        atlas.segments = Segment::cut(&atlas.nodes, 0);
-        let rest = atlas.segments.last().map_or(0, |s| s.nodes.end)..atlas.nodes.len();
+        graph.add_odometry(collection);
+        graph.segments = Segment::cut(&graph.nodes, 0);
+        let rest = graph.segments.last().map_or(0, |s| s.nodes.end)..graph.nodes.len();
         // The end of each robot's way counts too, short as it may be.
         if rest.len() > 1 {
-            atlas.segments.push(Segment::new(rest));
+            graph.segments.push(Segment::new(rest));
         }
         for record in collection.records() {
             if let Content::Constraints(constraints) = &record.content {
-                let closures: Vec<Closure> = constraints.iter().filter_map(|c| atlas.closure(c)).collect();
-                atlas.closures.extend(closures);
+                let closures: Vec<Closure> = constraints.iter().filter_map(|c| graph.closure(c)).collect();
+                graph.closures.extend(closures);
             }
         }
-        atlas
+        graph
     }
 
     fn add_odometry(&mut self, collection: &Collection) {

@@ -12,7 +12,7 @@ const MOVE_MAX: (f64, f64) = (0.06, 0.06);
 
 /// The middle of a scan.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Middle {
+pub(super) struct MidScan {
     /// Seconds after the stamp; 0 where all beams are taken at once.
     after_s: f32,
     /// The motion until then by the velocity that has straightened the scan: metres, metres, radians.
@@ -26,10 +26,10 @@ pub(super) struct Sample {
     pub(super) record: usize,
     /// The pose at its stamp.
     pub(super) pose: Placement,
-    pub(super) middle: Middle,
+    pub(super) middle: MidScan,
 }
 
-impl Middle {
+impl MidScan {
     /// Of a scan that was straightened by this velocity.
     pub(super) fn of(scan: ScanView<'_>, twist: Twist) -> Self {
         if !scan.takes_time() || scan.is_empty() {
@@ -143,7 +143,7 @@ mod tests {
         let motion = Twist { turn_rad_s, ..Twist::default() }.motion_after(after_s);
         let motion = [motion.x_m, motion.y_m, motion.heading_rad];
         let pose = middle.compose(Placement::new(motion[0], motion[1], motion[2]).inverse());
-        let middle = Middle { after_s: after_s as f32, motion: motion.map(|value| value as f32) };
+        let middle = MidScan { after_s: after_s as f32, motion: motion.map(|value| value as f32) };
         Sample { record: number, pose, middle }
     }
 
@@ -173,7 +173,7 @@ mod tests {
             let beams = (0..100).map(|beam| truth_rad(0.1 * number as f64 + 0.001 * f64::from(beam)));
             let heading_rad = beams.sum::<f64>() / 100.0;
             let turn_rad = 0.05 * 4.0 * (0.1 * number as f64 - 0.95).max(0.0);
-            let middle = Middle { after_s: 0.05, motion: [0.0, 0.0, turn_rad as f32] };
+            let middle = MidScan { after_s: 0.05, motion: [0.0, 0.0, turn_rad as f32] };
             Sample { record: number, pose: Placement::new(1.0, 2.0, heading_rad - turn_rad), middle }
         };
         let samples: Vec<_> = (0..20).map(seen).collect();
@@ -199,7 +199,7 @@ mod tests {
         let records: Vec<_> = (0..20).map(|number| record(number, 0)).collect();
         let few: Vec<_> = (0..20).step_by(4).map(|number| sample(number, off_rad(number))).collect();
         assert!(stays(&records, &few));
-        let at_once: Vec<_> = samples.iter().map(|s| Sample { middle: Middle::default(), ..*s }).collect();
+        let at_once: Vec<_> = samples.iter().map(|s| Sample { middle: MidScan::default(), ..*s }).collect();
         assert!(stays(&records, &at_once));
     }
 }

@@ -10,7 +10,7 @@ const DROPPED_AFTER_NS: u64 = 5_000_000_000;
 /// Sightings in known free space. A person who walks by is seen there once or twice; an object that stays is seen again,
 /// and then enters the map.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Newcomers {
+pub(crate) struct UnconfirmedObjects {
     places: CellTable<Sightings>,
 }
 
@@ -20,7 +20,7 @@ struct Sightings {
     last_ns: i64,
 }
 
-impl Newcomers {
+impl UnconfirmedObjects {
     /// Counts a sighting in a cell by scan number `scan` with this sensor stamp; gives how often it was seen there, scans well
     /// apart.
     pub(crate) fn seen(&mut self, cell: CellIndex, scan: u32, stamp_ns: i64) -> u8 {
@@ -45,9 +45,10 @@ mod tests {
 
     #[test]
     fn sightings_count_when_they_are_apart_and_not_for_ever() {
-        let mut newcomers = Newcomers::default();
+        let mut unconfirmed_objects = UnconfirmedObjects::default();
         let cell = CellIndex::new(-3, 8);
-        let mut seen = |x: i32, stamp_ns: i64| newcomers.seen(CellIndex::new(x, cell.y), 1, stamp_ns);
+        let mut seen =
+            |x: i32, stamp_ns: i64| unconfirmed_objects.seen(CellIndex::new(x, cell.y), 1, stamp_ns);
         assert_eq!((seen(-3, SECOND_NS), seen(-4, SECOND_NS), seen(-5, SECOND_NS)), (1, 1, 1));
         assert_eq!((seen(-3, SECOND_NS + 200_000_000), seen(-3, SECOND_NS + 400_000_000)), (1, 2));
         assert_eq!((seen(-4, 2 * SECOND_NS), seen(-4, 8 * SECOND_NS)), (3, 1));
