@@ -1,6 +1,7 @@
 //! Section `driving`: the poses that a robot drives by, beside the final ones, and what corrections make of them.
 
 use super::accuracy::start;
+use super::returns::{BACK_M, KNOWN_M, Known, NEAR, RETURN_M, Return};
 use super::runs::{Measured, Outcome};
 use super::{Bench, Table, duration, figure, greatest, mean, simulated};
 use flockslam::outputs::TrajectoryPoint;
@@ -9,12 +10,6 @@ use std::rc::Rc;
 
 /// Steps of the published pose that the final trajectory does not make count as jumps from here on, metres: fits scatter by less.
 const JUMP_M: f64 = 0.1;
-/// A robot is where it has been when it is this near to a pose …
-const KNOWN_M: f64 = 2.0;
-/// … that is at least this much travel back.
-const BACK_M: f64 = 15.0;
-/// Poses of the final trajectory are compared this far apart, metres of travel.
-const SPACING_M: f64 = 0.25;
 /// Length of the drives in hotel and warehouse, seconds: two laps and more.
 const WORLD_S: f64 = 1290.0;
 
@@ -43,29 +38,6 @@ pub fn jumps(online: &[TrajectoryPoint], last: &[TrajectoryPoint]) -> Vec<Jump> 
     jumps
 }
 
-/// How far a robot has driven where it had been before.
-#[derive(Default)]
-struct Known {
-    travel_m: f64,
-    /// Poses so far, and the travel up to each.
-    poses: Vec<(Pose, f64)>,
-    driven_m: Option<f64>,
-}
-
-impl Known {
-    fn drive(&mut self, at: Pose) {
-        let step_m = self.poses.last().map_or(0.0, |(last, _)| last.distance_m(at));
-        if step_m < SPACING_M && !self.poses.is_empty() {
-            return;
-        }
-        self.travel_m += step_m;
-        let old = self.poses.partition_point(|(_, travel_m)| *travel_m <= self.travel_m - BACK_M);
-        let is_known = self.poses[..old].iter().any(|(pose, _)| pose.distance_m(at) < KNOWN_M);
-        self.driven_m = is_known.then(|| self.driven_m.map_or(0.0, |driven_m| driven_m + step_m));
-        self.poses.push((at, self.travel_m));
-    }
-}
-
 /// Published poses beside final ones.
 pub fn section(bench: &mut Bench) -> String {
     let mut table = Table::new([
@@ -82,10 +54,20 @@ pub fn section(bench: &mut Bench) -> String {
         "driven where it had been before a jump, median",
         "95 %",
     ]);
+    let mut returns_table = Table::new([
+        "",
+        "returns",
+        "driven until near, median, m",
+        "95 %",
+        "not near before they ended",
+        "later laps, online, m",
+        "later laps, final, m",
+    ]);
     for log in bench.logs.clone() {
         let headings = bench.plan.headings_rad.clone();
         let runs: Vec<_> = headings.iter().map(|heading| bench.runs.of(&log, &start(*heading))).collect();
         table.row(row(&log.name, &runs));
+        returns_table.row(returns_row(&log.name, &runs));
     }
     let world = |name: &str| {
         let (world, seconds) = (format!("simulation.world={name}"), duration(WORLD_S));
@@ -94,14 +76,19 @@ pub fn section(bench: &mut Bench) -> String {
     for subject in [bench.building.clone(), world("hotel"), world("warehouse")] {
         let runs = [bench.runs.of(&subject, &[])];
         table.row(row(&subject.name, &runs));
+        returns_table.row(returns_row(&subject.name, &runs));
     }
     format!(
         "{}The pose that a robot had when a scan was handled: the front end's, with the correction known at the time (`trajectory_online.tum`); the final \
          trajectory beside it. Runs as under *Accuracy*; metres and degrees, means over their start headings; in simulated buildings *all* is the ATE. In replay a correction \
          takes effect four scans after the one that it follows from; live it comes within milliseconds. A *jump* is a step of the published pose, more than {JUMP_M} m off the \
          step of the final trajectory: counted in all runs. The last columns say how far the robot had driven within {KNOWN_M} m of poses that lay {BACK_M} m of travel back, when a jump came \
-         there. What was driven before the first loop was closed stays as far off as it was: no correction changes a pose that was published.\n\n{table}",
+         there. What was driven before the first loop was closed stays as far off as it was: no correction changes a pose that was published.\n\n{table}\n\
+         All returns to known surroundings, over {RETURN_M} m or more, those without a jump too: the way driven there until the published pose was within {} m and {}° of the final \
+         one; the whole length of the return if it never was. *Later laps*: the ATE of the poses in known surroundings, where the truth is known.\n\n{returns_table}",
         bench.absence(),
+        NEAR.0,
+        NEAR.1,
     )
 }
 
@@ -127,6 +114,23 @@ fn row(name: &str, runs: &[Outcome]) -> Vec<String> {
         figure(greatest(&sizes_m), 2),
         figure(quantile(&known_m, 0.5), 1),
         figure(quantile(&known_m, 0.95), 1),
+    ]
+}
+
+fn returns_row(name: &str, runs: &[Outcome]) -> Vec<String> {
+    let runs: Vec<&Rc<Measured>> = runs.iter().flatten().collect();
+    let returns: Vec<Return> = runs.iter().flat_map(|run| run.returns.iter().copied()).collect();
+    let driven_m: Vec<f64> = returns.iter().map(|one| one.driven_m).collect();
+    let later =
+        |of: usize| mean(&runs.iter().filter_map(|run| Some(run.later_laps_m?[of])).collect::<Vec<_>>());
+    vec![
+        name.to_owned(),
+        returns.len().to_string(),
+        figure(quantile(&driven_m, 0.5), 1),
+        figure(quantile(&driven_m, 0.95), 1),
+        returns.iter().filter(|one| !one.is_corrected).count().to_string(),
+        figure(later(0), 4),
+        figure(later(1), 4),
     ]
 }
 

@@ -10,6 +10,7 @@ mod hop;
 mod long_run;
 mod machine;
 mod moving_bodies;
+mod returns;
 mod robustness;
 mod runs;
 mod separation;

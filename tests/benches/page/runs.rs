@@ -1,6 +1,7 @@
 //! Runs of the executable that sections share: takes a log or a simulation and options, gives the report and the errors.
 
 use super::driving::{Jump, jumps};
+use super::returns::{Return, of_later_laps, returns};
 use flockslam::evaluation::{
     Relation, RelationsReport, TruthReport, evaluate_relations, evaluate_truth, parse_relations, parse_tum,
 };
@@ -41,6 +42,10 @@ pub struct Measured {
     pub online: Errors,
     /// Its jumps.
     pub jumps: Vec<Jump>,
+    /// Its returns to known surroundings.
+    pub returns: Vec<Return>,
+    /// ATE of its published and its final poses in known surroundings, metres, where the truth is known.
+    pub later_laps_m: Option<[f64; 2]>,
 }
 
 /// A run, or in one line why there is none.
@@ -155,12 +160,18 @@ impl Runs {
                 .map(Errors::Truth)
                 .map_err(|error| error.to_string()),
         };
-        let jumps = jumps(&trajectory(out, "trajectory_online.tum")?, &trajectory(out, "trajectory.tum")?);
+        let [online, last] = [trajectory(out, "trajectory_online.tum")?, trajectory(out, "trajectory.tum")?];
+        let later_laps_m = match &relations {
+            Some(_) => None,
+            None => later_laps_m(&online, &last, &trajectory(out, "truth.tum")?),
+        };
         Ok(Measured {
             report,
             last: errors("trajectory.tum")?,
             online: errors("trajectory_online.tum")?,
-            jumps,
+            jumps: jumps(&online, &last),
+            returns: returns(&online, &last),
+            later_laps_m,
         })
     }
 
@@ -184,6 +195,18 @@ impl Subject {
         };
         command.into_iter().chain(self.options.iter().chain(options).cloned()).collect()
     }
+}
+
+/// ATE of published and of final poses in known surroundings, metres; `None` where the robot never came back.
+fn later_laps_m(
+    online: &[TrajectoryPoint],
+    last: &[TrajectoryPoint],
+    truth: &[TrajectoryPoint],
+) -> Option<[f64; 2]> {
+    let ate_m = |points| {
+        Some(Errors::Truth(evaluate_truth(&of_later_laps(points, last), truth).ok()?).translation_m())
+    };
+    Some([ate_m(online)?, ate_m(last)?])
 }
 
 /// Runs the executable with these arguments, its outputs going to `out`.
