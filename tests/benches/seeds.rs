@@ -9,10 +9,11 @@
 mod support;
 
 use flockslam_drives::experiments::BEARING_SIGMA_RAD;
+use flockslam_messages::PoseEstimate;
 use std::ops::RangeInclusive;
 use support::kidnapped_log::{cut_at, kidnapped};
 use support::public_logs::{FILTER_OFF, LOGS, Log};
-use support::seeded_drives::{YardDrive, alone_and_among_twenty_m, campus_drive, flat_worst};
+use support::seeded_drives::{YardDrive, alone_and_among_twenty_m, campus_drive, flat_worst, run_watched};
 
 fn main() {
     // Cargo adds an option of its own.
@@ -79,10 +80,13 @@ fn print_cuts(log: &Log) {
         let directory = tempfile::tempdir().unwrap();
         let (cut_log, cut) = (directory.path().join("cut.clf"), cut_at(k, scans));
         std::fs::write(&cut_log, kidnapped(&file, cut)).unwrap();
-        let outputs = Log::map(&cut_log, &directory.path().join("out"), &["--set", FILTER_OFF]);
+        let args = ["map", &cut_log.display().to_string(), "--set", FILTER_OFF].map(str::to_owned);
+        let (outputs, poses) = run_watched("cut", &directory.path().join("out"), &args);
+        let noticed = noticed_after_m(&poses[cut.0 - 1..])
+            .map_or("not noticed".to_owned(), |way_m| format!("noticed after {way_m:.1} m"));
         let errors = log.errors_of_a_part(&outputs);
         println!(
-            "{}, carried at scan {}: {} trajectories, {} scans unattached, error mean {:.4} m, greatest {:.2} m",
+            "{}, carried at scan {}: {noticed}, {} trajectories, {} scans unattached, error mean {:.4} m, greatest {:.2} m",
             log.name,
             cut.0,
             outputs.report.trajectories,
@@ -91,6 +95,18 @@ fn print_cuts(log: &Log) {
             errors.max_m
         );
     }
+}
+
+/// The way by odometry, metres, until another trajectory begins than that of the first pose.
+fn noticed_after_m(poses: &[PoseEstimate]) -> Option<f64> {
+    let mut way_m = 0.0;
+    for step in poses.windows(2) {
+        if step[1].trajectory != poses[0].trajectory {
+            return Some(way_m);
+        }
+        way_m += step[0].odometry.distance_m(step[1].odometry);
+    }
+    None
 }
 
 /// Prints the mean, the median, the greatest, and all in order.

@@ -93,7 +93,7 @@ pub fn absolute_error_m(outputs: &Outputs, name: &str) -> Spread {
 }
 
 /// Runs a set and reads beside it, from the journal, every pose that it publishes.
-fn run_watched(test: &str, out: &Path, args: &[String]) -> (Outputs, Vec<PoseEstimate>) {
+pub fn run_watched(test: &str, out: &Path, args: &[String]) -> (Outputs, Vec<PoseEstimate>) {
     let set = RunningSet::start(test, out, args);
     let journal_dir = set.status_dir().with_file_name("spill").join("journal");
     let running = std::thread::spawn(|| set.finish());
