@@ -2,7 +2,7 @@
 //! same bits.
 //!
 //! [`Flock`] is what one robot knows and concludes: a collection of records, its own among them, and the search for places that it
-//! shares with others. An [`FlockGraph`] is the graph that a collection describes, a [`FlockSolution`] its solution: both are functions of the
+//! shares with others. A [`FlockGraph`] is the graph that a collection describes, a [`FlockSolution`] its solution: both are functions of the
 //! records alone, whatever the order in which they came.
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "no result depends on tests"))]
