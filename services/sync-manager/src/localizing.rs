@@ -10,12 +10,15 @@ use flockslam_loop_closure::scans::ScanStore;
 use flockslam_messages::{
     BeamRange, Correction, LocalisationOrder, PoseEstimate, PoseFlags, ScanId, ScanView, SubmapClosed,
 };
-use flockslam_registration::cloud::Placement;
+use flockslam_registration::cloud::{PackedPoint, Placement};
 use flockslam_results::LocalisationSummary;
 
 /// A scan is looked at after this much travel, metres, or turning, radians.
 const VIEW_M: f64 = 0.05;
 const VIEW_RAD: f64 = 0.05;
+/// A scan is a view after this much of either: the final poses are matched at views.
+const KEPT_M: f64 = 0.02;
+const KEPT_RAD: f64 = 0.02;
 /// Views, and poses, after which the older half of the drive gets its final poses.
 const VIEWS_MAX: usize = 1200;
 const RECORDS_MAX: usize = 40_000;
@@ -29,6 +32,8 @@ pub struct LocalizingManager {
     views: MeasuredViews,
     /// The last scan that was looked at, and its trajectory.
     last_view: Option<(Placement, u32)>,
+    /// The last scan that is a view, and its trajectory.
+    last_kept: Option<(Placement, u32)>,
     revision: u32,
     submap: u32,
     /// The last correction that was given.
@@ -50,6 +55,7 @@ impl LocalizingManager {
             records: Vec::new(),
             views: MeasuredViews::default(),
             last_view: None,
+            last_kept: None,
             revision: 0,
             submap: 0,
             corrected: None,
@@ -138,7 +144,7 @@ impl LocalizingManager {
             map_from_base: pose.map_from_base().into(),
             information: [position, 0.0, 0.0, position, 0.0, heading],
         };
-        self.views.push(record, measured, follows, &[], false);
+        self.views.push(record, Some(measured), follows, &[], false);
         self.last_view = Some((odom, trajectory));
         if self.views.len() > VIEWS_MAX {
             self.freeze();
@@ -158,35 +164,45 @@ impl LocalizingManager {
     pub fn node(&mut self, scan: ScanView<'_>, pose: &PoseEstimate, moving: &[BeamRange]) {
         let Some(record) = self.records.iter().rposition(|r| r.id == pose.id) else { return };
         let PoseRecord { odom, trajectory, continues, .. } = self.records[record];
-        let is_due = pose.has(PoseFlags::MATCHED)
-            && self.last_view.is_none_or(|(last, of)| {
-                of != trajectory || last.distance_m(&odom) >= VIEW_M || last.turn_rad(&odom) >= VIEW_RAD
-            });
-        if !is_due {
+        let is_beyond = |last: Option<(Placement, u32)>, metres: f64, radians: f64| {
+            last.is_none_or(|(last, of)| {
+                of != trajectory || last.distance_m(&odom) >= metres || last.turn_rad(&odom) >= radians
+            })
+        };
+        let is_looked_at = is_beyond(self.last_view, VIEW_M, VIEW_RAD);
+        let is_kept = is_looked_at || is_beyond(self.last_kept, KEPT_M, KEPT_RAD);
+        if !is_kept || !pose.has(PoseFlags::MATCHED) {
             return;
         }
-        let breaks = self.last_view.is_some_and(|(_, of)| of != trajectory) && !continues;
+        let breaks = self.last_kept.is_some_and(|(_, of)| of != trajectory) && !continues;
+        self.last_kept = Some((odom, trajectory));
+        let is_open = pose.has(PoseFlags::OPEN);
+        let mut store = ScanStore::default();
+        let number = store.keep(scan, pose.twist, moving, is_open);
+        let points = store.points(number);
+        let measured = if is_looked_at { self.look(record, points, breaks) } else { None };
+        self.views.push(record, measured, !breaks, points, is_open);
+        if self.views.len() > VIEWS_MAX {
+            self.freeze();
+        }
+    }
+
+    /// Looks for the robot where a record was taken, whose points these are; gives the place that is measured.
+    fn look(&mut self, record: usize, points: &[PackedPoint], breaks: bool) -> Option<Measurement> {
+        let PoseRecord { odom, trajectory, stamp_ns, .. } = self.records[record];
         if breaks {
             self.localizer.odometry_breaks();
         }
         self.last_view = Some((odom, trajectory));
-        self.stamp_ns = self.records[record].stamp_ns;
-        let mut store = ScanStore::default();
-        let number = store.keep(scan, pose.twist, moving, pose.has(PoseFlags::OPEN));
+        self.stamp_ns = stamp_ns;
         let was_localized = self.is_localized && !breaks;
-        self.localizer.see(odom, store.points(number));
+        self.localizer.see(odom, points);
         self.is_localized = self.localizer.belief().knowledge == Knowledge::Localized;
         if self.is_localized && !was_localized {
             self.summary.found += 1;
             self.summary.found_after_m.get_or_insert(self.travel_m);
         }
-        if let Some(measured) = self.localizer.measured() {
-            let is_open = pose.has(PoseFlags::OPEN);
-            self.views.push(record, measured, was_localized, store.points(number), is_open);
-        }
-        if self.views.len() > VIEWS_MAX {
-            self.freeze();
-        }
+        self.localizer.measured()
     }
 
     /// The correction of the front end, when it is another one than was given last; for a set that runs live.
@@ -246,7 +262,10 @@ impl LocalizingManager {
             anchor_from_base: pose.pose(),
         };
         self.frozen.extend(self.records[..end].iter().zip(&filled).map(frozen));
-        self.views.drop_until(end, filled[end]);
+        // Of a trajectory that is not found yet there is no pose.
+        let is_known =
+            until > 0 && self.records[known[until - 1].0].trajectory == self.records[end].trajectory;
+        self.views.drop_until(end, is_known.then(|| filled[end]));
         self.records.drain(..end);
     }
 
