@@ -28,6 +28,7 @@ const BOUNDED: &[(&str, f64, f64)] = &[
     ("mapper.cell_size_m", 0.01, 1.0),
     ("mapper.miss_nat", 0.0, 16.0),
     ("mapper.submap_insertions", 1.0, 2000.0),
+    ("mapper.confirming_scans", 1.0, 255.0),
 ];
 
 /// Refuses numbers that make no sense: (key, reason).
