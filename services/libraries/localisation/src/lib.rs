@@ -4,6 +4,7 @@
 
 mod alignment;
 mod belief;
+mod front_end_slip;
 mod known_map;
 mod localizer;
 mod outdoor_state;

@@ -2,6 +2,7 @@
 
 use crate::alignment::{Agreement, SeenPoint, Surroundings};
 use crate::belief::{Belief, Hypothesis, Knowledge};
+use crate::front_end_slip::corrected;
 use crate::outdoor_state::{Outdoors, free_samples};
 use crate::place_acceptance::{Acceptance, Evaluated, Listed, acceptance, acceptance_outdoors, shows_walls};
 use crate::place_search::{Near, PlaceSearch, SearchRequest, is_same};
@@ -259,7 +260,14 @@ impl Localizer {
                 self.measured = None;
             }
         }
-        let at = now.map_from_odom.compose(odom);
+        let mut at = now.map_from_odom.compose(odom);
+        let newest = self.recent.cloud(0.0, POINTS);
+        let slipped = corrected(&self.surroundings, &newest, expected, at, unit);
+        if let Some((place, information)) = slipped.filter(|_| !is_outdoors) {
+            (at, self.measured) = (place, None);
+            now = Followed { map_from_odom: at.compose(odom.inverse()), information };
+            self.followed = Some(now);
+        }
         let agreement = self.agreement(&cloud, &at);
         self.belief = Belief {
             knowledge: Knowledge::Localized,

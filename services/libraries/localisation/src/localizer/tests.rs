@@ -175,6 +175,27 @@ fn a_kidnapped_robot_detects_it_and_is_relocalized() {
 }
 
 #[test]
+fn a_robot_whose_front_end_turns_wrongly_is_followed_on_where_it_is() {
+    let (mut localizer, map) = localizer();
+    let odom_from_map = anywhere();
+    drive(&mut localizer, &map, &[(20.5, 13.5), (21.5, 9.0), (12.0, 9.0)], odom_from_map);
+    assert_eq!(localizer.belief().knowledge, Knowledge::Localized);
+    // Within a step the front end turns by 4° about the robot, and is 5 cm off.
+    let here = Placement::new(12.0, 9.0, std::f64::consts::PI);
+    let slip = here.compose(Placement::new(0.05, 0.0, 0.07)).compose(here.inverse());
+    let odom_from_map = odom_from_map.compose(slip);
+    let searches = localizer.searches();
+    for step in 0..10 {
+        let at = Placement::new(12.0 - 0.1 * f64::from(step), 9.0, std::f64::consts::PI);
+        localizer.see(odom_from_map.compose(at), &seen(&map, at));
+        let found = localizer.belief().hypotheses[0].map_from_base;
+        let (off_m, off_rad) = (found.distance_m(&at), found.turn_rad(&at));
+        assert!(off_m < 0.1 && off_rad < 0.01, "{step}: {off_m} m, {off_rad} rad");
+    }
+    assert_eq!((localizer.belief().knowledge, localizer.searches()), (Knowledge::Localized, searches));
+}
+
+#[test]
 fn a_break_of_odometry_and_an_order_clear_the_place() {
     let (mut localizer, map) = localizer();
     let at = Placement::new(21.0, 12.5, 0.4);
