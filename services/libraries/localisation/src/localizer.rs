@@ -261,9 +261,8 @@ impl Localizer {
             }
         }
         let mut at = now.map_from_odom.compose(odom);
-        let newest = self.recent.cloud(0.0, POINTS);
-        let slipped = corrected(&self.surroundings, &newest, expected, at, unit);
-        if let Some((place, information)) = slipped.filter(|_| !is_outdoors) {
+        let newest = if is_outdoors { Vec::new() } else { self.recent.cloud(0.0, POINTS) };
+        if let Some((place, information)) = corrected(&self.surroundings, &newest, expected, at, unit) {
             (at, self.measured) = (place, None);
             now = Followed { map_from_odom: at.compose(odom.inverse()), information };
             self.followed = Some(now);
