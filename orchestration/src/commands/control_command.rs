@@ -7,8 +7,9 @@ use crate::supervisor::{Reply, Request, ask};
 use flockslam_bus::RuntimeDir;
 use std::time::{Duration, Instant};
 
-/// A set ends within this time after the order to stop.
-const DOWN_LIMIT: Duration = Duration::from_secs(10);
+/// A set ends within this time after the order to stop. It takes a second or two; a machine that others keep busy, and where no process
+/// may come before them, takes longer.
+const DOWN_LIMIT: Duration = Duration::from_secs(60);
 /// A change of the mode is looked at so often.
 const MODE_LOOK: Duration = Duration::from_millis(50);
 

@@ -21,6 +21,8 @@ use std::time::{Duration, Instant};
 const PROVEN: Duration = Duration::from_secs(10);
 /// A fallback that ended is restarted after this.
 const FALLBACK_PAUSE: Duration = Duration::from_millis(500);
+/// What shall end comes before other processes by so many steps, where the system allows that: as many as what leads to a pose.
+const ENDING_NICENESS: i32 = 10;
 
 /// What a child is started with.
 pub struct StartOrder<'a> {
@@ -239,10 +241,12 @@ impl StageChild {
         self.process.is_some()
     }
 
-    /// Sends a signal, if it lives.
+    /// Lets it end, if it lives: by SIGTERM or SIGKILL.
     pub fn signal(&self, signal: Signal) {
         if let Some((child, _)) = &self.process {
-            let _ = rustix::process::kill_process(Pid::from_child(child), signal);
+            let pid = Pid::from_child(child);
+            let _ = rustix::process::kill_process(pid, signal);
+            hurry(pid);
         }
     }
 
@@ -250,6 +254,7 @@ impl StageChild {
     pub fn end(&mut self) {
         if let Some((child, _)) = &mut self.process {
             let _ = child.kill();
+            hurry(Pid::from_child(child));
             let _ = child.wait();
         }
         (self.process, self.due) = (None, None);
@@ -258,6 +263,20 @@ impl StageChild {
     /// How often it was started again.
     pub fn restarts(&self) -> u64 {
         self.pids.len().saturating_sub(1) as u64
+    }
+}
+
+/// Lets a process that shall end yield to nobody any more. Also to give its memory back it needs a processor, which a busy machine gives it
+/// seconds later while it yields.
+fn hurry(pid: Pid) {
+    let Ok(own) = getpriority_process(None) else { return };
+    let threads = std::fs::read_dir(format!("/proc/{}/task", pid.as_raw_pid()));
+    let id =
+        |entry: std::fs::DirEntry| entry.file_name().to_string_lossy().parse().ok().and_then(Pid::from_raw);
+    for thread in threads.into_iter().flatten().flatten().filter_map(id) {
+        let priority = |niceness| setpriority_process(Some(thread), niceness);
+        // Where that is not allowed, it ends when the machine lets it.
+        let _ = priority(own - ENDING_NICENESS).or_else(|_| priority(own));
     }
 }
 
@@ -281,4 +300,23 @@ fn limit(pid: Pid, limits: &ProcessLimits) -> rustix::io::Result<()> {
         sched_setaffinity(Some(pid), &set)?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_shall_end_yields_to_nobody_where_the_system_allows_that() {
+        let mut child = Command::new("sleep").arg("1000").spawn().unwrap();
+        let pid = Pid::from_child(&child);
+        let own = getpriority_process(None).unwrap();
+        setpriority_process(Some(pid), own + 15).unwrap();
+        hurry(pid);
+        let found = getpriority_process(Some(pid)).unwrap();
+        let is_allowed = setpriority_process(Some(pid), own).is_ok();
+        child.kill().unwrap();
+        child.wait().unwrap();
+        assert_eq!(is_allowed, found <= own, "{found} beside {own}");
+    }
 }
