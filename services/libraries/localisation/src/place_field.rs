@@ -42,7 +42,8 @@ pub struct PlaceField {
     border: usize,
     /// A row of cells takes so many entries.
     stride: usize,
-    values: Vec<u8>,
+    /// The value of each cell and of those in the next rows of its column: a block at any cell is one piece.
+    columns: Vec<[u8; BLOCK]>,
     /// The greatest value of the block that begins at each cell, in a plane for each column and row within a block at which it may begin.
     bounds: Vec<u8>,
     /// Entries of a plane, and of a row in it.
@@ -111,10 +112,11 @@ impl PlaceField {
         let bound_stride = stride.div_ceil(BLOCK);
         let plane = bound_stride * rows.div_ceil(BLOCK);
         let mut of_bounds = bounds(&values, stride, bound_stride, plane);
-        let free = if has_free { Some((values.len(), of_bounds.len())) } else { None };
+        let mut columns = columns_of(&values, stride);
+        let free = if has_free { Some((columns.len(), of_bounds.len())) } else { None };
         if has_free {
             of_bounds.extend(bounds(&free_values, stride, bound_stride, plane));
-            values.extend(free_values);
+            columns.extend(columns_of(&free_values, stride));
         }
         let origin = map.origin();
         Self {
@@ -123,7 +125,7 @@ impl PlaceField {
             origin,
             border,
             stride,
-            values,
+            columns,
             bounds: of_bounds,
             plane,
             bound_stride,
@@ -221,30 +223,37 @@ impl PlaceField {
         bound: u16,
         least: u16,
     ) -> Option<[u16; CELLS]> {
-        let values = |k: usize| &self.values[(row * BLOCK + k) * self.stride + column * BLOCK..];
-        let (rows, bounds) = ([0, 1, 2, 3].map(values), &self.bounds[row * self.bound_stride + column..]);
+        let block = row * BLOCK * self.stride + column * BLOCK;
+        let (columns, bounds) = (&self.columns[block..], &self.bounds[row * self.bound_stride + column..]);
+        // Column by column, as the cells lie.
         let (mut sums, mut rest) = ([0; CELLS], bound);
         // What is exact replaces what is bounded, until that is too low.
         for offsets in offsets.chunks(EXACT_AT_ONCE) {
             for (exact, bounded) in offsets {
-                for (sums, values) in sums.chunks_exact_mut(BLOCK).zip(rows) {
-                    let values: &[u8; BLOCK] =
-                        values[*exact..].first_chunk().expect("the border is wide enough");
-                    sums.iter_mut().zip(values).for_each(|(sum, v): (&mut u16, _)| *sum += u16::from(*v));
-                }
+                let columns: &[[u8; BLOCK]; BLOCK] =
+                    columns[*exact..].first_chunk().expect("the border is wide enough");
+                sums.iter_mut()
+                    .zip(columns.as_flattened())
+                    .for_each(|(sum, v): (&mut u16, _)| *sum += u16::from(*v));
                 rest -= u16::from(bounds[*bounded]);
             }
             if sums.iter().max().is_none_or(|most| most + rest < least) {
                 return None;
             }
         }
-        Some(sums)
+        Some(std::array::from_fn(|cell| sums[cell % BLOCK * BLOCK + cell / BLOCK]))
     }
 }
 
 /// The bit of a cell of a block.
 pub(crate) fn bit(column: usize, row: usize) -> u16 {
     1 << (row * BLOCK + column)
+}
+
+/// Of each cell its value and those below in its column, row by row; below the last row they are 0.
+fn columns_of(values: &[u8], stride: usize) -> Vec<[u8; BLOCK]> {
+    let below = |cell: usize, rows: usize| values.get(cell + rows * stride).copied().unwrap_or(0);
+    (0..values.len()).map(|cell| [0, 1, 2, 3].map(|rows| below(cell, rows))).collect()
 }
 
 /// The greatest value of the block that begins at each cell, plane by plane.
