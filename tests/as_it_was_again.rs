@@ -97,6 +97,21 @@ fn first_accepted_after(recording: &Path, scan: u64) -> u64 {
     poses.filter(|sequence| *sequence >= scan).min().unwrap()
 }
 
+/// The first line in which two trajectories differ.
+fn first_difference(computed: &[u8], published: &[u8]) -> String {
+    let lines = |bytes: &[u8]| String::from_utf8_lossy(bytes).lines().map(str::to_owned).collect::<Vec<_>>();
+    let (computed, published) = (lines(computed), lines(published));
+    let at = (0..).find(|line| computed.get(*line) != published.get(*line) || *line >= computed.len());
+    let at = at.unwrap_or_default();
+    format!(
+        "line {at} of {} computed: {:?}; of {} published: {:?}",
+        computed.len(),
+        computed.get(at),
+        published.len(),
+        published.get(at)
+    )
+}
+
 fn scan_of(message: &Message<'_>) -> Option<u64> {
     let is_scan = message.channel.topic == "/flockslam/scan";
     is_scan.then(|| ScanBuffer::from_bytes(&message.data).unwrap().header.id.sequence)
@@ -111,7 +126,7 @@ fn the_poses_of_a_recorded_drive_with_killed_stages_are_computed_again_to_the_bi
     let (code, said, poses, report) = as_it_was(&file, &place.join("again"));
     assert_eq!(code, Some(0), "{said}");
     assert!(said.contains("exact: every pose is the published one"), "{said}");
-    assert!(poses == published, "{said}");
+    assert!(poses == published, "{}\n{said}", first_difference(&poses, &published));
     assert!(report["restarts"].as_u64() >= Some(4), "{report}");
     assert_eq!(report["equal"], report["poses"]);
 

@@ -55,7 +55,7 @@ pub struct BlackBox {
     pub marks: BTreeMap<u64, Vec<ClearedCell>>,
     /// Why it ends before its end.
     pub cut_short: Option<String>,
-    places: HashMap<CommitName, usize>,
+    pub(super) places: HashMap<CommitName, usize>,
 }
 
 impl BlackBox {

@@ -134,6 +134,9 @@ impl<'a> Rerun<'a> {
         let (sequence, is_first) = (inputs.id.sequence, self.poses.is_empty());
         let is_new = self.matcher.is_new(inputs);
         let began_anew = inputs.start == StageStart::Anew as u32;
+        if is_new {
+            self.forget_unpublished(inputs);
+        }
         let before = if is_new && !began_anew { self.poses_until(inputs.resumed_after) } else { Vec::new() };
         let first_grid = self.recorded.place_of(inputs.first_grid);
         let has_followed = first_grid.is_some_and(|first| first < self.commits.len());
@@ -149,6 +152,16 @@ impl<'a> Rerun<'a> {
         self.comparison.restarts += u64::from(is_new && !is_first);
         self.comparison.lacks_inputs(Stage::ScanMatcher, sequence, missing);
         true
+    }
+
+    /// A process that is killed may have said what it used for a scan, and not have published its pose. When its successor has not
+    /// received that scan, no pose of it was ever published.
+    fn forget_unpublished(&mut self, inputs: &StageInputs) {
+        let has_predecessor = inputs.start != StageStart::Anew as u32;
+        let published = &self.recorded.poses;
+        self.poses.retain(|sequence, _| {
+            published.contains_key(sequence) || (has_predecessor && *sequence <= inputs.resumed_after)
+        });
     }
 
     /// The poses up to that of this scan, in order.
@@ -308,3 +321,7 @@ impl<'a> Rerun<'a> {
 fn is_late(gap: &Gap) -> bool {
     matches!(gap, Gap::BeginsLate { .. } | Gap::SavedMap)
 }
+
+#[cfg(test)]
+#[path = "rerun_tests.rs"]
+mod tests;
