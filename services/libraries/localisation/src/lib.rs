@@ -5,7 +5,9 @@
 mod alignment;
 mod belief;
 mod front_end_slip;
+mod information;
 mod known_map;
+mod leading_place;
 mod localizer;
 mod outdoor_state;
 mod place_acceptance;

@@ -3,13 +3,15 @@
 use crate::alignment::{Agreement, SeenPoint, Surroundings};
 use crate::belief::{Belief, Hypothesis, Knowledge};
 use crate::front_end_slip::corrected;
+use crate::information::{carried, widest};
+use crate::leading_place::LeadingPlace;
 use crate::outdoor_state::{Outdoors, free_samples};
 use crate::place_acceptance::{Acceptance, Evaluated, Listed, acceptance, acceptance_outdoors, shows_walls};
 use crate::place_search::{Near, PlaceSearch, SearchRequest, is_same};
 use crate::pose_hint::Hint;
 use crate::recent_views::RecentViews;
 use crate::search_schedule::SearchSchedule;
-use flockslam_geometry::elementary::{exp, hypot};
+use flockslam_geometry::elementary::exp;
 use flockslam_pose_graph::{Symmetric, inverse};
 use flockslam_registration::cloud::{PackedPoint, Placement};
 
@@ -86,6 +88,8 @@ pub struct Localizer {
     kept: Vec<(Placement, Listed)>,
     /// A place that was unconfirmed, as `map_from_odom`, and the way until then, metres.
     unconfirmed: Option<(Placement, f64)>,
+    /// The best place of the searches so far.
+    leading: LeadingPlace,
     /// When the robot is looked for again. Every second search is at the border of what is mapped.
     schedule: SearchSchedule,
     last: Option<Placement>,
@@ -130,6 +134,7 @@ impl Localizer {
             outdoors: Outdoors::default(),
             since_firm_m: 0.0,
             unconfirmed: None,
+            leading: LeadingPlace::default(),
             schedule: SearchSchedule::default(),
             last: None,
             hint: None,
@@ -171,6 +176,7 @@ impl Localizer {
         self.belief = Belief::default();
         self.kept.clear();
         self.unconfirmed = None;
+        self.leading.end();
         self.since_agreed_m = 0.0;
         self.schedule = SearchSchedule::default();
         self.hint = hint;
@@ -441,8 +447,10 @@ impl Localizer {
     fn conclude(&mut self, odom: Placement, evaluated: &[Evaluated], others_max: f64) {
         let Some(best) = evaluated.first() else {
             self.belief = Belief::default();
+            self.leading.end();
             return;
         };
+        let lead_m = self.leading.after(&best.at, &odom, self.recent.way_m());
         let worth = |merit: f64| exp(SHARPNESS * (merit - best.merit()));
         let unseen = exp(SHARPNESS * (others_max - best.score));
         let sum: f64 = evaluated.iter().map(|j| worth(j.merit())).sum::<f64>() + unseen.min(1.0);
@@ -458,8 +466,12 @@ impl Localizer {
             inverse(&fit.information.map(|h| unit * h))
         });
         let is_held = covariance.is_some_and(|c| widest(&c) <= SIGMA_MAX_M * SIGMA_MAX_M);
-        let rules = if self.outdoors.is_so() { acceptance_outdoors } else { acceptance };
-        let acceptance = rules(evaluated, self.recent.travel_m(), is_held);
+        let travel_m = self.recent.travel_m();
+        let acceptance = if self.outdoors.is_so() {
+            acceptance_outdoors(evaluated, travel_m, lead_m, is_held)
+        } else {
+            acceptance(evaluated, travel_m, is_held)
+        };
         let is_confirmed = acceptance == Acceptance::Unconfirmed && self.confirms(&odom, &best.at);
         self.belief.knowledge = if is_confirmed { Knowledge::Localized } else { acceptance.knowledge() };
         if let (Knowledge::Localized, Some(fit), Some(covariance)) =
@@ -472,21 +484,6 @@ impl Localizer {
             self.followed = Some(Followed { map_from_odom: best.at.compose(odom.inverse()), information });
         }
     }
-}
-
-/// Information after errors of these variances were added: of the position, m², and of the heading, rad².
-fn carried(information: &Symmetric, position: f64, heading: f64) -> Symmetric {
-    let Some(mut covariance) = inverse(information) else { return *information };
-    covariance[0] += position;
-    covariance[3] += position;
-    covariance[5] += heading;
-    inverse(&covariance).unwrap_or(*information)
-}
-
-/// The variance of the position in its widest direction, m².
-fn widest(covariance: &Symmetric) -> f64 {
-    let [xx, xy, _, yy, ..] = *covariance;
-    0.5 * (xx + yy) + hypot(0.5 * (xx - yy), xy)
 }
 
 #[cfg(test)]

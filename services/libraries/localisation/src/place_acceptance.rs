@@ -44,6 +44,9 @@ const BORDER_ALTERNATIVE_MAX: f64 = 0.5;
 /// Outdoors: least travel, metres, least share explained and greatest contradicted, both strictly, and greatest share of the merit elsewhere.
 /// Where nothing stands but a few trees, places some metres off explain much, and the true one nearly all.
 const OUTDOORS: [(f64, f64, f64, f64); 2] = [(3.0, 0.65, 0.3, 0.5), (8.0, 0.85, 0.12, 0.8)];
+/// The same for a place that has been the best at all searches over so much travel, metres. Places that only look like it, and those of another
+/// campus, lead over 9 m at most when they explain this much.
+const LEADING: [(f64, f64, f64, f64); 2] = [(10.0, 0.65, 0.25, 0.9), (12.0, 0.55, 0.3, 0.7)];
 /// Nearer than this, metres, it is the same place, a step of the search off.
 const OUTDOORS_APART_M: f64 = 2.0;
 /// Elsewhere at most this share of the merit is found.
@@ -157,21 +160,29 @@ pub(crate) fn acceptance(evaluated: &[Evaluated], travel_m: f64, is_held: bool) 
 }
 
 /// The same where most of what is seen is ground, grass and leaves: what is firm is explained by the map in part only, and still stands out.
-/// A place is confirmed before it is accepted.
-pub(crate) fn acceptance_outdoors(evaluated: &[Evaluated], travel_m: f64, is_held: bool) -> Acceptance {
+/// The best place has been the best over `lead_m`, metres. A place is confirmed before it is accepted.
+pub(crate) fn acceptance_outdoors(
+    evaluated: &[Evaluated],
+    travel_m: f64,
+    lead_m: f64,
+    is_held: bool,
+) -> Acceptance {
     let Some((best, others)) = evaluated.split_first() else { return Acceptance::Rejected };
     let (explained, contradicted) = best.strictly();
     let is_elsewhere = |other: &&Evaluated| other.at.distance_m(&best.at) > OUTDOORS_APART_M;
     let most = others.iter().filter(is_elsewhere).map(Evaluated::strict_merit).fold(0.0, f64::max);
-    let is_good = |(least_m, least, greatest, _): &(f64, f64, f64, f64)| {
-        travel_m >= *least_m && explained >= *least && contradicted <= *greatest
+    let is_good = |way_m: f64, (least_m, least, greatest, _): &(f64, f64, f64, f64)| {
+        way_m >= *least_m && explained >= *least && contradicted <= *greatest
     };
-    let is_alone =
-        |of: &(f64, f64, f64, f64)| is_good(of) && most <= of.3 * (explained - contradicted).max(0.0);
+    let is_alone = |way_m: f64, of: &(f64, f64, f64, f64)| {
+        is_good(way_m, of) && most <= of.3 * (explained - contradicted).max(0.0)
+    };
     let would_be_known = is_held && (best.listed.is_among_all || best.listed.times >= LISTED_MIN);
-    if would_be_known && OUTDOORS.iter().any(is_alone) {
+    let stands_out = OUTDOORS.iter().any(|of| is_alone(travel_m, of));
+    let leads = LEADING.iter().any(|of| is_alone(lead_m, of));
+    if would_be_known && (stands_out || leads) {
         Acceptance::Unconfirmed
-    } else if OUTDOORS.iter().any(is_good) {
+    } else if OUTDOORS.iter().any(|of| is_good(travel_m, of)) {
         Acceptance::Ambiguous
     } else {
         Acceptance::Rejected
@@ -276,13 +287,30 @@ mod tests {
             let other = place(alternative * best.strict_merit(), 0.0, LISTED);
             let beside = Evaluated { at: Placement::new(1.0, 0.0, 0.0), ..best };
             let other = Evaluated { at: Placement::new(40.0, 0.0, 0.0), ..other };
-            acceptance_outdoors(&[best, beside, other], travel_m, true)
+            acceptance_outdoors(&[best, beside, other], travel_m, 0.0, true)
         };
         assert_eq!(of(0.75, 0.24, 0.4, 5.0), Acceptance::Unconfirmed);
         assert_eq!(of(0.75, 0.24, 0.4, 1.0), Acceptance::Rejected, "it has hardly driven");
         assert_eq!(of(0.75, 0.24, 0.7, 5.0), Acceptance::Ambiguous, "another place is nearly as good");
         assert_eq!(of(0.6, 0.2, 0.1, 5.0), Acceptance::Rejected, "little is explained");
         assert_eq!(of(0.75, 0.35, 0.1, 5.0), Acceptance::Rejected, "much contradicts");
+    }
+
+    /// A crossing of paths looks like the next one: what tells them apart is little, and it is there all the time.
+    #[test]
+    fn outdoors_a_place_is_accepted_that_has_been_the_best_for_long() {
+        let of = |explained: f64, contradicted: f64, alternative: f64, lead_m| {
+            let best = place(explained, contradicted, LISTED);
+            let other = place(alternative * best.strict_merit(), 0.0, LISTED);
+            let other = Evaluated { at: Placement::new(40.0, 0.0, 0.0), ..other };
+            acceptance_outdoors(&[best, other], 16.0, lead_m, true)
+        };
+        assert_eq!(of(0.78, 0.15, 0.85, 10.5), Acceptance::Unconfirmed);
+        assert_eq!(of(0.78, 0.15, 0.85, 9.0), Acceptance::Ambiguous, "other places lead for as long");
+        assert_eq!(of(0.78, 0.15, 0.95, 20.0), Acceptance::Ambiguous, "the other one is as good");
+        assert_eq!(of(0.6, 0.27, 0.65, 12.5), Acceptance::Unconfirmed);
+        assert_eq!(of(0.6, 0.27, 0.75, 12.5), Acceptance::Rejected, "another place is nearly as good");
+        assert_eq!(of(0.5, 0.3, 0.1, 30.0), Acceptance::Rejected, "as on another campus");
     }
 
     /// Where more places score alike than a search gives, an equal one may be among those that it does not give.
