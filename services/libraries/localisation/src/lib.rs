@@ -9,6 +9,7 @@ mod information;
 mod known_map;
 mod leading_place;
 mod localizer;
+mod lost_place;
 mod outdoor_state;
 mod place_acceptance;
 mod place_field;

@@ -5,12 +5,14 @@ use crate::belief::{Belief, Hypothesis, Knowledge};
 use crate::front_end_slip::corrected;
 use crate::information::{carried, widest};
 use crate::leading_place::LeadingPlace;
+use crate::lost_place;
 use crate::outdoor_state::{Outdoors, free_samples};
 use crate::place_acceptance::{Acceptance, Evaluated, Listed, acceptance, acceptance_outdoors, shows_walls};
 use crate::place_search::{Near, PlaceSearch, SearchRequest, is_same};
 use crate::pose_hint::Hint;
 use crate::recent_views::RecentViews;
 use crate::search_schedule::SearchSchedule;
+use flockslam_evidence::floor;
 use flockslam_geometry::elementary::exp;
 use flockslam_pose_graph::{Symmetric, inverse};
 use flockslam_registration::cloud::{PackedPoint, Placement};
@@ -68,14 +70,6 @@ const BESIDE_REACH: (f64, f64) = (1.0, 0.15);
 const BESIDE_BETTER: f64 = 0.1;
 /// How far a robot may be from where a predecessor of this process had it: standard deviations, metres and radians.
 const RESUMED_SIGMA: (f64, f64) = (0.1, 0.03);
-/// A robot has lost its place when more than this of what it has seen contradicts the map, and less than three times as much is explained …
-const LOST_CONTRADICTED: f64 = 0.1;
-const LOST_EXPLAINED: f64 = 3.0;
-/// … half as many outdoors, where some of what is taken to be firm is not …
-const LOST_EXPLAINED_OUTDOORS: f64 = 1.5;
-/// … over at least this much travel, metres, and not by furniture alone: what it sees now does not show the map's walls.
-const LOST_M: f64 = 2.0;
-
 /// Finds and follows a robot in a known map. A pure function of its calls; work per call is bounded.
 pub struct Localizer {
     surroundings: Surroundings,
@@ -279,23 +273,25 @@ impl Localizer {
             hypotheses: vec![Hypothesis { map_from_base: at, weight: 1.0, agreement }],
             covariance: inverse(&now.information),
         };
-        let lost_explained = if is_outdoors { LOST_EXPLAINED_OUTDOORS } else { LOST_EXPLAINED };
-        let is_against = |agreement: &Agreement| {
-            agreement.contradicted > LOST_CONTRADICTED
-                && agreement.explained < lost_explained * agreement.contradicted
-        };
+        let before_m = self.since_agreed_m;
         self.since_agreed_m += way_m;
-        if !is_against(&agreement) {
+        if !lost_place::contradicts(&agreement, is_outdoors) {
             self.since_agreed_m = 0.0;
-        } else if !shows_walls(&agreement) {
-            let wider = self.seen(LOST_M, POINTS);
-            if is_against(&self.agreement(&wider, &at)) {
-                // A kidnapped robot has no odometry from the last agreeing scans to the contradicting ones.
-                self.recent.keep(self.since_agreed_m);
-                self.relocalize(None);
-                self.measured = None;
-            }
+        } else if !shows_walls(&agreement) && self.is_lost(&at, before_m) {
+            // A kidnapped robot has no odometry from the last agreeing scans to the contradicting ones.
+            self.recent.keep(self.since_agreed_m);
+            self.relocalize(None);
+            self.measured = None;
         }
+    }
+
+    /// Whether what was seen over some metres contradicts a pose so much that the robot is elsewhere; at the last view the map had been
+    /// contradicted for `before_m` metres.
+    fn is_lost(&self, at: &Placement, before_m: f64) -> bool {
+        let over = |length_m: f64| self.agreement(&self.seen(length_m, POINTS), at);
+        // To look far back is much work.
+        let is_next_metre = floor(self.since_agreed_m) > floor(before_m);
+        lost_place::is_lost(over, is_next_metre.then_some(VERIFIED_M), self.outdoors.is_so())
     }
 
     /// A pose beside this one with which what was seen last agrees clearly better: the front end may slip along a bare corridor by more

@@ -114,3 +114,26 @@ fn a_robot_in_another_park_is_not_found() {
         assert_ne!(belief.knowledge, Knowledge::Localized, "after {travel_m:.1} m: {belief:?}");
     }
 }
+
+/// The front end does not notice that it is carried: what it sees elsewhere has to contradict the map.
+#[test]
+fn a_robot_that_is_carried_through_a_park_is_lost_within_a_few_metres() {
+    let world = park(0);
+    let mut localizer = Localizer::new(Surroundings::new(park(6000)));
+    let mut numbers = Numbers(3);
+    let along = |travel_m: f64| Placement::new(20.0 + 0.8 * travel_m, 35.0 - 0.6 * travel_m, -0.6435);
+    let elsewhere = |travel_m: f64| Placement::new(52.0 - 0.8 * travel_m, 53.0 - 0.6 * travel_m, -2.498);
+    for step in 0..60 {
+        let at = along(0.3 * f64::from(step));
+        localizer.see(at, &seen(&world, at, &mut numbers));
+    }
+    assert_eq!(localizer.belief().knowledge, Knowledge::Localized);
+    let odom_from_elsewhere = along(18.0).compose(elsewhere(0.0).inverse());
+    let lost_after_m = (0..60).map(|step| 0.3 * f64::from(step)).find(|travel_m| {
+        let at = elsewhere(*travel_m);
+        localizer.see(odom_from_elsewhere.compose(at), &seen(&world, at, &mut numbers));
+        localizer.belief().knowledge != Knowledge::Localized
+    });
+    println!("lost after {lost_after_m:.1?} m");
+    assert!(lost_after_m.is_some_and(|travel_m| travel_m < 3.0), "lost after {lost_after_m:.1?} m");
+}
