@@ -106,7 +106,7 @@ fn main() {
             }
         }
         let found = found_m.len();
-        let mut quantiles = |mut values: Vec<f64>| {
+        let quantiles = |mut values: Vec<f64>| {
             values.sort_by(f64::total_cmp);
             [0.5, 0.95, 1.0]
                 .map(|share| values.get(((share * found as f64) as usize).min(found.max(1) - 1)).copied())
