@@ -6,6 +6,7 @@ use rustix::fs::{FlockOperation, flock};
 use rustix::io::{Errno, pwritev};
 use std::fs::{File, OpenOptions};
 use std::io::{self, IoSlice};
+use std::ops::Deref;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
@@ -29,7 +30,7 @@ use std::path::{Path, PathBuf};
 /// ```
 #[derive(Debug)]
 pub struct RecordWriter {
-    file: File,
+    file: LockedFile,
     path: PathBuf,
     /// End of the last whole record.
     length: u64,
@@ -73,7 +74,7 @@ impl RecordWriter {
         Ok(Self { file, path: path.to_owned(), length, torn: false })
     }
 
-    fn begin(file: File, path: &Path) -> Result<Self, JournalError> {
+    fn begin(file: LockedFile, path: &Path) -> Result<Self, JournalError> {
         file.set_len(0)
             .and_then(|()| file.write_all_at(&head(), 0))
             .map_err(JournalError::io("begin", path))?;
@@ -128,8 +129,27 @@ impl RecordWriter {
     }
 }
 
-/// Opens without cutting anything: the lock is taken first. It is released when the process ends.
-fn open_locked(path: &Path) -> Result<File, JournalError> {
+/// A file that no other writer has. The lock is released with it, and when the process ends.
+#[derive(Debug)]
+struct LockedFile(File);
+
+impl Deref for LockedFile {
+    type Target = File;
+
+    fn deref(&self) -> &File {
+        &self.0
+    }
+}
+
+impl Drop for LockedFile {
+    fn drop(&mut self) {
+        // Closing it is not enough: a process that another thread has just started has a copy until it runs its own program.
+        let _ = flock(&self.0, FlockOperation::Unlock);
+    }
+}
+
+/// Opens without cutting anything: the lock is taken first.
+fn open_locked(path: &Path) -> Result<LockedFile, JournalError> {
     let file = OpenOptions::new()
         .read(true)
         .write(true)
@@ -138,7 +158,7 @@ fn open_locked(path: &Path) -> Result<File, JournalError> {
         .open(path)
         .map_err(JournalError::io("open", path))?;
     match flock(&file, FlockOperation::NonBlockingLockExclusive) {
-        Ok(()) => Ok(file),
+        Ok(()) => Ok(LockedFile(file)),
         Err(Errno::WOULDBLOCK) => Err(JournalError::Busy { path: path.to_owned() }),
         Err(problem) => Err(JournalError::io("lock", path)(problem)),
     }
@@ -191,11 +211,14 @@ mod tests {
         assert!(matches!(RecordWriter::open(&path), Err(JournalError::Busy { .. })));
         assert!(matches!(RecordWriter::create(&path), Err(JournalError::Busy { .. })));
         assert_eq!(kinds(&path), [1]);
+        // As a process has it that is just being started by another thread.
+        let copy = first.file.try_clone().unwrap();
         drop(first);
         RecordWriter::open(&path).unwrap().append(2, &[b"b"]).unwrap();
         assert_eq!(kinds(&path), [1, 2]);
         RecordWriter::create(&path).unwrap();
         assert!(kinds(&path).is_empty());
+        drop(copy);
     }
 
     #[test]
@@ -205,7 +228,7 @@ mod tests {
         let mut writer = RecordWriter::create(&path).unwrap();
         writer.append(1, &[b"good"]).unwrap();
         // A descriptor that only reads stands for a disk that refuses.
-        let working = std::mem::replace(&mut writer.file, File::open(&path).unwrap());
+        let working = std::mem::replace(&mut writer.file, LockedFile(File::open(&path).unwrap()));
         assert!(matches!(writer.append(2, &[b"lost"]), Err(JournalError::Io { .. })));
         assert!(matches!(writer.append(3, &[b"lost"]), Err(JournalError::Io { .. })));
         working.write_all_at(b"remains of the torn record", writer.bytes()).unwrap();
