@@ -50,6 +50,9 @@ const RESERVED_TILES: usize = 160;
 /// Processes that may read a topic: the stages with their replicas, the supervisor, viewers, recorders.
 const READERS: usize = 20;
 
+/// Those that read scans at once: two processes of each stage, page, recorder and ROS bridge.
+const SCAN_READERS: usize = 15;
+
 impl Limits {
     fn small(capacity: &Capacity) -> Self {
         Self {
@@ -173,8 +176,10 @@ impl SliceTopic for ScanHeader {
         Limits {
             buffer: capacity.window,
             borrowed: capacity.window + 2,
-            // All readers together hold the same window of scans.
-            preallocated: Some(4 * capacity.window),
+            // The queues of all readers have the same scans; what they hold may differ where they lag differently. When memory for
+            // a message is missing, iceoryx2 0.10 adds some that it then cannot count, and panics.
+            preallocated: Some(capacity.window + SCAN_READERS * (capacity.window + 2) + 3),
+            reserved: Some(4 * capacity.window),
             ..Limits::small(capacity)
         }
     }
@@ -196,7 +201,7 @@ impl SliceTopic for SectorHeader {
     const FIRST_LENGTH: usize = 1024;
 
     fn limits(capacity: &Capacity) -> Limits {
-        Limits { buffer: 8, borrowed: 8, preallocated: Some(32), ..Limits::small(capacity) }
+        Limits { buffer: 8, borrowed: 8, preallocated: Some(64), ..Limits::small(capacity) }
     }
 }
 
@@ -237,6 +242,6 @@ impl SliceTopic for LargeScanHeader {
     const FIRST_LENGTH: usize = 1;
 
     fn limits(capacity: &Capacity) -> Limits {
-        Limits { buffer: 2, borrowed: 3, preallocated: Some(8), ..Limits::small(capacity) }
+        Limits { buffer: 2, borrowed: 3, preallocated: Some(2 + SCAN_READERS * 3 + 3), ..Limits::small(capacity) }
     }
 }

@@ -17,6 +17,8 @@ fn a_set_carries_scans_tiles_and_notifications_refuses_other_builds_and_leaves_n
     let member = join(&runtime, "member");
 
     scans_of_any_number_of_beams_arrive_whole(&runtime, &host, &member);
+    readers_that_lag_differently_never_stop_the_publisher_of_scans(&host, &member, 100);
+    readers_that_lag_differently_never_stop_the_publisher_of_scans(&host, &member, 70_000);
     a_held_tile_outlives_its_publisher(&host, &member);
     an_event_carries_the_kind_of_its_notification(&host, &member);
     a_full_queue_keeps_the_newest(&host, &member);
@@ -45,6 +47,26 @@ fn scans_of_any_number_of_beams_arrive_whole(runtime: &RuntimeDir, host: &Bus, m
     }
     assert!(reader.receive().unwrap().is_none());
     assert!(runtime.occupied_bytes() > 40_000_000, "ten million beams lie in shared memory");
+}
+
+/// Both processes of each stage, and three outside readers, hold as many scans as they may, none the same as another's.
+fn readers_that_lag_differently_never_stop_the_publisher_of_scans(host: &Bus, member: &Bus, beams: usize) {
+    let (stages, outside) = (6 * 2, 3);
+    let scans = member.scan_publisher().unwrap();
+    let readers: Vec<_> = (0..stages + outside).map(|_| host.scan_subscriber().unwrap()).collect();
+    let scan = ScanBuffer::from_ranges(&vec![2.5; beams], 0.0, 0.01);
+    let mut held = Vec::new();
+    for reader in &readers {
+        // Where a reader may hold no more, `receive` fails.
+        loop {
+            scans.send(scan.view().unwrap()).unwrap();
+            let Ok(sample) = reader.receive() else { break };
+            held.push(sample.expect("the scan has arrived"));
+        }
+    }
+    assert!(held.len() >= 3 * readers.len(), "{} scans are held", held.len());
+    drop(held);
+    scans.send(scan.view().unwrap()).unwrap();
 }
 
 fn a_held_tile_outlives_its_publisher(host: &Bus, member: &Bus) {
