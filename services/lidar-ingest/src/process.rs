@@ -161,7 +161,7 @@ struct Ingest {
 }
 
 impl Ingest {
-    fn open(context: &StageContext, task: Task) -> Result<Self, StageError> {
+    fn open(context: &mut StageContext, task: Task) -> Result<Self, StageError> {
         let first = context.first_sequence;
         let cursor = match context.mode {
             Mode::Live => Some(Cursor::open(&context.status_dir, first)?),
@@ -171,7 +171,7 @@ impl Ingest {
         let resumed = resumed.map_or(first, Cursor::next_sequence);
         let pacer = task.rate.map(|rate| Pacer::new(rate, cursor.as_ref().and_then(Cursor::anchor)));
         let mut feed = Feed::open(context, &task)?;
-        feed.skip(resumed.saturating_sub(first))?;
+        feed.skip(context, resumed.saturating_sub(first))?;
         let notifiers = |stages: &[Stage]| {
             let names: Vec<_> = stages.iter().map(|stage| stage.name()).collect();
             Notifiers::open(context, &names)

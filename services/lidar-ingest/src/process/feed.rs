@@ -101,17 +101,18 @@ impl Feed {
         Ok(Self { kind, calibration, self_mask, experiment: Experiment::new(&task.settings, expected) })
     }
 
-    /// Goes past the scans that a predecessor has sent.
-    pub fn skip(&mut self, scans: u64) -> Result<(), StageError> {
+    /// Goes past the scans that a predecessor has sent. Simulating hours of driving again takes longer than a stage may be silent.
+    pub fn skip(&mut self, context: &mut StageContext, scans: u64) -> Result<(), StageError> {
         // What sensors have sent is gone with the process that received it.
         if self.is_sensor() {
             return Ok(());
         }
         let mut scan = ScanBuffer::default();
         for _ in 0..scans {
-            if self.next(&mut scan)? != Fed::Scan {
+            if context.stop.is_set() || self.next(&mut scan)? != Fed::Scan {
                 break;
             }
+            context.alive();
         }
         Ok(())
     }
