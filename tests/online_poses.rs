@@ -3,15 +3,14 @@
 use crate::support::public_logs::{ACES, FILTER_OFF, FR079, INTEL, Log, assert_no_worse};
 
 /// What the published poses of each log reach, without the filter: mean errors over all relations and over loops, metres. They follow
-/// the drift of one drive, which differs between start headings: over six of them the greatest means over all relations are 0.039,
-/// 0.034, and 0.071 m, and the mean ones 0.026, 0.033, and 0.059 m. Over twelve those of ACES are 0.048 to 0.101 m, 0.059 in the median.
+/// the drift of one drive, which differs between start headings: over six of them the greatest means over all relations are 0.026,
+/// 0.035, and 0.041 m, and the mean ones 0.025, 0.034, and 0.041 m.
 const REACHED: [(Log, f64, f64); 3] =
-    [(INTEL, 0.0235, 0.0376), (FR079, 0.0325, 0.0448), (ACES, 0.0621, 0.3925)];
+    [(INTEL, 0.0250, 0.0415), (FR079, 0.0345, 0.0492), (ACES, 0.0401, 0.0940)];
 /// What they reach with default settings: mean errors over all relations, metres and degrees. Over six start headings the greatest are
-/// 0.033, 0.037 and 0.089 m, the mean ones 0.027, 0.036 and 0.082 m. Here each drive starts at the pose in its log; that of ACES drifts
-/// more than those six (with other last digits 0.057 m).
+/// 0.030, 0.038 and 0.049 m, the mean ones 0.026, 0.037 and 0.045 m. Here each drive starts at the pose in its log.
 const REACHED_BY_DEFAULT: [(Log, f64, f64); 3] =
-    [(INTEL, 0.0246, 0.326), (FR079, 0.0344, 0.658), (ACES, 0.1087, 0.608)];
+    [(INTEL, 0.0283, 0.325), (FR079, 0.0359, 0.653), (ACES, 0.0457, 0.488)];
 
 #[test]
 fn published_poses_of_each_log_are_as_accurate_as_before() {

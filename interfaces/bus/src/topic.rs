@@ -242,6 +242,11 @@ impl SliceTopic for LargeScanHeader {
     const FIRST_LENGTH: usize = 1;
 
     fn limits(capacity: &Capacity) -> Limits {
-        Limits { buffer: 2, borrowed: 3, preallocated: Some(2 + SCAN_READERS * 3 + 3), ..Limits::small(capacity) }
+        Limits {
+            buffer: 2,
+            borrowed: 3,
+            preallocated: Some(2 + SCAN_READERS * 3 + 3),
+            ..Limits::small(capacity)
+        }
     }
 }

@@ -26,6 +26,7 @@ use mid_scan_poses::MidScan;
 use placed_stretch::Stretch;
 use std::collections::{BTreeMap, BTreeSet};
 use unpublished::Unpublished;
+use wall_headings::WallHeadings;
 
 mod conclusion;
 mod counts;
@@ -40,6 +41,7 @@ mod map_entries;
 mod mid_scan_poses;
 mod placed_stretch;
 mod unpublished;
+mod wall_headings;
 
 /// A scan this close to the last one kept is not kept, metres and radians.
 const REST: (f64, f64) = (0.01, 0.005);
@@ -140,6 +142,8 @@ pub struct SyncManager {
     ruled_out: BTreeSet<u64>,
     /// Closures were found that the solution does not know.
     unsolved: bool,
+    /// What nodes see of walls.
+    walls: WallHeadings,
     /// Stretches that the set has only localized in.
     entries: Entries,
     /// Findings that are not published to the flock yet, when there is one.
@@ -177,6 +181,7 @@ impl SyncManager {
             ruled_out: BTreeSet::new(),
             unsolved: false,
             entries: Entries::default(),
+            walls: WallHeadings::default(),
             unpublished: None,
             solving_credit: SOLVING_PER_SUBMAP,
             solving_cost: 0,
@@ -230,6 +235,7 @@ impl SyncManager {
                 self.kept.retain(|kept| self.records[kept.record].trajectory == trajectory);
             }
             self.odometry.extend(new, &self.scans);
+            self.see_walls();
             self.enter(pose);
         }
         let node = self.odometry.nodes().len().saturating_sub(1);
@@ -293,8 +299,9 @@ impl SyncManager {
         self.unsolved |= self.closures.len() > before;
         let is_last = searches == usize::MAX;
         let is_due = is_last || at_submap || self.surprise(before);
-        if self.unsolved && is_due && (self.solving_credit >= self.solving_cost || is_last) {
-            self.solve(known);
+        if (self.unsolved && is_due && self.solving_credit >= self.solving_cost) || is_last {
+            let walls = if is_last { Vec::new() } else { self.wall_edges(known) };
+            self.solve(known, &walls);
             self.solving_credit = self.solving_credit.saturating_sub(self.solving_cost);
             self.unsolved = false;
         }
@@ -313,36 +320,19 @@ impl SyncManager {
         self.odometry.smooth([last, segment], &self.scans, self.finder.scratch());
         let inliers = self.closures.iter().zip(&self.is_inlier).filter(|(_, is_inlier)| **is_inlier);
         let held = inliers.map(|(closure, _)| closure.edge.to).fold(start, usize::max);
-        let (at, nodes) = (self.poses[held], self.odometry.nodes());
-        for (pose, node) in self.poses[held..].iter_mut().zip(&nodes[held..]) {
-            *pose = at.compose(nodes[held].local_pose.to(node.local_pose));
-        }
+        self.follow_behind(held);
     }
 
-    /// Poses of nodes newer than the last solution.
-    fn follow_odometry(&mut self, known: usize) {
-        let nodes = self.odometry.nodes();
-        for i in self.poses.len()..known {
-            let pose = match (self.entered(i), i.checked_sub(1)) {
-                (Some(entered), _) => entered,
-                (None, None) => nodes[0].local_pose,
-                (None, Some(last)) => {
-                    self.poses[last].compose(nodes[last].local_pose.to(nodes[i].local_pose))
-                }
-            };
-            self.poses.push(pose);
-        }
-    }
-
-    /// Solves the graph of the first `known` nodes, from the odometry, with all eligible loops on trial again.
-    fn solve(&mut self, known: usize) {
-        self.solve_with(known, &eligible(&self.closures, &self.odometry.nodes()[..known]));
+    /// Solves the graph of the first `known` nodes, from the odometry, with constraints by `walls`, and all eligible loops on trial again.
+    fn solve(&mut self, known: usize, walls: &[Edge]) {
+        self.solve_with(known, &eligible(&self.closures, &self.odometry.nodes()[..known]), walls);
     }
 
     /// Solves the graph of the first `known` nodes with these loops on trial.
-    fn solve_with(&mut self, known: usize, eligible: &[bool]) {
+    fn solve_with(&mut self, known: usize, eligible: &[bool], walls: &[Edge]) {
         let mut edges: Vec<Edge> = self.odometry.edges()[..known - 1].to_vec();
         edges.extend(self.odometry.given());
+        edges.extend(walls);
         let fixed_count = edges.len();
         edges.extend(
             self.closures.iter().zip(eligible).filter(|(_, eligible)| **eligible).map(|(c, _)| c.edge),
@@ -358,6 +348,7 @@ impl SyncManager {
         let solved = solve(known, &edges, fixed_count, &settings, &mut poses);
         (self.poses, self.solving_cost) = (poses, solved.work);
         self.hold_given();
+        self.count_walls();
         let nodes = self.odometry.nodes();
         let joints = edges[closures_end..].iter().zip(&solved.weights[closures_end..]);
         self.ruled_out =

@@ -21,3 +21,4 @@ pub mod scans;
 pub mod segment;
 mod segment_matcher;
 mod smoothing;
+pub mod wall_directions;

@@ -33,7 +33,7 @@ impl SyncManager {
             if let Some(closure) = found {
                 self.closures.push(closure);
                 self.is_inlier.push(true);
-                self.solve(known);
+                self.solve(known, &[]);
             }
         }
     }
@@ -69,7 +69,7 @@ impl SyncManager {
             !nodes[query].is_open || !again.contains(&query)
         });
         self.closures.extend(found);
-        self.solve_with(known, &eligible_at_the_end(&self.closures, self.odometry.nodes()));
+        self.solve_with(known, &eligible_at_the_end(&self.closures, self.odometry.nodes()), &[]);
     }
 
     /// The edges of the present solution.

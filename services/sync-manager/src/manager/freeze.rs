@@ -147,6 +147,7 @@ impl SyncManager {
         self.move_entries(nodes);
         self.odometry.take_out(nodes.clone(), &self.poses, BRIDGE);
         self.poses.drain(nodes.clone());
+        self.walls.take_out(nodes.clone());
         self.gone_scans += kept.len();
         self.kept.drain(kept.clone());
         self.records.drain(records.clone());
