@@ -237,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn walls_that_are_parallel_are_told_from_those_of_all_directions() {
+    fn parallel_walls_agree_and_walls_in_all_directions_do_not() {
         let mut random = Random::new(2, "wall directions");
         let mut parallel = WallDirections::default();
         assert_eq!(parallel.parallel(0.1), None);
