@@ -135,7 +135,10 @@ mod tests {
         }
         let drifted_rad = drift_rad * f64::from(nodes as u32 - 1);
         let left_rad = poses[nodes - 1].heading_rad;
-        assert!(drifted_rad > 0.25 && left_rad.abs() < 0.2 * drifted_rad, "{left_rad} rad of {drifted_rad} rad");
+        assert!(
+            drifted_rad > 0.25 && left_rad.abs() < 0.2 * drifted_rad,
+            "{left_rad} rad of {drifted_rad} rad"
+        );
         // What turns a node by a degree is put right.
         poses[200] = Placement::new(poses[200].x_m, poses[200].y_m, poses[199].heading_rad + 0.02);
         let edges = walls.edges(&poses);
