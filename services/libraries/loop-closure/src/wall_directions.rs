@@ -166,7 +166,7 @@ impl WallDirections {
         *off += modulo_quarter(direction_rad - middle_rad(number));
     }
 
-    /// The walls within [`PARALLEL_RAD`] of a direction; `None` where too few scans have seen such walls.
+    /// The walls within 2° of a direction; `None` where too few scans have seen such walls.
     pub fn parallel(&self, direction_rad: f64) -> Option<ParallelWalls> {
         let (mut count, mut off_rad) = self.around(direction_rad, PARALLEL_RAD);
         if count < SCANS_MIN {
