@@ -1,5 +1,4 @@
-//! Headings by walls while the robot drives: nodes behind the last closure drift less. The final solution does not use them, since scans
-//! that are matched across loops know headings better than the walls of a building are parallel.
+//! Headings by walls while the robot drives: nodes behind the last closure drift less. The final solution does not use them.
 
 use super::SyncManager;
 use flockslam_loop_closure::wall_directions::{WallDirections, wall_direction_rad};
@@ -8,7 +7,7 @@ use flockslam_registration::cloud::Placement;
 use std::ops::Range;
 
 /// A new node is turned by this share towards the walls that it sees, if they agree: over a few metres, since one scan is off by half a
-/// degree. With 0.05 and 0.2 loops of the public logs are closed as well.
+/// degree. With 0.05 and 0.2 published poses of the public logs are within a tenth as accurate.
 const SHARE: f64 = 0.1;
 /// Standard deviation of a node's heading by walls in the solution, radians. What scans have in common there, as a wall that is not
 /// quite parallel, does not become less over many nodes, so it is more than that of one scan.
